@@ -1,0 +1,42 @@
+"""The exceptions of the framework: one root, so that a caller can catch everything that is a user's mistake."""
+
+from __future__ import annotations
+
+
+class SlamError(Exception):
+    """Root of all errors that this project raises on purpose; its text is one sentence meant for the user."""
+
+
+class LogError(SlamError):
+    """A log, or the file that should hold one, is not what it has to be."""
+
+
+class FormatError(LogError):
+    """A file does not follow its format. The text starts with ``file:line:`` where a line is to blame."""
+
+    def __init__(self, path: object, line: int | None, message: str) -> None:
+        where = f"{path}:{line}" if line is not None else f"{path}"
+        super().__init__(f"{where}: {message}")
+        self.path = path
+        self.line = line
+
+
+class OptionError(SlamError, ValueError):
+    """An option or a model parameter has a value that it cannot have."""
+
+
+class GraphError(SlamError):
+    """A graph cannot be built, or cannot be solved because its edges do not determine its nodes."""
+
+
+def check_choice(option: str, value: str, allowed: tuple[str, ...]) -> None:
+    """Raise `OptionError` unless ``value`` is one of ``allowed``."""
+    if value not in allowed:
+        raise OptionError(f"{option} must be one of {', '.join(allowed)}, not {value!r}")
+
+
+def check_positive(**values: float) -> None:
+    """Raise `OptionError` unless every keyword's value is a positive finite number."""
+    for option, value in values.items():
+        if not 0 < value < float("inf"):
+            raise OptionError(f"{option} must be a positive number, not {value!r}")

@@ -1,0 +1,67 @@
+"""The framework's own format: a NumPy ``.npz`` archive that keeps everything a `Log` holds, bit for bit.
+
+Arrays (absent = None): ``format`` ("graphslam-log-1"), ``dt`` (T,), ``controls`` (T, 2), ``steps`` (M,), ``landmarks``
+(M,), ``sightings`` (M, 2 or 3), ``initial_poses`` (T+1, 3), ``true_poses`` (T+1, 3), ``true_landmark_ids`` (L,),
+``true_landmark_poses`` (L, 3; a third column of NaN marks a landmark without heading), ``start_time``. No pickles.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FormatError, LogError
+from ..files import write_whole
+from ..log import Log
+from .base import Format
+
+VERSION = "graphslam-log-1"
+_REQUIRED = ("steps", "landmarks", "sightings", "initial_poses")
+_OPTIONAL = ("dt", "controls", "true_poses")
+
+
+def _recognises(head: bytes) -> bool:
+    return head.startswith(b"PK\x03\x04")
+
+
+def _read(path: Path) -> Log:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            content = {name: archive[name] for name in archive.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
+        raise FormatError(path, None, f"not a readable .npz archive ({error}); was it cut short?") from None
+    if str(content.get("format")) != VERSION:
+        raise FormatError(path, None, f"the archive is not a log: its entry 'format' should be {VERSION!r}")
+    missing = [name for name in _REQUIRED if name not in content]
+    if missing:
+        raise FormatError(path, None, f"the archive lacks the array {missing[0]!r}")
+    truth = None
+    if "true_landmark_ids" in content:
+        rows = zip(content["true_landmark_ids"].tolist(), content.get("true_landmark_poses", ()))
+        truth = {j: pose[:2] if np.isnan(pose[2]) else pose for j, pose in rows}
+    try:
+        return Log(
+            **{name: content[name] for name in _REQUIRED},
+            **{name: content[name] for name in _OPTIONAL if name in content},
+            true_landmarks=truth,
+            start_time=float(content.get("start_time", 0.0)),
+            name=path.stem,
+        )
+    except (LogError, TypeError, ValueError) as error:
+        raise FormatError(path, None, str(error)) from None
+
+
+def _write(log: Log, path: Path) -> None:
+    content = {name: getattr(log, name) for name in _REQUIRED}
+    content |= {name: getattr(log, name) for name in _OPTIONAL if getattr(log, name) is not None}
+    if log.true_landmarks is not None:
+        content["true_landmark_ids"] = np.array(list(log.true_landmarks), dtype=np.int64)
+        poses = [np.append(m, np.nan)[:3] for m in log.true_landmarks.values()]
+        content["true_landmark_poses"] = np.array(poses).reshape(-1, 3)
+    with write_whole(path) as temporary, temporary.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, format=VERSION, start_time=log.start_time, **content)
+
+
+FORMAT = Format("npz", (".npz",), _recognises, _read, _write)

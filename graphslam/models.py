@@ -1,0 +1,235 @@
+"""The velocity motion model and the range-bearing(-orientation) sensor, with their derivatives, vectorised.
+
+The method names are those of the equations: f, F, A, M for the motion and h, h^-1, H, R, Q for the sensor. Every
+method takes arrays of any matching leading shape: poses (..., 3), controls (..., 2), sightings (..., 2 or 3).
+
+Sources: Thrun, Burgard and Fox, Probabilistic Robotics, sections 5.3 and 6.6; Ueda, *LNPR* (the lectures' book),
+chapters 5 to 9.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .errors import check_positive
+from .se2 import Array, wrap
+
+
+def sinc(a: ArrayLike) -> Array:
+    """sin(a) / a, equal to 1 at a = 0."""
+    return np.sinc(np.asarray(a, dtype=float) / np.pi)
+
+
+def sinc_derivative(a: ArrayLike) -> Array:
+    """d/da (sin(a) / a) = (cos(a) - sin(a)/a) / a, by its Taylor series where that difference would cancel."""
+    a = np.asarray(a, dtype=float)
+    q = a * a
+    # sum over k of (-1)^k 2k / (2k+1)! a^(2k-1): six terms are exact to rounding for |a| < 0.3
+    series = a * (-1 / 3 + q * (1 / 30 + q * (-1 / 840 + q * (1 / 45360 + q * (-1 / 3991680 + q / 518918400)))))
+    away = np.where(np.abs(a) < 0.3, 1.0, a)
+    return np.where(np.abs(a) < 0.3, series, (np.cos(away) - np.sin(away) / away) / away)
+
+
+@dataclass(frozen=True)
+class MotionModel:
+    """A robot that moves on arcs: control u = (nu, omega) [m/s, rad/s] held for dt seconds.
+
+    The noise of the control is Gaussian; ``nn`` says how much noise in nu comes per metre of forward motion, ``no`` in
+    nu per radian turned, ``on`` in omega per metre and ``oo`` in omega per radian (standard deviations per square
+    root of the metre or radian). ``epsilon`` [m², rad²] is added to the diagonal of the pose covariance, because
+    A M A' has only rank 2.
+
+    Raises:
+        OptionError: a noise parameter is negative, or epsilon is not positive.
+    """
+
+    nn: float = 0.19
+    no: float = 0.001
+    on: float = 0.13
+    oo: float = 0.2
+    epsilon: float = 1e-4
+
+    def __post_init__(self) -> None:
+        # zero is an honest value for one of the four (no such noise), not for epsilon
+        check_positive(epsilon=self.epsilon)
+        for option in ("nn", "no", "on", "oo"):
+            if getattr(self, option) != 0:
+                check_positive(**{option: getattr(self, option)})
+
+    def f(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
+        """The pose after the motion, f(x, u): the arc of length nu dt turning by omega dt; (..., 3).
+
+        With a = omega dt / 2 it is (x + nu dt sinc(a) cos(theta + a), y + nu dt sinc(a) sin(theta + a), theta + 2a):
+        the textbook's (nu/omega)(sin(theta + omega dt) - sin theta) without its division, hence exact at omega = 0 and
+        without cancellation near it. The heading is not wrapped, so that a trajectory can count its turns.
+        """
+        pose, control, dt = _broadcast(pose, control, dt)
+        forward, a = control[..., 0] * dt, control[..., 1] * dt / 2
+        chord, heading = forward * sinc(a), pose[..., 2] + a
+        return np.stack(
+            [pose[..., 0] + chord * np.cos(heading), pose[..., 1] + chord * np.sin(heading), pose[..., 2] + 2 * a], axis=-1
+        )
+
+    def F(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
+        """The derivative df/dx of the motion by the pose it starts from; (..., 3, 3)."""
+        pose, control, dt = _broadcast(pose, control, dt)
+        a = control[..., 1] * dt / 2
+        chord, heading = control[..., 0] * dt * sinc(a), pose[..., 2] + a
+        jacobian = np.broadcast_to(np.eye(3), (*heading.shape, 3, 3)).copy()
+        jacobian[..., 0, 2] = -chord * np.sin(heading)
+        jacobian[..., 1, 2] = chord * np.cos(heading)
+        return jacobian
+
+    def A(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
+        """The derivative df/du of the motion by the control; (..., 3, 2)."""
+        pose, control, dt = _broadcast(pose, control, dt)
+        a = control[..., 1] * dt / 2
+        c, s = np.cos(pose[..., 2] + a), np.sin(pose[..., 2] + a)
+        by_nu = dt * sinc(a)
+        # d/d omega = dt/2 d/da of nu dt sinc(a) e^(i (theta + a))
+        half = control[..., 0] * dt * dt / 2
+        along, across = half * sinc_derivative(a), half * sinc(a)
+        jacobian = np.zeros((*c.shape, 3, 2))
+        jacobian[..., 0, 0], jacobian[..., 0, 1] = by_nu * c, along * c - across * s
+        jacobian[..., 1, 0], jacobian[..., 1, 1] = by_nu * s, along * s + across * c
+        jacobian[..., 2, 1] = dt
+        return jacobian
+
+    def M(self, control: ArrayLike, dt: ArrayLike) -> Array:
+        """The covariance of the control noise, diag(nn² |nu|/dt + no² |omega|/dt, on² |nu|/dt + oo² |omega|/dt)."""
+        control, dt = np.asarray(control, dtype=float), np.asarray(dt, dtype=float)
+        nu, omega = np.abs(control[..., 0]), np.abs(control[..., 1])
+        covariance = np.zeros((*np.broadcast_shapes(nu.shape, dt.shape), 2, 2))
+        covariance[..., 0, 0] = (self.nn**2 * nu + self.no**2 * omega) / dt
+        covariance[..., 1, 1] = (self.on**2 * nu + self.oo**2 * omega) / dt
+        return covariance
+
+    def covariance(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
+        """The covariance of the pose after one motion from a known pose, A M A' + epsilon I; (..., 3, 3)."""
+        A = self.A(pose, control, dt)
+        return A @ self.M(control, dt) @ np.swapaxes(A, -1, -2) + self.epsilon * np.eye(3)
+
+    def dead_reckoning(self, start: ArrayLike, controls: ArrayLike, dt: ArrayLike) -> Array:
+        """The poses x_t = f(x_{t-1}, u_t) from a start pose (3,), without noise; controls (T, 2), dt (T,) -> (T+1, 3)."""
+        start, controls = np.asarray(start, dtype=float), np.asarray(controls, dtype=float)
+        dt = np.broadcast_to(np.asarray(dt, dtype=float), controls.shape[:1])
+        heading = start[2] + np.concatenate([[0.0], np.cumsum(controls[:, 1] * dt)])
+        # each step rotated by the heading before it: f is affine in (x, y), so the sum can be taken at once
+        at_origin = np.zeros((len(controls), 3))
+        at_origin[:, 2] = heading[:-1]
+        steps = self.f(at_origin, controls, dt)[:, :2]
+        position = start[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+        return np.column_stack([position, heading])
+
+
+def _broadcast(pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> tuple[Array, Array, Array]:
+    pose, control, dt = (np.asarray(v, dtype=float) for v in (pose, control, dt))
+    shape = np.broadcast_shapes(pose.shape[:-1], control.shape[:-1], dt.shape)
+    return np.broadcast_to(pose, (*shape, 3)), np.broadcast_to(control, (*shape, 2)), np.broadcast_to(dt, shape)
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """A sensor that sees identified landmarks by range l [m], bearing phi [rad] and perhaps orientation psi [rad].
+
+    psi tells which face of the landmark is seen: psi = theta + phi - (the landmark's own heading). Its noise is
+    Gaussian with standard deviations ``range_rate`` * l, ``bearing_std`` and ``orientation_std``.
+
+    Raises:
+        OptionError: a noise parameter is not positive.
+    """
+
+    range_rate: float = 0.14
+    bearing_std: float = 0.05
+    orientation_std: float = 0.05
+
+    def __post_init__(self) -> None:
+        check_positive(range_rate=self.range_rate, bearing_std=self.bearing_std, orientation_std=self.orientation_std)
+
+    def h(self, pose: ArrayLike, landmark: ArrayLike) -> Array:
+        """The sighting of a landmark (..., 2 or 3) from a pose (..., 3), noise-free: (l, phi) or (l, phi, psi)."""
+        pose, landmark = np.asarray(pose, dtype=float), np.asarray(landmark, dtype=float)
+        d = landmark[..., :2] - pose[..., :2]
+        direction = np.arctan2(d[..., 1], d[..., 0])
+        sighting = [np.hypot(d[..., 0], d[..., 1]), wrap(direction - pose[..., 2])]
+        if landmark.shape[-1] == 3:
+            sighting.append(wrap(direction - landmark[..., 2]))
+        return np.stack(np.broadcast_arrays(*sighting), axis=-1)
+
+    def h_inverse(self, pose: ArrayLike, sighting: ArrayLike) -> Array:
+        """The landmark that a sighting puts there, h^-1(x, z) = (x + l cos, y + l sin, theta + phi - psi).
+
+        cos and sin of theta + phi; (..., 2) without psi, (..., 3) with it, the heading wrapped.
+        """
+        pose, sighting = np.asarray(pose, dtype=float), np.asarray(sighting, dtype=float)
+        direction = pose[..., 2] + sighting[..., 1]
+        landmark = [
+            pose[..., 0] + sighting[..., 0] * np.cos(direction),
+            pose[..., 1] + sighting[..., 0] * np.sin(direction),
+        ]
+        if sighting.shape[-1] == 3:
+            landmark.append(wrap(direction - sighting[..., 2]))
+        return np.stack(landmark, axis=-1)
+
+    def H(self, pose: ArrayLike, landmark: ArrayLike) -> Array:
+        """The derivative dh/dm of the sighting by the landmark; (..., 2, 2) or (..., 3, 3)."""
+        pose, landmark = np.asarray(pose, dtype=float), np.asarray(landmark, dtype=float)
+        n = landmark.shape[-1]
+        d, q, r = _offset(pose, landmark)
+        jacobian = np.zeros((*r.shape, n, n))
+        jacobian[..., 0, :2] = d / r[..., None]
+        jacobian[..., 1, 0], jacobian[..., 1, 1] = -d[..., 1] / q, d[..., 0] / q
+        if n == 3:
+            jacobian[..., 2, :2] = jacobian[..., 1, :2]
+            jacobian[..., 2, 2] = -1.0
+        return jacobian
+
+    def H_pose(self, pose: ArrayLike, landmark: ArrayLike) -> Array:
+        """The derivative dh/dx of the sighting by the pose; (..., 2, 3) or (..., 3, 3)."""
+        pose, landmark = np.asarray(pose, dtype=float), np.asarray(landmark, dtype=float)
+        n = landmark.shape[-1]
+        d, q, r = _offset(pose, landmark)
+        jacobian = np.zeros((*r.shape, n, 3))
+        jacobian[..., 0, :2] = -d / r[..., None]
+        jacobian[..., 1, 0], jacobian[..., 1, 1], jacobian[..., 1, 2] = d[..., 1] / q, -d[..., 0] / q, -1.0
+        if n == 3:
+            jacobian[..., 2, :2] = jacobian[..., 1, :2]
+        return jacobian
+
+    def R(self, pose: ArrayLike, sighting: ArrayLike) -> Array:
+        """The derivative dh^-1/dz = [[c, -l s, 0], [s, l c, 0], [0, 1, -1]], c, s of theta + phi (without psi 2 x 2)."""
+        pose, sighting = np.asarray(pose, dtype=float), np.asarray(sighting, dtype=float)
+        n = sighting.shape[-1]
+        length, direction = sighting[..., 0], pose[..., 2] + sighting[..., 1]
+        c, s = np.cos(direction), np.sin(direction)
+        jacobian = np.zeros((*c.shape, n, n))
+        jacobian[..., 0, 0], jacobian[..., 0, 1] = c, -length * s
+        jacobian[..., 1, 0], jacobian[..., 1, 1] = s, length * c
+        if n == 3:
+            jacobian[..., 2, 1], jacobian[..., 2, 2] = 1.0, -1.0
+        return jacobian
+
+    def Q(self, sighting: ArrayLike) -> Array:
+        """The covariance of a sighting, diag((l sigma_l)², sigma_phi², sigma_psi²); (..., n, n), n = 2 or 3."""
+        sighting = np.asarray(sighting, dtype=float)
+        n = sighting.shape[-1]
+        covariance = np.zeros((*sighting.shape, n))
+        covariance[..., 0, 0] = (sighting[..., 0] * self.range_rate) ** 2
+        covariance[..., 1, 1] = self.bearing_std**2
+        if n == 3:
+            covariance[..., 2, 2] = self.orientation_std**2
+        return covariance
+
+    def landmark_covariance(self, pose: ArrayLike, sighting: ArrayLike) -> Array:
+        """The covariance of h^-1(x, z) for a known pose, R Q R'; (..., n, n)."""
+        R = self.R(pose, sighting)
+        return R @ self.Q(sighting) @ np.swapaxes(R, -1, -2)
+
+
+def _offset(pose: Array, landmark: Array) -> tuple[Array, Array, Array]:
+    d = landmark[..., :2] - pose[..., :2]
+    q = d[..., 0] ** 2 + d[..., 1] ** 2
+    return d, q, np.sqrt(q)

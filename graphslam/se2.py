@@ -1,0 +1,58 @@
+"""Planar poses as plain arrays: x = (x, y, theta) in [m, m, rad], any leading shape, angles in [-pi, pi).
+
+SE(2) is the group of rigid motions of the plane; ``compose(a, b)`` is "first a, then b seen from a", the same
+convention as ``gtsam.Pose2.compose``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def wrap(angle: ArrayLike) -> Array:
+    """The same angle in [-pi, pi) [rad], element by element; angles already there come back bit for bit."""
+    angle = np.asarray(angle, dtype=float)
+    wrapped = np.mod(angle + np.pi, 2 * np.pi) - np.pi
+    # np.mod may round a tiny negative number up to the full 2 pi
+    wrapped = np.where(wrapped >= np.pi, -np.pi, wrapped)
+    return np.where((angle >= -np.pi) & (angle < np.pi), angle, wrapped)
+
+
+def rotation(theta: ArrayLike) -> Array:
+    """The rotation matrix [[c, -s], [s, c]] of each angle; shape (...) -> (..., 2, 2)."""
+    c, s = np.cos(theta), np.sin(theta)
+    return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+
+
+def transform(pose: ArrayLike, point: ArrayLike) -> Array:
+    """A point given in the frame of a pose, in the frame the pose is given in: p + R(theta) q; (..., 3), (..., 2)."""
+    pose, point = np.asarray(pose, dtype=float), np.asarray(point, dtype=float)
+    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    x, y = point[..., 0], point[..., 1]
+    return np.stack([pose[..., 0] + c * x - s * y, pose[..., 1] + s * x + c * y], axis=-1)
+
+
+def compose(a: ArrayLike, b: ArrayLike) -> Array:
+    """The product a b: the pose b given in the frame of a, in the frame of a's parent; shapes (..., 3)."""
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    position = transform(a, b[..., :2])
+    return np.concatenate([position, wrap(a[..., 2] + b[..., 2])[..., None]], axis=-1)
+
+
+def inverse(a: ArrayLike) -> Array:
+    """The pose a^-1 with compose(a, a^-1) = 0; shape (..., 3)."""
+    a = np.asarray(a, dtype=float)
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    x, y = a[..., 0], a[..., 1]
+    return np.stack([-c * x - s * y, s * x - c * y, wrap(-a[..., 2])], axis=-1)
+
+
+def between(a: ArrayLike, b: ArrayLike) -> Array:
+    """The relative pose a^-1 b: where b is, seen from a; shapes (..., 3)."""
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    d = b - a
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack([c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1], wrap(d[..., 2])], axis=-1)

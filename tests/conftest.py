@@ -1,0 +1,42 @@
+"""Shared fixtures: the logs that many tests solve, and the real data where it is at hand."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+from graphslam import Log, load, simulate
+
+# one fixed profile: the same examples in every run, no deadline on shared machines
+hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=200)
+hypothesis.settings.load_profile("repeatable")
+
+DATA = Path(os.environ.get("SLAM_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Callable[[str], Path]:
+    """The path of a real data file; the test is skipped, with the file's name, where it is absent."""
+
+    def find(name: str) -> Path:
+        path = DATA / name
+        if not path.exists():
+            pytest.skip(f"needs {name} below ../shared/data or the folder named by SLAM_DATA")
+        return path
+
+    return find
+
+
+@pytest.fixture(scope="session")
+def book_log(shared_data: Callable[[str], Path]) -> Log:
+    return load(shared_data("lnpr/log2_for_book.txt"))
+
+
+@pytest.fixture(scope="session")
+def clean_log() -> Log:
+    """A small simulated log whose noise follows the models exactly."""
+    return simulate(seed=4, clean=True)
