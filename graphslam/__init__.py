@@ -1,14 +1,23 @@
 """Planar graph SLAM with virtual-motion edges: logs, models, graphs, the hand-written solver and the GTSAM one."""
 
+from . import textbook
 from .errors import FormatError, GraphError, LogError, OptionError, SlamError
 from .formats import load, save
+from .graph import Graph
+from .gtsam_solver import solve_with_gtsam
 from .log import Log
+from .mapping import LandmarkMap, estimate_map
 from .models import MotionModel, SensorModel
 from .simulator import MotionFaults, SensorFaults, simulate
+from .solution import Solution
+from .solver import Iteration, solve
 
 __all__ = [
     "FormatError",
+    "Graph",
     "GraphError",
+    "Iteration",
+    "LandmarkMap",
     "Log",
     "LogError",
     "MotionFaults",
@@ -17,7 +26,12 @@ __all__ = [
     "SensorFaults",
     "SensorModel",
     "SlamError",
+    "Solution",
+    "estimate_map",
     "load",
     "save",
     "simulate",
+    "solve",
+    "solve_with_gtsam",
+    "textbook",
 ]

@@ -1,0 +1,17 @@
+"""Edge families: what ties the nodes of a graph together, one file each."""
+
+from .anchor import ANCHOR_INFORMATION, AnchorEdges
+from .base import EdgeFamily, Linearization
+from .motion import motion_edges
+from .relative_pose import RelativePoseEdges
+from .virtual_motion import VirtualMotionEdges
+
+__all__ = [
+    "ANCHOR_INFORMATION",
+    "AnchorEdges",
+    "EdgeFamily",
+    "Linearization",
+    "RelativePoseEdges",
+    "VirtualMotionEdges",
+    "motion_edges",
+]

@@ -1,0 +1,147 @@
+"""The same graph through GTSAM: our factor types, GTSAM's Levenberg-Marquardt."""
+
+from __future__ import annotations
+
+import time
+
+import gtsam
+import numpy as np
+
+from .edges import AnchorEdges, RelativePoseEdges, VirtualMotionEdges
+from .errors import GraphError, OptionError, check_positive
+from .factors import AnchorFactor, RelativePoseFactor, VirtualMotionFactor
+from .fixed_point import AndersonMixing
+from .graph import Graph
+from .se2 import Array, wrap
+from .solution import Solution, make_solution
+
+
+def solve_with_gtsam(graph: Graph, tolerance: float = 1e-9, max_iterations: int = 100) -> Solution:
+    """Minimise the cost J of a graph with GTSAM's Levenberg-Marquardt on the custom factors.
+
+    GTSAM's noise models are fixed. Where the information depends on the state (``frame="world"``, or no psi) an outer
+    loop freezes it, solves, and freezes it anew at the result, until that moves by less than the tolerance; as this
+    converges slowly, its iterates are mixed (`AndersonMixing`). ``iterations`` and ``step_norms`` count the outer loop
+    then, and GTSAM's own iterations otherwise.
+
+    Args:
+        graph: what to solve.
+        tolerance: converged when the Euclidean norm of a whole correction is below this.
+        max_iterations: the most steps to take.
+
+    Raises:
+        GraphError: GTSAM finds the system indeterminate.
+        OptionError: an option has an impossible value.
+    """
+    check_positive(tolerance=tolerance)
+    if max_iterations < 0:
+        raise OptionError(f"max_iterations must not be negative, but is {max_iterations}")
+    begin = time.perf_counter()
+    try:
+        if graph.frozen_information:
+            state, norms, converged = _refrozen(graph, tolerance, max_iterations)
+        else:
+            factors = to_gtsam(graph, graph.initial)
+            begin = time.perf_counter()
+            state, norms, converged = _optimize(factors, graph.initial, tolerance, max_iterations)
+    except RuntimeError as error:
+        raise GraphError(f"gtsam gave up: {str(error).strip().splitlines()[0]}") from None
+    seconds = time.perf_counter() - begin
+    if converged:
+        reason = f"step norm {norms[-1]:.1e} below the tolerance {tolerance:g}"
+    elif len(norms) >= max_iterations:
+        reason = f"max_iterations = {max_iterations} reached"
+    else:
+        reason = "stuck: gtsam finds no step that lowers the cost"
+    return make_solution(
+        graph, state, step_norms=norms, costs=[], converged=converged, reason=reason, seconds=seconds, solver="gtsam"
+    )
+
+
+def to_gtsam(graph: Graph, reference: Array) -> gtsam.NonlinearFactorGraph:
+    """The factors of a graph, keyed by node number, state-dependent information frozen at ``reference`` (n, 3)."""
+    factors = gtsam.NonlinearFactorGraph()
+    for family in graph.families:
+        if isinstance(family, AnchorEdges):
+            for node, value, information in zip(family.nodes.tolist(), family.values, family.information):
+                factors.add(AnchorFactor(node, value, information))
+        elif isinstance(family, RelativePoseEdges):
+            for i, j, z, information in zip(
+                family.first.tolist(), family.second.tolist(), family.measured, family.information
+            ):
+                factors.add(RelativePoseFactor(i, j, z, information, family.frame, at=reference[i]))
+        elif isinstance(family, VirtualMotionEdges):
+            a, b, group = family.pairs()
+            weights = family.group_weights[group].tolist()
+            z, nodes = family.sightings, family.nodes.tolist()
+            for first, second, weight in zip(a.tolist(), b.tolist(), weights):
+                i, j = nodes[first], nodes[second]
+                at = (reference[i], reference[j])
+                factors.add(
+                    VirtualMotionFactor(i, j, z[first], z[second], family.sensor, family.frame, at=at, weight=weight)
+                )
+        else:
+            raise GraphError(f"no gtsam factor is known for {type(family).__name__}")
+    return factors
+
+
+def to_values(state: Array) -> gtsam.Values:
+    """The values of all nodes (n, 3) as `gtsam.Pose2`, keyed by node number."""
+    values = gtsam.Values()
+    for node, (x, y, theta) in enumerate(state.tolist()):
+        values.insert(node, gtsam.Pose2(x, y, theta))
+    return values
+
+
+def _difference(a: Array, b: Array) -> Array:
+    d = a - b
+    d[:, 2] = wrap(d[:, 2])
+    return d
+
+
+def _optimize(
+    factors: gtsam.NonlinearFactorGraph, initial: Array, tolerance: float, max_iterations: int, roughly: bool = False
+) -> tuple[Array, list[float], bool]:
+    """Levenberg-Marquardt to the end: the state, the norm of every step, and whether the last was short enough.
+
+    ``roughly`` lets a short step count even where damping may have shortened it.
+    """
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setVerbosityLM("SILENT")
+    parameters.setlambdaUpperBound(1e12)
+    optimizer = gtsam.LevenbergMarquardtOptimizer(factors, to_values(initial), parameters)
+    state, norms = gtsam.utilities.extractPose2(optimizer.values()), []
+    polishing = False
+    while len(norms) < max_iterations:
+        before = optimizer.error()
+        optimizer.iterate()
+        moved = gtsam.utilities.extractPose2(optimizer.values())
+        norms.append(float(np.linalg.norm(_difference(moved, state))))
+        state = moved
+        if roughly and norms[-1] < tolerance:
+            return state, norms, True
+        if not polishing and before - optimizer.error() <= 1e-10 * before:
+            # The rest is below what a comparison of costs can resolve, and Levenberg-Marquardt refuses to move.
+            # Gauss-Newton, which does not compare, walks the last steps; damping would only hide how long they are.
+            polishing = True
+            optimizer = gtsam.GaussNewtonOptimizer(factors, optimizer.values())
+        elif polishing and norms[-1] < tolerance:
+            return state, norms, True
+        elif polishing and len(norms) > 2 and norms[-1] > 1e3 * max(norms[-2], tolerance):
+            break
+    return state, norms, False
+
+
+def _refrozen(graph: Graph, tolerance: float, max_iterations: int) -> tuple[Array, list[float], bool]:
+    """Freeze, solve, and freeze again, until the solution no longer moves."""
+    state, norms, mixing = graph.initial.copy(), [], AndersonMixing()
+    while len(norms) < max_iterations:
+        # the inner problem moves on at every freezing: solving it much closer than that is wasted
+        inner = max(tolerance / 10, 0.1 * norms[-1] if norms else 0.1)
+        solved, _, _ = _optimize(to_gtsam(graph, state), state, inner, max_iterations, roughly=True)
+        move = _difference(solved, state)
+        norms.append(float(np.linalg.norm(move)))
+        state = mixing.next(state, move)
+        if norms[-1] < tolerance:
+            return state, norms, True
+    return state, norms, False

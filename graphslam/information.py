@@ -1,0 +1,133 @@
+"""The sparse system Omega Delta = xi: the pattern of Omega once per graph, its numbers at every step.
+
+Omega is symmetric, of 3 x 3 blocks, and kept as upper block-CSC in the order of the nodes: column j has the row nodes
+``indices[indptr[j]:indptr[j+1]]`` <= j in increasing order, the diagonal always last, and block k is ``values[k]``.
+The module knows blocks and slots, not robots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from numba import njit
+
+from .edges.base import BinaryEdges
+from .se2 import Array
+
+
+@dataclass(frozen=True, eq=False)
+class BlockSystem:
+    """Omega and xi of a graph with n nodes; see the module for the layout.
+
+    ``workspace`` (n,) is scratch space for edges that look up slots column by column.
+    """
+
+    indptr: np.ndarray
+    indices: np.ndarray
+    values: Array
+    xi: Array
+    workspace: np.ndarray
+    _slots: dict[int, tuple[BinaryEdges, tuple[np.ndarray, np.ndarray, np.ndarray]]] = field(
+        default_factory=dict, repr=False
+    )
+
+    @classmethod
+    def from_cliques(cls, num_nodes: int, cliques: Iterable[tuple[np.ndarray, np.ndarray]]) -> BlockSystem:
+        """The empty system of nodes tied in groups, each given as (starts (G+1,), nodes), nodes not decreasing."""
+        parts = list(cliques)
+        nodes = np.concatenate([np.zeros(0, dtype=np.int64)] + [nodes for _, nodes in parts])
+        sizes = np.concatenate([np.zeros(0, dtype=np.int64)] + [np.diff(starts) for starts, _ in parts])
+        starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        order = np.argsort(nodes, kind="stable")
+        group = np.repeat(np.arange(len(sizes)), sizes)
+        by_node = np.searchsorted(nodes[order], np.arange(num_nodes + 1))
+        indptr = _count(num_nodes, starts, nodes, order, group, by_node)
+        indices = _fill(num_nodes, starts, nodes, order, group, by_node, indptr)
+        return cls(
+            indptr, indices, np.zeros((len(indices), 3, 3)), np.zeros((num_nodes, 3)), np.zeros(num_nodes, dtype=np.int64)
+        )
+
+    @property
+    def num_nodes(self) -> int:
+        """The number n of nodes."""
+        return len(self.indptr) - 1
+
+    def clear(self) -> None:
+        """Set Omega and xi to zero, keeping the pattern."""
+        self.values.fill(0.0)
+        self.xi.fill(0.0)
+
+    def diagonal(self) -> Array:
+        """The scalar diagonal of Omega, (n, 3)."""
+        return np.diagonal(self.values[self.indptr[1:] - 1], axis1=1, axis2=2)
+
+    def slots(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """The slots of blocks (row, column), row <= column, which must be in the pattern; shapes (E,)."""
+        return _slots(self.indptr, self.indices, rows, columns)
+
+    def slots_of(self, edges: BinaryEdges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The slots of (first, first), (second, second) and the pair for each edge; looked up once per family."""
+        # the family is kept with its slots, so that its id cannot pass to another object
+        if id(edges) not in self._slots:
+            low, high = np.minimum(edges.first, edges.second), np.maximum(edges.first, edges.second)
+            diagonal = self.indptr[1:] - 1
+            self._slots[id(edges)] = (edges, (diagonal[edges.first], diagonal[edges.second], self.slots(low, high)))
+        return self._slots[id(edges)][1]
+
+    def to_sparse(self) -> sp.csc_matrix:
+        """Omega whole, both triangles, as a SciPy matrix (3n, 3n)."""
+        size = 3 * self.num_nodes
+        upper = sp.bsr_matrix(
+            (self.values.transpose(0, 2, 1), self.indices, self.indptr), shape=(size, size)
+        )  # fmt: skip
+        lower = sp.tril(upper, k=0).tocsc()  # the transpose of the upper blocks, column by column: rows are columns
+        strict = sp.tril(lower, k=-1)
+        return (lower + strict.T).tocsc()
+
+
+@njit(cache=True)
+def _count(num_nodes, starts, nodes, order, group, by_node):  # type: ignore[no-untyped-def]
+    indptr = np.zeros(num_nodes + 1, dtype=np.int64)
+    mark = np.full(num_nodes, -1, dtype=np.int64)
+    for j in range(num_nodes):
+        found = 1
+        mark[j] = j
+        for k in range(by_node[j], by_node[j + 1]):
+            here = order[k]
+            for p in range(starts[group[here]], here):
+                if mark[nodes[p]] != j:
+                    mark[nodes[p]] = j
+                    found += 1
+        indptr[j + 1] = indptr[j] + found
+    return indptr
+
+
+@njit(cache=True)
+def _fill(num_nodes, starts, nodes, order, group, by_node, indptr):  # type: ignore[no-untyped-def]
+    indices = np.empty(indptr[num_nodes], dtype=np.int64)
+    mark = np.full(num_nodes, -1, dtype=np.int64)
+    for j in range(num_nodes):
+        at = indptr[j]
+        mark[j] = j
+        for k in range(by_node[j], by_node[j + 1]):
+            here = order[k]
+            for p in range(starts[group[here]], here):
+                if mark[nodes[p]] != j:
+                    mark[nodes[p]] = j
+                    indices[at] = nodes[p]
+                    at += 1
+        indices[at] = j
+        indices[indptr[j] : at].sort()
+    return indices
+
+
+@njit(cache=True)
+def _slots(indptr, indices, rows, columns):  # type: ignore[no-untyped-def]
+    slots = np.empty(len(rows), dtype=np.int64)
+    for k in range(len(rows)):
+        low, high = indptr[columns[k]], indptr[columns[k] + 1]
+        slots[k] = low + np.searchsorted(indices[low:high], rows[k])
+    return slots

@@ -1,0 +1,149 @@
+"""The hand-written solver: sum up Omega and xi, solve Omega Delta = xi, move, repeat."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .cholesky import factorize
+from .errors import OptionError, check_choice, check_positive
+from .fixed_point import AndersonMixing
+from .graph import Graph
+from .se2 import Array
+from .solution import Solution, make_solution
+
+METHODS = ("gauss-newton", "levenberg-marquardt")
+INITIALIZE = ("given",)
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """What a callback sees after each step: its number, the state (n, 3) reached, the cost before it, its norm."""
+
+    number: int
+    state: Array
+    cost: float
+    step_norm: float
+
+
+@dataclass
+class _Run:
+    """The iteration under way."""
+
+    state: Array
+    callback: Callable[[Iteration], None] | None
+    costs: list[float] = field(default_factory=list)
+    step_norms: list[float] = field(default_factory=list)
+    converged: bool = False
+    reason: str = ""
+
+    mixing: AndersonMixing | None = None
+
+    def step(self, cost: float, delta: Array) -> float:
+        """Take the correction and return its norm."""
+        if self.mixing is None:
+            self.state = self.state + delta
+        else:
+            self.state = self.mixing.next(self.state, delta)
+        self.costs.append(cost)
+        self.step_norms.append(float(np.linalg.norm(delta)))
+        if self.callback is not None:
+            self.callback(Iteration(len(self.step_norms), self.state.copy(), cost, self.step_norms[-1]))
+        return self.step_norms[-1]
+
+    def finish(self, tolerance: float) -> None:
+        """The last step was short enough."""
+        self.converged, self.reason = True, f"step norm {self.step_norms[-1]:.1e} below the tolerance {tolerance:g}"
+
+
+def solve(
+    graph: Graph,
+    method: str = "gauss-newton",
+    tolerance: float = 1e-9,
+    max_iterations: int = 100,
+    initialize: str = "given",
+    callback: Callable[[Iteration], None] | None = None,
+) -> Solution:
+    """Minimise the cost J of a graph.
+
+    Args:
+        graph: what to solve.
+        method: "gauss-newton" (each step to the minimum of the linearised graph; in the world frame the information is
+            re-evaluated at every step, as in the lectures) or "levenberg-marquardt" (damped, takes only steps that
+            lower J; in the world frame J with the information held still, solved, re-evaluated, and solved again).
+        tolerance: converged when the Euclidean norm of a whole correction is below this.
+        max_iterations: the most steps to take.
+        initialize: "given", the graph's own initial values.
+        callback: called after each step with an `Iteration`.
+
+    Raises:
+        GraphError: the edges do not determine the nodes.
+        OptionError: an option has an impossible value.
+
+    Not reaching the tolerance is no error: see `Solution.converged` and `Solution.reason`.
+    """
+    check_choice("method", method, METHODS)
+    check_choice("initialize", initialize, INITIALIZE)
+    check_positive(tolerance=tolerance)
+    if max_iterations < 0:
+        raise OptionError(f"max_iterations must not be negative, but is {max_iterations}")
+    graph.system  # noqa: B018  # the pattern is made once per graph, outside the clock
+    begin = time.perf_counter()
+    run = _Run(graph.initial.copy(), callback, mixing=AndersonMixing() if graph.frozen_information else None)
+    search = _gauss_newton if method == "gauss-newton" else _levenberg_marquardt
+    search(graph, run, tolerance, max_iterations)
+    seconds = time.perf_counter() - begin
+    return make_solution(
+        graph,
+        run.state,
+        step_norms=run.step_norms,
+        costs=run.costs,
+        converged=run.converged,
+        reason=run.reason,
+        seconds=seconds,
+        solver="graphslam",
+    )
+
+
+def _gauss_newton(graph: Graph, run: _Run, tolerance: float, max_iterations: int) -> None:
+    run.reason = f"max_iterations = {max_iterations} reached"
+    for _ in range(max_iterations):
+        system, cost = graph.linearize(run.state)
+        if not np.isfinite(cost):
+            run.reason = f"diverged: the cost is {cost} after {len(run.step_norms)} steps"
+            return
+        if run.step(cost, factorize(system).solve(system.xi)) < tolerance:
+            run.finish(tolerance)
+            return
+
+
+def _levenberg_marquardt(graph: Graph, run: _Run, tolerance: float, max_iterations: int) -> None:
+    # Marquardt's damping by the diagonal, updated by Nielsen's rule
+    damping, growth = 1e-4, 2.0
+    run.reason = f"max_iterations = {max_iterations} reached"
+    while len(run.step_norms) < max_iterations:
+        # state-dependent information is re-evaluated once per step and held still while the step is tried
+        reference = run.state
+        system, cost = graph.linearize(run.state, reference)
+        while True:
+            delta = factorize(system, damping).solve(system.xi)
+            tried = graph.cost(run.state + delta, reference)
+            # the damped quadratic model promises that J falls by Delta'(xi + damping diag(Omega) Delta)
+            promised = float(np.sum(delta * (system.xi + damping * system.diagonal() * delta)))
+            # below the rounding error of J a comparison of costs says nothing
+            negligible = promised <= 1e-12 * cost
+            if negligible or (np.isfinite(tried) and tried < cost):
+                break
+            damping, growth = damping * growth, growth * 2
+            if damping > 1e16:
+                run.reason = f"stuck: no step lowers the cost {cost:.6g}, however short"
+                return
+        gain = 1.0 if negligible else (cost - tried) / promised
+        damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-15), 2.0
+        # a short step means something only when damping does not shorten it
+        if run.step(cost, delta) < tolerance and damping < 1e-6:
+            run.finish(tolerance)
+            return

@@ -1,0 +1,255 @@
+"""The lectures' graph SLAM, equation by equation: dense Omega and xi, plain loops, nothing clever.
+
+This is the oracle of the tests, and the place to read the method. `solve` repeats the book's program exactly, with its
+two habits that better solvers drop: Omega_e is re-evaluated at every iterate, and the anchor enters Omega but never xi,
+so that x̂_0 is re-chosen at every step and the whole graph keeps drifting by a small constant amount (it stops only
+because its threshold is coarse). Headings are not wrapped, so they count the robot's turns.
+
+Source: the lectures on graph SLAM (LNPR chapter 9, slides 9.1.2 to 9.3.2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from math import cos, pi, sin
+
+import numpy as np
+
+from .errors import GraphError, OptionError, check_choice
+from .log import Log
+from .models import MotionModel, SensorModel
+from .se2 import Array
+
+#: slide 9.2.2: information of the anchor, Omega_0 = 1e6 I
+OMEGA_0 = 1e6 * np.eye(3)
+
+
+@dataclass(frozen=True)
+class TextbookSolution:
+    """What `solve` returns.
+
+    Attributes:
+        poses: (T+1, 3), the headings not wrapped; poses that are not part of the graph keep their initial values.
+        estimated: (T+1,), which poses are part of the graph.
+        landmarks: {id: ...}, the map; see `solve_map`.
+        step_norms: the norm of the whole correction in each iteration.
+        costs: J before each iteration.
+        iterations: how many there were.
+        converged: whether the last step norm was below the threshold.
+        num_edges: the number of virtual-motion edges.
+    """
+
+    poses: Array
+    estimated: np.ndarray
+    landmarks: dict[int, Array]
+    step_norms: list[float]
+    costs: list[float]
+    iterations: int
+    converged: bool
+    num_edges: int
+
+
+def solve(
+    log: Log,
+    edges: str = "virtual",
+    threshold: float = 0.01,
+    *,
+    motion: MotionModel | None = None,
+    sensor: SensorModel | None = None,
+    dimensions: int | None = None,
+    motion_copies: int = 1,
+    max_iterations: int = 100,
+) -> TextbookSolution:
+    """Repeat the book's program on a log.
+
+    Args:
+        log: what the robot did and saw.
+        edges: "virtual", or "virtual+motion".
+        threshold: stop when the norm of the whole correction falls below this.
+        motion, sensor: noise models; default: the book's.
+        dimensions: of the sensor values, 2 or 3; default: what the log has.
+        motion_copies: how many times each motion edge is counted (the lectures' 2-D program counts it 100 times).
+        max_iterations: give up after this many.
+
+    Raises:
+        GraphError: the log has not what is asked for, or Omega is singular.
+        OptionError: an option has an impossible value.
+    """
+    check_choice("edges", edges, ("virtual", "virtual+motion"))
+    d = dimensions or log.sightings.shape[1]
+    if d not in (2, 3) or d > log.sightings.shape[1]:
+        raise OptionError(f"dimensions must be 2 or 3 and not more than the log has, not {dimensions!r}")
+    if motion_copies < 1:
+        raise OptionError(f"motion_copies must be at least 1, not {motion_copies}")
+    motion, sensor = motion or MotionModel(), sensor or SensorModel()
+    with_motion = edges == "virtual+motion"
+    if with_motion and log.controls is None:
+        raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")
+
+    sightings = _by_landmark(log)
+    pairs = [
+        (t1, z1[:d], t2, z2[:d])
+        for seen in sightings.values()
+        for (t1, z1), (t2, z2) in combinations(seen, 2)
+        if t1 != t2
+    ]
+    # without motion edges, poses that saw nothing are removed, but keep their numbers
+    steps = list(range(log.num_poses)) if with_motion else sorted({t for seen in sightings.values() for t, _ in seen})
+    if not steps or not (pairs or with_motion):
+        raise GraphError(f"{log.name} has no landmark that was seen twice, so there are no virtual-motion edges")
+    row = {t: 3 * k for k, t in enumerate(steps)}
+    x = log.initial_poses.copy()
+
+    step_norms: list[float] = []
+    costs: list[float] = []
+    converged = False
+    while len(step_norms) < max_iterations and not converged:
+        Omega, xi, J = np.zeros((3 * len(steps), 3 * len(steps))), np.zeros(3 * len(steps)), 0.0
+        # the anchor: in Omega only, as in the book
+        Omega[:3, :3] += OMEGA_0
+        for t1, z1, t2, z2 in pairs:
+            e, Omega_e, B1, B2 = virtual_motion_edge(x[t1], z1, x[t2], z2, sensor)
+            _add(Omega, xi, row[t1], row[t2], e, Omega_e, B1, B2)
+            J += e @ Omega_e @ e
+        if with_motion:
+            assert log.controls is not None and log.dt is not None
+            for t, (u, dt) in enumerate(zip(log.controls, log.dt), start=1):
+                e, Omega_e, B1, B2 = motion_edge(x[t - 1], x[t], u, dt, motion)
+                for _ in range(motion_copies):
+                    _add(Omega, xi, row[t - 1], row[t], e, Omega_e, B1, B2)
+                    J += e @ Omega_e @ e
+        try:
+            Delta = np.linalg.solve(Omega, xi)
+        except np.linalg.LinAlgError:
+            raise GraphError("Omega is singular: the edges do not determine every pose; add motion edges") from None
+        for t in steps:
+            x[t] += Delta[row[t] : row[t] + 3]
+        costs.append(float(J))
+        step_norms.append(float(np.linalg.norm(Delta)))
+        converged = step_norms[-1] < threshold
+    landmarks = {j: solve_map([(x[t], z[:d]) for t, z in seen], sensor) for j, seen in sightings.items()}
+    estimated = np.isin(np.arange(log.num_poses), steps)
+    return TextbookSolution(x, estimated, landmarks, step_norms, costs, len(step_norms), converged, len(pairs))
+
+
+def virtual_motion_edge(
+    x1: Array, z1: Array, x2: Array, z2: Array, sensor: SensorModel
+) -> tuple[Array, Array, Array, Array]:
+    """Two sightings z1, z2 of one landmark from poses x1, x2: e, Omega_e, B_1, B_2.
+
+    e = h^-1(x2, z2) - h^-1(x1, z1), Omega_e^-1 = R1 Q1 R1' + R2 Q2 R2'. Without psi the third row is missing.
+    (The slide that prints R1 in the second term, too, has a slip.)
+    """
+    d = len(z1)
+    e = inverse_observation(x2, z2) - inverse_observation(x1, z1)
+    if d == 3:
+        e[2] = _wrapped(e[2])
+    R1, R2 = sighting_derivative(x1, z1), sighting_derivative(x2, z2)
+    Omega = np.linalg.inv(R1 @ sighting_covariance(z1, sensor) @ R1.T + R2 @ sighting_covariance(z2, sensor) @ R2.T)
+    return e, Omega, -pose_derivative(x1, z1)[:d], pose_derivative(x2, z2)[:d]
+
+
+def inverse_observation(x: Array, z: Array) -> Array:
+    """h^-1(x, z) = (x + l cos(theta + phi), y + l sin(theta + phi), theta + phi - psi)."""
+    place = [x[0] + z[0] * cos(x[2] + z[1]), x[1] + z[0] * sin(x[2] + z[1])]
+    return np.array(place if len(z) == 2 else [*place, x[2] + z[1] - z[2]])
+
+
+def sighting_derivative(x: Array, z: Array) -> Array:
+    """R = dh^-1/dz = [[c, -l s, 0], [s, l c, 0], [0, 1, -1]]."""
+    c, s, length = cos(x[2] + z[1]), sin(x[2] + z[1]), z[0]
+    R = np.array([[c, -length * s, 0], [s, length * c, 0], [0, 1, -1]])
+    return R[: len(z), : len(z)]
+
+
+def sighting_covariance(z: Array, sensor: SensorModel) -> Array:
+    """Q = diag((l sigma_l)², sigma_phi², sigma_psi²)."""
+    variances = [(z[0] * sensor.range_rate) ** 2, sensor.bearing_std**2, sensor.orientation_std**2]
+    return np.diag(variances[: len(z)])
+
+
+def pose_derivative(x: Array, z: Array) -> Array:
+    """B = dh^-1/dx = [[1, 0, -l s], [0, 1, l c], [0, 0, 1]]."""
+    c, s, length = cos(x[2] + z[1]), sin(x[2] + z[1]), z[0]
+    return np.array([[1, 0, -length * s], [0, 1, length * c], [0, 0, 1]])
+
+
+def motion_edge(x1: Array, x2: Array, u: Array, dt: float, motion: MotionModel) -> tuple[Array, Array, Array, Array]:
+    """The control u took x1 to x2: e = x2 - f(x1, u), Omega_e^-1 = A M A' + epsilon I, B_1 = -F, B_2 = I.
+
+    Written with the divisions of the slides, and with the book's clamp that makes them possible: an omega below 1e-5
+    counts as 1e-5 in A and F. (`MotionModel` does without either.)
+    """
+    nu, omega = u
+    theta = x1[2]
+    if abs(omega) < 1e-10:
+        f = x1 + np.array([nu * cos(theta), nu * sin(theta), omega]) * dt
+    else:
+        turned = theta + omega * dt
+        f = x1 + np.array(
+            [nu / omega * (sin(turned) - sin(theta)), nu / omega * (cos(theta) - cos(turned)), omega * dt]
+        )
+    e = x2 - f
+    e[2] = _wrapped(e[2])
+    if abs(omega) < 1e-5:
+        omega = 1e-5
+    c, s, ct, st = cos(theta), sin(theta), cos(theta + omega * dt), sin(theta + omega * dt)
+    A = np.array(
+        [
+            [(st - s) / omega, -nu / omega**2 * (st - s) + nu / omega * dt * ct],
+            [(c - ct) / omega, -nu / omega**2 * (c - ct) + nu / omega * dt * st],
+            [0, dt],
+        ]
+    )
+    M = np.diag(
+        [
+            (motion.nn**2 * abs(nu) + motion.no**2 * abs(omega)) / dt,
+            (motion.on**2 * abs(nu) + motion.oo**2 * abs(omega)) / dt,
+        ]
+    )
+    F = np.array([[1, 0, nu / omega * (ct - c)], [0, 1, nu / omega * (st - s)], [0, 0, 1]])
+    return e, np.linalg.inv(A @ M @ A.T + motion.epsilon * np.eye(3)), -F, np.eye(3)
+
+
+def solve_map(sightings: list[tuple[Array, Array]], sensor: SensorModel) -> Array:
+    """The landmark seen as (pose, sighting) pairs: m = (sum of Omega)^-1 sum of Omega y, Omega^-1 = R Q R'.
+
+    As in the book's program the heading comes out relative to that of the first sighting, and without psi the map is
+    the unweighted mean of the places. (`estimate_map` weights them, and gives the heading itself.)
+    """
+    if len(sightings[0][1]) == 2:
+        return np.mean([inverse_observation(x, z) for x, z in sightings], axis=0)
+    Omega, xi = np.zeros((3, 3)), np.zeros(3)
+    first = inverse_observation(*sightings[0])[2]
+    for x, z in sightings:
+        y = inverse_observation(x, z)
+        y[2] = _wrapped(y[2] - first)
+        R = sighting_derivative(x, z)
+        Omega_z = np.linalg.inv(R @ sighting_covariance(z, sensor) @ R.T)
+        Omega += Omega_z
+        xi += Omega_z @ y
+    return np.linalg.solve(Omega, xi)
+
+
+def _add(Omega: Array, xi: Array, i: int, j: int, e: Array, Omega_e: Array, B1: Array, B2: Array) -> None:
+    """Omega += B' Omega_e B and xi -= B' Omega_e e, where row i belongs to the first pose and row j to the second."""
+    for a, Ba in ((i, B1), (j, B2)):
+        xi[a : a + 3] -= Ba.T @ Omega_e @ e
+        for b, Bb in ((i, B1), (j, B2)):
+            Omega[a : a + 3, b : b + 3] += Ba.T @ Omega_e @ Bb
+
+
+def _by_landmark(log: Log) -> dict[int, list[tuple[int, Array]]]:
+    sightings: dict[int, list[tuple[int, Array]]] = {}
+    for t, j, z in zip(log.steps.tolist(), log.landmarks.tolist(), log.sightings):
+        sightings.setdefault(j, []).append((t, z))
+    return sightings
+
+
+def _wrapped(angle: float) -> float:
+    while angle >= pi:
+        angle -= 2 * pi
+    while angle < -pi:
+        angle += 2 * pi
+    return angle
