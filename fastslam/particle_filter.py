@@ -1,0 +1,298 @@
+"""What Monte Carlo localisation and FastSLAM have in common: particles that move, are weighed and resampled.
+
+Sources: Ueda, *LNPR*, chapters 5 and 8; Thrun, Burgard and Fox, *Probabilistic Robotics*, sections 4.3 and 8.3.
+"""
+
+from __future__ import annotations
+
+import operator
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graphslam.errors import LogError, OptionError
+from graphslam.log import Log
+from graphslam.models import MotionModel, SensorModel
+from graphslam.se2 import Array, wrap
+
+from . import kernels
+from .genealogy import Genealogy
+from .resampling import effective_sample_size, resampling_scheme
+from .state import FilterResult, LandmarkEstimate, ParticleState, weighted_mean
+
+
+class VanishedWeightsWarning(RuntimeWarning):
+    """The sightings of a step are impossible for every particle; the step's weights were taken back."""
+
+
+class ParticleFilter(ABC):
+    """N weighted particles on a log, or fed by hand with `move` and `observe`.
+
+    Iterating goes over the rest of the log and yields a `ParticleState` per step; `run` goes to the end at once.
+
+    Motion: each particle draws a control u' ~ N(u, M) and moves to f(x, u') + e, e ~ N(0, epsilon I). The lectures have
+    no e, but the graph's motion edges have covariance A M A' + epsilon I, and with it both ask for the same posterior.
+
+    Weights: logarithms, with the determinant of the likelihood's covariance; Q is taken at the measured range, as in
+    the graph's edges. Where a step's sightings are impossible (likelihood 0) for some particles, those have weight
+    zero; where they are for all, a `VanishedWeightsWarning` is issued, the weights from before the step stay, nothing
+    is resampled, and the filter goes on. In log space that takes more than a bad guess: every particle exactly on the
+    landmark, or numbers beyond the range of floating point.
+
+    Random numbers come from one generator in this order: for each motion ``standard_normal((N, 5))`` (nu, omega, x, y,
+    theta of each particle), for each resampling what the scheme draws. The same seed gives the same result.
+    """
+
+    def __init__(
+        self,
+        log: Log | None = None,
+        *,
+        particles: int = 1000,
+        seed: int | np.random.Generator = 0,
+        motion: MotionModel | None = None,
+        sensor: SensorModel | None = None,
+        resampling: str = "systematic",
+        ess_threshold: float = 0.5,
+        start: ArrayLike | None = None,
+    ) -> None:
+        try:
+            self.particles = operator.index(particles)
+        except TypeError:
+            raise OptionError(f"particles must be a whole number, not {particles!r}") from None
+        if self.particles < 1:
+            raise OptionError(f"particles must be at least 1, not {particles}")
+        if not 0 <= ess_threshold <= 1:
+            raise OptionError(
+                f"ess_threshold must lie between 0 (never resample) and 1 (always), not {ess_threshold!r}"
+            )
+        if log is not None and log.controls is None:
+            raise LogError(
+                f"{log.name} has no controls, and a particle filter moves its particles by them: use graph SLAM"
+            )
+        self.log = log
+        self.motion, self.sensor = motion or MotionModel(), sensor or SensorModel()
+        self._scheme, self._ess_threshold = resampling_scheme(resampling), ess_threshold
+        # SFC64 draws normals a fifth faster than the default PCG64
+        self._rng = seed if isinstance(seed, np.random.Generator) else np.random.Generator(np.random.SFC64(seed))
+
+        if start is None:
+            start = np.zeros(3) if log is None else log.initial_poses[0]
+        pose = np.asarray(start, dtype=float)
+        if pose.shape not in ((3,), (self.particles, 3)) or not np.all(np.isfinite(pose)):
+            raise OptionError(f"start must be a finite pose (3,) or one per particle ({self.particles}, 3)")
+        poses = np.tile(pose, (self.particles, 1)) if pose.ndim == 1 else pose.copy()
+        poses[:, 2] = wrap(poses[:, 2])
+
+        self._step, self._version, self._next = 0, 0, 0
+        self._poses = _read_only(poses)
+        self._uniform = _read_only(np.full(self.particles, -np.log(self.particles)))
+        self._log_weights = self._uniform
+        self._best, self._resampled = 0, False
+        self._normals = np.empty((self.particles, 5))
+        self._genealogy = Genealogy(self.particles)
+        self._genealogy.record(self._poses)
+        self._ess_history, self._resampled_history = [float(self.particles)], [False]
+
+    # -- by hand -----------------------------------------------------------------------------------------------------
+
+    def move(self, control: ArrayLike, dt: float) -> None:
+        """Go to the next step: every particle draws its own motion under the control (nu, omega) [m/s, rad/s].
+
+        dt = 0 [s] is a step in which nothing moves: no noise is added, although the random numbers are drawn.
+
+        Raises:
+            OptionError: the control is not two finite numbers, or dt is negative or not finite.
+        """
+        u = np.asarray(control, dtype=float)
+        if u.shape != (2,) or not np.all(np.isfinite(u)):
+            raise OptionError(f"control must be two finite numbers (nu, omega), not {control!r}")
+        if not 0 <= dt < np.inf:
+            raise OptionError(f"dt must be a finite number of seconds, not below 0, not {dt!r}")
+        self._move(u, np.sqrt(np.diag(self.motion.M(u, dt))) if dt > 0 else np.zeros(2), float(dt))
+
+    def observe(self, ids: Sequence[int] | np.ndarray, sightings: ArrayLike) -> None:
+        """Weigh the particles by what was seen at this step, (k,) ids and (k, 2 or 3) sightings, and resample if due.
+
+        The sightings are folded in one after the other; there may be any number of them, and none changes nothing.
+
+        Raises:
+            OptionError: a sighting is not finite or its range not above zero, the shapes do not fit, or, on a known
+                map, an id is not in it.
+        """
+        ids, z = np.asarray(ids), np.array(sightings, dtype=float)
+        if ids.size == 0 and z.size == 0:
+            return
+        if z.ndim != 2 or z.shape[1] not in (2, 3) or ids.shape != (len(z),) or ids.dtype.kind not in "iu":
+            raise OptionError(
+                f"observe takes whole numbers (k,) and sightings (k, 2) or (k, 3), not shapes {ids.shape} and {z.shape}"
+            )
+        if not np.all(np.isfinite(z)) or np.any(z[:, 0] <= 0):
+            raise OptionError("sightings must be finite and their ranges above zero")
+        z[:, 1:] = wrap(z[:, 1:])
+        self._check_sightings(ids, z.shape[1])
+        self._observe(ids, z)
+
+    @property
+    def state(self) -> ParticleState:
+        """The particles as they are now."""
+        version = self._version
+
+        def fresh() -> None:
+            if self._version != version:
+                raise OptionError("the filter has gone on: ask a state for maps before the next move or observe")
+
+        def one_map(particle: int) -> dict[int, LandmarkEstimate]:
+            fresh()
+            return self._map(_particle(particle, self.particles))
+
+        def mixture(weights: Array) -> dict[int, LandmarkEstimate]:
+            fresh()
+            return self._mixture(weights)
+
+        return ParticleState(
+            self._step,
+            self._poses,
+            self._log_weights,
+            self._ess_history[-1],
+            self._resampled,
+            self._best,
+            one_map,
+            mixture,
+        )
+
+    def trajectory(self, particle: int | None = None) -> Array:
+        """The history of one particle, by default the best, (steps so far + 1, 3).
+
+        Raises:
+            OptionError: there is no such particle.
+        """
+        return self._genealogy.trajectory(self._best if particle is None else _particle(particle, self.particles))
+
+    # -- over a log --------------------------------------------------------------------------------------------------
+
+    def __iter__(self) -> Iterator[ParticleState]:
+        """Go over the rest of the log; a second loop goes on where the first stopped.
+
+        Raises:
+            OptionError: the filter has no log.
+        """
+        log = self.log
+        if log is None:
+            raise OptionError("this filter has no log to go over: give it one, or feed it with move and observe")
+        if log.controls is None or log.dt is None:  # __init__ has refused such a log
+            raise LogError(f"{log.name} has no controls")
+        control_std = np.sqrt(np.diagonal(self.motion.M(log.controls, log.dt), axis1=-2, axis2=-1))
+        first = np.searchsorted(log.steps, np.arange(log.num_poses + 1))
+        for t in range(self._next, log.num_poses):
+            if t > 0:
+                self._move(log.controls[t - 1], control_std[t - 1], log.dt[t - 1])
+            if first[t + 1] > first[t]:
+                self._observe(log.landmarks[first[t] : first[t + 1]], log.sightings[first[t] : first[t + 1]])
+            self._next = t + 1
+            yield self.state
+
+    def run(self) -> FilterResult:
+        """Go over the rest of the log and return the estimate.
+
+        Raises:
+            OptionError: the filter has no log.
+        """
+        for _ in self:
+            pass
+        return self.result()
+
+    def result(self) -> FilterResult:
+        """The estimate so far."""
+        backwards = [
+            (weighted_mean(poses, w), len(w)) for poses, w in self._genealogy.walk_back(np.exp(self._log_weights))
+        ]
+        best_map = self._map(self._best)
+        return FilterResult(
+            poses=self.trajectory(),
+            mean_poses=np.array([mean for mean, _ in reversed(backwards)]),
+            landmarks={j: estimate.mean for j, estimate in best_map.items()},
+            landmark_covariances={j: estimate.covariance for j, estimate in best_map.items()},
+            log_weights=self._log_weights,
+            ess=np.array(self._ess_history),
+            resampled=np.array(self._resampled_history),
+            ancestors=np.array([count for _, count in reversed(backwards)]),
+        )
+
+    # -- the filter --------------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def _check_sightings(self, ids: np.ndarray, columns: int) -> None:
+        """Raise `OptionError` where sightings of these ids with so many columns cannot be used."""
+
+    @abstractmethod
+    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
+        """Fold sightings (k, n) with variances q (k, n) in; the log likelihoods (N,), None if none was weighed."""
+
+    @abstractmethod
+    def _map(self, particle: int) -> dict[int, LandmarkEstimate]: ...
+
+    @abstractmethod
+    def _mixture(self, weights: Array) -> dict[int, LandmarkEstimate]: ...
+
+    def _move(self, control: Array, control_std: Array, dt: float) -> None:
+        self._rng.standard_normal(out=self._normals)
+        moved = np.empty_like(self._poses)
+        pose_std = self.motion.epsilon**0.5 if dt > 0 else 0.0
+        nu, omega, nu_std, omega_std = control[0], control[1], control_std[0], control_std[1]
+        kernels.move(self._poses, self._normals, nu, omega, nu_std, omega_std, dt, pose_std, moved)
+        self._poses = _read_only(moved)
+        self._genealogy.record(moved)
+        self._step += 1
+        self._version += 1
+        self._resampled = False
+        self._ess_history.append(self._ess_history[-1])
+        self._resampled_history.append(False)
+
+    def _observe(self, ids: np.ndarray, sightings: Array) -> None:
+        self._version += 1
+        with np.errstate(over="ignore"):
+            q = np.diagonal(self.sensor.Q(sightings), axis1=-2, axis2=-1).copy()
+        # a copy: kernels are compiled once more for the read-only arrays of a log
+        log_likelihood = self._weigh(ids, sightings.copy(), q)
+        if log_likelihood is None:
+            return
+        log_weights = self._log_weights + log_likelihood
+        highest = log_weights.max()
+        if highest == -np.inf:
+            warnings.warn(
+                f"step {self._step}: its sightings are impossible for all {self.particles} particles; "
+                "the weights from before the step stay",
+                VanishedWeightsWarning,
+                stacklevel=3,
+            )
+            return
+        log_weights -= highest
+        log_weights -= np.log(np.exp(log_weights).sum())
+        ess = effective_sample_size(log_weights)
+        self._log_weights, self._best = _read_only(log_weights), int(np.argmax(log_weights))
+        self._ess_history[-1] = ess
+        if ess <= self._ess_threshold * self.particles:
+            self._resample()
+
+    def _resample(self) -> None:
+        ancestors = self._scheme(np.exp(self._log_weights), self._rng)
+        self._best = int(np.argmax(self._log_weights[ancestors]))
+        self._genealogy.branch(ancestors)
+        self._poses = _read_only(self._poses[ancestors])
+        self._log_weights = self._uniform
+        self._resampled = True
+        self._resampled_history[-1] = True
+
+
+def _particle(particle: int, particles: int) -> int:
+    if not 0 <= particle < particles:
+        raise OptionError(f"there is no particle {particle}: they are numbered 0 to {particles - 1}")
+    return particle
+
+
+def _read_only(array: Array) -> Array:
+    array.flags.writeable = False
+    return array

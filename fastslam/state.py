@@ -1,0 +1,115 @@
+"""What a particle filter knows after a step, and what it leaves behind after a log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from graphslam.se2 import Array, wrap
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkEstimate:
+    """A Gaussian belief of a landmark: mean (x, y) or (x, y, heading) [m, m, rad] and its covariance (n, n)."""
+
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleState:
+    """The particles after one step.
+
+    Attributes:
+        step: the step, 0 at the first pose.
+        poses: (N, 3) [m, m, rad], headings in [-pi, pi); read-only.
+        log_weights: (N,), normalised: their exponentials sum to 1; read-only. After resampling all are -log N.
+        ess: effective sample size at the last sightings, before resampling.
+        resampled: whether this step resampled.
+        best: the particle of the largest weight at the last sightings (its first copy, where they led to resampling).
+    """
+
+    step: int
+    poses: Array
+    log_weights: Array
+    ess: float
+    resampled: bool
+    best: int
+    _map: Callable[[int], dict[int, LandmarkEstimate]] = field(repr=False)
+    _mixture: Callable[[Array], dict[int, LandmarkEstimate]] = field(repr=False)
+
+    @property
+    def best_pose(self) -> Array:
+        """The pose of the best particle, (3,)."""
+        return self.poses[self.best].copy()
+
+    @property
+    def mean_pose(self) -> Array:
+        """The weighted mean, (3,); the heading is the direction of the weighted mean of (cos, sin)."""
+        return weighted_mean(self.poses, np.exp(self.log_weights))
+
+    @property
+    def pose_covariance(self) -> Array:
+        """The weighted covariance about the mean pose, headings by their wrapped difference, (3, 3)."""
+        weights = np.exp(self.log_weights)
+        return weighted_covariance(self.poses, weighted_mean(self.poses, weights), weights)
+
+    def map(self, particle: int | None = None) -> dict[int, LandmarkEstimate]:
+        """The map of one particle, by default the best, {id: estimate}.
+
+        Maps are kept once, not once per step: ask before the filter takes its next step.
+
+        Raises:
+            OptionError: there is no such particle, or the filter has gone on.
+        """
+        return self._map(self.best if particle is None else particle)
+
+    def mixture_map(self) -> dict[int, LandmarkEstimate]:
+        """Mean and covariance of the mixture over all particles, {id: estimate}: E[S] + Cov[m].
+
+        Raises:
+            OptionError: the filter has gone on.
+        """
+        return self._mixture(np.exp(self.log_weights))
+
+
+@dataclass(frozen=True, eq=False)
+class FilterResult:
+    """What a particle filter estimated from a log of T motions.
+
+    Attributes:
+        poses: (T+1, 3), the history of the best particle [m, m, rad], headings in [-pi, pi).
+        mean_poses: (T+1, 3), the weighted mean of the histories of the particles that survived to the end.
+        landmarks, landmark_covariances: the map of the best particle, {id: (n,)} and {id: (n, n)}, n = 2 or 3.
+        log_weights: (N,) at the end, normalised.
+        ess: (T+1,) effective sample size after each step, before resampling.
+        resampled: (T+1,) whether the step resampled.
+        ancestors: (T+1,) how many distinct particles of each step have descendants at the end (the depletion curve).
+    """
+
+    poses: Array
+    mean_poses: Array
+    landmarks: Mapping[int, Array]
+    landmark_covariances: Mapping[int, Array]
+    log_weights: Array
+    ess: Array
+    resampled: np.ndarray
+    ancestors: np.ndarray
+
+
+def weighted_mean(points: Array, weights: Array) -> Array:
+    """The mean of (k, 2) or (k, 3) points under weights (k,) that sum to 1; a third coordinate is an angle."""
+    mean = weights @ points
+    if points.shape[1] == 3:
+        mean[2] = wrap(np.arctan2(weights @ np.sin(points[:, 2]), weights @ np.cos(points[:, 2])))
+    return mean
+
+
+def weighted_covariance(points: Array, mean: Array, weights: Array) -> Array:
+    """The covariance of (k, n) points about a mean under weights that sum to 1; a third coordinate is an angle."""
+    difference = points - mean
+    if points.shape[1] == 3:
+        difference[:, 2] = wrap(difference[:, 2])
+    return difference.T @ (weights[:, None] * difference)

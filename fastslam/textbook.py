@@ -1,0 +1,218 @@
+"""FastSLAM 1.0 and Monte Carlo localisation as in the lectures: particle by particle, one equation per function.
+
+This file is the oracle of the array versions, and its first reader is a student: it is plain, short and slow. The
+random numbers come from one generator in a stated order, the same as in the array versions: for each motion
+``rng.standard_normal((N, 5))``, row i for particle i, and for each systematic resampling one ``rng.random()``.
+
+Sources: Ueda, *LNPR*, chapters 5 and 8; Montemerlo, Thrun, Koller and Wegbreit, *FastSLAM*, AAAI 2002; Thrun, Burgard
+and Fox, *Probabilistic Robotics*, sections 8.3 and 13.3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from copy import deepcopy
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graphslam.errors import LogError
+from graphslam.log import Log
+from graphslam.models import MotionModel, SensorModel
+from graphslam.se2 import Array, wrap
+
+
+@dataclass
+class Landmark:
+    """What one particle believes of one landmark: the Gaussian N(mean, covariance), (n,) and (n, n), n = 2 or 3.
+
+    On a known map the covariance is zero.
+    """
+
+    mean: Array
+    covariance: np.ndarray
+
+
+@dataclass
+class Particle:
+    """A trajectory whose last pose is x_t, the logarithm of its weight, and a map of its own {id: Landmark}."""
+
+    path: list[Array]
+    log_weight: float
+    map: dict[int, Landmark] = field(default_factory=dict)
+
+    @property
+    def pose(self) -> Array:
+        """The current pose x_t, (3,)."""
+        return self.path[-1]
+
+
+def start(particles: int, pose: ArrayLike) -> list[Particle]:
+    """N particles at the known first pose, each of weight 1/N, with empty maps."""
+    return [Particle([wrap_heading(np.array(pose, dtype=float))], -np.log(particles)) for _ in range(particles)]
+
+
+def wrap_heading(pose: Array) -> Array:
+    """The pose with its heading in [-pi, pi)."""
+    return np.array([pose[0], pose[1], wrap(pose[2])])
+
+
+def motion_update(
+    particles: list[Particle], control: ArrayLike, dt: float, motion: MotionModel, rng: np.random.Generator
+) -> None:
+    """Sample x_t ~ p(x_t | x_{t-1}, u_t): u' ~ N(u_t, M), x_t = f(x_{t-1}, u') + e with e ~ N(0, epsilon I).
+
+    The lectures have no e; the framework's motion edges add epsilon I to the covariance A M A', and with e both
+    estimators ask for the same posterior.
+    """
+    std = np.sqrt(np.diag(motion.M(control, dt)))
+    normals = rng.standard_normal((len(particles), 5))
+    for particle, noise in zip(particles, normals, strict=True):
+        noisy_control = np.asarray(control) + std * noise[:2]
+        pose = motion.f(particle.pose, noisy_control, dt) + np.sqrt(motion.epsilon) * noise[2:]
+        particle.path.append(wrap_heading(pose))
+
+
+def initialize_landmark(pose: Array, z: Array, sensor: SensorModel) -> Landmark:
+    """First sighting: mean h^-1(x, z), covariance (H' Q^-1 H)^-1."""
+    mean = sensor.h_inverse(pose, z)
+    H = sensor.H(pose, mean)
+    return Landmark(mean, np.linalg.inv(H.T @ np.linalg.inv(sensor.Q(z)) @ H))
+
+
+def residual(pose: Array, landmark: Landmark, z: Array, sensor: SensorModel) -> Array:
+    """The residual z - h(m), angles wrapped."""
+    difference = z - sensor.h(pose, landmark.mean)
+    return np.array([difference[0], *wrap(difference[1:])])
+
+
+def innovation_covariance(pose: Array, landmark: Landmark, z: Array, sensor: SensorModel) -> Array:
+    """The covariance of the residual, V = H S H' + Q, Q taken at the measured range (as the graph's edges do)."""
+    H = sensor.H(pose, landmark.mean)
+    return H @ landmark.covariance @ H.T + sensor.Q(z)
+
+
+def log_likelihood(pose: Array, landmark: Landmark, z: Array, sensor: SensorModel) -> float:
+    """The logarithm of N(z; h(m), V) = det(2 pi V)^(-1/2) exp(-r' V^-1 r / 2), r = z - h(m).
+
+    The determinant differs between particles and belongs to the weight. -inf where the particle stands on the
+    landmark (nearer than 1e-9 m), which then has no bearing.
+    """
+    if np.hypot(*(landmark.mean[:2] - pose[:2])) < 1e-9:
+        return -np.inf
+    r = residual(pose, landmark, z, sensor)
+    V = innovation_covariance(pose, landmark, z, sensor)
+    return float(-0.5 * (r @ np.linalg.solve(V, r) + np.log(np.linalg.det(2 * np.pi * V))))
+
+
+def update_landmark(pose: Array, landmark: Landmark, z: Array, sensor: SensorModel) -> Landmark:
+    """Later sightings: K = S H' (Q + H S H')^-1, m += K (z - h(m)), S = (I - K H) S."""
+    H = sensor.H(pose, landmark.mean)
+    V = innovation_covariance(pose, landmark, z, sensor)
+    K = landmark.covariance @ H.T @ np.linalg.inv(V)
+    mean = landmark.mean + K @ residual(pose, landmark, z, sensor)
+    mean[2:] = wrap(mean[2:])
+    return Landmark(mean, (np.eye(len(mean)) - K @ H) @ landmark.covariance)
+
+
+def observation_update(
+    particles: list[Particle], ids: Iterable[int], sightings: Iterable[Array], sensor: SensorModel
+) -> bool:
+    """Fold one step's sightings in, one after the other: w *= N(z; h(m), V), then m and S move. Weights sum to 1.
+
+    Returns whether any sighting was weighed; a step of first sightings alone says nothing about the poses.
+    """
+    before = [particle.log_weight for particle in particles]
+    weighed = False
+    for j, z in zip(ids, sightings, strict=True):
+        for particle in particles:
+            if j not in particle.map:
+                particle.map[j] = initialize_landmark(particle.pose, z, sensor)
+                continue
+            weighed = True
+            likelihood = log_likelihood(particle.pose, particle.map[j], z, sensor)
+            particle.log_weight += likelihood
+            if likelihood > -np.inf:
+                particle.map[j] = update_landmark(particle.pose, particle.map[j], z, sensor)
+    normalize(particles, before)
+    return weighed
+
+
+def localization_update(
+    particles: list[Particle],
+    ids: Iterable[int],
+    sightings: Iterable[Array],
+    landmarks: Mapping[int, Array],
+    sensor: SensorModel,
+) -> None:
+    """Monte Carlo localisation: the landmarks are known (S = 0), so w *= N(z; h(m), Q) and no landmark moves."""
+    before = [particle.log_weight for particle in particles]
+    for j, z in zip(ids, sightings, strict=True):
+        n = min(len(z), len(landmarks[j]))
+        known = Landmark(np.asarray(landmarks[j])[:n], np.zeros((n, n)))
+        for particle in particles:
+            particle.log_weight += log_likelihood(particle.pose, known, z[:n], sensor)
+    normalize(particles, before)
+
+
+def normalize(particles: list[Particle], before: list[float]) -> None:
+    """Make the weights sum to 1; where all of them vanished, take back the ones from before the sightings."""
+    log_weights = np.array([particle.log_weight for particle in particles])
+    if np.all(log_weights == -np.inf):
+        log_weights = np.array(before)
+    log_weights = log_weights - log_weights.max()
+    log_weights -= np.log(np.exp(log_weights).sum())
+    for particle, log_weight in zip(particles, log_weights, strict=True):
+        particle.log_weight = float(log_weight)
+
+
+def effective_sample_size(particles: list[Particle]) -> float:
+    """ESS = 1 / sum of w_i², between 1 and N."""
+    return float(1 / sum(np.exp(particle.log_weight) ** 2 for particle in particles))
+
+
+def resample(particles: list[Particle], rng: np.random.Generator) -> list[Particle]:
+    """Systematic resampling: a comb of N teeth 1/N apart, set down at random, over the weights laid end to end.
+
+    Every survivor is copied with its map and its path; two particles never share them.
+    """
+    count = len(particles)
+    cumulative = np.cumsum([np.exp(particle.log_weight) for particle in particles])
+    offset, k, survivors = rng.random(), 0, []
+    for i in range(count):
+        while cumulative[k] <= (offset + i) / count * cumulative[-1] and k < count - 1:
+            k += 1
+        survivors.append(deepcopy(particles[k]))
+        survivors[-1].log_weight = -np.log(count)
+    return survivors
+
+
+def fastslam1(
+    log: Log,
+    *,
+    particles: int = 100,
+    rng: np.random.Generator,
+    motion: MotionModel | None = None,
+    sensor: SensorModel | None = None,
+    ess_threshold: float = 1.0,
+) -> Iterator[list[Particle]]:
+    """FastSLAM 1.0 over a whole log; yields the particles after every step, the first at the known first pose.
+
+    Resamples after sightings when ESS <= ess_threshold * N; 1 is the lectures' way, after every step with sightings.
+
+    Raises:
+        LogError: the log has no controls.
+    """
+    motion, sensor = motion or MotionModel(), sensor or SensorModel()
+    if log.controls is None or log.dt is None:
+        raise LogError(f"{log.name} has no controls, and a particle filter moves its particles by them")
+    current = start(particles, log.initial_poses[0])
+    for t in range(log.num_poses):
+        if t > 0:
+            motion_update(current, log.controls[t - 1], log.dt[t - 1], motion, rng)
+        seen = log.steps == t
+        weighed = observation_update(current, log.landmarks[seen].tolist(), log.sightings[seen], sensor)
+        if weighed and effective_sample_size(current) <= ess_threshold * particles:
+            current = resample(current, rng)
+        yield current

@@ -1,0 +1,221 @@
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+from fastslam import FastSLAM1, MonteCarloLocalization, VanishedWeightsWarning
+from graphslam import Log, LogError, MotionModel, OptionError, SensorModel, simulate
+
+FILTERS = [FastSLAM1, MonteCarloLocalization]
+
+
+def make(cls: type, **options: object) -> FastSLAM1 | MonteCarloLocalization:
+    if cls is MonteCarloLocalization:
+        options.setdefault("landmarks", {0: (2.0, 1.0, 0.5), 1: (3.0, -1.0)})
+    return cls(**options)
+
+
+@pytest.mark.parametrize("cls", FILTERS)
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"particles": 0}, "particles must be at least 1, not 0"),
+        ({"particles": -3}, "particles must be at least 1"),
+        ({"particles": 10.5}, "particles must be a whole number"),
+        ({"resampling": "best"}, "resampling must be one of systematic"),
+        ({"ess_threshold": 1.5}, "ess_threshold must lie between"),
+        ({"ess_threshold": float("nan")}, "ess_threshold must lie between"),
+        ({"start": (0.0, 0.0)}, "start must be a finite pose"),
+        ({"start": (0.0, np.nan, 0.0)}, "start must be a finite pose"),
+    ],
+)
+def test_options(cls: type, options: dict, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        make(cls, **options)
+
+
+@pytest.mark.parametrize("cls", FILTERS)
+def test_log_without_controls(cls: type) -> None:
+    log = Log(initial_poses=np.zeros((2, 3)), steps=[0], landmarks=[0], sightings=[[1.0, 0.0]], name="book")
+    with pytest.raises(LogError, match="book has no controls"):
+        make(cls, log=log)
+
+
+def test_no_log_to_run() -> None:
+    with pytest.raises(OptionError, match="no log"):
+        FastSLAM1().run()
+
+
+@pytest.mark.parametrize("cls", FILTERS)
+@pytest.mark.parametrize("control", [(np.nan, 0.0), (0.1, np.inf), (0.1,), ((0.1, 0.2),)])
+def test_control(cls: type, control: tuple) -> None:
+    with pytest.raises(OptionError, match="control must be two finite numbers"):
+        make(cls).move(control, 1.0)
+
+
+@pytest.mark.parametrize("dt", [-1.0, np.nan, np.inf])
+def test_negative_time(dt: float) -> None:
+    with pytest.raises(OptionError, match="dt must be"):
+        FastSLAM1().move((0.1, 0.0), dt)
+
+
+@pytest.mark.parametrize("cls", FILTERS)
+def test_no_time_no_motion(cls: type) -> None:
+    slam = make(cls, particles=10, start=(1.0, 2.0, 0.3))
+    slam.move((0.5, 0.5), 0.0)
+    np.testing.assert_array_equal(slam.state.poses, np.tile([1.0, 2.0, 0.3], (10, 1)))
+    assert slam.state.step == 1
+
+
+def test_no_motion_noise_but_epsilon() -> None:
+    """All four noise parameters zero, a degenerate Gaussian of controls: only epsilon is left."""
+    slam = FastSLAM1(particles=1000, motion=MotionModel(nn=0, no=0, on=0, oo=0, epsilon=1e-300))
+    slam.move((0.5, 0.0), 2.0)
+    np.testing.assert_allclose(slam.state.poses, np.tile([1.0, 0.0, 0.0], (1000, 1)), atol=1e-12)
+
+
+def test_sensor_without_noise_is_refused() -> None:
+    with pytest.raises(OptionError, match="bearing_std must be a positive number"):
+        FastSLAM1(sensor=SensorModel(bearing_std=0.0))
+
+
+@pytest.mark.parametrize("cls", FILTERS)
+@pytest.mark.parametrize(
+    ("ids", "sightings"),
+    [
+        ([0], [[1.0]]),
+        ([0, 1], [[1.0, 0.0]]),
+        ([0.5], [[1.0, 0.0]]),
+        ([0], [[np.nan, 0.0]]),
+        ([0], [[1.0, np.inf]]),
+        ([0], [[0.0, 0.0]]),
+        ([0], [[-1.0, 0.0]]),
+    ],
+)
+def test_sightings(cls: type, ids: list, sightings: list) -> None:
+    with pytest.raises(OptionError):
+        make(cls).observe(ids, sightings)
+
+
+@pytest.mark.parametrize("cls", FILTERS)
+def test_nothing_seen(cls: type) -> None:
+    slam = make(cls, particles=5)
+    before = slam.state.log_weights
+    slam.observe([], [])
+    np.testing.assert_array_equal(slam.state.log_weights, before)
+
+
+def test_psi_cannot_come_and_go() -> None:
+    slam = FastSLAM1()
+    slam.observe([0], [[1.0, 0.0]])
+    with pytest.raises(OptionError, match="2 columns, these have 3"):
+        slam.observe([0], [[1.0, 0.0, 0.0]])
+
+
+def test_unknown_landmark_on_a_known_map() -> None:
+    with pytest.raises(OptionError, match="landmark 9 was seen but is not on the known map"):
+        make(MonteCarloLocalization).observe([9], [[1.0, 0.0]])
+    log = simulate()
+    landmarks = {j: m for j, m in log.true_landmarks.items() if j != 3}
+    with pytest.raises(OptionError, match="landmark 3"):
+        MonteCarloLocalization(log, landmarks=landmarks)
+
+
+def test_no_map() -> None:
+    with pytest.raises(OptionError, match="needs a map"):
+        MonteCarloLocalization(simulate().replace(true_landmarks=None))
+    with pytest.raises(OptionError, match="needs a map"):
+        MonteCarloLocalization()
+    with pytest.raises(OptionError, match=r"landmarks\[2\] must be finite"):
+        MonteCarloLocalization(landmarks={2: (1.0, np.nan)})
+
+
+def test_range_bearing_landmarks_on_the_map_leave_psi_out() -> None:
+    log = simulate(seed=3)
+    flat = {j: m[:2] for j, m in log.true_landmarks.items()}
+    a = MonteCarloLocalization(log, landmarks=flat, particles=50).run()
+    b = MonteCarloLocalization(log.without_orientation(), particles=50).run()
+    np.testing.assert_array_equal(a.poses, b.poses)
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_all_particles_on_the_landmark(columns: int) -> None:
+    """Every particle stands on the landmark: the step is warned about and taken back, and the filter goes on."""
+    landmark = np.array([1.0, 0.0, 0.0])[:columns]
+    slam = FastSLAM1(particles=30, motion=MotionModel(nn=0, no=0, on=0, oo=0, epsilon=1e-300), start=np.zeros(3))
+    slam.observe([0], [[1.0, 0.0, 0.0][:columns]])
+    slam.move((0.0, 0.0), 1.0)
+    slam.move((1.0, 0.0), 1.0)
+    weights, before = slam.state.log_weights, slam.state.map(3)[0]
+    np.testing.assert_allclose(before.mean, landmark, atol=1e-15)
+    with pytest.warns(VanishedWeightsWarning, match="step 2: its sightings are impossible for all 30 particles"):
+        slam.observe([0], [[0.5, 0.2, 0.1][:columns]])
+    np.testing.assert_array_equal(slam.state.log_weights, weights)
+    np.testing.assert_array_equal(slam.state.map(3)[0].mean, before.mean)
+    assert not slam.state.resampled
+    slam.move((-1.0, 0.0), 1.0)
+    slam.observe([0], [[1.0, 0.0, 0.0][:columns]])
+    assert np.all(np.isfinite(slam.state.log_weights))
+
+
+@pytest.mark.parametrize("scheme", ["systematic", "stratified", "residual", "multinomial"])
+def test_one_particle_on_the_landmark(scheme: str) -> None:
+    """Only that particle is impossible; resampling never brings it back."""
+    start = np.zeros((20, 3))
+    start[7] = [2.0, 1.0, 0.0]
+    mcl = make(MonteCarloLocalization, particles=20, start=start, ess_threshold=1.0, resampling=scheme)
+    mcl.observe([0], [[np.hypot(2, 1), np.arctan2(1, 2)]])
+    assert mcl.state.resampled
+    np.testing.assert_array_equal(mcl.state.poses, np.zeros((20, 3)))
+
+
+def test_all_impossible_on_a_known_map() -> None:
+    """A range beyond floating point in its square: impossible for everybody."""
+    mcl = make(MonteCarloLocalization, particles=30)
+    for absurd in (1e-200, 1e200):
+        with pytest.warns(VanishedWeightsWarning):
+            mcl.observe([0], [[absurd, 0.0]])
+    np.testing.assert_allclose(mcl.state.log_weights, -np.log(30))
+
+
+def test_very_unlikely_is_not_impossible() -> None:
+    """A landmark on the wrong side at a thousand standard deviations underflows as a number, not as a logarithm."""
+    mcl = make(MonteCarloLocalization, particles=100, sensor=SensorModel(0.001, 0.001, 0.001))
+    mcl.move((0.2, 0.1), 1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mcl.observe([0], [[2.0, -2.5]])
+    assert np.exp(mcl.state.log_weights).sum() == pytest.approx(1)
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_two_hundred_sightings_in_a_step(columns: int) -> None:
+    rng = np.random.default_rng(0)
+    landmarks = np.column_stack([rng.uniform(-10, 10, (200, 2)), rng.uniform(-3, 3, 200)])[:, :columns]
+    slam = FastSLAM1(particles=100)
+    for _ in range(3):
+        slam.observe(np.arange(200), slam.sensor.h(slam.state.mean_pose, landmarks))
+        slam.move((0.2, 0.1), 1.0)
+    assert len(slam.state.map()) == 200
+    assert 1 <= slam.state.ess <= 100
+    assert np.all(np.isfinite(slam.state.poses))
+
+
+def test_maps_of_a_state_that_is_over() -> None:
+    slam = FastSLAM1()
+    slam.observe([0], [[1.0, 0.0]])
+    state = slam.state
+    assert state.map(5).keys() == {0}
+    with pytest.raises(OptionError, match="no particle 1000"):
+        state.map(1000)
+    slam.move((0.1, 0.0), 1.0)
+    with pytest.raises(OptionError, match="gone on"):
+        state.map()
+    with pytest.raises(OptionError, match="gone on"):
+        state.mixture_map()
+    with pytest.raises(OptionError, match="no particle -1"):
+        slam.trajectory(-1)
+    with pytest.raises(ValueError, match="read-only"):
+        state.poses[0] = 0.0
