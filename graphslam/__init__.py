@@ -11,8 +11,10 @@ from .models import MotionModel, SensorModel
 from .simulator import MotionFaults, SensorFaults, simulate
 from .solution import Solution
 from .solver import Iteration, solve
+from .worlds import WORLDS, sample_log_path
 
 __all__ = [
+    "WORLDS",
     "FormatError",
     "Graph",
     "GraphError",
@@ -29,6 +31,7 @@ __all__ = [
     "Solution",
     "estimate_map",
     "load",
+    "sample_log_path",
     "save",
     "simulate",
     "solve",

@@ -17,6 +17,11 @@ class Factor:
     def solve(self, xi: Array) -> Array:
         return self.lu.solve(xi.ravel()).reshape(-1, 3)
 
+    def inverse_diagonal(self) -> Array:
+        n = self.lu.shape[0]
+        inv = self.lu.solve(np.eye(n))
+        return np.array([inv[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(n // 3)])
+
 
 def factorize(system: BlockSystem, damping: float = 0.0) -> Factor:
     omega = system.to_sparse()

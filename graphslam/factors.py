@@ -32,8 +32,8 @@ class VirtualMotionFactor(gtsam.CustomFactor):
     Omega^-1 = R_1 Q_1 R_1' + R_2 Q_2 R_2'. With ``frame="body"`` and psi the residual is turned into the first
     sighting's axes, R(theta_1 + phi_1)' e, where Omega^-1 = L(l_1, 0) Q_1 L' + L(l_2, psi_2 - psi_1) Q_2 L' depends on
     the sightings alone. In all other cases the information depends on the poses and is frozen at the poses ``at``:
-    ``frame="world"`` keeps e in the world's axes; ``frame="body"`` without psi turns e, and the frozen information, with
-    the first pose.
+    ``frame="world"`` keeps e in the world's axes; ``frame="body"`` without psi turns e, and the frozen information,
+    with the first pose.
 
     Args:
         key_1, key_2: of two `gtsam.Pose2`.
@@ -67,6 +67,9 @@ class VirtualMotionFactor(gtsam.CustomFactor):
         first, second = _vector("z_1", z_1, (2, 3)), _vector("z_2", z_2, (2, 3))
         if len(first) != len(second):
             raise OptionError("z_1 and z_2 must both have psi, or both lack it")
+        for name, z in (("z_1", first), ("z_2", second)):
+            if z[0] <= 0:
+                raise OptionError(f"the range of {name} must be above zero, not {z[0]:g} m")
         oriented = len(first) == 3
         (l1, phi1, psi1), (l2, phi2, psi2) = ((*z, 0.0)[:3] for z in (first.tolist(), second.tolist()))
         if frame == "body" and oriented:
@@ -74,7 +77,8 @@ class VirtualMotionFactor(gtsam.CustomFactor):
             covariance = sensor.landmark_covariance(axes_1, first) + sensor.landmark_covariance(axes_2, second)
         elif at is None:
             raise OptionError(
-                f"with frame={frame!r} and {len(first)}-D sightings the information depends on the poses; give them as 'at'"
+                f"with frame={frame!r} and {len(first)}-D sightings the information depends on the poses; "
+                "give them as 'at'"
             )
         else:
             x1, x2 = _vector("at[0]", at[0], (3,)), _vector("at[1]", at[1], (3,))
@@ -105,7 +109,7 @@ class VirtualMotionFactor(gtsam.CustomFactor):
 
 
 class RelativePoseFactor(gtsam.CustomFactor):
-    """The pose at one key measured from the pose at another: e = (R(theta_1)' (p_2 - p_1) - t, theta_2 - theta_1 - theta_z).
+    """The pose at one key measured from another's: e = (R(theta_1)' (p_2 - p_1) - t, theta_2 - theta_1 - theta_z).
 
     The information belongs to the axes of pose 1. ``frame="world"`` leaves e in the world's axes, R(theta_1) e, and
     freezes the information at the heading of ``at``. (GTSAM's own ``BetweenFactorPose2`` is the same residual turned by
@@ -155,7 +159,9 @@ class RelativePoseFactor(gtsam.CustomFactor):
                 e = [sx - dx, sy - dy, et]
             return e, ([*by_a, [0.0, 0.0, -1.0]], [*by_b, [0.0, 0.0, 1.0]])
 
-        super().__init__(gtsam.noiseModel.Gaussian.Information(omega), [key_1, key_2], _callback((key_1, key_2), residual))
+        super().__init__(
+            gtsam.noiseModel.Gaussian.Information(omega), [key_1, key_2], _callback((key_1, key_2), residual)
+        )
 
 
 class MotionFactor(RelativePoseFactor):
@@ -247,7 +253,7 @@ def _wrapped(angle: float) -> float:
 
 def _positive_definite(information: ArrayLike) -> Array:
     omega = np.asarray(information, dtype=float)
-    symmetric = omega.shape == (3, 3) and np.allclose(omega, omega.T, rtol=1e-9, atol=0)
+    symmetric = omega.shape == (3, 3) and np.allclose(omega, omega.T, rtol=0, atol=1e-9 * np.abs(omega).max())
     if not symmetric or not np.linalg.eigvalsh(omega)[0] > 0:
         raise OptionError("information must be a symmetric positive definite 3 x 3 matrix")
     return (omega + omega.T) / 2

@@ -96,11 +96,15 @@ class Graph:
         else:
             tied = [seen for seen in steps_seen if len(seen) > 1]
             if not tied:
-                raise GraphError(f"{log.name} has no landmark that was seen twice, so there are no virtual-motion edges")
+                raise GraphError(
+                    f"{log.name} has no landmark that was seen twice, so there are no virtual-motion edges"
+                )
             steps = np.unique(np.concatenate(tied))
             left_out = np.setdiff1d(np.arange(log.num_poses), steps).tolist()
             if left_out:
-                notes.append(f"{_listed('pose', left_out)} shared no sighting with any other and stayed out of the graph")
+                notes.append(
+                    f"{_listed('pose', left_out)} shared no sighting with any other and stayed out of the graph"
+                )
         node_of = np.full(log.num_poses, -1)
         node_of[steps] = np.arange(len(steps))
 
@@ -166,7 +170,9 @@ def _with_dimensions(log: Log, dimensions: int | None) -> Log:
     if dimensions not in (None, 2, 3):
         raise OptionError(f"dimensions must be 2 or 3, not {dimensions!r}")
     if dimensions == 3 and not log.has_orientation:
-        raise GraphError(f"{log.name} has sightings without psi, but 3-D sensor values were asked for; use dimensions=2")
+        raise GraphError(
+            f"{log.name} has sightings without psi, but 3-D sensor values were asked for; use dimensions=2"
+        )
     return log.without_orientation() if dimensions == 2 and log.has_orientation else log
 
 
@@ -190,7 +196,8 @@ def _check_determined(virtual: VirtualMotionEdges, steps: np.ndarray, oriented: 
         if loose:
             raise GraphError(
                 f"without psi one landmark does not fix a pose: {_listed('pose', loose)} share"
-                f"{'s' if len(loose) == 1 else ''} only one with the rest; use edges='virtual+motion' or a sensor with psi"
+                f"{'s' if len(loose) == 1 else ''} only one with the rest; "
+                "use edges='virtual+motion' or a sensor with psi"
             )
 
 

@@ -109,8 +109,9 @@ def _optimize(
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setVerbosityLM("SILENT")
     parameters.setlambdaUpperBound(1e12)
-    optimizer = gtsam.LevenbergMarquardtOptimizer(factors, to_values(initial), parameters)
-    state, norms = gtsam.utilities.extractPose2(optimizer.values()), []
+    optimizer: gtsam.NonlinearOptimizer = gtsam.LevenbergMarquardtOptimizer(factors, to_values(initial), parameters)
+    state = gtsam.utilities.extractPose2(optimizer.values())
+    norms: list[float] = []
     polishing = False
     while len(norms) < max_iterations:
         before = optimizer.error()
@@ -118,9 +119,10 @@ def _optimize(
         moved = gtsam.utilities.extractPose2(optimizer.values())
         norms.append(float(np.linalg.norm(_difference(moved, state))))
         state = moved
-        if roughly and norms[-1] < tolerance:
+        stalled = before - optimizer.error() <= 1e-10 * before
+        if roughly and not stalled and norms[-1] < tolerance:
             return state, norms, True
-        if not polishing and before - optimizer.error() <= 1e-10 * before:
+        if not polishing and stalled:
             # The rest is below what a comparison of costs can resolve, and Levenberg-Marquardt refuses to move.
             # Gauss-Newton, which does not compare, walks the last steps; damping would only hide how long they are.
             polishing = True
@@ -134,7 +136,8 @@ def _optimize(
 
 def _refrozen(graph: Graph, tolerance: float, max_iterations: int) -> tuple[Array, list[float], bool]:
     """Freeze, solve, and freeze again, until the solution no longer moves."""
-    state, norms, mixing = graph.initial.copy(), [], AndersonMixing()
+    state, mixing = graph.initial.copy(), AndersonMixing()
+    norms: list[float] = []
     while len(norms) < max_iterations:
         # the inner problem moves on at every freezing: solving it much closer than that is wasted
         inner = max(tolerance / 10, 0.1 * norms[-1] if norms else 0.1)

@@ -47,7 +47,11 @@ class BlockSystem:
         indptr = _count(num_nodes, starts, nodes, order, group, by_node)
         indices = _fill(num_nodes, starts, nodes, order, group, by_node, indptr)
         return cls(
-            indptr, indices, np.zeros((len(indices), 3, 3)), np.zeros((num_nodes, 3)), np.zeros(num_nodes, dtype=np.int64)
+            indptr,
+            indices,
+            np.zeros((len(indices), 3, 3)),
+            np.zeros((num_nodes, 3)),
+            np.zeros(num_nodes, dtype=np.int64),
         )
 
     @property

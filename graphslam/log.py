@@ -20,7 +20,7 @@ class Log:
 
     Args:
         dt: duration of each motion [s], (T,) or one number; None together with ``controls``.
-        controls: u_t = (nu, omega) [m/s, rad/s], (T, 2); row t drives pose t to pose t+1. None in logs without controls.
+        controls: u_t = (nu, omega) [m/s, rad/s], (T, 2); row t drives pose t to pose t+1. None where there are none.
         steps: the step in which each sighting was made, (M,), not decreasing.
         landmarks: the id of the landmark seen, (M,) integers.
         sightings: (l, phi) or (l, phi, psi) [m, rad, rad], (M, 2) or (M, 3); angles are wrapped to [-pi, pi).
@@ -56,7 +56,9 @@ class Log:
             dt = np.asarray(self.dt, dtype=float)
             dt = _floats("dt", np.full(len(controls), dt) if dt.ndim == 0 else dt, (len(controls),))
             if np.any(dt <= 0):
-                raise LogError(f"dt[{np.argmax(dt <= 0)}] is {dt[dt <= 0][0]:g}, but a motion must last longer than 0 s")
+                raise LogError(
+                    f"dt[{np.argmax(dt <= 0)}] is {dt[dt <= 0][0]:g}, but a motion must last longer than 0 s"
+                )
         initial = self.initial_poses
         if initial is None:
             if controls is None:
@@ -84,7 +86,9 @@ class Log:
             raise LogError(f"sighting {k} belongs to step {steps[k]}, but the log has steps 0 to {len(initial) - 1}")
         if np.any(np.diff(steps) < 0):
             k = int(np.argmax(np.diff(steps) < 0)) + 1
-            raise LogError(f"sighting {k} runs backwards, from step {steps[k - 1]} to {steps[k]}: sort sightings by step")
+            raise LogError(
+                f"sighting {k} runs backwards, from step {steps[k - 1]} to {steps[k]}: sort sightings by step"
+            )
 
         true_landmarks = None
         if self.true_landmarks is not None:
@@ -92,11 +96,19 @@ class Log:
             for j, landmark in self.true_landmarks.items():
                 landmark = np.asarray(landmark, dtype=float)
                 if landmark.shape not in ((2,), (3,)):
-                    raise LogError(f"true_landmarks[{j}] must be (x, y) or (x, y, heading), not of shape {landmark.shape}")
+                    raise LogError(
+                        f"true_landmarks[{j}] must be (x, y) or (x, y, heading), not of shape {landmark.shape}"
+                    )
                 true_landmarks[int(j)] = _floats(f"true_landmarks[{j}]", landmark, landmark.shape)
         if not np.isfinite(self.start_time):
             raise LogError(f"start_time is {self.start_time}; it must be a finite number of seconds")
-        values = {"dt": dt, "controls": controls, "steps": steps, "landmarks": landmarks, "sightings": sightings}
+        values: dict[str, Any] = {
+            "dt": dt,
+            "controls": controls,
+            "steps": steps,
+            "landmarks": landmarks,
+            "sightings": sightings,
+        }
         values |= {"initial_poses": initial, "true_poses": truth, "true_landmarks": true_landmarks}
         values |= {"start_time": float(self.start_time)}
         for key, value in values.items():

@@ -14,13 +14,11 @@ from .se2 import Array, wrap
 
 
 class LandmarkMap(dict[int, Array]):
-    """{id: (x, y) or (x, y, heading)}, with ``covariances`` {id: (2, 2) or (3, 3)} for the trajectory taken as exact."""
+    """{id: (x, y) or (x, y, heading)}, with ``covariances`` {id: (2, 2) or (3, 3)} given the trajectory."""
 
     def __init__(self, means: Mapping[int, Array], covariances: Mapping[int, Array]) -> None:
         super().__init__(means)
         self.covariances = dict(covariances)
-
-
 
 
 def estimate_map(log: Log, poses: ArrayLike, sensor: SensorModel | None = None) -> LandmarkMap:

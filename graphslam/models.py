@@ -70,7 +70,8 @@ class MotionModel:
         forward, a = control[..., 0] * dt, control[..., 1] * dt / 2
         chord, heading = forward * sinc(a), pose[..., 2] + a
         return np.stack(
-            [pose[..., 0] + chord * np.cos(heading), pose[..., 1] + chord * np.sin(heading), pose[..., 2] + 2 * a], axis=-1
+            [pose[..., 0] + chord * np.cos(heading), pose[..., 1] + chord * np.sin(heading), pose[..., 2] + 2 * a],
+            axis=-1,
         )
 
     def F(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
@@ -113,7 +114,7 @@ class MotionModel:
         return A @ self.M(control, dt) @ np.swapaxes(A, -1, -2) + self.epsilon * np.eye(3)
 
     def dead_reckoning(self, start: ArrayLike, controls: ArrayLike, dt: ArrayLike) -> Array:
-        """The poses x_t = f(x_{t-1}, u_t) from a start pose (3,), without noise; controls (T, 2), dt (T,) -> (T+1, 3)."""
+        """The poses x_t = f(x_{t-1}, u_t) from a start (3,), noise-free; controls (T, 2), dt (T,) -> (T+1, 3)."""
         start, controls = np.asarray(start, dtype=float), np.asarray(controls, dtype=float)
         dt = np.broadcast_to(np.asarray(dt, dtype=float), controls.shape[:1])
         heading = start[2] + np.concatenate([[0.0], np.cumsum(controls[:, 1] * dt)])
@@ -200,7 +201,7 @@ class SensorModel:
         return jacobian
 
     def R(self, pose: ArrayLike, sighting: ArrayLike) -> Array:
-        """The derivative dh^-1/dz = [[c, -l s, 0], [s, l c, 0], [0, 1, -1]], c, s of theta + phi (without psi 2 x 2)."""
+        """dh^-1/dz = [[c, -l s, 0], [s, l c, 0], [0, 1, -1]], c, s of theta + phi (2 x 2 without psi)."""
         pose, sighting = np.asarray(pose, dtype=float), np.asarray(sighting, dtype=float)
         n = sighting.shape[-1]
         length, direction = sighting[..., 0], pose[..., 2] + sighting[..., 1]

@@ -6,10 +6,13 @@ convention as ``gtsam.Pose2.compose``.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+#: float64 arrays; the name says what they are, the docstrings their shapes
+Array = NDArray[Any]
 
 
 def wrap(angle: ArrayLike) -> Array:

@@ -43,6 +43,9 @@ class MotionFaults:
     stuck_duration: float = 3.0
     kidnap_interval: float = inf
 
+    def __post_init__(self) -> None:
+        _not_negative(vars(self))
+
 
 @dataclass(frozen=True)
 class SensorFaults:
@@ -65,6 +68,12 @@ class SensorFaults:
     phantom: float = 0.0
     oversight: float = 0.1
     occlusion: float = 0.0
+
+    def __post_init__(self) -> None:
+        _not_negative(vars(self))
+        for option in ("phantom", "oversight", "occlusion"):
+            if getattr(self, option) > 1:
+                raise OptionError(f"{option} must be a probability between 0 and 1, not {getattr(self, option)!r}")
 
 
 def simulate(
@@ -150,9 +159,13 @@ def simulate(
     )
 
 
-def _check(
-    steps: int, dt: float, speed: float, min_range: float, max_range: float, field_of_view: float
-) -> None:
+def _not_negative(options: dict[str, float]) -> None:
+    for option, value in options.items():
+        if not value >= 0:
+            raise OptionError(f"{option} must not be negative, but is {value!r}")
+
+
+def _check(steps: int, dt: float, speed: float, min_range: float, max_range: float, field_of_view: float) -> None:
     if steps < 1:
         raise OptionError(f"steps must be at least 1, not {steps}")
     for option, value in {"dt": dt, "speed": speed, "max_range": max_range, "field_of_view": field_of_view}.items():

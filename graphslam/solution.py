@@ -28,7 +28,7 @@ class Solution:
         costs: (iterations + 1,), J before the first and after each iteration.
         iterations: the number of steps taken.
         step_norms: (iterations,), the Euclidean norm of each whole correction vector.
-        converged: whether the stop rule was met; never True for a run that diverged, got stuck or ran out of iterations.
+        converged: whether the stop rule was met; never True for a run that diverged, got stuck or ran out.
         reason: one sentence on why the iteration ended.
         seconds: time of the optimisation alone [s], from initial values to the stop.
         solver: which solver made it.

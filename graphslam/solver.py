@@ -54,6 +54,13 @@ class _Run:
             self.callback(Iteration(len(self.step_norms), self.state.copy(), cost, self.step_norms[-1]))
         return self.step_norms[-1]
 
+    def diverged(self, cost: float) -> bool:
+        """Whether the cost has left the numbers, which is then the reason to stop."""
+        if np.isfinite(cost):
+            return False
+        self.reason = f"diverged: the cost is {cost} after {len(self.step_norms)} steps"
+        return True
+
     def finish(self, tolerance: float) -> None:
         """The last step was short enough."""
         self.converged, self.reason = True, f"step norm {self.step_norms[-1]:.1e} below the tolerance {tolerance:g}"
@@ -112,8 +119,7 @@ def _gauss_newton(graph: Graph, run: _Run, tolerance: float, max_iterations: int
     run.reason = f"max_iterations = {max_iterations} reached"
     for _ in range(max_iterations):
         system, cost = graph.linearize(run.state)
-        if not np.isfinite(cost):
-            run.reason = f"diverged: the cost is {cost} after {len(run.step_norms)} steps"
+        if run.diverged(cost):
             return
         if run.step(cost, factorize(system).solve(system.xi)) < tolerance:
             run.finish(tolerance)
@@ -128,6 +134,8 @@ def _levenberg_marquardt(graph: Graph, run: _Run, tolerance: float, max_iteratio
         # state-dependent information is re-evaluated once per step and held still while the step is tried
         reference = run.state
         system, cost = graph.linearize(run.state, reference)
+        if run.diverged(cost):
+            return
         while True:
             delta = factorize(system, damping).solve(system.xi)
             tried = graph.cost(run.state + delta, reference)

@@ -111,21 +111,21 @@ def solve(
         for t1, z1, t2, z2 in pairs:
             e, Omega_e, B1, B2 = virtual_motion_edge(x[t1], z1, x[t2], z2, sensor)
             _add(Omega, xi, row[t1], row[t2], e, Omega_e, B1, B2)
-            J += e @ Omega_e @ e
+            J += float(e @ Omega_e @ e)
         if with_motion:
             assert log.controls is not None and log.dt is not None
-            for t, (u, dt) in enumerate(zip(log.controls, log.dt), start=1):
+            for t, (u, dt) in enumerate(zip(log.controls, log.dt.tolist()), start=1):
                 e, Omega_e, B1, B2 = motion_edge(x[t - 1], x[t], u, dt, motion)
                 for _ in range(motion_copies):
                     _add(Omega, xi, row[t - 1], row[t], e, Omega_e, B1, B2)
-                    J += e @ Omega_e @ e
+                    J += float(e @ Omega_e @ e)
         try:
             Delta = np.linalg.solve(Omega, xi)
         except np.linalg.LinAlgError:
             raise GraphError("Omega is singular: the edges do not determine every pose; add motion edges") from None
         for t in steps:
             x[t] += Delta[row[t] : row[t] + 3]
-        costs.append(float(J))
+        costs.append(J)
         step_norms.append(float(np.linalg.norm(Delta)))
         converged = step_norms[-1] < threshold
     landmarks = {j: solve_map([(x[t], z[:d]) for t, z in seen], sensor) for j, seen in sightings.items()}

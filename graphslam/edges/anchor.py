@@ -39,7 +39,9 @@ class AnchorEdges:
         """See `EdgeFamily.linearize`."""
         residuals = state[self.nodes] - self.values
         residuals[:, 2] = wrap(residuals[:, 2])
-        return Linearization(residuals, self.information, (self.nodes,), (np.broadcast_to(np.eye(3), (self.count, 3, 3)),))
+        return Linearization(
+            residuals, self.information, (self.nodes,), (np.broadcast_to(np.eye(3), (self.count, 3, 3)),)
+        )
 
     def cost(self, state: Array, reference: Array) -> float:
         """See `EdgeFamily.cost`."""

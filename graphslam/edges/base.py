@@ -63,17 +63,22 @@ class EdgeFamily(Protocol):
 class BlockSystem(Protocol):
     """The part of `information.BlockSystem` that edges write to; see there."""
 
-    indptr: np.ndarray
-    indices: np.ndarray
-    values: Array
-    xi: Array
-    workspace: np.ndarray
+    @property
+    def indptr(self) -> np.ndarray: ...  # noqa: D102
+    @property
+    def indices(self) -> np.ndarray: ...  # noqa: D102
+    @property
+    def values(self) -> Array: ...  # noqa: D102
+    @property
+    def xi(self) -> Array: ...  # noqa: D102
+    @property
+    def workspace(self) -> np.ndarray: ...  # noqa: D102
 
     def slots(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """The slots of blocks (row, column), row <= column."""
 
     def slots_of(self, edges: BinaryEdges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The slots that edges between two nodes write to: (first, first), (second, second) and the upper of the pair."""
+        """The slots that edges between two nodes write to: (first, first), (second, second), the pair's upper."""
 
 
 class BinaryEdges(Protocol):

@@ -24,7 +24,7 @@ from .base import BlockSystem, Linearization
 
 @dataclass(frozen=True, eq=False)
 class RelativePoseEdges:
-    """Edges from nodes ``first`` (E,) to ``second`` (E,), measured (E, 3), information in the frame of first (E, 3, 3)."""
+    """Edges from nodes ``first`` (E,) to ``second`` (E,): measured (E, 3), information (E, 3, 3) in first's frame."""
 
     first: np.ndarray
     second: np.ndarray

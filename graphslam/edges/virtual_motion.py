@@ -13,10 +13,10 @@ missing.
 * ``world``: C is evaluated at the reference state and held still (the lectures).
 * ``body``: the residual is turned into axes that turn with pose a, in which Omega is given by the sightings alone. The
   natural axes are the landmark's own, because there a sighting comes from direction psi, whatever the poses:
-  C_a = L(l_a, psi_a) Q_a L', L(l, d) = [[cos d, -l sin d, 0], [sin d, l cos d, 0], [0, 1, -1]]. (DESIGN's axes along the
-  first sighting differ from these by psi_a, a constant, so the cost is the same.) Pose a puts the landmark's axes at
-  gamma_a = theta_a + phi_a - psi_a. Written back in world axes Omega turns by gamma_a, e stays y_b - y_a, and t_a gains
-  the derivative of the turning, (-e_y, e_x).
+  C_a = L(l_a, psi_a) Q_a L', L(l, d) = [[cos d, -l sin d, 0], [sin d, l cos d, 0], [0, 1, -1]]. (Axes along the first
+  sighting, as in `factors`, differ from these by psi_a, a constant, so the cost is the same.) Pose a puts the
+  landmark's axes at gamma_a = theta_a + phi_a - psi_a. Written back in world axes Omega turns by gamma_a, e stays
+  y_b - y_a, and t_a gains the derivative of the turning, (-e_y, e_x).
 * ``body`` without psi: the direction between the two sightings is not measured; it is taken from the reference state:
   C is evaluated there, as for ``world``, but then turns with pose a, gamma_a = theta_a - (theta_a at the reference).
   So the edge does not change under turning the whole graph, yet its information needs re-evaluation.
@@ -134,9 +134,7 @@ class VirtualMotionEdges:
             turn[:, :2, :2] = rotation(-self.turned_by(state, reference)[a])
             residuals = np.einsum("eij,ej->ei", turn, residuals)
             by_a, by_b = turn @ by_a, turn @ by_b
-        return Linearization(
-            residuals[:, :d], information, (self.nodes[a], self.nodes[b]), (by_a[:, :d], by_b[:, :d])
-        )
+        return Linearization(residuals[:, :d], information, (self.nodes[a], self.nodes[b]), (by_a[:, :d], by_b[:, :d]))
 
     def cost(self, state: Array, reference: Array) -> float:
         """See `EdgeFamily.cost`."""

@@ -76,7 +76,9 @@ class _Reader:
         if tag not in _COLUMNS:
             raise FormatError(self.path, line, f"unknown line tag {tag!r}; expected delta, u, x or z")
         if len(words) not in _COLUMNS[tag]:
-            raise FormatError(self.path, line, f"expected {_FORM[tag]!r}, found {len(words)} columns in {' '.join(words)!r}")
+            raise FormatError(
+                self.path, line, f"expected {_FORM[tag]!r}, found {len(words)} columns in {' '.join(words)!r}"
+            )
         getattr(self, f"take_{tag}")(line, words[1:])
 
     def take_delta(self, line: int, words: list[str]) -> None:
@@ -95,7 +97,9 @@ class _Reader:
     def take_u(self, line: int, words: list[str]) -> None:
         self.counted(line, "u", words[0], len(self.controls))
         if self.delta is None:
-            raise FormatError(self.path, line, "a control before any delta line; a log with controls begins with 'delta DT'")
+            raise FormatError(
+                self.path, line, "a control before any delta line; a log with controls begins with 'delta DT'"
+            )
         self.controls.append([_number(self.path, line, *pair) for pair in zip(("NU", "OMEGA"), words[1:])])
 
     def take_x(self, line: int, words: list[str]) -> None:

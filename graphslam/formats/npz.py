@@ -7,6 +7,7 @@ Arrays (absent = None): ``format`` ("graphslam-log-1"), ``dt`` (T,), ``controls`
 
 from __future__ import annotations
 
+import io
 import zipfile
 from pathlib import Path
 
@@ -28,7 +29,8 @@ def _recognises(head: bytes) -> bool:
 
 def _read(path: Path) -> Log:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        # from memory: np.load leaves a file open that turns out not to be an archive
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
             content = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
         raise FormatError(path, None, f"not a readable .npz archive ({error}); was it cut short?") from None

@@ -1,0 +1,35 @@
+# make compare: the main job on the bundled sample log. make test: everything that must hold.
+# Both set up .venv by themselves; PYTHON names the interpreter to build it with.
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
+
+.PHONY: compare test lint clean
+
+compare: .venv/.installed
+	$(BIN)/slam-compare run
+
+test: lint
+	$(BIN)/python -m pytest
+
+lint: .venv/.installed-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+.venv/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "Python 3.11 or newer is needed; name it with: make PYTHON=/path/to/python" >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+
+# pip runs again when the requirements change; a stamp is written only when everything is installed
+.venv/.installed: pyproject.toml | .venv/bin/python
+	$(PIP) install --editable .
+	touch $@
+
+.venv/.installed-test: pyproject.toml | .venv/bin/python
+	$(PIP) install --editable '.[test]'
+	touch $@ .venv/.installed
+
+clean:
+	rm -rf .venv build *.egg-info

@@ -1,0 +1,153 @@
+"""Every edge family against finite differences, and its fast summation against its edges one by one."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from graphslam import MotionModel, SensorModel, textbook
+from graphslam.edges import AnchorEdges, RelativePoseEdges, VirtualMotionEdges, motion_edges
+from graphslam.information import BlockSystem
+from graphslam.se2 import wrap
+
+seeds = st.integers(0, 2**32 - 1)
+frames = ["world", "body"]
+motion, sensor = MotionModel(), SensorModel()
+
+
+def random_information(rng, count):
+    factor = rng.normal(size=(count, 3, 3))
+    return factor @ np.swapaxes(factor, 1, 2) + 0.1 * np.eye(3)
+
+
+def virtual(rng, frame, d, num_nodes=6):
+    """Three landmarks, seen from random nodes, also twice from one; angles anywhere, the seam included."""
+    groups = [np.sort(rng.integers(0, num_nodes, size=k)) for k in (2, 3, 4)]
+    starts = np.concatenate([[0], np.cumsum([len(g) for g in groups])])
+    z = np.column_stack([rng.uniform(0.5, 5, starts[-1]), rng.uniform(-np.pi, np.pi, (starts[-1], 2))])
+    z[rng.random(z.shape) < 0.2] = -np.pi
+    z[:, 0] = np.abs(z[:, 0])
+    return VirtualMotionEdges(starts, np.concatenate(groups), z[:, :d], sensor, frame, rng.uniform(0.5, 2, 3))
+
+
+def family(name, rng, frame):
+    if name == "anchor":
+        return AnchorEdges(np.array([0, 2, 2]), rng.normal(size=(3, 3)) * 4, random_information(rng, 3))
+    if name == "relative":
+        first = rng.integers(0, 6, 8)
+        second = (first + rng.integers(1, 6, 8)) % 6
+        return RelativePoseEdges(first, second, rng.normal(size=(8, 3)) * 3, random_information(rng, 8), frame)
+    if name == "motion":
+        controls = np.column_stack([rng.normal(size=5), rng.choice([0.0, 1e-9, 0.3, -1.0], 5)])
+        return motion_edges(np.arange(6), controls, rng.uniform(0.1, 2, 5), motion, frame=frame, weight=3.0)
+    return virtual(rng, frame, 3 if name == "virtual-3d" else 2)
+
+
+def random_state(rng):
+    state = rng.normal(size=(6, 3)) * [3, 3, 4]
+    state[rng.random(6) < 0.3, 2] = np.pi  # at the seam
+    return state
+
+
+@pytest.mark.parametrize("frame", frames)
+@pytest.mark.parametrize("name", ["anchor", "relative", "motion", "virtual-3d", "virtual-2d"])
+@given(seed=seeds)
+def test_jacobians_against_finite_differences(name, frame, seed):
+    rng = np.random.default_rng(seed)
+    edges, state, reference = family(name, rng, frame), random_state(rng), random_state(rng)
+    at = edges.linearize(state, reference)
+    step = 1e-6
+    for end, nodes in enumerate(at.nodes):
+        numeric = np.zeros_like(at.jacobians[end])
+        for k, node in enumerate(nodes):
+            for component in range(3):
+                moved = state.copy()
+                moved[node, component] += step
+                plus = edges.linearize(moved, reference).residuals[k]
+                moved[node, component] -= 2 * step
+                difference = plus - edges.linearize(moved, reference).residuals[k]
+                difference[2:] = wrap(difference[2:])
+                numeric[k, :, component] = difference / (2 * step)
+        np.testing.assert_allclose(at.jacobians[end], numeric, atol=1e-6)
+
+
+@pytest.mark.parametrize("frame", frames)
+@pytest.mark.parametrize("name", ["anchor", "relative", "motion", "virtual-3d", "virtual-2d"])
+@given(seed=seeds)
+def test_the_fast_sums_are_the_sums_over_edges(name, frame, seed):
+    rng = np.random.default_rng(seed)
+    edges, state, reference = family(name, rng, frame), random_state(rng), random_state(rng)
+    system = BlockSystem.from_cliques(6, [edges.cliques()])
+    cost = edges.accumulate(state, reference, system)
+    at = edges.linearize(state, reference)
+    omega, xi = np.zeros((18, 18)), np.zeros((6, 3))
+    for k in range(edges.count):
+        for i, b_i in zip(at.nodes, at.jacobians):
+            xi[i[k]] -= b_i[k].T @ at.information[k] @ at.residuals[k]
+            for j, b_j in zip(at.nodes, at.jacobians):
+                rows, columns = slice(3 * i[k], 3 * i[k] + 3), slice(3 * j[k], 3 * j[k] + 3)
+                omega[rows, columns] += b_i[k].T @ at.information[k] @ b_j[k]
+    scale = np.abs(omega).max() + 1
+    assert cost == pytest.approx(at.mahalanobis.sum(), rel=1e-10)
+    assert edges.cost(state, reference) == pytest.approx(cost, rel=1e-10)
+    np.testing.assert_allclose(system.to_sparse().toarray(), omega, atol=1e-11 * scale)
+    np.testing.assert_allclose(system.xi, xi, atol=1e-10 * (np.abs(xi).max() + 1))
+
+
+@given(seed=seeds)
+def test_world_frame_edges_are_the_textbooks(seed):
+    rng = np.random.default_rng(seed)
+    state = random_state(rng)
+    for d in (3, 2):
+        edges = virtual(rng, "world", d)
+        at = edges.linearize(state, state)
+        a, b, group = edges.pairs()
+        for k in range(edges.count):
+            x1, x2 = state[edges.nodes[a[k]]], state[edges.nodes[b[k]]]
+            e, omega, b1, b2 = textbook.virtual_motion_edge(
+                x1, edges.sightings[a[k]], x2, edges.sightings[b[k]], sensor
+            )
+            difference = at.residuals[k] - e
+            difference[2:] = wrap(difference[2:])
+            np.testing.assert_allclose(difference, 0, atol=1e-12)
+            np.testing.assert_allclose(at.information[k], edges.group_weights[group[k]] * omega, rtol=1e-8, atol=1e-8)
+            np.testing.assert_allclose(at.jacobians[0][k], b1, atol=1e-12)
+            np.testing.assert_allclose(at.jacobians[1][k], b2, atol=1e-12)
+    u, dt = np.array([0.7, 0.4]), 1.5
+    edges = motion_edges(np.arange(2), u[None], np.array([dt]), motion, frame="world")
+    at = edges.linearize(state[:2], state[:2])
+    e, omega, b1, b2 = textbook.motion_edge(state[0], state[1], u, dt, motion)
+    np.testing.assert_allclose(wrap(at.residuals[0] - e), 0, atol=1e-11)
+    np.testing.assert_allclose(at.information[0], omega, rtol=1e-7, atol=1e-6)
+    np.testing.assert_allclose(at.jacobians[0][0], b1, atol=1e-11)
+    np.testing.assert_allclose(at.jacobians[1][0], b2, atol=1e-12)
+
+
+@given(seed=seeds)
+def test_body_frame_is_the_designs_formula(seed):
+    # DESIGN: residual turned into the first sighting's axes, Omega^-1 = L(l1, 0) Q1 L' + L(l2, psi2 - psi1) Q2 L'
+    rng = np.random.default_rng(seed)
+    edges, state = virtual(rng, "body", 3), random_state(rng)
+    at = edges.linearize(state, random_state(rng))
+    a, b, group = edges.pairs()
+
+    def lever(length, angle):
+        c, s = np.cos(angle), np.sin(angle)
+        return np.array([[c, -length * s, 0], [s, length * c, 0], [0, 1, -1]])
+
+    for k in range(edges.count):
+        z1, z2, x1 = edges.sightings[a[k]], edges.sightings[b[k]], state[edges.nodes[a[k]]]
+        e = sensor.h_inverse(state[edges.nodes[b[k]]], z2) - sensor.h_inverse(x1, z1)
+        c, s = np.cos(x1[2] + z1[1]), np.sin(x1[2] + z1[1])
+        e = np.array([c * e[0] + s * e[1], -s * e[0] + c * e[1], wrap(e[2])])
+        l1, l2 = lever(z1[0], 0.0), lever(z2[0], z2[2] - z1[2])
+        omega = np.linalg.inv(l1 @ sensor.Q(z1) @ l1.T + l2 @ sensor.Q(z2) @ l2.T) * edges.group_weights[group[k]]
+        assert at.mahalanobis[k] == pytest.approx(e @ omega @ e, rel=1e-8, abs=1e-8)
+
+
+def test_count_leaves_out_pairs_within_one_node():
+    starts, nodes = np.array([0, 4, 6]), np.array([0, 0, 1, 2, 3, 3])
+    z = np.tile([1.0, 0.0, 0.0], (6, 1))
+    edges = VirtualMotionEdges(starts, nodes, z, sensor, "body", np.ones(2))
+    assert edges.count == 5
+    assert len(edges.pairs()[0]) == 5

@@ -1,0 +1,156 @@
+"""The factor types in a GTSAM graph of somebody else, away from the solution."""
+
+import gc
+import weakref
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.utils.numerical_derivative import numericalDerivative11, numericalDerivative21, numericalDerivative22
+from hypothesis import given
+from hypothesis import strategies as st
+
+from graphslam import MotionModel, OptionError, SensorModel, textbook
+from graphslam.factors import AnchorFactor, MotionFactor, RelativePoseFactor, VirtualMotionFactor
+from graphslam.se2 import wrap
+
+sensor, motion = SensorModel(), MotionModel()
+x1, x2 = gtsam.symbol("x", 1), gtsam.symbol("x", 2)
+# angles everywhere, the seam included
+angle = st.one_of(st.floats(-np.pi, np.pi), st.sampled_from([-np.pi, np.pi, 0.0]))
+position = st.floats(-10, 10)
+pose = st.tuples(position, position, angle).map(np.array)
+sighting = st.tuples(st.floats(0.3, 8), angle, angle).map(np.array)
+
+
+def values_of(a, b):
+    values = gtsam.Values()
+    values.insert(x1, gtsam.Pose2(*a))
+    values.insert(x2, gtsam.Pose2(*b))
+    return values
+
+
+def away_from_seam(e):
+    return len(e) < 3 or abs(abs(wrap(e[2])) - np.pi) > 1e-3
+
+
+def check(factor, a, b):
+    """The factor's whitened Jacobian against GTSAM's numerical derivatives of its unwhitened error, whitened."""
+    values = values_of(a, b)
+    e = factor.unwhitenedError(values)
+    if not away_from_seam(e):
+        return
+    linear = factor.linearize(values)
+    jacobian, rhs = linear.jacobian()
+    whiten = factor.noiseModel().R()
+
+    def error(p, q):
+        v = gtsam.Values()
+        v.insert(x1, p)
+        v.insert(x2, q)
+        return factor.unwhitenedError(v)
+
+    p, q = gtsam.Pose2(*a), gtsam.Pose2(*b)
+    numeric = np.hstack([numericalDerivative21(error, p, q, 1e-6), numericalDerivative22(error, p, q, 1e-6)])
+    scale = np.abs(whiten).max()
+    np.testing.assert_allclose(jacobian, whiten @ numeric, atol=1e-6 * scale)
+    np.testing.assert_allclose(rhs, -whiten @ e, atol=1e-9 * scale * (1 + np.abs(e).max()))
+
+
+@given(pose, pose, sighting, sighting, st.sampled_from(["world", "body"]), st.sampled_from([2, 3]), pose, pose)
+def test_virtual_motion_jacobians(a, b, z1, z2, frame, d, at1, at2):
+    check(VirtualMotionFactor(x1, x2, z1[:d], z2[:d], sensor, frame, at=(at1, at2)), a, b)
+
+
+@given(pose, pose, st.floats(-1, 1), st.floats(-1, 1), st.floats(0.1, 3), st.sampled_from(["world", "body"]), pose)
+def test_motion_jacobians(a, b, nu, omega, dt, frame, at):
+    check(MotionFactor(x1, x2, [nu, omega], dt, motion, frame, at=at), a, b)
+
+
+@given(pose, pose)
+def test_anchor_jacobian(a, held):
+    omega = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, 0.2], [0.5, 0.2, 2.0]])
+    factor = AnchorFactor(x1, held, omega)
+    values = gtsam.Values()
+    values.insert(x1, gtsam.Pose2(*a))
+    e = factor.unwhitenedError(values)
+    if not away_from_seam(e):
+        return
+
+    def error(p):
+        v = gtsam.Values()
+        v.insert(x1, p)
+        return factor.unwhitenedError(v)
+
+    jacobian, _ = factor.linearize(values).jacobian()
+    numeric = factor.noiseModel().R() @ numericalDerivative11(error, gtsam.Pose2(*a), 1e-6)
+    np.testing.assert_allclose(jacobian, numeric, atol=1e-6)
+    assert 2 * factor.error(values) == pytest.approx(e @ omega @ e, rel=1e-9)
+
+
+@given(pose, pose, sighting, sighting, st.sampled_from([2, 3]))
+def test_error_is_half_of_the_textbooks_cost(a, b, z1, z2, d):
+    e, omega, _, _ = textbook.virtual_motion_edge(a, z1[:d], b, z2[:d], sensor)
+    for frame in ("world", "body"):
+        factor = VirtualMotionFactor(x1, x2, z1[:d], z2[:d], sensor, frame, at=(a, b))
+        if frame == "body" and d == 3:
+            continue  # its information is its own; test_edges holds it against DESIGN's formula
+        assert 2 * factor.error(values_of(a, b)) == pytest.approx(e @ omega @ e, rel=1e-7, abs=1e-9)
+
+
+@given(pose, pose, st.floats(-1, 1), st.floats(0.01, 1), st.floats(0.1, 3))
+def test_motion_error_is_half_of_the_textbooks_cost(a, b, nu, omega, dt):
+    e, information, _, _ = textbook.motion_edge(a, b, np.array([nu, omega]), dt, motion)
+    for frame in ("world", "body"):
+        factor = MotionFactor(x1, x2, [nu, omega], dt, motion, frame, at=a)
+        assert 2 * factor.error(values_of(a, b)) == pytest.approx(e @ information @ e, rel=1e-6)
+
+
+def test_a_graph_of_somebody_else():
+    """Our factors between GTSAM's own, as in the README."""
+    landmark, truth = np.array([2.0, 1.0, 0.3]), [gtsam.Pose2(0, 0, 0), gtsam.Pose2(1, 0.2, 0.4)]
+    z = [sensor.h([p.x(), p.y(), p.theta()], landmark) for p in truth]
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(gtsam.PriorFactorPose2(x1, truth[0], gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)))
+    graph.add(VirtualMotionFactor(x1, x2, z[0], z[1], sensor))
+    initial = values_of([0.1, -0.1, 0.05], [0.8, 0.4, 0.2])
+    result = gtsam.LevenbergMarquardtOptimizer(graph, initial).optimize()
+    assert result.atPose2(x2).equals(truth[1], 1e-6)
+
+
+def test_factors_are_collected():
+    class Canary(SensorModel):
+        pass
+
+    canary = Canary()
+    gone = weakref.ref(canary)
+    factor = VirtualMotionFactor(x1, x2, [1.0, 0.1, 0.2], [1.5, 0.2, 0.1], canary)
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(factor)
+    graph.error(values_of(np.zeros(3), np.ones(3)))
+    del factor, graph, canary
+    gc.collect()
+    assert gone() is None
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: VirtualMotionFactor(x1, x2, [1, 0], [1, 0, 0]), "must both have psi"),
+        (lambda: VirtualMotionFactor(x1, x2, [1, np.nan, 0], [1, 0, 0]), "z_1 must be 2 or 3 finite numbers"),
+        (lambda: VirtualMotionFactor(x1, x2, [1, 0], [1, 0]), "give them as 'at'"),
+        (lambda: VirtualMotionFactor(x1, x2, [1, 0, 0], [1, 0, 0], frame="world"), "give them as 'at'"),
+        (lambda: VirtualMotionFactor(x1, x2, [1, 0, 0], [1, 0, 0], frame="robot"), "frame must be one of"),
+        (lambda: VirtualMotionFactor(x1, x2, [0, 0, 0], [1, 0, 0]), "range of z_1 must be above zero"),
+        (lambda: VirtualMotionFactor(x1, x2, [1, 0, 0], [1, 0, 0], weight=0), "weight must be a positive"),
+        (lambda: MotionFactor(x1, x2, [1, 0, 0], 1.0), "control must be 2 finite numbers"),
+        (lambda: MotionFactor(x1, x2, [1, 0], 0.0), "dt must be a positive number"),
+        (lambda: MotionFactor(x1, x2, [1, 0], 1.0, frame="world"), "give it as 'at'"),
+        (lambda: AnchorFactor(x1, [0, 0]), "pose must be 3 finite numbers"),
+        (lambda: AnchorFactor(x1, [0, 0, 0], np.diag([1.0, 1.0, -1.0])), "positive definite"),
+        (lambda: RelativePoseFactor(x1, x2, [0, 0, 0], np.ones((3, 3))), "positive definite"),
+    ],
+)
+def test_impossible_factors(make, message):
+    with pytest.raises(OptionError, match=message):
+        make()

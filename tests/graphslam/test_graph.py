@@ -1,0 +1,106 @@
+import numpy as np
+import pytest
+
+from graphslam import Graph, GraphError, Log, OptionError, load, simulate
+
+
+def log_of(sightings, poses=4, psi=True, controls=True):
+    """A log from (step, landmark) pairs, everything else unremarkable."""
+    rng = np.random.default_rng(0)
+    return Log(
+        dt=1.0 if controls else None,
+        controls=np.tile([0.5, 0.1], (poses - 1, 1)) if controls else None,
+        initial_poses=None if controls else np.zeros((poses, 3)),
+        steps=[s for s, _ in sightings],
+        landmarks=[j for _, j in sightings],
+        sightings=rng.uniform(0.5, 2.0, (len(sightings), 3 if psi else 2)),
+        name="test",
+    )
+
+
+def test_the_books_numbers_of_edges(book_log, shared_data):
+    graph = Graph.from_log(book_log, edges="virtual+motion")
+    assert [family.count for family in graph.families] == [1, 807, 61]
+    assert graph.num_edges == 868
+    assert Graph.from_log(load(shared_data("lnpr/log_for_book.txt")), edges="virtual").num_edges == 700
+
+
+def test_poses_without_sightings_leave_the_graph_but_keep_their_numbers():
+    graph = Graph.from_log(log_of([(0, 1), (1, 1), (3, 1)]), edges="virtual")
+    assert graph.steps.tolist() == [0, 1, 3]
+    assert graph.notes == ("pose 2 shared no sighting with any other and stayed out of the graph",)
+    assert Graph.from_log(log_of([(0, 1), (1, 1), (3, 1)])).steps.tolist() == [0, 1, 2, 3]
+
+
+def test_a_landmark_seen_once_is_named():
+    graph = Graph.from_log(log_of([(0, 1), (1, 1), (1, 5), (2, 9), (2, 9)]))
+    assert graph.notes == ("no edge comes from landmarks 5 and 9, seen in one step only",)
+    assert graph.families[1].count == 1
+
+
+def test_no_pair_within_one_step():
+    assert Graph.from_log(log_of([(0, 1), (0, 1), (1, 1)])).families[1].count == 2
+
+
+@pytest.mark.parametrize(
+    ("log", "options", "message"),
+    [
+        (log_of([]), {}, "no sightings at all"),
+        (log_of([]), {"edges": "virtual"}, "no sightings at all"),
+        (log_of([(0, 1), (1, 2)]), {"edges": "virtual"}, "no landmark that was seen twice"),
+        (log_of([(0, 1), (1, 1)], controls=False), {}, "no controls for motion edges; use edges='virtual'"),
+        (
+            log_of([(0, 1), (1, 1), (2, 2), (3, 2)]),
+            {"edges": "virtual"},
+            "several pieces: nothing ties poses 2 and 3 to pose 0; use edges='virtual\\+motion'",
+        ),
+        (
+            log_of([(0, 1), (1, 1), (1, 2), (2, 2)], psi=False),
+            {"edges": "virtual"},
+            "without psi one landmark does not fix a pose: poses 0 and 2 share only one",
+        ),
+        (log_of([(0, 1), (1, 1)], psi=False), {"dimensions": 3}, "sightings without psi, but 3-D sensor values"),
+    ],
+)
+def test_what_cannot_be_solved_is_refused_with_the_way_out(log, options, message):
+    with pytest.raises(GraphError, match=message):
+        Graph.from_log(log, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"edges": "motion"}, "edges must be one of virtual, virtual\\+motion"),
+        ({"frame": "robot"}, "frame must be one of"),
+        ({"weight": "all"}, "weight must be one of"),
+        ({"motion_weight": 0.0}, "motion_weight must be a positive number"),
+        ({"motion_weight": float("nan")}, "motion_weight must be a positive number"),
+        ({"dimensions": 4}, "dimensions must be 2 or 3"),
+    ],
+)
+def test_impossible_options(book_log, options, message):
+    with pytest.raises(OptionError, match=message):
+        Graph.from_log(book_log, **options)
+
+
+def test_tempered_pairs_weigh_two_over_k():
+    log = log_of([(0, 1), (0, 2), (1, 1), (2, 1), (3, 1), (3, 2)])
+    pairs, tempered = (Graph.from_log(log, weight=weight) for weight in ("pairs", "tempered"))
+    np.testing.assert_allclose(tempered.families[1].group_weights, [0.5, 1.0])
+    state = np.random.default_rng(1).normal(size=(4, 3))
+    group = pairs.families[1].pairs()[2]
+    expected = pairs.families[1].linearize(state, state).mahalanobis @ np.array([0.5, 1.0])[group]
+    assert tempered.families[1].cost(state, state) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("psi", [True, False])
+def test_body_frame_costs_do_not_change_with_the_world(psi):
+    log = simulate(seed=2, orientation=psi)
+    graph = Graph.from_log(log)
+    rng = np.random.default_rng(3)
+    state = graph.initial + rng.normal(size=graph.initial.shape) * 0.3
+    turn = 2.0
+    c, s = np.cos(turn), np.sin(turn)
+    moved = state @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + [5.0, -3.0, turn]
+    for family in graph.families[1:]:
+        assert family.cost(moved, moved) == pytest.approx(family.cost(state, state), rel=1e-10)

@@ -1,0 +1,157 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from graphslam import MotionModel, OptionError, SensorModel
+from graphslam.models import sinc_derivative
+from graphslam.se2 import wrap
+
+motion, sensor = MotionModel(), SensorModel()
+angle = st.floats(-np.pi, np.pi)
+position = st.floats(-20, 20)
+pose = st.tuples(position, position, angle).map(np.array)
+speed = st.floats(-2, 2)
+# straight lines and everything near them, where the textbook's formula divides by nothing
+turn_rate = st.one_of(st.just(0.0), st.floats(-1e-4, 1e-4), st.floats(-2, 2))
+control = st.tuples(speed, turn_rate).map(np.array)
+dt = st.floats(0.01, 3)
+sighting = st.tuples(st.floats(0.1, 20), angle, angle).map(np.array)
+
+
+def numeric(function, x, step=1e-6):
+    columns = []
+    for k in range(len(x)):
+        d = np.zeros(len(x))
+        d[k] = step
+        difference = function(x + d) - function(x - d)
+        columns.append(difference / (2 * step))
+    return np.stack(columns, axis=-1)
+
+
+@given(pose, control, dt)
+def test_motion_is_the_textbook_arc(x, u, dt):
+    nu, omega = u
+    if abs(omega) < 1e-3:
+        return  # the textbook's own formula cancels there; see the next test
+    r = nu / omega
+    expected = x + [
+        r * (np.sin(x[2] + omega * dt) - np.sin(x[2])),
+        r * (np.cos(x[2]) - np.cos(x[2] + omega * dt)),
+        omega * dt,
+    ]
+    np.testing.assert_allclose(motion.f(x, u, dt), expected, atol=1e-11)
+
+
+@given(st.floats(-1e-5, 1e-5), speed, angle)
+def test_motion_near_a_straight_line_has_no_cancellation(omega, nu, theta):
+    # Taylor's series of the arc in omega, to the second order: the rest is below 1e-15
+    c, s = np.cos(theta), np.sin(theta)
+    along, across = nu * (1 - omega**2 / 6), nu * omega / 2
+    expected = [along * c - across * s, along * s + across * c, theta + omega]
+    np.testing.assert_allclose(motion.f([0, 0, theta], [nu, omega], 1.0), expected, rtol=0, atol=2e-15)
+
+
+@given(pose, control, dt)
+def test_motion_jacobians(x, u, dt):
+    np.testing.assert_allclose(motion.F(x, u, dt), numeric(lambda x: motion.f(x, u, dt), x), atol=1e-7)
+    np.testing.assert_allclose(motion.A(x, u, dt), numeric(lambda u: motion.f(x, u, dt), u), atol=1e-7)
+
+
+@given(st.floats(-3, 3))
+def test_sinc_derivative_against_its_integral_definition(a):
+    # sinc'(a) = -integral over s in [0, 1] of s sin(a s), by Gauss's rule: no division by a anywhere
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    s = (nodes + 1) / 2
+    assert sinc_derivative(a) == pytest.approx(-np.sum(weights / 2 * s * np.sin(a * s)), abs=1e-15, rel=2e-14)
+
+
+def test_control_noise_by_hand():
+    model = MotionModel(nn=0.1, no=0.2, on=0.3, oo=0.4)
+    np.testing.assert_allclose(model.M([-2.0, 0.5], 0.5), np.diag([0.01 * 4 + 0.04 * 1, 0.09 * 4 + 0.16 * 1]))
+    covariance = model.covariance(np.zeros(3), [1.0, 0.0], 1.0)
+    # driving straight for 1 m: x by nu, heading by omega, y by half the heading error
+    np.testing.assert_allclose(covariance, [[0.0101, 0, 0], [0, 0.0226, 0.045], [0, 0.045, 0.0901]], atol=1e-15)
+
+
+def test_dead_reckoning_is_f_step_by_step():
+    rng = np.random.default_rng(1)
+    controls, dt = rng.normal(size=(30, 2)), rng.uniform(0.1, 1, 30)
+    expected = [np.array([1.0, 2.0, 3.0])]
+    for u, step in zip(controls, dt):
+        expected.append(motion.f(expected[-1], u, step))
+    np.testing.assert_allclose(motion.dead_reckoning(expected[0], controls, dt), expected, atol=1e-12)
+
+
+@given(pose, sighting)
+def test_observation_and_its_inverse(x, z):
+    for n in (2, 3):
+        landmark = sensor.h_inverse(x, z[:n])
+        again = sensor.h(x, landmark)
+        assert again[0] == pytest.approx(z[0], rel=1e-9)
+        np.testing.assert_allclose(wrap(again[1:] - z[1:n]), 0, atol=1e-9)
+
+
+@given(pose, sighting)
+def test_sensor_jacobians(x, z):
+    for n in (2, 3):
+        landmark = sensor.h_inverse(x, z[:n])
+
+        def unwrapped(value, z=z, n=n):
+            # differences across the seam of the angles would not be derivatives
+            return np.concatenate([value[..., :1], z[1:n] + wrap(value[..., 1:] - z[1:n])], axis=-1)
+
+        scale = 1 + 1 / z[0] ** 2
+        by_landmark = numeric(lambda m: unwrapped(sensor.h(x, m)), landmark)
+        by_pose = numeric(lambda x, m=landmark: unwrapped(sensor.h(x, m)), x)
+        np.testing.assert_allclose(sensor.H(x, landmark), by_landmark, atol=1e-6 * scale)
+        np.testing.assert_allclose(sensor.H_pose(x, landmark), by_pose, atol=1e-6 * scale)
+
+        def place(z, m=landmark, n=n):
+            value = sensor.h_inverse(x, z)
+            if n == 3:
+                value[2] = m[2] + wrap(value[2] - m[2])
+            return value
+
+        np.testing.assert_allclose(sensor.R(x, z[:n]), numeric(place, z[:n]), atol=1e-6)
+
+
+def test_sensor_noise_by_hand():
+    model = SensorModel(range_rate=0.1, bearing_std=0.2, orientation_std=0.3)
+    np.testing.assert_allclose(model.Q([2.0, 0.0, 0.0]), np.diag([0.04, 0.04, 0.09]))
+    np.testing.assert_allclose(model.Q([2.0, 0.0]), np.diag([0.04, 0.04]))
+    # straight ahead along x: range noise in x, bearing noise times the range in y, both angles in the heading
+    expected = [[0.04, 0, 0], [0, 0.16, 0.08], [0, 0.08, 0.13]]
+    np.testing.assert_allclose(model.landmark_covariance(np.zeros(3), [2.0, 0.0, 0.0]), expected, atol=1e-15)
+
+
+def test_models_are_vectorised():
+    rng = np.random.default_rng(2)
+    x, u, z = rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 2)), rng.uniform(0.5, 2, size=(4, 5, 3))
+    for result, single in (
+        (motion.f(x, u, 0.5), lambda i: motion.f(x[i], u[i], 0.5)),
+        (motion.F(x, u, 0.5), lambda i: motion.F(x[i], u[i], 0.5)),
+        (motion.A(x, u, 0.5), lambda i: motion.A(x[i], u[i], 0.5)),
+        (motion.covariance(x, u, 0.5), lambda i: motion.covariance(x[i], u[i], 0.5)),
+        (sensor.h_inverse(x, z), lambda i: sensor.h_inverse(x[i], z[i])),
+        (sensor.h(x, z), lambda i: sensor.h(x[i], z[i])),
+        (sensor.H(x, z), lambda i: sensor.H(x[i], z[i])),
+        (sensor.landmark_covariance(x, z), lambda i: sensor.landmark_covariance(x[i], z[i])),
+    ):
+        np.testing.assert_allclose(result[2, 3], single((2, 3)), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: MotionModel(nn=-0.1),
+        lambda: MotionModel(epsilon=0.0),
+        lambda: MotionModel(oo=float("nan")),
+        lambda: SensorModel(range_rate=0.0),
+        lambda: SensorModel(bearing_std=-1.0),
+        lambda: SensorModel(orientation_std=float("inf")),
+    ],
+)
+def test_impossible_noise_is_refused_with_its_name(make):
+    with pytest.raises(OptionError, match="must be a positive number"):
+        make()

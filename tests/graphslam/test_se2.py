@@ -1,0 +1,54 @@
+import gtsam
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from graphslam import se2
+
+finite = st.floats(-1e3, 1e3)
+poses = st.tuples(finite, finite, st.floats(-30, 30)).map(np.array)
+
+
+@given(st.floats(-1e9, 1e9))
+def test_wrap_is_the_same_angle_in_the_half_open_interval(angle):
+    wrapped = float(se2.wrap(angle))
+    assert -np.pi <= wrapped < np.pi
+    assert np.cos(wrapped) == pytest.approx(np.cos(angle), abs=1e-6)
+    assert np.sin(wrapped) == pytest.approx(np.sin(angle), abs=1e-6)
+
+
+@given(st.floats(-np.pi, np.pi, exclude_max=True))
+def test_wrap_leaves_wrapped_angles_bit_for_bit(angle):
+    assert se2.wrap(angle) == angle
+
+
+@pytest.mark.parametrize("angle", [np.pi, -np.pi, np.nextafter(-np.pi, -4), -np.pi - 1e-17, 3 * np.pi, -3 * np.pi])
+def test_wrap_at_the_seam(angle):
+    assert -np.pi <= se2.wrap(angle) < np.pi
+
+
+@given(poses, poses)
+def test_compose_and_between_agree_with_gtsam(a, b):
+    # an independent implementation of the same group
+    ours, theirs = se2.compose(a, b), gtsam.Pose2(*a).compose(gtsam.Pose2(*b))
+    np.testing.assert_allclose(ours[:2], [theirs.x(), theirs.y()], atol=1e-9)
+    assert abs(se2.wrap(ours[2] - theirs.theta())) < 1e-9
+    ours, theirs = se2.between(a, b), gtsam.Pose2(*a).between(gtsam.Pose2(*b))
+    np.testing.assert_allclose(ours[:2], [theirs.x(), theirs.y()], atol=1e-9)
+    assert abs(se2.wrap(ours[2] - theirs.theta())) < 1e-9
+
+
+@given(poses, poses)
+def test_group_laws(a, b):
+    np.testing.assert_allclose(se2.compose(a, se2.inverse(a)), 0, atol=1e-9)
+    back = se2.compose(a, se2.between(a, b))
+    np.testing.assert_allclose(back[:2], b[:2], atol=1e-9)
+    assert abs(se2.wrap(back[2] - b[2])) < 1e-9
+
+
+def test_shapes_are_broadcast():
+    many = np.random.default_rng(0).normal(size=(4, 5, 3))
+    assert se2.compose(many, many).shape == (4, 5, 3)
+    assert se2.transform(many, many[..., :2]).shape == (4, 5, 2)
+    np.testing.assert_array_equal(se2.between(many, many), 0)

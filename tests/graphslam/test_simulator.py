@@ -1,0 +1,171 @@
+import numpy as np
+import pytest
+from scipy import stats
+
+from graphslam import (
+    WORLDS,
+    MotionFaults,
+    MotionModel,
+    OptionError,
+    SensorFaults,
+    SensorModel,
+    load,
+    sample_log_path,
+    simulate,
+)
+from graphslam.se2 import wrap
+
+QUIET = SensorFaults(0, 0, 0, 0, 0, 0, oversight=0.0)
+SMOOTH = MotionFaults(kicks_per_metre=0, velocity_bias_std=0)
+
+
+def test_the_sample_log_is_what_its_command_makes():
+    assert load(sample_log_path()).equals(simulate(**WORLDS["garden"], seed=1))
+
+
+def test_the_same_seed_makes_the_same_log():
+    assert simulate(seed=3).equals(simulate(seed=3))
+    assert not simulate(seed=3).equals(simulate(seed=4))
+
+
+def test_without_faults_the_robot_is_where_dead_reckoning_says():
+    log = simulate(motion_faults=SMOOTH, sensor_faults=QUIET)
+    np.testing.assert_allclose(log.true_poses[:, :2], log.initial_poses[:, :2], atol=1e-9)
+    world = np.array([log.true_landmarks[j] for j in log.landmarks.tolist()])
+    exact = SensorModel().h(log.true_poses[log.steps], world)
+    np.testing.assert_allclose(wrap(log.sightings - exact), 0, atol=1e-9)
+
+
+def test_the_camera_has_limits_and_sees_everything_within():
+    limits = {"min_range": 1.0, "max_range": 4.0, "field_of_view": 1.0}
+    log = simulate(motion_faults=SMOOTH, sensor_faults=QUIET, **limits)
+    assert log.sightings[:, 0].min() >= 1.0
+    assert log.sightings[:, 0].max() <= 4.0
+    assert np.abs(log.sightings[:, 1]).max() <= 0.5
+    expected = set()
+    for t, pose in enumerate(log.true_poses):
+        for j, landmark in log.true_landmarks.items():
+            z = SensorModel().h(pose, landmark)
+            if 1.0 <= z[0] <= 4.0 and abs(z[1]) <= 0.5:
+                expected.add((t, j))
+    assert set(zip(log.steps.tolist(), log.landmarks.tolist())) == expected
+
+
+def test_clean_noise_is_the_models_own():
+    """Whitened motion and sensor residuals against the truth are standard normal (seeds fixed, 1 in 1,000 limits)."""
+    motion, sensor = MotionModel(), SensorModel(range_rate=0.05)
+    log = simulate(steps=3000, clean=True, motion=motion, sensor=sensor, seed=5, max_range=30.0, arena=50.0)
+    moved = log.true_poses[1:] - motion.f(log.true_poses[:-1], log.controls, log.dt)
+    moved[:, 2] = wrap(moved[:, 2])
+    covariance = motion.covariance(log.true_poses[:-1], log.controls, log.dt)
+    white = np.linalg.solve(np.linalg.cholesky(covariance), moved[:, :, None]).ravel()
+    assert stats.kstest(white, "norm").pvalue > 1e-3
+    world = np.array([log.true_landmarks[j] for j in log.landmarks.tolist()])
+    exact = sensor.h(log.true_poses[log.steps], world)
+    seen = log.sightings - exact
+    seen[:, 1:] = wrap(seen[:, 1:])
+    white = seen / np.sqrt(np.diagonal(sensor.Q(exact), axis1=1, axis2=2))
+    assert len(white) > 500
+    for column in white.T:
+        assert stats.kstest(column, "norm").pvalue > 1e-3
+
+
+def test_velocity_bias_scales_the_whole_run():
+    log = simulate(motion_faults=MotionFaults(kicks_per_metre=0, velocity_bias_std=0.2), seed=2)
+    lengths = np.linalg.norm(np.diff(log.true_poses[:, :2], axis=0), axis=1)
+    assert np.ptp(lengths) < 1e-9
+    assert abs(lengths[0] / np.linalg.norm(np.diff(log.initial_poses[:2, :2], axis=0)) - 1) > 0.01
+
+
+def test_pebbles_turn_the_robot_at_the_given_rate():
+    log = simulate(motion_faults=MotionFaults(kicks_per_metre=5, kick_std=0.1, velocity_bias_std=0), steps=3000, seed=1)
+    # variance of the heading per metre is rate times kick variance: 0.05 rad² per metre, 1,800 m driven
+    turned = np.diff(np.unwrap(log.true_poses[:, 2])) - log.controls[:, 1] * log.dt
+    assert np.sum(turned**2) / (3000 * 0.6) == pytest.approx(5 * 0.1**2, rel=0.1)
+
+
+def test_stuck_wheels_stop_the_robot_for_a_while():
+    faults = MotionFaults(kicks_per_metre=0, velocity_bias_std=0, stuck_interval=30.0, stuck_duration=30.0)
+    log = simulate(motion_faults=faults, steps=2000, seed=0)
+    still = np.linalg.norm(np.diff(log.true_poses[:, :2], axis=0), axis=1) < 1e-12
+    assert 0.3 < still.mean() < 0.6
+    assert np.all(log.controls[:, 0] > 0)
+
+
+def test_kidnapping_sets_the_robot_down_elsewhere():
+    faults = MotionFaults(kicks_per_metre=0, velocity_bias_std=0, kidnap_interval=60.0)
+    log = simulate(motion_faults=faults, steps=400, seed=0)
+    jumps = np.linalg.norm(np.diff(log.true_poses[:, :2], axis=0), axis=1) > 0.61
+    # 1,200 s at one in 60 s; a Poisson count, now and then a short jump
+    assert 8 <= jumps.sum() <= 30
+
+
+def test_sensor_bias_is_one_for_the_run():
+    faults = SensorFaults(0, 0, 0, range_bias_rate_std=0.2, bearing_bias_std=0.1, orientation_bias_std=0.1, oversight=0)
+    log = simulate(motion_faults=SMOOTH, sensor_faults=faults, seed=3)
+    world = np.array([log.true_landmarks[j] for j in log.landmarks.tolist()])
+    exact = SensorModel().h(log.true_poses[log.steps], world)
+    assert np.ptp(log.sightings[:, 0] / exact[:, 0]) < 1e-12
+    assert np.ptp(wrap(log.sightings[:, 1] - exact[:, 1])) < 1e-12
+    assert abs(log.sightings[0, 0] / exact[0, 0] - 1) > 1e-3
+
+
+@pytest.mark.parametrize(("fault", "share"), [("oversight", 0.3), ("phantom", 0.3), ("occlusion", 0.3)])
+def test_faulty_sightings_come_at_their_rate(fault, share):
+    clear = simulate(motion_faults=SMOOTH, sensor_faults=QUIET, steps=1500)
+    faults = SensorFaults(0, 0, 0, 0, 0, 0, **({"oversight": 0.0} | {fault: share}))
+    log = simulate(motion_faults=SMOOTH, sensor_faults=faults, steps=1500)
+    if fault == "oversight":
+        assert len(log.steps) / len(clear.steps) == pytest.approx(1 - share, abs=0.05)
+        return
+    assert len(log.steps) == len(clear.steps)
+    wrong = np.abs(log.sightings[:, 0] - clear.sightings[:, 0]) > 1e-9
+    assert wrong.mean() == pytest.approx(share, abs=0.05)
+    if fault == "occlusion":
+        assert np.all(log.sightings[wrong, 0] > clear.sightings[wrong, 0])
+        assert log.sightings[:, 0].max() <= 6.0
+
+
+def test_way_points_are_visited_in_turn():
+    route = [(5.0, 0.0), (5.0, 5.0), (0.0, 5.0), (0.0, 0.0)]
+    log = simulate(
+        steps=200, dt=1.0, speed=0.3, turn_rate=1.0, way_points=route, start=(0, 0, 0), motion_faults=SMOOTH,
+        sensor_faults=QUIET,
+    )  # fmt: skip
+    times = [int(np.argmin(np.linalg.norm(log.true_poses[:75, :2] - p, axis=1))) for p in route]
+    assert times[:3] == sorted(times[:3])
+    for p in route:
+        assert np.linalg.norm(log.true_poses[:, :2] - p, axis=1).min() < 0.31
+
+
+def test_random_landmarks_and_no_orientation():
+    log = simulate(landmarks=30, orientation=False, seed=9)
+    assert len(log.true_landmarks) == 30
+    assert log.sightings.shape[1] == 2
+    assert all(m.shape == (2,) for m in log.true_landmarks.values())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"steps": 0}, "steps must be at least 1"),
+        ({"dt": 0.0}, "dt must be a positive"),
+        ({"max_range": -1.0}, "max_range must be a positive"),
+        ({"min_range": 7.0}, "min_range must lie between"),
+        ({"landmarks": 0}, "landmarks must be at least 1"),
+        ({"landmarks": [[1.0]]}, "landmarks must be a number or an array"),
+        ({"way_points": [1.0, 2.0]}, "way_points must have shape"),
+        ({"start": (0.0, 0.0)}, "start must be"),
+        ({"clean": True, "sensor_faults": SensorFaults()}, "clean means no faults"),
+    ],
+)
+def test_impossible_options(options, message):
+    with pytest.raises(OptionError, match=message):
+        simulate(**options)
+
+
+def test_impossible_faults():
+    with pytest.raises(OptionError, match="phantom must be a probability"):
+        SensorFaults(phantom=1.5)
+    with pytest.raises(OptionError, match="stuck_interval must not be negative"):
+        MotionFaults(stuck_interval=-1.0)

@@ -1,0 +1,182 @@
+import numpy as np
+import pytest
+
+from graphslam import Graph, OptionError, simulate, solve, textbook
+from graphslam.se2 import wrap
+
+
+def difference(a, b):
+    d = np.asarray(a) - np.asarray(b)
+    return np.abs(np.column_stack([d[:, :2], wrap(d[:, 2])])).max()
+
+
+@pytest.mark.parametrize("dimensions", [3, 2])
+@pytest.mark.parametrize("edges", ["virtual", "virtual+motion"])
+def test_first_step_of_the_world_frame_is_the_textbooks(book_log, clean_log, edges, dimensions):
+    if edges == "virtual" and dimensions == 2:
+        pytest.skip("not determined; see test_graph")
+    for log in (book_log, clean_log):
+        book = textbook.solve(log, edges, dimensions=dimensions, max_iterations=1)
+        ours = solve(Graph.from_log(log, edges=edges, frame="world", dimensions=dimensions), max_iterations=1)
+        assert difference(ours.poses, book.poses) < 1e-10
+        assert ours.step_norms[0] == pytest.approx(book.step_norms[0], rel=1e-10)
+        assert ours.costs[0] == pytest.approx(book.costs[0], rel=1e-10)
+
+
+@pytest.mark.parametrize("dimensions", [3, 2])
+def test_world_frame_reaches_its_fixed_point_where_the_textbook_drifts(book_log, dimensions):
+    graph = Graph.from_log(book_log, frame="world", dimensions=dimensions)
+    solution = solve(graph)
+    assert solution.converged
+    # one more plain step, from the solution, must not move it: neither ours nor one with dense algebra
+    system, _ = graph.linearize(solution.poses[graph.steps])
+    step = np.linalg.solve(system.to_sparse().toarray(), system.xi.ravel())
+    assert np.linalg.norm(step) < 1e-9
+
+
+def test_body_frame_reaches_a_minimum_of_the_cost(book_log):
+    graph = Graph.from_log(book_log)
+    solution = solve(graph)
+    assert solution.converged
+    assert 5 <= solution.iterations <= 15
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        nearby = solution.poses + rng.normal(size=solution.poses.shape) * 1e-3
+        assert graph.cost(nearby) > solution.cost
+    # the derivative of J along each coordinate, by differences of the cost alone
+    for _ in range(20):
+        direction = rng.normal(size=solution.poses.shape)
+        slope = graph.cost(solution.poses + 1e-6 * direction) - graph.cost(solution.poses - 1e-6 * direction)
+        assert abs(slope) / 2e-6 < 1e-2 * np.sqrt(solution.cost)
+
+
+@pytest.mark.parametrize("frame", ["world", "body"])
+@pytest.mark.parametrize("dimensions", [3, 2])
+def test_levenberg_marquardt_finds_the_same(book_log, clean_log, frame, dimensions):
+    for log in (book_log, clean_log):
+        graph = Graph.from_log(log, frame=frame, dimensions=dimensions)
+        newton, damped = solve(graph), solve(graph, method="levenberg-marquardt")
+        assert newton.converged
+        assert damped.converged
+        assert difference(newton.poses, damped.poses) < 1e-7
+        assert damped.cost == pytest.approx(newton.cost, rel=1e-9)
+
+
+@pytest.mark.parametrize("psi", [True, False])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_body_solutions_turn_with_the_world(seed, psi):
+    log = simulate(seed=seed, orientation=psi)
+    turn, shift = 2.5, np.array([10.0, -20.0])
+    c, s = np.cos(turn), np.sin(turn)
+
+    def moved(poses):
+        return np.column_stack([poses[:, :2] @ np.array([[c, s], [-s, c]]) + shift, poses[:, 2] + turn])
+
+    here = solve(Graph.from_log(log))
+    there = solve(Graph.from_log(log.replace(initial_poses=moved(log.initial_poses))))
+    assert here.converged
+    assert difference(there.poses, moved(here.poses)) < 1e-8
+    assert there.cost == pytest.approx(here.cost, rel=1e-9)
+
+
+def test_doubling_all_noise_quarters_the_cost(book_log):
+    from graphslam import MotionModel, SensorModel
+
+    once = Graph.from_log(book_log, motion=MotionModel(epsilon=1e-4))
+    twice = Graph.from_log(
+        book_log,
+        motion=MotionModel(nn=0.38, no=0.002, on=0.26, oo=0.4, epsilon=4e-4),
+        sensor=SensorModel(range_rate=0.28, bearing_std=0.1, orientation_std=0.1),
+    )
+    state = book_log.initial_poses + 0.1
+    for one, two in zip(once.families[1:], twice.families[1:]):
+        assert two.cost(state, state) == pytest.approx(one.cost(state, state) / 4, rel=1e-10)
+
+
+def test_renaming_landmarks_changes_nothing(book_log):
+    renamed = book_log.replace(landmarks=np.array([40, 7, 3, 99, 5, 1])[book_log.landmarks])
+    a, b = solve(Graph.from_log(book_log)), solve(Graph.from_log(renamed))
+    assert difference(a.poses, b.poses) < 1e-11
+    for j, name in enumerate([40, 7, 3, 99, 5, 1]):
+        np.testing.assert_allclose(b.landmarks[name], a.landmarks[j], atol=1e-10)
+
+
+def test_a_noise_free_log_is_solved_exactly():
+    from graphslam import MotionFaults, SensorFaults
+
+    none = {"range_noise_rate": 0, "bearing_noise": 0, "orientation_noise": 0, "oversight": 0}
+    no_bias = {"range_bias_rate_std": 0, "bearing_bias_std": 0, "orientation_bias_std": 0}
+    log = simulate(
+        seed=1,
+        motion_faults=MotionFaults(kicks_per_metre=0, velocity_bias_std=0),
+        sensor_faults=SensorFaults(**none, **no_bias),
+    )
+    lost = log.initial_poses + np.random.default_rng(0).normal(size=log.initial_poses.shape) * 0.1
+    lost[0] = log.initial_poses[0]
+    solution = solve(Graph.from_log(log.replace(initial_poses=lost)))
+    assert difference(solution.poses, log.true_poses) < 1e-8
+    assert solution.cost < 1e-12
+    for j, landmark in solution.landmarks.items():
+        np.testing.assert_allclose(landmark, log.true_landmarks[j], atol=1e-8)
+
+
+def test_running_out_of_iterations_is_not_convergence(book_log):
+    solution = solve(Graph.from_log(book_log), max_iterations=2)
+    assert not solution.converged
+    assert solution.iterations == 2
+    assert "max_iterations = 2" in solution.reason
+    none = solve(Graph.from_log(book_log), max_iterations=0)
+    assert not none.converged
+    np.testing.assert_allclose(difference(none.poses, book_log.initial_poses), 0, atol=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("method", ["gauss-newton", "levenberg-marquardt"])
+def test_divergence_is_not_convergence(book_log, method):
+    initial = book_log.initial_poses.copy()
+    initial[30:, 0] += 1e200
+    solution = solve(Graph.from_log(book_log.replace(initial_poses=initial)), method=method)
+    assert not solution.converged
+    assert "diverged" in solution.reason
+
+
+def test_the_callback_sees_every_step(book_log):
+    seen = []
+    solution = solve(Graph.from_log(book_log), callback=seen.append)
+    assert [step.number for step in seen] == list(range(1, solution.iterations + 1))
+    np.testing.assert_array_equal([step.step_norm for step in seen], solution.step_norms)
+    np.testing.assert_allclose(seen[-1].state[:, :2], solution.poses[:, :2], atol=1e-12)
+
+
+def test_covariance_is_the_diagonal_block_of_the_inverse(book_log):
+    graph = Graph.from_log(book_log)
+    solution = solve(graph)
+    system, _ = graph.linearize(solution.poses)
+    inverse = np.linalg.inv(system.to_sparse().toarray())
+    for step in (0, 17, 61):
+        block = inverse[3 * step : 3 * step + 3, 3 * step : 3 * step + 3]
+        np.testing.assert_allclose(solution.covariance(step), block, rtol=1e-8, atol=1e-16)
+    with pytest.raises(OptionError, match="step must lie between"):
+        solution.covariance(62)
+
+
+def test_poses_that_are_no_nodes_have_no_covariance(book_log):
+    solution = solve(Graph.from_log(book_log, edges="virtual"))
+    unseen = int(np.flatnonzero(~solution.estimated)[0])
+    np.testing.assert_allclose(wrap(solution.poses[unseen] - book_log.initial_poses[unseen]), 0, atol=1e-12)
+    with pytest.raises(OptionError, match="not part of the graph"):
+        solution.covariance(unseen)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "newton"}, "method must be one of"),
+        ({"initialize": "zero"}, "initialize must be one of"),
+        ({"tolerance": 0}, "tolerance must be a positive"),
+        ({"max_iterations": -1}, "max_iterations must not be negative"),
+    ],
+)
+def test_impossible_options(book_log, options, message):
+    with pytest.raises(OptionError, match=message):
+        solve(Graph.from_log(book_log), **options)
