@@ -40,3 +40,12 @@ def check_positive(**values: float) -> None:
     for option, value in values.items():
         if not 0 < value < float("inf"):
             raise OptionError(f"{option} must be a positive number, not {value!r}")
+
+
+def listed(noun: str, numbers: list[int], most: int = 8) -> str:
+    """'pose 3', 'poses 3 and 4', 'poses 1, 2, 3 and 40 more'."""
+    if len(numbers) == 1:
+        return f"{noun} {numbers[0]}"
+    if len(numbers) > most:
+        return f"{noun}s {', '.join(map(str, numbers[:most]))} and {len(numbers) - most} more"
+    return f"{noun}s {', '.join(map(str, numbers[:-1]))} and {numbers[-1]}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from .edges import ANCHOR_INFORMATION, AnchorEdges, EdgeFamily, VirtualMotionEdges, motion_edges
-from .errors import GraphError, OptionError, check_choice, check_positive
+from .errors import GraphError, OptionError, check_choice, check_positive, listed
 from .information import BlockSystem
 from .log import Log
 from .models import MotionModel, SensorModel
@@ -30,6 +30,7 @@ class Graph:
         families: the edges, family by family.
         steps: (P,) the step of the log that each pose node belongs to, increasing.
         trajectory: (T+1, 3) the initial guess of all poses, also of those that are no nodes.
+        landmark_ids: (L,) the landmark that each node after the poses belongs to.
         log, sensor: what the graph was made from, where it was made from a log.
         notes: what the user should know, one sentence each.
     """
@@ -40,6 +41,7 @@ class Graph:
     trajectory: Array
     log: Log | None = None
     sensor: SensorModel | None = None
+    landmark_ids: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     notes: tuple[str, ...] = ()
 
     @classmethod
@@ -90,7 +92,7 @@ class Graph:
         steps_seen = [np.unique(log.steps[order[a:b]]) for a, b in zip(starts[:-1], starts[1:])]
         lonely = [int(j) for j, seen in zip(ids, steps_seen) if len(seen) == 1]
         if lonely:
-            notes.append(f"no edge comes from {_listed('landmark', lonely)}, seen in one step only")
+            notes.append(f"no edge comes from {listed('landmark', lonely)}, seen in one step only")
         if with_motion:
             steps = np.arange(log.num_poses)
         else:
@@ -103,7 +105,7 @@ class Graph:
             left_out = np.setdiff1d(np.arange(log.num_poses), steps).tolist()
             if left_out:
                 notes.append(
-                    f"{_listed('pose', left_out)} shared no sighting with any other and stayed out of the graph"
+                    f"{listed('pose', left_out)} shared no sighting with any other and stayed out of the graph"
                 )
         node_of = np.full(log.num_poses, -1)
         node_of[steps] = np.arange(len(steps))
@@ -122,7 +124,7 @@ class Graph:
             families.append(motion_edges(steps, log.controls, log.dt, motion, frame=frame, weight=motion_weight))
         else:
             _check_determined(virtual, steps, log.has_orientation)
-        return cls(initial, tuple(families), steps, log.initial_poses, log, sensor, tuple(notes))
+        return cls(initial, tuple(families), steps, log.initial_poses, log, sensor, notes=tuple(notes))
 
     @property
     def num_nodes(self) -> int:
@@ -185,7 +187,7 @@ def _check_determined(virtual: VirtualMotionEdges, steps: np.ndarray, oriented: 
     apart = steps[label[:num_nodes] != label[0]].tolist()
     if apart:
         raise GraphError(
-            f"the graph falls into several pieces: nothing ties {_listed('pose', apart)} to pose {steps[0]}; "
+            f"the graph falls into several pieces: nothing ties {listed('pose', apart)} to pose {steps[0]}; "
             "use edges='virtual+motion', or a log in which they share a landmark"
         )
     if not oriented:
@@ -195,16 +197,7 @@ def _check_determined(virtual: VirtualMotionEdges, steps: np.ndarray, oriented: 
         loose = steps[landmarks_of < 2].tolist()
         if loose:
             raise GraphError(
-                f"without psi one landmark does not fix a pose: {_listed('pose', loose)} share"
+                f"without psi one landmark does not fix a pose: {listed('pose', loose)} share"
                 f"{'s' if len(loose) == 1 else ''} only one with the rest; "
                 "use edges='virtual+motion' or a sensor with psi"
             )
-
-
-def _listed(noun: str, numbers: list[int], most: int = 8) -> str:
-    """'pose 3', 'poses 3 and 4', 'poses 1, 2, 3 and 40 more'."""
-    if len(numbers) == 1:
-        return f"{noun} {numbers[0]}"
-    if len(numbers) > most:
-        return f"{noun}s {', '.join(map(str, numbers[:most]))} and {len(numbers) - most} more"
-    return f"{noun}s {', '.join(map(str, numbers[:-1]))} and {numbers[-1]}"

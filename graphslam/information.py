@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 from numba import njit
 
+from .cholesky import Factor, Symbolic, analyze
 from .edges.base import BinaryEdges
 from .se2 import Array
 
@@ -58,6 +60,23 @@ class BlockSystem:
     def num_nodes(self) -> int:
         """The number n of nodes."""
         return len(self.indptr) - 1
+
+    @cached_property
+    def symbolic(self) -> Symbolic:
+        """Ordering and structure of the factor, found once for the pattern."""
+        return analyze(self.indptr, self.indices)
+
+    @cached_property
+    def _factor(self) -> Factor:
+        return Factor(self.symbolic)
+
+    def factorize(self, damping: float = 0.0) -> Factor:
+        """Omega + damping diag(Omega) = L L', in memory that the next call reuses.
+
+        Raises:
+            SingularPivot: the edges leave a direction free.
+        """
+        return self._factor.refactorize(self.values, damping=damping, relative=True)
 
     def clear(self) -> None:
         """Set Omega and xi to zero, keeping the pattern."""

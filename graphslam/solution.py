@@ -8,7 +8,6 @@ from functools import cache
 
 import numpy as np
 
-from .cholesky import factorize
 from .errors import OptionError
 from .graph import Graph
 from .mapping import LandmarkMap, estimate_map
@@ -88,7 +87,7 @@ def make_solution(
     @cache
     def inverse() -> Array:
         system, _ = graph.linearize(state)
-        return factorize(system).inverse_diagonal()
+        return system.factorize().diagonal_covariances()
 
     return Solution(
         poses=poses,

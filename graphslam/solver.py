@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .cholesky import factorize
+from .cholesky import Factor, SingularPivot
+from .diagnosis import undetermined
 from .errors import OptionError, check_choice, check_positive
 from .fixed_point import AndersonMixing
 from .graph import Graph
@@ -97,7 +98,6 @@ def solve(
     check_positive(tolerance=tolerance)
     if max_iterations < 0:
         raise OptionError(f"max_iterations must not be negative, but is {max_iterations}")
-    graph.system  # noqa: B018  # the pattern is made once per graph, outside the clock
     begin = time.perf_counter()
     run = _Run(graph.initial.copy(), callback, mixing=AndersonMixing() if graph.frozen_information else None)
     search = _gauss_newton if method == "gauss-newton" else _levenberg_marquardt
@@ -121,9 +121,16 @@ def _gauss_newton(graph: Graph, run: _Run, tolerance: float, max_iterations: int
         system, cost = graph.linearize(run.state)
         if run.diverged(cost):
             return
-        if run.step(cost, factorize(system).solve(system.xi)) < tolerance:
+        if run.step(cost, _factorize(graph, run.state).solve(system.xi)) < tolerance:
             run.finish(tolerance)
             return
+
+
+def _factorize(graph: Graph, state: Array, damping: float = 0.0) -> Factor:
+    try:
+        return graph.system.factorize(damping)
+    except SingularPivot as error:
+        raise undetermined(graph, state, error) from None
 
 
 def _levenberg_marquardt(graph: Graph, run: _Run, tolerance: float, max_iterations: int) -> None:
@@ -137,7 +144,7 @@ def _levenberg_marquardt(graph: Graph, run: _Run, tolerance: float, max_iteratio
         if run.diverged(cost):
             return
         while True:
-            delta = factorize(system, damping).solve(system.xi)
+            delta = _factorize(graph, run.state, damping).solve(system.xi)
             tried = graph.cost(run.state + delta, reference)
             # the damped quadratic model promises that J falls by Delta'(xi + damping diag(Omega) Delta)
             promised = float(np.sum(delta * (system.xi + damping * system.diagonal() * delta)))

@@ -1,0 +1,73 @@
+"""Says in words what a singular Omega means: which nodes nothing holds, in which direction, and which edges touch them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .cholesky import SingularPivot
+from .errors import GraphError, listed
+from .graph import Graph
+from .se2 import Array
+
+
+def undetermined(graph: Graph, state: Array, error: SingularPivot) -> GraphError:
+    """The error that names what a vanished pivot of Omega at a state (n, 3) leaves free.
+
+    The null vector v of Omega (Omega v = 0) is the motion that costs nothing; its large entries are the nodes that move.
+    """
+    v = error.null_vector
+    moving = np.flatnonzero(np.abs(v).max(axis=1) > 1e-6 * np.abs(v).max())
+    what = _direction(v[moving], state[moving])
+    touching, crossing = _edges_at(graph, moving)
+    held = (
+        f"{touching} of the graph's edges touch {'it' if len(moving) == 1 else 'them'}"
+        + (f", {crossing} of these tie to other nodes" if crossing else ", none ties to other nodes")
+        if touching
+        else f"no edge touches {'it' if len(moving) == 1 else 'them'}"
+    )
+    names = listed_nodes(graph, moving)
+    return GraphError(
+        f"the edges do not determine {names}: nothing holds {what}; {held}. "
+        "Add edges (edges='virtual+motion', a sensor with psi, a loop closure) or an anchor there"
+    )
+
+
+def listed_nodes(graph: Graph, nodes: np.ndarray) -> str:
+    """The names of nodes in a sentence: 'poses 3 and 4', 'landmark 7', 'pose 2 and landmark 5'."""
+    parts = []
+    for noun, ids in (("pose", graph.steps), ("landmark", graph.landmark_ids)):
+        first = 0 if noun == "pose" else len(graph.steps)
+        mine = [int(ids[k - first]) for k in nodes.tolist() if first <= k < first + len(ids)]
+        if mine:
+            parts.append(listed(noun, mine))
+    return " and ".join(parts)
+
+
+def _direction(v: Array, state: Array) -> str:
+    """What the motion v (k, 3) of k nodes is: a coordinate, a shift or a turn of the whole piece, or something else."""
+    size = np.abs(v).max()
+    if len(v) == 1:
+        free = [name for name, part in zip(("x", "y", "heading"), v[0]) if abs(part) > 1e-6 * size]
+        return f"its {free[0]}" if len(free) == 1 else f"a combination of its {', '.join(free[:-1])} and {free[-1]}"
+    # a rigid motion moves every node by d + omega (-y, x) and turns it by omega
+    omega = v[:, 2].mean()
+    shift = v[:, :2] - omega * np.column_stack([-state[:, 1], state[:, 0]])
+    if np.ptp(v[:, 2]) < 1e-4 * size and np.all(np.ptp(shift, axis=0) < 1e-4 * max(size, np.abs(shift).max())):
+        return "the whole piece, which can shift" if abs(omega) < 1e-6 * size else "the whole piece, which can turn"
+    return "a motion of these against the rest"
+
+
+def _edges_at(graph: Graph, nodes: np.ndarray) -> tuple[int, int]:
+    """How many groups of edges touch the nodes, and how many of those also tie to others."""
+    inside = np.zeros(graph.num_nodes, dtype=bool)
+    inside[nodes] = True
+    touching = crossing = 0
+    for family in graph.families:
+        starts, tied = family.cliques()
+        if len(tied) == 0:
+            continue
+        group = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+        within = np.bincount(group, weights=inside[tied], minlength=len(starts) - 1)
+        touching += int(np.sum(within > 0))
+        crossing += int(np.sum((within > 0) & (within < np.diff(starts))))
+    return touching, crossing
