@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .cholesky import SingularPivot
-from .errors import GraphError, listed
+from .errors import GraphError
 from .graph import Graph
 from .se2 import Array
 
@@ -25,22 +25,11 @@ def undetermined(graph: Graph, state: Array, error: SingularPivot) -> GraphError
         if touching
         else f"no edge touches {'it' if len(moving) == 1 else 'them'}"
     )
-    names = listed_nodes(graph, moving)
+    names = graph.names(moving)
     return GraphError(
         f"the edges do not determine {names}: nothing holds {what}; {held}. "
         "Add edges (edges='virtual+motion', a sensor with psi, a loop closure) or an anchor there"
     )
-
-
-def listed_nodes(graph: Graph, nodes: np.ndarray) -> str:
-    """The names of nodes in a sentence: 'poses 3 and 4', 'landmark 7', 'pose 2 and landmark 5'."""
-    parts = []
-    for noun, ids in (("pose", graph.steps), ("landmark", graph.landmark_ids)):
-        first = 0 if noun == "pose" else len(graph.steps)
-        mine = [int(ids[k - first]) for k in nodes.tolist() if first <= k < first + len(ids)]
-        if mine:
-            parts.append(listed(noun, mine))
-    return " and ".join(parts)
 
 
 def _direction(v: Array, state: Array) -> str:

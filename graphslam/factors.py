@@ -1,4 +1,4 @@
-"""GTSAM factor types on `gtsam.Pose2` keys: virtual motion, motion, anchor. Add them to any graph of your own.
+"""GTSAM factor types for any graph of your own: virtual motion, motion, relative pose, observation, point, anchor.
 
 Every factor is a `gtsam.CustomFactor` whose residual and analytic Jacobians are those of the edges of this framework,
 derived here a second time, on scalars, so that the two implementations check each other. GTSAM perturbs a pose on its
@@ -10,7 +10,7 @@ GTSAM's ``error`` is one half of e' Omega e.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import cos, floor, pi, sin
+from math import atan2, cos, floor, hypot, pi, sin
 from typing import Any
 
 import gtsam
@@ -64,12 +64,9 @@ class VirtualMotionFactor(gtsam.CustomFactor):
         check_choice("frame", frame, ("world", "body"))
         check_positive(weight=weight)
         sensor = sensor or SensorModel()
-        first, second = _vector("z_1", z_1, (2, 3)), _vector("z_2", z_2, (2, 3))
+        first, second = _sighting("z_1", z_1), _sighting("z_2", z_2)
         if len(first) != len(second):
             raise OptionError("z_1 and z_2 must both have psi, or both lack it")
-        for name, z in (("z_1", first), ("z_2", second)):
-            if z[0] <= 0:
-                raise OptionError(f"the range of {name} must be above zero, not {z[0]:g} m")
         oriented = len(first) == 3
         (l1, phi1, psi1), (l2, phi2, psi2) = ((*z, 0.0)[:3] for z in (first.tolist(), second.tolist()))
         if frame == "body" and oriented:
@@ -204,6 +201,78 @@ class MotionFactor(RelativePoseFactor):
         super().__init__(key_1, key_2, motion.f(origin, u, dt), information, frame, at=at)
 
 
+class ObservationFactor(gtsam.CustomFactor):
+    """A sighting with psi of a landmark that is a `gtsam.Pose2` of its own: e = h(x, m) - z, information Q^-1.
+
+    Without psi the landmark is a `gtsam.Point2` and GTSAM has the factor itself: then the call
+    ``ObservationFactor(pose_key, landmark_key, z)`` returns a native `gtsam.BearingRangeFactor2D`.
+
+    Args:
+        pose_key: of a `gtsam.Pose2`.
+        landmark_key: of a `gtsam.Pose2` (with psi) or a `gtsam.Point2` (without).
+        z: (l, phi, psi) or (l, phi) [m, rad, rad].
+        sensor: gives Q, at the measured range; default: the book's.
+
+    Raises:
+        OptionError: a value is not what it must be.
+    """
+
+    def __new__(cls, pose_key: int, landmark_key: int, z: ArrayLike, sensor: SensorModel | None = None) -> Any:
+        """The native factor where GTSAM has one."""
+        seen = _sighting("z", z)
+        if len(seen) == 3:
+            return super().__new__(cls)
+        stds = np.sqrt(np.diag((sensor or SensorModel()).Q(seen)))
+        # GTSAM puts the bearing first
+        noise = gtsam.noiseModel.Diagonal.Sigmas(stds[::-1].copy())
+        return gtsam.BearingRangeFactor2D(pose_key, landmark_key, gtsam.Rot2(seen[1]), seen[0], noise)
+
+    def __init__(self, pose_key: int, landmark_key: int, z: ArrayLike, sensor: SensorModel | None = None) -> None:
+        seen = _sighting("z", z)
+        length, bearing, orientation = seen.tolist()
+
+        def residual(x: Pose, m: Pose) -> tuple[list[float], tuple[list[list[float]], ...]]:
+            dx, dy = m[0] - x[0], m[1] - x[1]
+            r, direction = hypot(dx, dy), atan2(dy, dx)
+            c, s, p, q = dx / r, dy / r, -dy / (r * r), dx / (r * r)
+            e = [r - length, _wrapped(direction - x[2] - bearing), _wrapped(direction - m[2] - orientation)]
+            by_pose = [[-c, -s, 0.0], [-p, -q, -1.0], [-p, -q, 0.0]]
+            return e, (by_pose, [[c, s, 0.0], [p, q, 0.0], [p, q, -1.0]])
+
+        noise = gtsam.noiseModel.Gaussian.Covariance((sensor or SensorModel()).Q(seen))
+        super().__init__(noise, [pose_key, landmark_key], _callback((pose_key, landmark_key), residual))
+
+
+class RelativePointFactor(gtsam.CustomFactor):
+    """A `gtsam.Point2` landmark measured in the frame of a pose: e = R(theta)' (m - p) - z.
+
+    Args:
+        pose_key, landmark_key: of a `gtsam.Pose2` and a `gtsam.Point2`.
+        measured: z = (x, y) [m].
+        information: Omega (2, 2).
+
+    Raises:
+        OptionError: a value is not what it must be.
+    """
+
+    def __init__(self, pose_key: int, landmark_key: int, measured: ArrayLike, information: ArrayLike) -> None:
+        zx, zy = _vector("measured", measured, (2,)).tolist()
+        noise = gtsam.noiseModel.Gaussian.Information(_positive_definite(information, 2))
+
+        def callback(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> Array:
+            x, y, theta = _coordinates(values.atPose2(pose_key))
+            m = values.atPoint2(landmark_key)
+            c, s = cos(theta), sin(theta)
+            dx, dy = m[0] - x, m[1] - y
+            sx, sy = c * dx + s * dy, -s * dx + c * dy
+            if jacobians is not None:
+                jacobians[0] = np.array([[-1.0, 0.0, sy], [0.0, -1.0, -sx]], order="F")
+                jacobians[1] = np.array([[c, s], [-s, c]], order="F")
+            return np.array([sx - zx, sy - zy])
+
+        super().__init__(noise, [pose_key, landmark_key], callback)
+
+
 class AnchorFactor(gtsam.CustomFactor):
     """The pose at a key held at a value: e = x - x̂ in world axes, the heading wrapped.
 
@@ -251,12 +320,19 @@ def _wrapped(angle: float) -> float:
     return angle - 2 * pi * floor((angle + pi) / (2 * pi))
 
 
-def _positive_definite(information: ArrayLike) -> Array:
+def _positive_definite(information: ArrayLike, size: int = 3) -> Array:
     omega = np.asarray(information, dtype=float)
-    symmetric = omega.shape == (3, 3) and np.allclose(omega, omega.T, rtol=0, atol=1e-9 * np.abs(omega).max())
+    symmetric = omega.shape == (size, size) and np.allclose(omega, omega.T, rtol=0, atol=1e-9 * np.abs(omega).max())
     if not symmetric or not np.linalg.eigvalsh(omega)[0] > 0:
-        raise OptionError("information must be a symmetric positive definite 3 x 3 matrix")
+        raise OptionError(f"information must be a symmetric positive definite {size} x {size} matrix")
     return (omega + omega.T) / 2
+
+
+def _sighting(name: str, value: ArrayLike) -> Array:
+    z = _vector(name, value, (2, 3))
+    if z[0] <= 0:
+        raise OptionError(f"the range of {name} must be above zero, not {z[0]:g} m")
+    return z
 
 
 def _vector(name: str, value: ArrayLike, lengths: tuple[int, ...]) -> Array:

@@ -4,33 +4,56 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from .edges import ANCHOR_INFORMATION, AnchorEdges, EdgeFamily, VirtualMotionEdges, motion_edges
+from .edges import (
+    ANCHOR_INFORMATION,
+    AnchorEdges,
+    EdgeFamily,
+    ObservationEdges,
+    RelativePointEdges,
+    RelativePoseEdges,
+    VirtualMotionEdges,
+    motion_edges,
+)
 from .errors import GraphError, OptionError, check_choice, check_positive, listed
+from .formats.pose_graph import PoseGraphFile, read_pose_graph, write_g2o
 from .information import BlockSystem
 from .log import Log
+from .mapping import estimate_map
 from .models import MotionModel, SensorModel
 from .se2 import Array
 
-EDGES = ("virtual", "virtual+motion")
+EDGES = ("virtual", "virtual+motion", "landmark+motion")
 FRAMES = ("world", "body")
 WEIGHTS = ("pairs", "tempered")
 
 
+def _none() -> np.ndarray:
+    return np.zeros(0, dtype=np.int64)
+
+
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """Nodes 0 to n-1 with initial values, and edges. Build one with `from_log`.
+    """Nodes 0 to n-1 with initial values, and edges. Build one with `from_log` or `from_g2o`.
+
+    The first P nodes are poses, the other L landmarks.
 
     Attributes:
-        initial: (n, 3) initial values of the nodes.
+        initial: (n, 3) initial values of the nodes; a landmark without heading uses the first two columns.
         families: the edges, family by family.
-        steps: (P,) the step of the log that each pose node belongs to, increasing.
+        steps: (P,) the row of the trajectory that each pose node belongs to, increasing.
         trajectory: (T+1, 3) the initial guess of all poses, also of those that are no nodes.
-        landmark_ids: (L,) the landmark that each node after the poses belongs to.
+        pose_ids: (P,) how the user calls the poses: the steps of a log, the ids of a file.
+        landmark_ids: (L,) how the user calls the landmarks.
+        landmark_dimension: 2, or 3 where landmarks have a heading.
+        fixed: (F,) nodes that do not move.
         log, sensor: what the graph was made from, where it was made from a log.
         notes: what the user should know, one sentence each.
     """
@@ -39,9 +62,12 @@ class Graph:
     families: tuple[EdgeFamily, ...]
     steps: np.ndarray
     trajectory: Array
+    pose_ids: np.ndarray
+    landmark_ids: np.ndarray = field(default_factory=_none)
+    landmark_dimension: int = 2
+    fixed: np.ndarray = field(default_factory=_none)
     log: Log | None = None
     sensor: SensorModel | None = None
-    landmark_ids: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     notes: tuple[str, ...] = ()
 
     @classmethod
@@ -57,12 +83,13 @@ class Graph:
         motion_weight: float = 1.0,
         dimensions: int | None = None,
     ) -> Graph:
-        """The graph of a log: an anchor at the first node, virtual-motion edges and perhaps motion edges.
+        """The graph of a log: an anchor at the first node, edges from the sightings, and perhaps motion edges.
 
         Args:
             log: what the robot did and saw.
             motion, sensor: the noise models; default: the book's.
-            edges: "virtual" (poses that saw nothing are left out) or "virtual+motion".
+            edges: "virtual" (poses that saw nothing are left out), "virtual+motion", or "landmark+motion", in which
+                landmarks are nodes and every sighting is one edge.
             frame: "world" (the lectures: information re-evaluated at every step) or "body" (constant information).
             weight: "pairs" (the book: each of K sightings enters K-1 edges) or "tempered" (each pair times 2/K).
             motion_weight: lambda, the factor on the motion edges.
@@ -90,7 +117,8 @@ class Graph:
         ids, starts = np.unique(log.landmarks[order], return_index=True)
         starts = np.append(starts, len(order))
         steps_seen = [np.unique(log.steps[order[a:b]]) for a, b in zip(starts[:-1], starts[1:])]
-        lonely = [int(j) for j, seen in zip(ids, steps_seen) if len(seen) == 1]
+        with_landmarks = edges.startswith("landmark")
+        lonely = [] if with_landmarks else [int(j) for j, seen in zip(ids, steps_seen) if len(seen) == 1]
         if lonely:
             notes.append(f"no edge comes from {listed('landmark', lonely)}, seen in one step only")
         if with_motion:
@@ -110,21 +138,117 @@ class Graph:
         node_of = np.full(log.num_poses, -1)
         node_of[steps] = np.arange(len(steps))
 
+        initial = log.initial_poses[steps].copy()
+        anchor = AnchorEdges(np.zeros(1, dtype=int), initial[:1].copy(), ANCHOR_INFORMATION[None])
+        driven: list[EdgeFamily] = []
+        if with_motion:
+            assert log.controls is not None and log.dt is not None
+            driven = [motion_edges(steps, log.controls, log.dt, motion, frame=frame, weight=motion_weight)]
+        common: dict[str, Any] = {
+            "steps": steps,
+            "pose_ids": steps,
+            "trajectory": log.initial_poses,
+            "log": log,
+            "sensor": sensor,
+        }
+        if with_landmarks:
+            node_of_landmark = log.num_poses + np.searchsorted(ids, log.landmarks)
+            seen = ObservationEdges(log.steps, node_of_landmark, log.sightings, sensor)
+            start = np.zeros((len(ids), 3))
+            start[:, : log.sightings.shape[1]] = list(estimate_map(log, log.initial_poses, sensor).values())
+            return cls(
+                np.concatenate([initial, start]), (anchor, seen, *driven), notes=tuple(notes), landmark_ids=ids,
+                landmark_dimension=log.sightings.shape[1], **common,
+            )  # fmt: skip
+
         # a sighting from a pose that is no node is a landmark's only one, and pairs with nothing
         kept = order[node_of[log.steps[order]] >= 0]
         ids, starts = np.unique(log.landmarks[kept], return_index=True)
         starts = np.append(starts, len(kept))
         weights = 2.0 / np.diff(starts) if weight == "tempered" else np.ones(len(ids))
         virtual = VirtualMotionEdges(starts, node_of[log.steps[kept]], log.sightings[kept], sensor, frame, weights)
-        initial = log.initial_poses[steps].copy()
-        families: list[EdgeFamily] = [AnchorEdges(np.zeros(1, dtype=int), initial[:1].copy(), ANCHOR_INFORMATION[None])]
-        families.append(virtual)
-        if with_motion:
-            assert log.controls is not None and log.dt is not None
-            families.append(motion_edges(steps, log.controls, log.dt, motion, frame=frame, weight=motion_weight))
-        else:
+        if not with_motion:
             _check_determined(virtual, steps, log.has_orientation)
-        return cls(initial, tuple(families), steps, log.initial_poses, log, sensor, notes=tuple(notes))
+        return cls(initial, (anchor, virtual, *driven), notes=tuple(notes), **common)
+
+    @classmethod
+    def from_g2o(cls, path: str | PathLike[str], format: str | None = None, unknown: str = "error") -> Graph:
+        """The pose graph of a g2o, TORO or iSAM text file; see `formats.pose_graph` for the dialects.
+
+        Nodes named in FIX lines are held; without any, the pose with the lowest id is. The cost is g2o's chi2.
+
+        Args:
+            path: the file.
+            format: "g2o", "toro" or "isam"; default: by the file's tags.
+            unknown: "error" refuses unknown tags, "skip" leaves them out with a warning that counts them.
+
+        Raises:
+            FormatError: the file breaks its format's rules.
+            GraphError: the graph falls into several pieces.
+        """
+        data = read_pose_graph(Path(path), format, unknown)
+        num_poses, num_landmarks = len(data.pose_ids), len(data.landmark_ids)
+        first, second = (np.searchsorted(data.pose_ids, data.pose_edges[:, k]) for k in (0, 1))
+        seer = np.searchsorted(data.pose_ids, data.point_edges[:, 0])
+        seen = num_poses + np.searchsorted(data.landmark_ids, data.point_edges[:, 1])
+        families: list[EdgeFamily] = []
+        if len(first):
+            families.append(RelativePoseEdges(first, second, data.pose_measured, data.pose_information))
+        if len(seer):
+            families.append(RelativePointEdges(seer, seen, data.point_measured, data.point_information))
+        graph = cls(
+            np.concatenate([data.poses, np.column_stack([data.landmarks, np.zeros(num_landmarks)])]),
+            tuple(families),
+            steps=np.arange(num_poses),
+            trajectory=data.poses,
+            pose_ids=data.pose_ids,
+            landmark_ids=data.landmark_ids,
+            fixed=np.searchsorted(data.pose_ids, data.fixed) if data.fixed else np.zeros(1, dtype=np.int64),
+        )
+        _check_connected(graph, Path(path))
+        return graph
+
+    def save_g2o(self, path: str | PathLike[str], state: Array | None = None) -> None:
+        """Write the graph as a g2o file, with its initial values or those of a state (n, 3); whole or not at all.
+
+        An anchor becomes a FIX line. Motion edges in the body frame are relative-pose edges and can be written.
+
+        Raises:
+            GraphError: the graph has edges that g2o has no line for.
+            FormatError: the place cannot be written.
+        """
+        state = self.initial if state is None else state
+        num_poses = len(self.steps)
+        poses, points, fixed = [], [], set(self.fixed.tolist())
+        for family in self.families:
+            if isinstance(family, AnchorEdges):
+                fixed |= set(family.nodes.tolist())
+            elif isinstance(family, RelativePoseEdges) and not family.frozen_information:
+                poses.append(family)
+            elif isinstance(family, RelativePointEdges):
+                points.append(family)
+            else:
+                raise GraphError(
+                    f"g2o has no line for {type(family).__name__} with state-dependent or angular residuals"
+                )
+        none = [np.zeros((0, 2), dtype=np.int64)]
+        ids = np.concatenate([self.pose_ids, self.landmark_ids])
+        write_g2o(
+            PoseGraphFile(
+                pose_ids=self.pose_ids,
+                poses=state[:num_poses],
+                landmark_ids=self.landmark_ids,
+                landmarks=state[num_poses:, :2],
+                fixed=[int(ids[k]) for k in sorted(fixed)],
+                pose_edges=np.concatenate(none + [ids[np.column_stack([f.first, f.second])] for f in poses]),
+                pose_measured=np.concatenate([np.zeros((0, 3))] + [f.measured for f in poses]),
+                pose_information=np.concatenate([np.zeros((0, 3, 3))] + [f.information for f in poses]),
+                point_edges=np.concatenate(none + [ids[np.column_stack([f.first, f.second])] for f in points]),
+                point_measured=np.concatenate([np.zeros((0, 2))] + [f.measured for f in points]),
+                point_information=np.concatenate([np.zeros((0, 2, 2))] + [f.information for f in points]),
+            ),
+            Path(path),
+        )
 
     @property
     def num_nodes(self) -> int:
@@ -158,7 +282,17 @@ class Graph:
         total = 0.0
         for family in self.families:
             total += family.accumulate(state, reference, self.system)
+        if len(self.landmark_ids) and self.landmark_dimension == 2:
+            self.system.values[self.system.indptr[1 + len(self.steps) :] - 1, 2, 2] = 1.0
+        if len(self.fixed):
+            self.system.hold(self.fixed)
         return self.system, total
+
+    def names(self, nodes: np.ndarray) -> str:
+        """The names of nodes in a sentence: 'poses 3 and 4', 'landmark 7', 'pose 2 and landmark 5'."""
+        poses = [int(self.pose_ids[k]) for k in nodes.tolist() if k < len(self.steps)]
+        landmarks = [int(self.landmark_ids[k - len(self.steps)]) for k in nodes.tolist() if k >= len(self.steps)]
+        return " and ".join(listed(noun, ids) for noun, ids in (("pose", poses), ("landmark", landmarks)) if ids)
 
     def trajectory_of(self, state: Array) -> tuple[Array, np.ndarray]:
         """All poses (T+1, 3) of a state, with the initial guess where a pose is no node, and which ones are (T+1,)."""
@@ -176,6 +310,21 @@ def _with_dimensions(log: Log, dimensions: int | None) -> Log:
             f"{log.name} has sightings without psi, but 3-D sensor values were asked for; use dimensions=2"
         )
     return log.without_orientation() if dimensions == 2 and log.has_orientation else log
+
+
+def _check_connected(graph: Graph, path: Path) -> None:
+    """Raise `GraphError` where nodes hang together with no node that is held."""
+    pairs = [np.column_stack([f.first, f.second]) for f in graph.families if not isinstance(f, AnchorEdges)]  # type: ignore[attr-defined]
+    ends = np.concatenate(pairs)
+    ties = sp.coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(graph.num_nodes,) * 2)
+    _, label = connected_components(ties, directed=False)
+    apart = np.flatnonzero(~np.isin(label, label[graph.fixed]))
+    if len(apart):
+        names = graph.names(apart)
+        raise GraphError(
+            f"{path}: the graph falls into several pieces: nothing ties {names} to "
+            f"{graph.names(graph.fixed[:1])}; add the edge that ties them, or a FIX line for a pose of each piece"
+        )
 
 
 def _check_determined(virtual: VirtualMotionEdges, steps: np.ndarray, oriented: bool) -> None:

@@ -7,9 +7,15 @@ import time
 import gtsam
 import numpy as np
 
-from .edges import AnchorEdges, RelativePoseEdges, VirtualMotionEdges
+from .edges import AnchorEdges, ObservationEdges, RelativePointEdges, RelativePoseEdges, VirtualMotionEdges
 from .errors import GraphError, OptionError, check_positive
-from .factors import AnchorFactor, RelativePoseFactor, VirtualMotionFactor
+from .factors import (
+    AnchorFactor,
+    ObservationFactor,
+    RelativePointFactor,
+    RelativePoseFactor,
+    VirtualMotionFactor,
+)
 from .fixed_point import AndersonMixing
 from .graph import Graph
 from .se2 import Array, wrap
@@ -43,7 +49,7 @@ def solve_with_gtsam(graph: Graph, tolerance: float = 1e-9, max_iterations: int 
         else:
             factors = to_gtsam(graph, graph.initial)
             begin = time.perf_counter()
-            state, norms, converged = _optimize(factors, graph.initial, tolerance, max_iterations)
+            state, norms, converged = _optimize(graph, factors, graph.initial, tolerance, max_iterations)
     except RuntimeError as error:
         raise GraphError(f"gtsam gave up: {str(error).strip().splitlines()[0]}") from None
     seconds = time.perf_counter() - begin
@@ -80,17 +86,41 @@ def to_gtsam(graph: Graph, reference: Array) -> gtsam.NonlinearFactorGraph:
                 factors.add(
                     VirtualMotionFactor(i, j, z[first], z[second], family.sensor, family.frame, at=at, weight=weight)
                 )
+        elif isinstance(family, ObservationEdges):
+            for i, j, z in zip(family.first.tolist(), family.second.tolist(), family.sightings):
+                factors.add(ObservationFactor(i, j, z, family.sensor))
+        elif isinstance(family, RelativePointEdges):
+            for i, j, z, information in zip(
+                family.first.tolist(), family.second.tolist(), family.measured, family.information
+            ):
+                factors.add(RelativePointFactor(i, j, z, information))
         else:
             raise GraphError(f"no gtsam factor is known for {type(family).__name__}")
+    for node in graph.fixed.tolist():
+        factors.add(gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node])))
     return factors
 
 
-def to_values(state: Array) -> gtsam.Values:
-    """The values of all nodes (n, 3) as `gtsam.Pose2`, keyed by node number."""
+def to_values(graph: Graph, state: Array) -> gtsam.Values:
+    """The values of all nodes (n, 3), keyed by node number: `gtsam.Pose2`, or `gtsam.Point2` for a point landmark."""
     values = gtsam.Values()
     for node, (x, y, theta) in enumerate(state.tolist()):
-        values.insert(node, gtsam.Pose2(x, y, theta))
+        if node < len(graph.steps) or graph.landmark_dimension == 3:
+            values.insert(node, gtsam.Pose2(x, y, theta))
+        else:
+            values.insert(node, gtsam.Point2(x, y))
     return values
+
+
+def from_values(graph: Graph, values: gtsam.Values) -> Array:
+    """The state (n, 3) of values that `to_values` made and an optimiser moved."""
+    state = np.zeros((graph.num_nodes, 3))
+    points = len(graph.landmark_ids) and graph.landmark_dimension == 2
+    poses = len(graph.steps) if points else graph.num_nodes
+    state[:poses] = gtsam.utilities.extractPose2(values)
+    if points:
+        state[poses:, :2] = gtsam.utilities.extractPoint2(values)
+    return state
 
 
 def _difference(a: Array, b: Array) -> Array:
@@ -100,7 +130,12 @@ def _difference(a: Array, b: Array) -> Array:
 
 
 def _optimize(
-    factors: gtsam.NonlinearFactorGraph, initial: Array, tolerance: float, max_iterations: int, roughly: bool = False
+    graph: Graph,
+    factors: gtsam.NonlinearFactorGraph,
+    initial: Array,
+    tolerance: float,
+    max_iterations: int,
+    roughly: bool = False,
 ) -> tuple[Array, list[float], bool]:
     """Levenberg-Marquardt to the end: the state, the norm of every step, and whether the last was short enough.
 
@@ -109,14 +144,16 @@ def _optimize(
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setVerbosityLM("SILENT")
     parameters.setlambdaUpperBound(1e12)
-    optimizer: gtsam.NonlinearOptimizer = gtsam.LevenbergMarquardtOptimizer(factors, to_values(initial), parameters)
-    state = gtsam.utilities.extractPose2(optimizer.values())
+    optimizer: gtsam.NonlinearOptimizer = gtsam.LevenbergMarquardtOptimizer(
+        factors, to_values(graph, initial), parameters
+    )
+    state = from_values(graph, optimizer.values())
     norms: list[float] = []
     polishing = False
     while len(norms) < max_iterations:
         before = optimizer.error()
         optimizer.iterate()
-        moved = gtsam.utilities.extractPose2(optimizer.values())
+        moved = from_values(graph, optimizer.values())
         norms.append(float(np.linalg.norm(_difference(moved, state))))
         state = moved
         stalled = before - optimizer.error() <= 1e-10 * before
@@ -141,7 +178,7 @@ def _refrozen(graph: Graph, tolerance: float, max_iterations: int) -> tuple[Arra
     while len(norms) < max_iterations:
         # the inner problem moves on at every freezing: solving it much closer than that is wasted
         inner = max(tolerance / 10, 0.1 * norms[-1] if norms else 0.1)
-        solved, _, _ = _optimize(to_gtsam(graph, state), state, inner, max_iterations, roughly=True)
+        solved, _, _ = _optimize(graph, to_gtsam(graph, state), state, inner, max_iterations, roughly=True)
         move = _difference(solved, state)
         norms.append(float(np.linalg.norm(move)))
         state = mixing.next(state, move)

@@ -32,6 +32,7 @@ class BlockSystem:
     values: Array
     xi: Array
     workspace: np.ndarray
+    _held: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict, repr=False)
     _slots: dict[int, tuple[BinaryEdges, tuple[np.ndarray, np.ndarray, np.ndarray]]] = field(
         default_factory=dict, repr=False
     )
@@ -77,6 +78,21 @@ class BlockSystem:
             SingularPivot: the edges leave a direction free.
         """
         return self._factor.refactorize(self.values, damping=damping, relative=True)
+
+    def hold(self, nodes: np.ndarray) -> None:
+        """Take nodes out of the system: their rows and columns become those of the identity, their xi zero."""
+        self.values[self._slots_in_rows_and_columns(nodes)] = 0.0
+        self.values[self.indptr[nodes + 1] - 1] = np.eye(3)
+        self.xi[nodes] = 0.0
+
+    def _slots_in_rows_and_columns(self, nodes: np.ndarray) -> np.ndarray:
+        key = tuple(nodes.tolist())
+        if key not in self._held:
+            held = np.zeros(self.num_nodes, dtype=bool)
+            held[nodes] = True
+            column = np.repeat(np.arange(self.num_nodes), np.diff(self.indptr))
+            self._held[key] = np.flatnonzero(held[self.indices] | held[column])
+        return self._held[key]
 
     def clear(self) -> None:
         """Set Omega and xi to zero, keeping the pattern."""

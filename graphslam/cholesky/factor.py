@@ -1,3 +1,4 @@
+# mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
 """Public classes: analyse once per graph, factorise once per iteration, solve."""
 
 from typing import Any, Literal
@@ -13,7 +14,9 @@ from .ordering import amd
 from .symbolic import Layout, layout
 
 Method = Literal["supernodal", "dense"]
-PIVOT_TOLERANCE = 1e-13
+# Smallest pivots over their diagonal entries. Held graphs: INTEL 4e-11, a path of 10^5 poses held at one end 1e-10,
+# CSAIL 1e-7, the others above 1e-6. Floating graphs: negative, or M3500 9e-14, CSAIL (ill-weighted) 2e-11.
+PIVOT_TOLERANCE = 1e-12
 
 
 @njit(cache=True, error_model="numpy")
@@ -62,12 +65,10 @@ class Symbolic:
         order: (n,) node eliminated k-th.
         blocks: 3x3 blocks of L in the lower triangle, without the zeros of relaxed supernodes.
         flops: operations of the factorisation, without those zeros.
-        layout: the supernodal structure (its arrays are empty for the dense method).
+        layout: the supernodal structure (unused by the dense method).
     """
 
-    def __init__(
-        self, indptr: NDArray[Any], indices: NDArray[Any], order: NDArray[np.int32], structure: Layout, method: Method
-    ) -> None:
+    def __init__(self, indptr: NDArray[Any], indices: NDArray[Any], structure: Layout, method: Method) -> None:
         self.n = indptr.size - 1
         self.indptr = indptr
         self.indices = indices
@@ -87,13 +88,13 @@ class Symbolic:
 
         Raises:
             ValueError: wrong shape, values not finite, negative damping.
-            SingularPivot: a pivot is not greater than 1e-13 times the diagonal entry it came from.
+            SingularPivot: a pivot is not greater than 1e-12 times the diagonal entry it came from.
         """
         return Factor(self).refactorize(values, damping=damping, relative=relative)
 
 
 class Factor:
-    """Cholesky factor of Omega. ``refactorize`` reuses all memory for new values."""
+    """Cholesky factor of Omega. ``refactorize`` reuses all memory for new values; not to be shared by threads."""
 
     def __init__(self, symbolic: Symbolic) -> None:
         self.symbolic = symbolic
@@ -117,7 +118,11 @@ class Factor:
     ) -> "Factor":
         """Factorise new values on the same pattern in place; arguments and errors as :meth:`Symbolic.factorize`.
 
-        ``values`` is kept (not copied) for iterative refinement.
+        Args:
+            values: as there; kept, not copied, for iterative refinement.
+            damping: as there.
+            relative: as there.
+            tolerance: a pivot must be greater than this times its (damped) diagonal entry.
         """
         expected = (self.symbolic.indices.size, 3, 3)
         values = np.ascontiguousarray(values, dtype=np.float64)
@@ -266,10 +271,13 @@ def analyze(
     structure = Layout(*layout(n, indptr, indices, order))
     chosen: Method
     if method == "auto":
-        # Measured on two cores, LAPACK against the supernodes: cliques of 200 nodes 1.9 to 1.6 ms, 350 equal at 8 ms,
-        # 500 18 to 27 ms, 2,000 0.78 to 1.83 s. LAPACK works on two threads there, hence the factor.
+        # Cliques on two idle cores, LAPACK against the supernodes: 200 nodes 1.9 to 1.6 ms, 350 equal at 8 ms, 700 43
+        # to 75 ms, 2,000 0.78 to 1.7 s. On busy cores the two threads of LAPACK may take ten times as long, hence not
+        # before it gains much. The factor stands for the threads. An up-looking factorisation was tried for thin
+        # graphs: INTEL 0.105 against 0.118 ms, but 77 nodes 0.025 to 0.015 ms, M3500 1.30 to 0.69 ms, city10000 14.0
+        # to 3.9 ms.
         full = 9.0 * n**3
-        chosen = "dense" if n >= 400 and full < 1.5 * structure.flops else "supernodal"
+        chosen = "dense" if n >= 700 and full < 1.5 * structure.flops else "supernodal"
     else:
         chosen = "dense" if method == "dense" else "supernodal"
-    return Symbolic(indptr, indices, order, structure, chosen)
+    return Symbolic(indptr, indices, structure, chosen)

@@ -1,3 +1,4 @@
+# mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
 """Elimination of the nodes of degree two and less, ahead of the minimum degree ordering."""
 
 import numpy as np

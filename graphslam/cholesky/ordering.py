@@ -1,3 +1,4 @@
+# mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
 """Fill-reducing ordering of the block graph: approximate minimum degree."""
 
 from typing import Any
@@ -317,4 +318,4 @@ def amd(indptr: NDArray[Any], indices: NDArray[Any], *, dense: float = 10.0) -> 
     Returns:
         (n,) elimination order: ``order[k]`` is the node eliminated k-th.
     """
-    return _amd(indptr, indices, dense)  # type: ignore[no-any-return]
+    return _amd(np.ascontiguousarray(indptr, np.int64), np.ascontiguousarray(indices, np.int32), float(dense))

@@ -1,9 +1,11 @@
+# mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
 """Selected inversion: the blocks of Omega^-1 on the pattern of L."""
 
 import numpy as np
 from numba import njit
 
-from .kernels import clear, copy_vector, get, put, solve_rows, subtract_product, subtract_product_blocked
+from .kernels import solve_rows, subtract_product, subtract_product_blocked
+from .simd import clear, copy_vector, get, put
 from .supernodal import copy_out
 
 NARROW = 12  # scalar columns up to which three at a time are faster than a block
@@ -14,9 +16,8 @@ BLOCK = 48
 def _invert_block(x, at, ld, begin, stop, end, size, f, y):
     """Inverse over the rows ``begin`` to ``end`` into the front f, given the inverse over ``stop`` to ``end``.
 
-    From the last three columns to the first, with Y = L21 L11^-1 for three columns 1 and the rows 2 below them up to ``end``:
-    Z21 = -Z22 Y and
-    Z11 = (L11 L11')^-1 - Y' Z21.
+    From the last three columns to the first, with Y = L21 L11^-1 for three columns 1 and the rows 2 below them up to
+    ``end``: Z21 = -Z22 Y and Z11 = (L11 L11')^-1 - Y' Z21.
     """
     for j in range(stop - 3, begin - 1, -3):
         d0 = at + j * (ld + 1)
@@ -37,7 +38,21 @@ def _invert_block(x, at, ld, begin, stop, end, size, f, y):
             solve_rows(y, 2 * size + top, -size, i2, l21, l20, i1, l10, i0, rows)
             for c in range(3):
                 clear(f, c0 + c * size + top, rows)
-            subtract_product(f, c0 + top, size, f, below * size + top, size, y, below, 1, size, rows, 3, end - below)
+            subtract_product(
+                f,
+                c0 + top,
+                size,
+                f,
+                below * size + top,
+                size,
+                y,
+                below,
+                np.int64(1),
+                size,
+                rows,
+                np.int64(3),
+                end - below,
+            )
         n10 = -l10 * i0 * i1
         n21 = -l21 * i1 * i2
         n20 = -(l20 * i0 + l21 * n10) * i2
@@ -84,7 +99,19 @@ def _extend_block(x, at, ld, begin, end, size, f, y, transposed, gram):
             copy_vector(y, (j + c) * size + end, x, at + (begin + j + c) * ld + end, deep)
         if j + 3 < k:
             subtract_product(
-                y, j * size + top, size, y, (j + 3) * size + top, size, x, d0 + 3, 1, ld, rows, 3, k - j - 3
+                y,
+                j * size + top,
+                size,
+                y,
+                (j + 3) * size + top,
+                size,
+                x,
+                d0 + 3,
+                np.int64(1),
+                ld,
+                rows,
+                np.int64(3),
+                k - j - 3,
             )
         solve_rows(
             y,
@@ -103,7 +130,9 @@ def _extend_block(x, at, ld, begin, end, size, f, y, transposed, gram):
     for j in range(k):
         copy_vector(gram, j * 4, f, (begin + j) * size + top, spill)
         clear(f, (begin + j) * size + top, rows)
-    subtract_product_blocked(f, begin * size + top, size, f, end * size + top, size, y, end, 1, size, rows, k, deep, 0)
+    subtract_product_blocked(
+        f, begin * size + top, size, f, end * size + top, size, y, end, np.int64(1), size, rows, k, deep, np.int64(0)
+    )
     for j in range(k):
         copy_vector(f, (begin + j) * size + top, gram, j * 4, spill)
     padded = (k + 3) & ~3
@@ -112,7 +141,21 @@ def _extend_block(x, at, ld, begin, end, size, f, y, transposed, gram):
             put(transposed, (i - end) * padded + j, get(y, j * size + i))
             put(f, i * size + begin + j, get(f, (begin + j) * size + i))
     clear(gram, 0, k * padded)
-    subtract_product(gram, 0, padded, transposed, 0, padded, f, begin * size + end, 1, size, padded, k, deep)
+    subtract_product(
+        gram,
+        np.int64(0),
+        padded,
+        transposed,
+        np.int64(0),
+        padded,
+        f,
+        begin * size + end,
+        np.int64(1),
+        size,
+        padded,
+        k,
+        deep,
+    )
     for j in range(k):
         for i in range(k):
             p = (begin + j) * size + begin + i
@@ -128,7 +171,7 @@ def _front(x, at, ld, width, r, f, y, transposed, gram):
     """
     size = width + r
     if width <= NARROW:
-        _invert_block(x, at, ld, 0, width, size, size, f, y)
+        _invert_block(x, at, ld, np.int64(0), width, size, size, f, y)
         return
     for begin in range((width - 1) // BLOCK * BLOCK, -1, -BLOCK):
         end = min(begin + BLOCK, width)

@@ -1,19 +1,11 @@
+# mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
 """Multifrontal supernodal Cholesky factorisation."""
 
 import numpy as np
 from numba import njit
 
-from .kernels import (
-    add_blocks,
-    clear,
-    get,
-    negative_gram,
-    put,
-    put_block,
-    solve_rows,
-    subtract_product,
-    subtract_product_blocked,
-)
+from .kernels import add_blocks, negative_gram, solve_rows, subtract_product, subtract_product_blocked
+from .simd import clear, get, put, put_block
 
 INNER, OUTER = 48, 192  # columns of a wide panel factorised before the rest is updated at once
 
@@ -30,7 +22,9 @@ def _factor_columns(x, at, ld, rows, width, limits, pivot):
             # triangle, which is scratch
             count = (rows - j + 3) & ~3
             top = rows - count
-            subtract_product(x, at + j * ld + top, ld, x, at + top, ld, x, at + j, ld, 1, count, 3, j)
+            subtract_product(
+                x, at + j * ld + top, ld, x, at + top, ld, x, at + j, ld, np.int64(1), count, np.int64(3), j
+            )
         # L D L' first: divisions, not square roots, on the critical path
         a00, a10, a20 = get(x, d0), get(x, d0 + 1), get(x, d0 + 2)
         a11, a21, a22 = get(x, d1 + 1), get(x, d1 + 2), get(x, d2 + 2)
@@ -104,7 +98,7 @@ def _update_rest(x, at, ld, begin, stop, end):
         x,
         left + stop,
         ld,
-        1,
+        np.int64(1),
         rows,
         end - stop,
         stop - begin,
@@ -171,7 +165,7 @@ def factorize(
             while split < high and relative[split] < w:
                 split += 1
             _runs(relative, low, high, run)
-            _extend(x, at, ld, 0, u, stack_start[c], relative, low, high, low, split, run)
+            _extend(x, at, ld, np.int64(0), u, stack_start[c], relative, low, high, low, split, run)
         bad = factor_panel(x, at, ld, width, limits, pivot)
         if bad >= 0:
             return pivot + bad

@@ -1,4 +1,5 @@
-"""Symbolic analysis: elimination tree, column counts, supernodes, storage layout."""
+# mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
+"""Symbolic analysis: the supernodal structure of L and where everything is stored."""
 
 from typing import NamedTuple
 
@@ -6,9 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-# Cost model of one supernode of w columns and r rows below (nodes), in nanoseconds, fitted on one core at 3 GHz:
-# fixed overhead, scalars of the panel, flops, scalars of the update matrix passed to the parent.
-COST_NODE, COST_PANEL, COST_FLOP, COST_UPDATE = 100.0, 2.0, 0.05, 1.0
+from .elimination import elimination_tree, supernodes
 
 
 class Layout(NamedTuple):
@@ -36,7 +35,7 @@ class Layout(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def _permuted_lists(n, indptr, indices, position):
-    """Row lists: for each row k in elimination order its columns i < k; one list of entries by column."""
+    """For each row k in elimination order its columns i < k (pointer, columns)."""
     row_pointer = np.zeros(n + 1, np.int64)
     for j in range(n):
         b = position[j]
@@ -55,141 +54,6 @@ def _permuted_lists(n, indptr, indices, position):
             columns[fill[k]] = min(a, b)
             fill[k] += 1
     return row_pointer, columns
-
-
-@njit(cache=True, error_model="numpy")
-def elimination_tree(n, row_pointer, columns):
-    """Elimination tree and column counts of L, diagonal included, from the row subtrees (Liu 1990).
-
-    Walking every row subtree costs one step per block of L, which the factorisation pays tenfold; the near-linear
-    count of Gilbert, Ng & Peyton would save less than 1 % of the analysis here.
-    """
-    parent = np.full(n, -1, np.int32)
-    count = np.ones(n, np.int32)
-    mark = np.full(n, -1, np.int32)
-    for k in range(n):
-        mark[k] = k
-        for p in range(row_pointer[k], row_pointer[k + 1]):
-            i = columns[p]
-            while mark[i] != k:
-                if parent[i] < 0:
-                    parent[i] = k
-                count[i] += 1
-                mark[i] = k
-                i = parent[i]
-    return parent, count
-
-
-@njit(cache=True, error_model="numpy")
-def _cost(w, r):
-    w3, r3 = 3.0 * w, 3.0 * r
-    flops = w3 * w3 * w3 / 3.0 + w3 * w3 * r3 + w3 * r3 * r3
-    return COST_NODE + COST_PANEL * w3 * (w3 + r3) + COST_FLOP * flops + COST_UPDATE * 0.5 * r3 * r3
-
-
-@njit(cache=True, error_model="numpy")
-def supernodes(n, parent, count):
-    """Supernodes by amalgamating a column tree bottom-up wherever the cost model gains.
-
-    Returns the column order of the amalgamated and postordered tree, the first column of every supernode, its
-    number of rows below, and the supernodal tree.
-    """
-    width = np.ones(n, np.int32)
-    below = count - 1
-    alive = np.ones(n, np.bool_)
-    child = np.full(n, -1, np.int32)  # first child
-    sibling = np.full(n, -1, np.int32)
-    column_head = np.arange(n).astype(np.int32)
-    column_next = np.full(n, -1, np.int32)
-    cost = np.empty(n)
-    for p in range(n):
-        cost[p] = _cost(1, below[p])
-        for relaxed in range(2):
-            c = child[p]
-            previous = -1
-            while c >= 0:
-                following = sibling[c]
-                w = width[c] + width[p]
-                if relaxed == 0:
-                    merge = below[c] == width[p] + below[p]
-                else:
-                    merge = True
-                if merge:
-                    joint = _cost(w, below[p])
-                    if relaxed == 1:
-                        merge = joint < cost[c] + cost[p]
-                if merge:
-                    cost[p] = joint
-                    width[p] = w
-                    alive[c] = False
-                    # columns of c come first
-                    last = c
-                    column_next[last] = column_head[p]
-                    column_head[p] = column_head[c]
-                    # the grandchildren take c's place; they have been weighed against c already
-                    g = child[c]
-                    if g < 0:
-                        if previous < 0:
-                            child[p] = following
-                        else:
-                            sibling[previous] = following
-                    else:
-                        if previous < 0:
-                            child[p] = g
-                        else:
-                            sibling[previous] = g
-                        while sibling[g] >= 0:
-                            g = sibling[g]
-                        sibling[g] = following
-                        previous = g
-                else:
-                    previous = c
-                c = following
-        q = parent[p]
-        if q >= 0:
-            sibling[p] = child[q]
-            child[q] = p
-    total = 0
-    for p in range(n):
-        if alive[p]:
-            total += 1
-    # postorder without recursion
-    first = np.empty(total + 1, np.int32)
-    rows = np.empty(total, np.int32)
-    tree = np.full(total, -1, np.int32)
-    columns = np.empty(n, np.int32)
-    number = np.full(n, -1, np.int32)
-    stack = np.empty(n, np.int32)
-    s = 0
-    k = 0
-    for root in range(n):
-        if parent[root] >= 0:
-            continue
-        depth = 0
-        stack[0] = root
-        while depth >= 0:
-            p = stack[depth]
-            c = child[p]
-            if c >= 0:
-                child[p] = sibling[c]
-                depth += 1
-                stack[depth] = c
-            else:
-                first[s] = k
-                rows[s] = below[p]
-                number[p] = s
-                j = column_head[p]
-                for _ in range(width[p]):
-                    columns[k] = j
-                    k += 1
-                    j = column_next[j]
-                s += 1
-                depth -= 1
-                # children of p are numbered: hand them their parent when p itself is
-                stack[depth + 1] = p
-        # second pass below sets the tree
-    first[total] = n
-    return columns, first, rows, tree, number
 
 
 @njit(cache=True, error_model="numpy")
@@ -335,7 +199,7 @@ def layout(n, indptr, indices, order):
         blocks += count[k]
         r = 3.0 * (count[k] - 1)
         flops += 9.0 + 9.0 * r + 3.0 * r * r
-    moved, first, below, _, _ = supernodes(n, parent, count)
+    moved, first, below = supernodes(n, parent, count)
     final = np.empty(n, np.int32)
     for k in range(n):
         final[k] = order[moved[k]]

@@ -1,8 +1,10 @@
+# mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
 """Triangular solves with a supernodal factor."""
 
 from numba import njit
 
-from .kernels import add_triple, clear, dot_columns, get, put, put_triple, subtract_columns
+from .kernels import dot_columns, subtract_columns
+from .simd import add_triple, clear, get, put, put_triple
 
 
 @njit(cache=True, error_model="numpy")

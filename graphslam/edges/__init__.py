@@ -2,6 +2,7 @@
 
 from .anchor import ANCHOR_INFORMATION, AnchorEdges
 from .base import EdgeFamily, Linearization
+from .landmark import ObservationEdges, RelativePointEdges
 from .motion import motion_edges
 from .relative_pose import RelativePoseEdges
 from .virtual_motion import VirtualMotionEdges
@@ -11,6 +12,8 @@ __all__ = [
     "AnchorEdges",
     "EdgeFamily",
     "Linearization",
+    "ObservationEdges",
+    "RelativePointEdges",
     "RelativePoseEdges",
     "VirtualMotionEdges",
     "motion_edges",

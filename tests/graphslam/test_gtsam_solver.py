@@ -62,10 +62,10 @@ def test_cost_is_twice_gtsams_error(book_log, frame, dimensions):
     for scale in (0.0, 0.1, 2.0):
         state = graph.initial + scale * rng.normal(size=graph.initial.shape)
         reference = graph.initial + 0.1 * rng.normal(size=graph.initial.shape)
-        error = to_gtsam(graph, reference).error(to_values(state))
+        error = to_gtsam(graph, reference).error(to_values(graph, state))
         assert graph.cost(state, reference) == pytest.approx(2 * error, rel=1e-10)
     solution = solve(graph)
-    error = to_gtsam(graph, solution.poses).error(to_values(solution.poses))
+    error = to_gtsam(graph, solution.poses).error(to_values(graph, solution.state))
     assert solution.cost == pytest.approx(2 * error, rel=1e-10)
 
 

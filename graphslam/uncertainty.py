@@ -1,0 +1,50 @@
+"""Covariances from the factor of Omega at a solution: blocks of Omega^-1, which itself is never formed."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from .cholesky import Factor, SingularPivot
+from .diagnosis import undetermined
+from .graph import Graph
+from .se2 import Array
+
+
+class Uncertainty:
+    """Marginal covariances of the nodes of a graph at a state (n, 3), worked out when first asked for.
+
+    Omega is the Gauss-Newton information at the state, so the covariances are those of the linearised problem. Nodes
+    that are held have covariance zero.
+
+    Raises:
+        GraphError: (all methods) the edges do not determine the nodes.
+    """
+
+    def __init__(self, graph: Graph, state: Array) -> None:
+        self._graph, self._state = graph, state
+
+    @cached_property
+    def _factor(self) -> Factor:
+        system, _ = self._graph.linearize(self._state)
+        try:
+            # a factor of its own: the system's is overwritten by the next solve
+            return system.symbolic.factorize(system.values.copy())
+        except SingularPivot as error:
+            raise undetermined(self._graph, self._state, error) from None
+
+    @cached_property
+    def diagonal(self) -> Array:
+        """The covariance of every node, (n, 3, 3), by selected inversion."""
+        blocks = self._factor.diagonal_covariances()
+        blocks[self._graph.fixed] = 0.0
+        return blocks
+
+    def block(self, i: int, j: int) -> Array:
+        """The covariance between nodes i and j, (3, 3): the block of Omega^-1 in row i and column j."""
+        if i == j:
+            return self.diagonal[i].copy()
+        if i in self._graph.fixed or j in self._graph.fixed:
+            return np.zeros((3, 3))
+        return self._factor.covariance(i, j)
