@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -249,6 +249,12 @@ class Graph:
             ),
             Path(path),
         )
+
+    def with_initial(self, initial: Array) -> Graph:
+        """The same graph with other initial values (n, 3)."""
+        if np.shape(initial) != self.initial.shape:
+            raise OptionError(f"initial must have shape {self.initial.shape}, not {np.shape(initial)}")
+        return replace(self, initial=np.array(initial, dtype=float))
 
     @property
     def num_nodes(self) -> int:

@@ -10,14 +10,15 @@ import numpy as np
 
 from .cholesky import Factor, SingularPivot
 from .diagnosis import undetermined
-from .errors import OptionError, check_choice, check_positive
+from .errors import GraphError, OptionError, check_choice, check_positive
 from .fixed_point import AndersonMixing
 from .graph import Graph
+from .initialize import dead_reckoning, rotation_first
 from .se2 import Array
 from .solution import Solution, make_solution
 
 METHODS = ("gauss-newton", "levenberg-marquardt")
-INITIALIZE = ("given",)
+INITIALIZE = ("given", "dead-reckoning", "rotation-first", "auto")
 
 
 @dataclass(frozen=True)
@@ -62,9 +63,18 @@ class _Run:
         self.reason = f"diverged: the cost is {cost} after {len(self.step_norms)} steps"
         return True
 
-    def finish(self, tolerance: float) -> None:
-        """The last step was short enough."""
-        self.converged, self.reason = True, f"step norm {self.step_norms[-1]:.1e} below the tolerance {tolerance:g}"
+    def finished(self, tolerance: float, promised: float) -> bool:
+        """Whether the last step, which promised to lower J by ``promised``, was short enough to stop.
+
+        On badly scaled graphs rounding keeps the steps from becoming shorter than some 1e-7 (INTEL). So a step that no
+        longer shrinks is taken for the last, too, when it promises less than a rounding error of J.
+        """
+        norm = self.step_norms[-1]
+        if norm < tolerance:
+            self.converged, self.reason = True, f"step norm {norm:.1e} below the tolerance {tolerance:g}"
+        elif promised < 1e-15 * self.costs[-1] and len(self.step_norms) > 1 and norm > 0.5 * self.step_norms[-2]:
+            self.converged, self.reason = True, f"step norm {norm:.1e} at its rounding floor: J can fall no further"
+        return self.converged
 
 
 def solve(
@@ -84,7 +94,9 @@ def solve(
             lower J; in the world frame J with the information held still, solved, re-evaluated, and solved again).
         tolerance: converged when the Euclidean norm of a whole correction is below this.
         max_iterations: the most steps to take.
-        initialize: "given", the graph's own initial values.
+        initialize: "given", the graph's own initial values; "dead-reckoning" along the motion edges; "rotation-first",
+            headings by linear least squares and then positions; "auto", rotation-first where the edges allow it, and
+            should that end above the given values' cost, or not end, the other ways too: the best end counts.
         callback: called after each step with an `Iteration`.
 
     Raises:
@@ -99,9 +111,16 @@ def solve(
     if max_iterations < 0:
         raise OptionError(f"max_iterations must not be negative, but is {max_iterations}")
     begin = time.perf_counter()
-    run = _Run(graph.initial.copy(), callback, mixing=AndersonMixing() if graph.frozen_information else None)
-    search = _gauss_newton if method == "gauss-newton" else _levenberg_marquardt
-    search(graph, run, tolerance, max_iterations)
+
+    def run_from(start: Array, search: str) -> _Run:
+        run = _Run(start.copy(), callback, mixing=AndersonMixing() if graph.frozen_information else None)
+        (_gauss_newton if search == "gauss-newton" else _levenberg_marquardt)(graph, run, tolerance, max_iterations)
+        return run
+
+    if initialize == "auto":
+        run = _best_run(graph, run_from, method)
+    else:
+        run = run_from(_start(graph, initialize), method)
     seconds = time.perf_counter() - begin
     return make_solution(
         graph,
@@ -115,14 +134,50 @@ def solve(
     )
 
 
+def _start(graph: Graph, initialize: str) -> Array:
+    if initialize == "rotation-first":
+        return rotation_first(graph)
+    return dead_reckoning(graph) if initialize == "dead-reckoning" else graph.initial
+
+
+def _best_run(graph: Graph, run_from: Callable[[Array, str], _Run], method: str) -> _Run:
+    """The run that ends lowest: from rotations first; from the given values, and damped, where that is not good enough."""
+    given_cost = graph.cost(graph.initial)
+    best: _Run | None = None
+    best_cost = np.inf
+    for initialize in ("rotation-first", "given"):
+        try:
+            start = _start(graph, initialize)
+        except GraphError:
+            continue  # these edges do not allow that start
+        for search in dict.fromkeys((method, "levenberg-marquardt")):
+            try:
+                run = run_from(start, search)
+            except GraphError:
+                if initialize == "given" and best is None:
+                    raise
+                continue
+            cost = graph.cost(run.state) if run.converged else np.inf
+            run.reason += f" (started {initialize}, {search})"
+            if best is None or cost < best_cost:
+                best, best_cost = run, cost
+            # an end above the start's own cost is not an end to be content with
+            if run.converged and best_cost <= given_cost * (1 + 1e-9):
+                return best
+    assert best is not None
+    return best
+
+
 def _gauss_newton(graph: Graph, run: _Run, tolerance: float, max_iterations: int) -> None:
     run.reason = f"max_iterations = {max_iterations} reached"
     for _ in range(max_iterations):
         system, cost = graph.linearize(run.state)
         if run.diverged(cost):
             return
-        if run.step(cost, _factorize(graph, run.state).solve(system.xi)) < tolerance:
-            run.finish(tolerance)
+        delta = _factorize(graph, run.state).solve(system.xi)
+        # what the quadratic model promises: J falls by Delta' Omega Delta = xi' Delta
+        run.step(cost, delta)
+        if run.finished(tolerance, promised=float(np.sum(system.xi * delta))):
             return
 
 
@@ -158,7 +213,7 @@ def _levenberg_marquardt(graph: Graph, run: _Run, tolerance: float, max_iteratio
                 return
         gain = 1.0 if negligible else (cost - tried) / promised
         damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-15), 2.0
+        run.step(cost, delta)
         # a short step means something only when damping does not shorten it
-        if run.step(cost, delta) < tolerance and damping < 1e-6:
-            run.finish(tolerance)
+        if damping < 1e-6 and run.finished(tolerance, promised):
             return

@@ -1,7 +1,7 @@
 """Edge families: what ties the nodes of a graph together, one file each."""
 
 from .anchor import ANCHOR_INFORMATION, AnchorEdges
-from .base import EdgeFamily, Linearization
+from .base import EdgeFamily, Linearization, Relations
 from .landmark import ObservationEdges, RelativePointEdges
 from .motion import motion_edges
 from .relative_pose import RelativePoseEdges
@@ -15,6 +15,7 @@ __all__ = [
     "ObservationEdges",
     "RelativePointEdges",
     "RelativePoseEdges",
+    "Relations",
     "VirtualMotionEdges",
     "motion_edges",
 ]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..se2 import Array, wrap
-from .base import BlockSystem, Linearization
+from .base import BlockSystem, Linearization, Relations
 
 #: the lectures' Omega_0 = 1e6 I
 ANCHOR_INFORMATION = 1e6 * np.eye(3)
@@ -42,6 +42,14 @@ class AnchorEdges:
         return Linearization(
             residuals, self.information, (self.nodes,), (np.broadcast_to(np.eye(3), (self.count, 3, 3)),)
         )
+
+    def headings(self) -> Relations | None:
+        """See `EdgeFamily.headings`."""
+        return None
+
+    def positions(self, state: Array) -> Relations | None:
+        """See `EdgeFamily.positions`."""
+        return None
 
     def cost(self, state: Array, reference: Array) -> float:
         """See `EdgeFamily.cost`."""

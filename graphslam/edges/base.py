@@ -33,6 +33,20 @@ class Linearization:
         return np.einsum("ei,eij,ej->e", self.residuals, self.information, self.residuals)
 
 
+@dataclass(frozen=True)
+class Relations:
+    """Linear relations between two nodes each, u_second - u_first = value, for `initialize`.
+
+    Headings: ``value`` (E,) [rad] and ``information`` (E,). Positions: ``value`` (E, 2) [m] in world axes and
+    ``information`` (E, 2, 2).
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    value: Array
+    information: Array
+
+
 class EdgeFamily(Protocol):
     """Edges of one kind. All of them write e' Omega e into the cost, B' Omega B into Omega and -B' Omega e into xi."""
 
@@ -58,6 +72,12 @@ class EdgeFamily(Protocol):
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem) -> float:
         """Add the edges to Omega and xi, in place, and return their cost."""
+
+    def headings(self) -> Relations | None:
+        """The relative headings that the edges measure; None where they measure none."""
+
+    def positions(self, state: Array) -> Relations | None:
+        """The relative positions that the edges measure, with all headings taken from the state."""
 
 
 class BlockSystem(Protocol):

@@ -19,7 +19,7 @@ from numba import njit
 
 from ..models import SensorModel
 from ..se2 import Array, rotation, wrap
-from .base import BlockSystem, Linearization
+from .base import BlockSystem, Linearization, Relations
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +55,22 @@ class ObservationEdges:
         by_landmark[:, :, :d] = self.sensor.H(x, m)
         information = np.linalg.inv(self.sensor.Q(self.sightings))
         return Linearization(residuals, information, (self.first, self.second), (self.sensor.H_pose(x, m), by_landmark))
+
+    def headings(self) -> Relations | None:
+        """See `EdgeFamily.headings`."""
+        if self.sightings.shape[1] == 2:
+            return None
+        variance = self.sensor.bearing_std**2 + self.sensor.orientation_std**2
+        facing = self.sightings[:, 1] - self.sightings[:, 2]
+        return Relations(self.first, self.second, facing, np.full(self.count, 1 / variance))
+
+    def positions(self, state: Array) -> Relations | None:
+        """See `EdgeFamily.positions`."""
+        x = state[self.first]
+        at_origin = np.column_stack([np.zeros((self.count, 2)), x[:, 2]])
+        offset = self.sensor.h_inverse(at_origin, self.sightings[:, :2])
+        information = np.linalg.inv(self.sensor.landmark_covariance(x, self.sightings[:, :2]))
+        return Relations(self.first, self.second, offset, information)
 
     def cost(self, state: Array, reference: Array) -> float:
         """See `EdgeFamily.cost`."""
@@ -106,6 +122,16 @@ class RelativePointEdges:
         by_pose[:, :, :2], by_landmark[:, :, :2] = -back, back
         by_pose[:, 0, 2], by_pose[:, 1, 2] = seen[:, 1], -seen[:, 0]
         return Linearization(seen - self.measured, self.information, (self.first, self.second), (by_pose, by_landmark))
+
+    def headings(self) -> Relations | None:
+        """See `EdgeFamily.headings`."""
+        return None
+
+    def positions(self, state: Array) -> Relations | None:
+        """See `EdgeFamily.positions`."""
+        turn = rotation(state[self.first, 2])
+        offset = np.einsum("eij,ej->ei", turn, self.measured)
+        return Relations(self.first, self.second, offset, turn @ self.information @ np.swapaxes(turn, 1, 2))
 
     def cost(self, state: Array, reference: Array) -> float:
         """See `EdgeFamily.cost`."""

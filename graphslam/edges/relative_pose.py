@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 
 from ..se2 import Array, rotation, wrap
-from .base import BlockSystem, Linearization
+from .base import BlockSystem, Linearization, Relations
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +71,16 @@ class RelativePoseEdges:
             by_first[:, 0, 2], by_first[:, 1, 2] = seen[:, 1], -seen[:, 0]
             information = self.information
         return Linearization(residuals, information, (self.first, self.second), (by_first, by_second))
+
+    def headings(self) -> Relations | None:
+        """See `EdgeFamily.headings`."""
+        return Relations(self.first, self.second, self.measured[:, 2], self.information[:, 2, 2])
+
+    def positions(self, state: Array) -> Relations | None:
+        """See `EdgeFamily.positions`."""
+        turn = rotation(state[self.first, 2])
+        offset = np.einsum("eij,ej->ei", turn, self.measured[:, :2])
+        return Relations(self.first, self.second, offset, turn @ self.information[:, :2, :2] @ np.swapaxes(turn, 1, 2))
 
     def cost(self, state: Array, reference: Array) -> float:
         """See `EdgeFamily.cost`."""

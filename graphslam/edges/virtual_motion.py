@@ -33,7 +33,7 @@ from numba import njit
 
 from ..models import SensorModel
 from ..se2 import Array, rotation, wrap
-from .base import BlockSystem, Linearization
+from .base import BlockSystem, Linearization, Relations
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +135,31 @@ class VirtualMotionEdges:
             residuals = np.einsum("eij,ej->ei", turn, residuals)
             by_a, by_b = turn @ by_a, turn @ by_b
         return Linearization(residuals[:, :d], information, (self.nodes[a], self.nodes[b]), (by_a[:, :d], by_b[:, :d]))
+
+    def headings(self) -> Relations | None:
+        """See `EdgeFamily.headings`. Consecutive sightings of a landmark only: a start needs no more."""
+        if self.sightings.shape[1] == 2:
+            return None
+        a, b = self._consecutive()
+        # theta + phi - psi is the landmark's heading
+        facing = self.sightings[:, 1] - self.sightings[:, 2]
+        variance = 2 * (self.sensor.bearing_std**2 + self.sensor.orientation_std**2)
+        return Relations(self.nodes[a], self.nodes[b], facing[a] - facing[b], np.full(len(a), 1 / variance))
+
+    def positions(self, state: Array) -> Relations | None:
+        """See `EdgeFamily.positions`. Consecutive sightings of a landmark only."""
+        a, b = self._consecutive()
+        _, lever, _ = self.placed(state)
+        # the vector to the landmark is the lever turned back by a quarter
+        towards = np.column_stack([lever[:, 1], -lever[:, 0]])
+        covariance = self.sensor.landmark_covariance(state[self.nodes], self.sightings)[:, :2, :2]
+        information = np.linalg.inv(covariance[a] + covariance[b])
+        return Relations(self.nodes[a], self.nodes[b], towards[a] - towards[b], information)
+
+    def _consecutive(self) -> tuple[np.ndarray, np.ndarray]:
+        group = np.repeat(np.arange(len(self.starts) - 1), np.diff(self.starts))
+        a = np.flatnonzero((group[1:] == group[:-1]) & (self.nodes[1:] != self.nodes[:-1]))
+        return a, a + 1
 
     def cost(self, state: Array, reference: Array) -> float:
         """See `EdgeFamily.cost`."""

@@ -1,0 +1,61 @@
+import gtsam
+import numpy as np
+import pytest
+
+from graphslam import Graph, OptionError, load, sample_log_path, solve
+from graphslam.gtsam_solver import to_gtsam, to_values
+
+
+def in_world_axes(block, theta_i, theta_j):
+    """GTSAM's covariances are in the axes of the poses."""
+
+    def turn(theta):
+        c, s = np.cos(theta), np.sin(theta)
+        return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+    return turn(theta_i) @ block @ turn(theta_j).T
+
+
+def test_every_pose_of_m3500_against_gtsams_marginals(shared_data):
+    graph = Graph.from_g2o(shared_data("posegraph/input_M3500_g2o.g2o"))
+    solution = solve(graph, initialize="auto")
+    marginals = gtsam.Marginals(to_gtsam(graph, solution.state), to_values(graph, solution.state))
+    ours = solution.covariances()
+    assert ours.shape == (3500, 3, 3)
+    for k in range(1, 3500):
+        theirs = in_world_axes(marginals.marginalCovariance(k), solution.poses[k, 2], solution.poses[k, 2])
+        assert np.abs(ours[k] - theirs).max() <= 1e-6 * np.abs(theirs).max()
+    np.testing.assert_array_equal(ours[0], 0)
+    np.testing.assert_array_equal(solution.covariance(17), ours[17])
+
+
+@pytest.mark.parametrize("dimensions", [3, 2])
+def test_landmarks_and_blocks_between_nodes(dimensions):
+    log = load(sample_log_path())
+    graph = Graph.from_log(log, edges="landmark+motion", dimensions=dimensions)
+    solution = solve(graph, initialize="auto")
+    system, _ = graph.linearize(solution.state)
+    inverse = np.linalg.inv(system.to_sparse().toarray())
+    first = graph.num_nodes - len(graph.landmark_ids)
+    assert first == log.num_poses
+
+    def block(i, j, columns=3):
+        return inverse[3 * i : 3 * i + 3, 3 * j : 3 * j + columns]
+
+    np.testing.assert_allclose(solution.cross_covariance(5, 90), block(5, 90), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(solution.cross_covariance(160, 159), block(160, 159), rtol=1e-6, atol=1e-12)
+    for k, j in enumerate(graph.landmark_ids.tolist()):
+        expected = inverse[3 * (first + k) :, 3 * (first + k) :][:dimensions, :dimensions]
+        np.testing.assert_allclose(solution.landmark_covariances[j], expected, rtol=1e-6, atol=1e-12)
+        cross = solution.cross_covariance(30, landmark=j)
+        np.testing.assert_allclose(cross, block(30, first + k, dimensions), rtol=1e-6, atol=1e-12)
+
+
+def test_impossible_blocks(book_log):
+    solution = solve(Graph.from_log(book_log))
+    with pytest.raises(OptionError, match="landmark 3 is no node"):
+        solution.cross_covariance(0, landmark=3)
+    with pytest.raises(OptionError, match="and not both"):
+        solution.cross_covariance(0)
+    with pytest.raises(OptionError, match="step must lie between"):
+        solution.cross_covariance(0, 99)
