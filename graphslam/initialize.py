@@ -11,15 +11,24 @@ and its use in pose graph optimization*, ICRA 2015 (there called chordal relaxat
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numba import njit
 
 from .cholesky import SingularPivot
-from .edges import AnchorEdges, RelativePoseEdges
+from .edges import (
+    AnchorEdges,
+    EdgeFamily,
+    ObservationEdges,
+    RelativePointEdges,
+    RelativePoseEdges,
+    VirtualMotionEdges,
+)
 from .errors import GraphError
 from .graph import Graph
 from .information import BlockSystem
-from .se2 import Array, compose, rotation
+from .se2 import Array, compose, rotation, wrap
 
 
 def rotation_first(graph: Graph) -> Array:
@@ -86,6 +95,50 @@ def dead_reckoning(graph: Graph) -> Array:
         raise GraphError(f"initialize='dead-reckoning' needs motion edges; none leads to {graph.names(missing)}")
     for k in range(1, len(graph.steps)):
         state[k] = compose(state[k - 1], step[k])
+    return state
+
+
+def without_landmarks(graph: Graph) -> Graph | None:
+    """The graph with its landmark nodes exchanged for virtual-motion edges between the poses that saw them.
+
+    Each pair of sightings weighs 2/K, so every sighting counts once (approximately: the landmark is not eliminated
+    exactly). Its cost is far less crooked than that of landmark nodes, whose bearings turn quickly near a landmark that
+    starts in the wrong place. None where there are no sightings to exchange.
+    """
+    families: list[EdgeFamily] = []
+    for family in graph.families:
+        if isinstance(family, ObservationEdges):
+            order = np.lexsort((family.first, family.second))
+            _, starts = np.unique(family.second[order], return_index=True)
+            starts = np.append(starts, len(order))
+            weights = 2.0 / np.diff(starts)
+            seen = family.sightings[order]
+            families.append(VirtualMotionEdges(starts, family.first[order], seen, family.sensor, "body", weights))
+        elif not isinstance(family, RelativePointEdges):
+            families.append(family)
+    if not any(isinstance(family, VirtualMotionEdges) for family in families):
+        return None
+    poses = len(graph.steps)
+    return replace(graph, initial=graph.initial[:poses], families=tuple(families), landmark_ids=graph.landmark_ids[:0])
+
+
+def place_landmarks(graph: Graph, poses: Array) -> Array:
+    """A state (n, 3) of poses (P, 3) and every landmark node at the mean of where its sightings put it from there."""
+    state = np.concatenate([poses, graph.initial[len(graph.steps) :]])
+    for family in graph.families:
+        if isinstance(family, ObservationEdges):
+            d = family.sightings.shape[1]
+            x = state[family.first]
+            y = family.sensor.h_inverse(x, family.sightings)
+            # headings as differences from any one of the landmark's, so that none is torn at the seam
+            some = np.zeros((graph.num_nodes, d))
+            some[family.second] = y
+            offset = y - some[family.second]
+            offset[:, 2:] = wrap(offset[:, 2:])
+            total, count = np.zeros((graph.num_nodes, d)), np.bincount(family.second, minlength=graph.num_nodes)
+            np.add.at(total, family.second, offset)
+            seen = np.flatnonzero(count)
+            state[seen, :d] = some[seen] + total[seen] / count[seen, None]
     return state
 
 

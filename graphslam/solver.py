@@ -13,12 +13,14 @@ from .diagnosis import undetermined
 from .errors import GraphError, OptionError, check_choice, check_positive
 from .fixed_point import AndersonMixing
 from .graph import Graph
-from .initialize import dead_reckoning, rotation_first
+from .initialize import dead_reckoning, place_landmarks, rotation_first, without_landmarks
 from .se2 import Array
 from .solution import Solution, make_solution
 
 METHODS = ("gauss-newton", "levenberg-marquardt")
 INITIALIZE = ("given", "dead-reckoning", "rotation-first", "auto")
+#: the starts that "auto" tries, in turn
+AUTO = ("virtual-motion", "rotation-first", "given")
 
 
 @dataclass(frozen=True)
@@ -95,8 +97,9 @@ def solve(
         tolerance: converged when the Euclidean norm of a whole correction is below this.
         max_iterations: the most steps to take.
         initialize: "given", the graph's own initial values; "dead-reckoning" along the motion edges; "rotation-first",
-            headings by linear least squares and then positions; "auto", rotation-first where the edges allow it, and
-            should that end above the given values' cost, or not end, the other ways too: the best end counts.
+            headings by linear least squares and then positions; "auto", for sightings of landmark nodes by virtual-motion
+            edges first, else rotation-first where the edges allow it, and should that end above the given values' cost,
+            or not end, the other ways too: the best end counts.
         callback: called after each step with an `Iteration`.
 
     Raises:
@@ -120,7 +123,7 @@ def solve(
     if initialize == "auto":
         run = _best_run(graph, run_from, method)
     else:
-        run = run_from(_start(graph, initialize), method)
+        run = run_from(starting_state(graph, initialize), method)
     seconds = time.perf_counter() - begin
     return make_solution(
         graph,
@@ -134,9 +137,37 @@ def solve(
     )
 
 
-def _start(graph: Graph, initialize: str) -> Array:
+def virtual_motion_first(graph: Graph) -> Array:
+    """A state (n, 3) to start from: poses by virtual-motion edges in place of the landmark nodes, then the landmarks.
+
+    Raises:
+        GraphError: the graph has no sightings of landmark nodes, or they do not determine the poses.
+    """
+    easier = without_landmarks(graph)
+    if easier is None:
+        raise GraphError("there are no sightings of landmark nodes to make virtual-motion edges of")
+    # a start needs no digits
+    return place_landmarks(graph, solve(easier, tolerance=1e-3 * len(graph.steps) ** 0.5).state)
+
+
+def starting_state(graph: Graph, initialize: str) -> Array:
+    """The state (n, 3) that `solve` starts from; for "auto" the one that it tries first.
+
+    Raises:
+        GraphError: the edges do not allow this start.
+        OptionError: there is no such start.
+    """
+    check_choice("initialize", initialize, (*INITIALIZE, "virtual-motion"))
+    if initialize == "auto":
+        for choice in AUTO:
+            try:
+                return starting_state(graph, choice)
+            except GraphError:
+                continue
     if initialize == "rotation-first":
         return rotation_first(graph)
+    if initialize == "virtual-motion":
+        return virtual_motion_first(graph)
     return dead_reckoning(graph) if initialize == "dead-reckoning" else graph.initial
 
 
@@ -145,9 +176,9 @@ def _best_run(graph: Graph, run_from: Callable[[Array, str], _Run], method: str)
     given_cost = graph.cost(graph.initial)
     best: _Run | None = None
     best_cost = np.inf
-    for initialize in ("rotation-first", "given"):
+    for initialize in AUTO:
         try:
-            start = _start(graph, initialize)
+            start = starting_state(graph, initialize)
         except GraphError:
             continue  # these edges do not allow that start
         for search in dict.fromkeys((method, "levenberg-marquardt")):

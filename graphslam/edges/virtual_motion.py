@@ -27,6 +27,7 @@ The number of pairs grows with the square of the sightings per landmark; they ar
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -163,38 +164,72 @@ class VirtualMotionEdges:
 
     def cost(self, state: Array, reference: Array) -> float:
         """See `EdgeFamily.cost`."""
-        y, _, _ = self.placed(state)
-        arguments = (y, self.turned_by(state, reference), _packed(self.covariances(reference)))
-        return float(_cost(self.starts, self.nodes, self.group_weights, *arguments, self.sightings.shape[1] == 3))
+        y, _, gamma, C = self._prepared(state, reference)
+        return float(_cost(self.starts, self.nodes, self.group_weights, y, gamma, C, self.sightings.shape[1] == 3))
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem) -> float:
         """See `EdgeFamily.accumulate`."""
-        y, lever, _ = self.placed(state)
+        y, lever, gamma, C = self._prepared(state, reference)
         return float(
             _accumulate(
-                self.starts, self.nodes, *self._by_node(len(state)), self.group_weights, y, lever,
-                self.turned_by(state, reference), _packed(self.covariances(reference)), self.sightings.shape[1] == 3,
-                self.frame == "body", system.indptr, system.indices, system.workspace, system.values, system.xi,
+                self.starts, self.nodes, *self._by_node, self.group_weights, y, lever, gamma, C,
+                self.sightings.shape[1] == 3, self.frame == "body",
+                system.indptr, system.indices, system.workspace, system.values, system.xi,
             )
         )  # fmt: skip
 
-    def _by_node(self, num_nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The sightings ordered by node: (order (M,), start of each node (n+1,), landmark of each sighting (M,))."""
+    def _prepared(self, state: Array, reference: Array) -> tuple[Array, Array, Array, Array]:
+        """y (M, 3), lever (M, 2), gamma (M,) and C (M, 6) as `placed`, `turned_by` and `covariances` give them."""
+        s = self.sensor
+        variances = (s.range_rate**2, s.bearing_std**2, s.orientation_std**2)
+        mode = _WORLD if self.frame == "world" else _BODY if self.sightings.shape[1] == 3 else _BODY_WITHOUT_PSI
+        return _prepare(state, reference, self.nodes, self.sightings, variances, mode)
+
+    @cached_property
+    def _by_node(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The sightings by node: their order (M,), the start of each node (last node + 2,), their landmarks (M,)."""
         order = np.argsort(self.nodes, kind="stable")
+        last = int(self.nodes.max(initial=-1))
         return (
             order,
-            np.searchsorted(self.nodes[order], np.arange(num_nodes + 1)),
+            np.searchsorted(self.nodes[order], np.arange(last + 2)),
             np.repeat(np.arange(len(self.starts) - 1), np.diff(self.starts)),
         )
 
 
-def _packed(covariances: Array) -> Array:
-    """The six (or three) different entries of each symmetric matrix, (M, 6): 00, 01, 11, 02, 12, 22."""
-    packed = np.zeros((len(covariances), 6))
-    packed[:, 0], packed[:, 1], packed[:, 2] = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
-    if covariances.shape[1] == 3:
-        packed[:, 3], packed[:, 4], packed[:, 5] = covariances[:, 0, 2], covariances[:, 1, 2], covariances[:, 2, 2]
-    return packed
+_WORLD, _BODY, _BODY_WITHOUT_PSI = 0, 1, 2
+
+
+@njit(cache=True, error_model="numpy")
+def _prepare(state, reference, nodes, z, variances, mode):  # type: ignore[no-untyped-def]
+    count, oriented = len(nodes), z.shape[1] == 3
+    y, lever, gamma, C = np.zeros((count, 3)), np.empty((count, 2)), np.zeros(count), np.zeros((count, 6))
+    for k in range(count):
+        x, l = state[nodes[k]], z[k, 0]  # noqa: E741  # the slides' letter for the range
+        direction = x[2] + z[k, 1]
+        c, s = np.cos(direction), np.sin(direction)
+        lever[k, 0], lever[k, 1] = -l * s, l * c
+        y[k, 0], y[k, 1] = x[0] + l * c, x[1] + l * s
+        if oriented:
+            y[k, 2] = direction - z[k, 2]
+        if mode == _BODY:
+            gamma[k] = y[k, 2]
+            c, s = np.cos(z[k, 2]), np.sin(z[k, 2])
+        else:
+            before = reference[nodes[k], 2]
+            if mode == _BODY_WITHOUT_PSI:
+                gamma[k] = x[2] - before
+            if before != x[2]:
+                c, s = np.cos(before + z[k, 1]), np.sin(before + z[k, 1])
+        # R Q R' with R = [[c, -l s, 0], [s, l c, 0], [0, 1, -1]]
+        along, across = variances[0] * l * l, variances[1] * l * l
+        C[k, 0] = along * c * c + across * s * s
+        C[k, 1] = (along - across) * c * s
+        C[k, 2] = along * s * s + across * c * c
+        if oriented:
+            C[k, 3], C[k, 4] = -variances[1] * l * s, variances[1] * l * c
+            C[k, 5] = variances[1] + variances[2]
+    return y, lever, gamma, C
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -246,7 +281,7 @@ def _accumulate(  # type: ignore[no-untyped-def]
     # Column by column of Omega: slot_of maps the rows of the current column to slots, so no list of pairs is needed.
     cosines, sines = np.cos(gamma), np.sin(gamma)
     total = 0.0
-    for j in range(len(indptr) - 1):
+    for j in range(len(node_starts) - 1):
         if node_starts[j] == node_starts[j + 1]:
             continue
         for p in range(indptr[j], indptr[j + 1]):
