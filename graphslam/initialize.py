@@ -116,7 +116,7 @@ def without_landmarks(graph: Graph) -> Graph | None:
             families.append(VirtualMotionEdges(starts, family.first[order], seen, family.sensor, "body", weights))
         elif not isinstance(family, RelativePointEdges):
             families.append(family)
-    if not any(isinstance(family, VirtualMotionEdges) for family in families):
+    if not any(isinstance(family, ObservationEdges) for family in graph.families):
         return None
     poses = len(graph.steps)
     return replace(graph, initial=graph.initial[:poses], families=tuple(families), landmark_ids=graph.landmark_ids[:0])

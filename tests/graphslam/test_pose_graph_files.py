@@ -150,7 +150,9 @@ def test_the_three_dialects_say_the_same(tmp_path):
 
 
 def test_files_without_vertices_follow_their_odometry(shared_data, tmp_path):
-    text = "ODOMETRY 0 1 1 0 1 1 0 0 1 0 1\nLANDMARK 1 7 2 0 1 0 1\nODOMETRY 1 3 1 0 1 1 0 0 1 0 1\nODOMETRY 0 3 9 9 9 1 0 0 1 0 1\n"
+    odometry = ["0 1 1 0 1", "1 3 1 0 1", "0 3 9 9 9"]
+    lines = [f"ODOMETRY {edge} 1 0 0 1 0 1" for edge in odometry]
+    text = "\n".join([*lines[:1], "LANDMARK 1 7 2 0 1 0 1", *lines[1:]]) + "\n"
     graph = Graph.from_g2o(written(tmp_path, text))
     c, s = np.cos(1), np.sin(1)
     np.testing.assert_allclose(graph.initial[:3], [[0, 0, 0], [1, 0, 1], [1 + c, s, 2]], atol=1e-15)

@@ -1,0 +1,240 @@
+"""The command line ``slam-compare``, also ``python -m comparisons``.
+
+Everything heavy (NumPy, numba, GTSAM, matplotlib, the framework itself) is imported inside the verbs, so that
+``--help`` answers at once. Exit status: 0 all well, 1 solvers differ, 2 wrong input or option, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .cli_backends import backends
+from .cli_options import (
+    GRAPH,
+    OUTPUT,
+    BearingStd,
+    Dimensions,
+    JsonFile,
+    LogFile,
+    LogFormat,
+    Nn,
+    No,
+    On,
+    Oo,
+    OrientationStd,
+    RangeRate,
+    Seed,
+)
+from .cli_parse import numbers
+from .cli_simulate import simulate
+from .cli_support import DIFFERENT, INTERRUPTED, Output, examples, models, read_log, sentences
+
+if TYPE_CHECKING:
+    from .estimator import EstimatorResult
+    from .run import Progress, Skipped
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            typer.echo(f"slam-compare {version('virtual-motion-slam')}")
+        except PackageNotFoundError:
+            typer.echo("slam-compare, not installed (run from its source)")
+        raise typer.Exit
+
+
+@app.callback(epilog=examples("slam-compare run", "slam-compare run LOG --estimators graph,fastslam1"))
+def _app(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and exit.", callback=_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Compare planar SLAM on one log: a hand-written graph solver, GTSAM, FastSLAM and dead reckoning."""
+
+
+@app.command(
+    epilog=examples(
+        "slam-compare run",
+        "slam-compare run LOG --estimators graph,fastslam1 --particles 5000",
+        "slam-compare run LOG --edges virtual --frame world --json -",
+    )
+)
+def run(
+    log: LogFile = None,
+    estimators: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,...",
+            help="Which to run: dead-reckoning, textbook, graph, gtsam, mcl, fastslam1.",
+            show_default="all that can run on the log",
+        ),
+    ] = None,
+    particles: Annotated[int, typer.Option(help="Of the particle filters.", min=1)] = 1000,
+    seed: Seed = 0,
+    format: LogFormat = None,
+    dimensions: Dimensions = None,
+    edges: Annotated[
+        str | None,
+        typer.Option(
+            help="virtual, virtual+motion or landmark+motion.", show_default="what suits the log",
+            rich_help_panel=GRAPH,
+        ),
+    ] = None,
+    frame: Annotated[str, typer.Option(help="Of the residuals: body or world.", rich_help_panel=GRAPH)] = "body",
+    weight: Annotated[
+        str, typer.Option(help="pairs (the book's) or tempered (each sighting once).", rich_help_panel=GRAPH)
+    ] = "pairs",
+    motion_weight: Annotated[
+        float, typer.Option(help="lambda, the factor on the motion edges.", rich_help_panel=GRAPH)
+    ] = 1.0,
+    initialize: Annotated[
+        str,
+        typer.Option(
+            help="Where the graph's solvers start: auto, given, dead-reckoning or rotation-first.", rich_help_panel=GRAPH
+        ),
+    ] = "auto",
+    nn: Nn = None,
+    no: No = None,
+    on: On = None,
+    oo: Oo = None,
+    range_rate: RangeRate = None,
+    bearing_std: BearingStd = None,
+    orientation_std: OrientationStd = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder for figure and JSON.", show_default="results/<time>", rich_help_panel=OUTPUT
+        ),
+    ] = None,
+    json: JsonFile = None,
+) -> None:  # fmt: skip
+    """Run all estimators on one log: a table, a figure and the numbers as JSON."""
+    with sentences():
+        from .estimator import RunOptions
+        from .results import RESULTS, check_can_make
+        from .run import compare
+        from .tables import comparison_remarks, comparison_table
+
+        output = Output(json)
+        check_can_make(RESULTS if out is None else out)
+        motion, sensor = models(nn, no, on, oo, range_rate, bearing_std, orientation_std)
+        options = RunOptions(
+            edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, initialize=initialize,
+            particles=particles, seed=seed, motion=motion, sensor=sensor,
+        )  # fmt: skip
+        data, source = read_log(log, format, dimensions)
+        names = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
+        outcome = compare(data, names, options, source=source, progress=_progress(output))
+        files = outcome.save(out)
+        output.console.print(comparison_table(outcome))
+        output.say(*comparison_remarks(outcome))
+        output.json(outcome.to_json(files))
+        folder = files["figure"].parent
+        output.say(f"Wrote {', '.join(path.name for path in files.values())} into {folder}{os.sep}")
+        output.say(
+            "Next: slam-compare simulate my.npz --seed 7 && slam-compare run my.npz"
+            if log is None
+            else f"Next: slam-compare solvers {log} checks the solver against GTSAM in every variant"
+        )
+
+
+def _progress(output: Output) -> Progress:
+    def report(name: str, outcome: EstimatorResult | Skipped | None) -> None:
+        from .estimator import EstimatorResult
+        from .tables import seconds
+
+        if isinstance(outcome, EstimatorResult):
+            output.progress(f"{name}: {seconds(outcome.seconds)}")
+
+    return report
+
+
+@app.command(
+    epilog=examples(
+        "slam-compare solvers", "slam-compare solvers LOG --motion-weights 1,10,100 --json differences.json"
+    )
+)
+def solvers(
+    log: LogFile = None,
+    format: LogFormat = None,
+    motion_weights: Annotated[
+        str, typer.Option(metavar="LAMBDA,...", help="Factors on the motion edges to try.")
+    ] = "1,10",
+    edges: Annotated[
+        str | None, typer.Option(metavar="EDGES,...", help="Kinds of graph to try.", show_default="all")
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(help="Variants to solve at a time.", min=1, show_default="the number of cores, up to 8"),
+    ] = None,
+    nn: Nn = None,
+    no: No = None,
+    on: On = None,
+    oo: Oo = None,
+    range_rate: RangeRate = None,
+    bearing_std: BearingStd = None,
+    orientation_std: OrientationStd = None,
+    json: JsonFile = None,
+) -> None:
+    """Check the hand-written solver against GTSAM on every graph that a log allows; exit status 1 if they differ."""
+    with sentences():
+        from graphslam.graph import EDGES
+
+        from .solvers import compare_solvers
+        from .tables import solvers_remarks, solvers_table, variant_line
+
+        output = Output(json)
+        motion, sensor = models(nn, no, on, oo, range_rate, bearing_std, orientation_std)
+        weights = numbers("--motion-weights", motion_weights)
+        kinds = EDGES if edges is None else tuple(kind.strip() for kind in edges.split(","))
+        data, _ = read_log(log, format)
+        outcome = compare_solvers(
+            data, motion=motion, sensor=sensor, motion_weights=weights, edges=kinds,
+            jobs=jobs or min(os.cpu_count() or 1, 8),
+            progress=lambda variant: output.progress(variant_line(variant)),
+        )  # fmt: skip
+        output.console.print(solvers_table(outcome, f"{data.name}: hand-written solver against GTSAM"))
+        output.say(*solvers_remarks(outcome))
+        if not outcome.problems:
+            output.say(f"The solvers agree in all {len(outcome.variants)} variants.")
+        output.json(outcome.to_json())
+        if outcome.problems:
+            raise typer.Exit(DIFFERENT)
+
+
+app.command(
+    epilog=examples(
+        "slam-compare simulate my.npz --seed 7",
+        "slam-compare simulate room.npz --way-points '4,-3 4,3 -4,3' --landmarks 20",
+        "slam-compare simulate clean.npz --clean --no-orientation",
+    )
+)(simulate)
+
+
+app.command(
+    epilog=examples("slam-compare backends M3500.g2o", "slam-compare backends *.g2o --figure cost.png --json rows.json")
+)(backends)
+
+
+def main() -> None:
+    """Entry point of ``slam-compare``."""
+    try:
+        app(prog_name="slam-compare")
+    except KeyboardInterrupt:
+        # before a verb began or while the interpreter was busy importing
+        sys.exit(INTERRUPTED)

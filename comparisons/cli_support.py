@@ -1,0 +1,123 @@
+"""What the verbs have in common: errors as sentences, JSON to a file or standard output, models from options."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+from rich.console import Console
+
+if TYPE_CHECKING:
+    from graphslam import Log, MotionModel, SensorModel
+
+#: exit statuses
+DIFFERENT, WRONG_INPUT, INTERRUPTED = 1, 2, 130
+
+#: the width of tables that are not written to a terminal
+WIDTH = 140
+
+
+@contextmanager
+def sentences() -> Iterator[None]:
+    """Turn the user's mistakes into one sentence and exit status 2, and Ctrl-C into 130; bugs keep their traceback."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        typer.echo("interrupted", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    except Exception as error:
+        from graphslam.errors import SlamError
+
+        if not isinstance(error, SlamError):
+            raise
+        typer.echo(f"error: {error}", err=True)
+        raise typer.Exit(WRONG_INPUT) from None
+
+
+class Output:
+    """Where a verb writes: tables and sentences to standard output, unless the JSON goes there.
+
+    Raises:
+        FormatError: the JSON file could not be written later.
+    """
+
+    def __init__(self, json: str | None) -> None:
+        self._to_stdout, self._file = json == "-", None if json in (None, "-") else Path(str(json))
+        if self._file is not None:
+            from .results import check_can_write
+
+            check_can_write(self._file)
+        stream = sys.stderr if self._to_stdout else sys.stdout
+        self.console = Console(file=stream, width=None if stream.isatty() else WIDTH, highlight=False)
+        self._errors = Console(stderr=True, highlight=False)
+
+    def say(self, *sentences: str) -> None:
+        """Write sentences, one a line; nothing in them is taken for markup."""
+        for sentence in sentences:
+            self.console.print(sentence, markup=False, soft_wrap=True)
+
+    def json(self, payload: Mapping[str, Any]) -> None:
+        """Write the JSON where it was asked for, if anywhere."""
+        from .results import json_text, write_json
+
+        if self._to_stdout:
+            typer.echo(json_text(payload), nl=False)
+        elif self._file is not None:
+            write_json(payload, self._file)
+            self.say(f"Wrote {self._file}.")
+
+    def progress(self, sentence: str) -> None:
+        """A line on standard error, for somebody who watches."""
+        if self._errors.is_terminal:
+            self._errors.print(sentence, style="dim", markup=False)
+
+
+def read_log(path: Path | None, format: str | None, dimensions: int | None = None) -> tuple[Log, Path]:
+    """The log and the file it came from: the sample log where no path is given.
+
+    Raises:
+        FormatError: the file is not a log.
+        LogError: 3-D sensor values are asked for, and the log has none.
+    """
+    from graphslam import LogError, load, sample_log_path
+
+    source = sample_log_path() if path is None else path
+    log = load(source, format=format)
+    if dimensions == 3 and not log.has_orientation:
+        raise LogError(f"{source}: the sightings have no psi, but 3-D sensor values were asked for; use --dimensions 2")
+    return (log.without_orientation() if dimensions == 2 else log), source
+
+
+def models(
+    nn: float | None,
+    no: float | None,
+    on: float | None,
+    oo: float | None,
+    range_rate: float | None,
+    bearing_std: float | None,
+    orientation_std: float | None,
+) -> tuple[MotionModel, SensorModel]:
+    """The noise models, the library's defaults where an option is None.
+
+    Raises:
+        OptionError: a noise is impossible.
+    """
+    from graphslam import MotionModel, SensorModel
+
+    motion = {"nn": nn, "no": no, "on": on, "oo": oo}
+    sensor = {"range_rate": range_rate, "bearing_std": bearing_std, "orientation_std": orientation_std}
+    return MotionModel(**given(motion)), SensorModel(**given(sensor))
+
+
+def given(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that are not None."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def examples(*lines: str) -> str:
+    """The end of a verb's help. Blank lines between, because rich joins neighbouring ones."""
+    return "\n\n".join(["Examples:", *(f"  {line}" for line in lines)])

@@ -1,0 +1,110 @@
+"""What an estimator is told and what it answers: the contract of `comparisons.estimators`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from graphslam import Log, MotionModel, OptionError, SensorModel
+from graphslam.errors import check_choice, check_positive
+from graphslam.graph import EDGES, FRAMES, WEIGHTS
+from graphslam.se2 import Array
+from graphslam.solver import INITIALIZE
+
+#: seconds per iteration above which an estimator is left out unless asked for by name
+PATIENCE = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """What the estimators may be told.
+
+    Attributes:
+        edges: of the graph; None takes what suits the log (see `estimators.default_edges`).
+        frame, weight, motion_weight: of the graph, see `graphslam.Graph.from_log`.
+        initialize: where the graph's solvers start, see `graphslam.solve`; gtsam starts where "auto" starts first.
+        particles: of the particle filters.
+        seed: of the particle filters' random numbers.
+        motion, sensor: the noise models of all estimators.
+
+    Raises:
+        OptionError: a value is impossible.
+    """
+
+    edges: str | None = None
+    frame: str = "body"
+    weight: str = "pairs"
+    motion_weight: float = 1.0
+    initialize: str = "auto"
+    particles: int = 1000
+    seed: int = 0
+    motion: MotionModel = field(default_factory=MotionModel)
+    sensor: SensorModel = field(default_factory=SensorModel)
+
+    def __post_init__(self) -> None:
+        if self.edges is not None:
+            check_choice("edges", self.edges, EDGES)
+        check_choice("frame", self.frame, FRAMES)
+        check_choice("weight", self.weight, WEIGHTS)
+        check_choice("initialize", self.initialize, INITIALIZE)
+        check_positive(motion_weight=self.motion_weight)
+        if self.particles < 1:
+            raise OptionError(f"particles must be at least 1, not {self.particles}")
+        if self.seed < 0:
+            raise OptionError(f"seed must not be negative, but is {self.seed}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EstimatorResult:
+    """What one estimator makes of a log.
+
+    Attributes:
+        name: of the estimator.
+        poses: (T+1, 3) [m, m, rad], headings in [-pi, pi).
+        estimated: (T+1,) bool; False where a pose is only the initial guess. Such poses count in no figure.
+        seconds: the estimation alone, without reading, setting up or compiling.
+        converged: whether the stop rule was met; None where nothing is iterated.
+        iterations: how many there were; 0 where nothing is iterated.
+        step_norms: (iterations,) the norm of each correction.
+        cost: J at the end; None where nothing is minimised.
+        landmarks, landmark_covariances: {id: (2,) or (3,)} and {id: (n, n)}; empty where no map is estimated.
+        options: what the estimator was told, for the record.
+        reason: why it ended, one sentence.
+        notes: what the user should know.
+    """
+
+    name: str
+    poses: Array
+    estimated: np.ndarray
+    seconds: float
+    converged: bool | None = None
+    iterations: int = 0
+    step_norms: Array = field(default_factory=lambda: np.empty(0))
+    cost: float | None = None
+    landmarks: Mapping[int, Array] = field(default_factory=dict)
+    landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+    reason: str = ""
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """An entry of the registry.
+
+    Attributes:
+        run: the function; raises `graphslam.SlamError` where it cannot run on this log.
+        seconds_per_iteration: a forecast for estimators that are slow on large logs, or None.
+    """
+
+    run: Callable[[Log, RunOptions], EstimatorResult]
+    seconds_per_iteration: Callable[[Log], float] | None = None
+
+    def too_slow(self, log: Log) -> str | None:
+        """Why the estimator should be left out unless asked for by name, or None."""
+        if self.seconds_per_iteration is None or (seconds := self.seconds_per_iteration(log)) <= PATIENCE:
+            return None
+        return f"would take about {seconds:.0f} s per iteration on this log; name it in --estimators to run it"

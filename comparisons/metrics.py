@@ -1,0 +1,174 @@
+"""How far an estimate is from the truth: pure functions on planar trajectories and maps.
+
+Truth and estimate may live in different world frames, so positions are compared after the rigid motion that lays the
+estimate best onto the truth. The definitions are those of Sturm et al., *A benchmark for the evaluation of RGB-D SLAM
+systems* (IROS 2012), in the plane, and the figures are those of the tool ``evo`` (APE of the translation part after
+alignment without scale, RPE between neighbours). One difference: evo aligns in space, where turning the plane over is
+a rotation, so for an estimate closer to the truth's mirror image it reports the mirror image's error; we never mirror.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graphslam import OptionError
+from graphslam.se2 import Array, between, compose, transform
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """The figures of one estimate against the truth; None where the truth (or the estimate) does not say.
+
+    Attributes:
+        ate_m: absolute trajectory error [m], see `ate`.
+        rpe_m, rpe_rad: relative pose error per step [m], [rad], see `rpe`.
+        landmark_rmse_m: error of the map [m], see `landmark_rmse`.
+    """
+
+    ate_m: float | None = None
+    rpe_m: float | None = None
+    rpe_rad: float | None = None
+    landmark_rmse_m: float | None = None
+
+
+def align(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) -> Array:
+    """The pose A of SE(2) that lays the estimate onto the truth: argmin over A of sum_t |A p_t - q_t|².
+
+    p_t and q_t are the positions of estimate and truth. With both centred (p', q') the minimum has the closed form
+    theta = atan2(sum p' x q', sum p' . q'), translation = mean q - R(theta) mean p: Umeyama's solution without scale,
+    and without mirroring by construction. Where all positions coincide no heading is better than another, and it is 0.
+
+    Args:
+        truth, estimate: (T+1, 3) poses or (T+1, 2) positions.
+        mask: (T+1,) bool, which steps count; default: all.
+
+    Returns:
+        A as a pose (3,): ``se2.compose(A, estimate)`` is the aligned trajectory.
+
+    Raises:
+        OptionError: the shapes differ, or no step counts.
+    """
+    truth, estimate, mask = _checked(truth, estimate, mask)
+    q, p = truth[mask, :2], estimate[mask, :2]
+    q_mean, p_mean = q.mean(axis=0), p.mean(axis=0)
+    q, p = q - q_mean, p - p_mean
+    theta = np.arctan2(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]), np.sum(p * q))
+    rotation_only = np.array([0.0, 0.0, theta])
+    return np.array([*(q_mean - transform(rotation_only, p_mean)), theta])
+
+
+def position_errors(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) -> Array:
+    """The distance |A p_t - q_t| [m] of every step after alignment (see `align`); (T+1,), NaN where the mask is False.
+
+    Raises:
+        OptionError: the shapes differ, or no step counts.
+    """
+    truth, estimate, mask = _checked(truth, estimate, mask)
+    off = transform(align(truth, estimate, mask), estimate[:, :2]) - truth[:, :2]
+    return np.where(mask, np.hypot(off[:, 0], off[:, 1]), np.nan)
+
+
+def ate(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) -> float:
+    """Absolute trajectory error [m]: sqrt(mean over t of |A p_t - q_t|²), A the best rigid alignment (see `align`).
+
+    Equal to evo's ``APE(PoseRelation.translation_part)`` RMSE after ``align(correct_scale=False)``.
+
+    Raises:
+        OptionError: the shapes differ, or no step counts.
+    """
+    errors = position_errors(truth, estimate, mask)
+    return float(np.sqrt(np.nanmean(errors**2)))
+
+
+def rpe(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) -> tuple[float, float] | None:
+    """Relative pose error per step: RMSE of the translation [m] and of the rotation [rad] of E_t.
+
+    E_t = (x_t^-1 x_{t+1})_true^-1 (x_t^-1 x_{t+1})_estimate, over all neighbours t, t+1 that both count: what one step
+    gets wrong, whatever frame the trajectories are given in. Equal to evo's ``RPE(delta=1, Unit.frames)`` with
+    ``translation_part`` and ``rotation_angle_rad``.
+
+    Args:
+        truth, estimate: (T+1, 3) poses.
+        mask: (T+1,) bool, which steps count; default: all.
+
+    Returns:
+        (metres, radians), or None where no two neighbouring steps count.
+
+    Raises:
+        OptionError: the shapes differ, or no step counts.
+    """
+    truth, estimate, mask = _checked(truth, estimate, mask, columns=3)
+    pairs = mask[:-1] & mask[1:]
+    if not pairs.any():
+        return None
+    error = between(between(truth[:-1], truth[1:]), between(estimate[:-1], estimate[1:]))[pairs]
+    return float(np.sqrt(np.mean(error[:, 0] ** 2 + error[:, 1] ** 2))), float(np.sqrt(np.mean(error[:, 2] ** 2)))
+
+
+def landmark_rmse(
+    truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], alignment: ArrayLike
+) -> float | None:
+    """The error of a map [m]: sqrt(mean over j of |A m_j - M_j|²) over the landmarks that both maps have.
+
+    A is the alignment of the **trajectory** (`align` on the poses), not of the map: the map is judged where the
+    robot's path puts it, so a map that is right in itself but turned against the path counts as wrong. Headings of
+    landmarks are ignored. None where the maps share no landmark.
+    """
+    shared = sorted(truth.keys() & estimate.keys())
+    if not shared:
+        return None
+    true = np.array([np.asarray(truth[j], dtype=float)[:2] for j in shared])
+    estimated = np.array([np.asarray(estimate[j], dtype=float)[:2] for j in shared])
+    off = transform(np.asarray(alignment, dtype=float), estimated) - true
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
+
+def evaluate(
+    true_poses: Array | None,
+    true_landmarks: Mapping[int, Array] | None,
+    poses: Array,
+    landmarks: Mapping[int, Array],
+    mask: ArrayLike | None = None,
+) -> Metrics:
+    """All figures of one estimate; those that the truth cannot tell are None.
+
+    Fewer than two poses that count tell nothing: they can always be aligned without error.
+    """
+    if true_poses is None:
+        return Metrics()
+    counted = np.ones(len(poses), dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+    if np.count_nonzero(counted) < 2:
+        return Metrics()
+    per_step = rpe(true_poses, poses, counted)
+    alignment = align(true_poses, poses, counted)
+    return Metrics(
+        ate_m=ate(true_poses, poses, counted),
+        rpe_m=None if per_step is None else per_step[0],
+        rpe_rad=None if per_step is None else per_step[1],
+        landmark_rmse_m=None if true_landmarks is None else landmark_rmse(true_landmarks, landmarks, alignment),
+    )
+
+
+def aligned(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) -> Array:
+    """The estimate (T+1, 3) carried into the truth's frame by the best rigid motion, A x_t (see `align`)."""
+    return compose(align(truth, estimate, mask), np.asarray(estimate, dtype=float))
+
+
+def _checked(
+    truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None, columns: int = 2
+) -> tuple[Array, Array, np.ndarray]:
+    truth, estimate = np.asarray(truth, dtype=float), np.asarray(estimate, dtype=float)
+    if truth.shape != estimate.shape or truth.ndim != 2 or not columns <= truth.shape[1] <= 3:
+        raise OptionError(
+            f"truth and estimate must be arrays of one shape (T+1, 3), not {truth.shape}, {estimate.shape}"
+        )
+    counted = np.ones(len(truth), dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+    if counted.shape != truth.shape[:1]:
+        raise OptionError(f"mask must have one entry per step, shape ({len(truth)},), not {counted.shape}")
+    if not counted.any():
+        raise OptionError("no step counts, so there is nothing to compare")
+    return truth, estimate, counted

@@ -1,0 +1,124 @@
+"""Outcomes as rich tables and sentences for the terminal."""
+
+from __future__ import annotations
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from .run import Comparison
+from .solvers import SkippedVariant, SolverComparison, VariantResult
+
+NOTHING = "–"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A figure for a table: short, and a dash where it cannot be known."""
+    if value is None:
+        return NOTHING
+    if value == 0 or 1e-3 <= abs(value) < 1e5:
+        return f"{value:.{digits}f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def seconds(value: float | None) -> str:
+    """A time with the unit that suits it."""
+    if value is None:
+        return NOTHING
+    if value < 1e-3:
+        return f"{value * 1e6:.0f} µs"
+    return f"{value * 1e3:.1f} ms" if value < 1 else f"{value:.2f} s"
+
+
+def yes_no(value: bool | None) -> Text:
+    """Yes, no, or a dash where the question makes no sense; not by colour alone."""
+    if value is None:
+        return Text(NOTHING)
+    return Text("yes", style="green") if value else Text("no", style="bold red")
+
+
+def lean_table(title: str) -> Table:
+    """An empty table, so lean that eight columns of figures fit into a terminal of 80 characters."""
+    return Table(
+        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1),
+        pad_edge=False, show_edge=False,
+    )  # fmt: skip
+
+
+def comparison_table(comparison: Comparison) -> Table:
+    """The rows of a comparison, one per estimator."""
+    log = comparison.log
+    table = lean_table(
+        f"{log.name}: {log.num_poses} poses, {len(log.steps)} sightings of {len(log.landmark_ids)} landmarks"
+    )
+    table.add_column("estimator", no_wrap=True)
+    headings = ("con-\nverged", "iter-\nations", "time", "cost J", "ATE\n[m]", "RPE\n[m]", "RPE\n[rad]", "map\n[m]")
+    for heading in headings:
+        # as Text: rich would take [m] for markup
+        table.add_column(Text(heading), justify="right", no_wrap=True)
+    for row in comparison.table():
+        if row.skipped is not None:
+            table.add_row(Text(row.name, style="dim"), *[Text(NOTHING, style="dim")] * len(headings))
+            continue
+        figures = (number(f) for f in (row.ate_m, row.rpe_m, row.rpe_rad, row.landmark_rmse_m))
+        # a filter goes over the log once: 0 iterations would read as if it had not started
+        iterations = NOTHING if row.converged is None else str(row.iterations)
+        table.add_row(row.name, yes_no(row.converged), iterations, seconds(row.seconds), number(row.cost), *figures)
+    return table
+
+
+def comparison_remarks(comparison: Comparison) -> list[str]:
+    """The sentences below the table: agreement, estimators left out, notes of the log and of the estimators."""
+    remarks = []
+    if (difference := comparison.difference("graph", "gtsam")) is not None:
+        remarks.append(f"graph and gtsam differ by at most {difference:.1e} in any x, y [m] or heading [rad].")
+    if comparison.log.true_poses is None:
+        remarks.append("The log has no true poses, so no error can be measured.")
+    remarks += [f"{entry.name} left out: {entry.reason}." for entry in comparison.skipped]
+    remarks += [f"{result.name} did not converge: {result.reason}." for result in comparison.results
+                if result.converged is False]  # fmt: skip
+    said: dict[str, list[str]] = {note: [comparison.log.name] for note in comparison.log.notes}
+    for result in comparison.results:
+        for note in result.notes:
+            said.setdefault(note, []).append(result.name)
+    return remarks + [f"{', '.join(names)}: {note}." for note, names in said.items()]
+
+
+def solvers_table(comparison: SolverComparison, title: str) -> Table:
+    """The rows of a solver comparison, one per variant."""
+    table = lean_table(title)
+    table.add_column("variant")
+    headings = ("poses\ndiffer by", "costs\ndiffer by", "iter-\nations", "\ngtsam", "\ntime", "\ngtsam", "\nagree")
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for variant in comparison.variants:
+        table.add_row(
+            variant.name,
+            f"{variant.pose_difference:.1e}",
+            f"{variant.cost_difference:.1e}",
+            str(variant.iterations),
+            str(variant.gtsam_iterations),
+            seconds(variant.seconds),
+            seconds(variant.gtsam_seconds),
+            yes_no(variant.problem is None),
+        )
+    return table
+
+
+def solvers_remarks(comparison: SolverComparison) -> list[str]:
+    """The sentences below the table: what disagrees, and what was left out, reason by reason."""
+    reasons: dict[str, list[str]] = {}
+    for entry in comparison.skipped:
+        reasons.setdefault(entry.reason, []).append(entry.name)
+    remarks = [f"DIFFERENT: {problem}." for problem in comparison.problems]
+    for reason, names in reasons.items():
+        who = names[0] if len(names) == 1 else f"{len(names)} variants ({names[0]}, ...)"
+        remarks.append(f"{who} left out: {reason}.")
+    return remarks
+
+
+def variant_line(outcome: VariantResult | SkippedVariant) -> str:
+    """One line of progress."""
+    if isinstance(outcome, SkippedVariant):
+        return f"{outcome.name}: skipped"
+    return f"{outcome.name}: {seconds(outcome.seconds)}, gtsam {seconds(outcome.gtsam_seconds)}"

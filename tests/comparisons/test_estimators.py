@@ -1,0 +1,134 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from comparisons.estimator import Estimator, RunOptions
+from comparisons.estimators import ESTIMATORS, default_edges, make_graph, pair_count
+from graphslam import Log, MotionModel, OptionError, SensorModel, SlamError, simulate, solve, textbook
+from graphslam.graph import EDGES
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return simulate(seed=2, steps=24, clean=True)
+
+
+OPTIONS = RunOptions(particles=50)
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_every_estimator_answers_in_the_same_form(log: Log, name: str) -> None:
+    result = ESTIMATORS[name].run(log, OPTIONS)
+    assert result.name == name
+    assert result.poses.shape == (25, 3)
+    assert result.estimated.shape == (25,)
+    assert np.all((result.poses[:, 2] >= -np.pi) & (result.poses[:, 2] < np.pi))
+    assert result.seconds >= 0
+    assert len(result.step_norms) == result.iterations
+    assert result.landmarks.keys() == result.landmark_covariances.keys()
+    assert bool(result.landmarks) == (name != "mcl")
+    assert (result.converged is None) == (result.iterations == 0) == (result.cost is None)
+
+
+def test_graph_is_what_the_library_solves(log: Log) -> None:
+    options = replace(OPTIONS, edges="virtual+motion", frame="world", weight="tempered", motion_weight=3.0)
+    result = ESTIMATORS["graph"].run(log, options)
+    expected = solve(make_graph(log, options), initialize="auto")
+    np.testing.assert_array_equal(result.poses, expected.poses)
+    assert (result.cost, result.iterations) == (expected.cost, expected.iterations)
+    recorded = {"edges": "virtual+motion", "frame": "world", "weight": "tempered", "motion_weight": 3.0}
+    assert result.options == recorded | {"initialize": "auto"}
+    given = ESTIMATORS["graph"].run(log, replace(options, initialize="given"))
+    np.testing.assert_array_equal(given.poses, solve(make_graph(log, options)).poses)
+
+
+def test_gtsam_solves_the_same_graph(log: Log) -> None:
+    ours, theirs = (ESTIMATORS[name].run(log, OPTIONS) for name in ("graph", "gtsam"))
+    np.testing.assert_allclose(theirs.poses, ours.poses, atol=1e-6)
+    assert theirs.cost == pytest.approx(ours.cost, rel=1e-9)
+
+
+def test_textbook_is_the_books_program(log: Log) -> None:
+    result = ESTIMATORS["textbook"].run(log, OPTIONS)
+    expected = textbook.solve(log, edges="virtual+motion", threshold=0.02)
+    np.testing.assert_allclose(result.step_norms, expected.step_norms)
+    np.testing.assert_allclose(result.poses[:, :2], expected.poses[:, :2])
+    assert ESTIMATORS["textbook"].run(log, replace(OPTIONS, edges="virtual")).options["threshold"] == 0.01
+
+
+def test_models_reach_every_estimator(log: Log) -> None:
+    sensor, motion = SensorModel(range_rate=0.5), MotionModel(nn=0.9)
+    other = replace(OPTIONS, sensor=sensor, motion=motion)
+    for name in ("textbook", "graph", "gtsam", "mcl", "fastslam1"):
+        run = ESTIMATORS[name].run
+        assert not np.allclose(run(log, OPTIONS).poses, run(log, other).poses), name
+
+
+def test_the_seed_decides(log: Log) -> None:
+    run = ESTIMATORS["fastslam1"].run
+    again, other = run(log, OPTIONS), run(log, replace(OPTIONS, seed=1))
+    np.testing.assert_array_equal(run(log, OPTIONS).poses, again.poses)
+    assert not np.allclose(again.poses, other.poses)
+
+
+def test_without_controls_there_are_no_motion_edges(log: Log) -> None:
+    bare = log.replace(dt=None, controls=None)
+    assert (default_edges(log), default_edges(bare)) == ("virtual+motion", "virtual")
+    reckoned = ESTIMATORS["dead-reckoning"].run(bare, OPTIONS)
+    np.testing.assert_allclose(reckoned.poses[:, :2], log.initial_poses[:, :2])
+    assert "no controls" in reckoned.notes[0]
+    with pytest.raises(SlamError):
+        ESTIMATORS["fastslam1"].run(bare, OPTIONS)
+
+
+def test_without_psi_landmarks_are_nodes_where_the_graph_can(log: Log) -> None:
+    flat = log.without_orientation()
+    assert default_edges(flat) == ("landmark+motion" if "landmark+motion" in EDGES else "virtual+motion")
+    assert ESTIMATORS["textbook"].run(flat, OPTIONS).options["edges"] == "virtual+motion"
+    assert ESTIMATORS["graph"].run(flat, OPTIONS).converged
+
+
+def test_a_log_in_which_nothing_is_seen_twice_still_runs_the_filters(log: Log) -> None:
+    first = np.unique(log.landmarks, return_index=True)[1]
+    once = log.replace(steps=log.steps[sorted(first)], landmarks=log.landmarks[sorted(first)],
+                       sightings=log.sightings[sorted(first)])  # fmt: skip
+    assert ESTIMATORS["fastslam1"].run(once, OPTIONS).landmarks.keys() == set(log.landmarks.tolist())
+
+
+def test_pairs_are_counted() -> None:
+    log = Log(
+        steps=[0, 1, 2, 2, 3], landmarks=[5, 5, 5, 6, 6], sightings=np.ones((5, 3)), initial_poses=np.zeros((4, 3))
+    )
+    assert pair_count(log) == 3 + 1
+
+
+def test_slow_estimators_say_so(log: Log) -> None:
+    entry = Estimator(ESTIMATORS["graph"].run, lambda _: 30.0)
+    reason = entry.too_slow(log)
+    assert reason is not None
+    assert "30 s" in reason
+    assert all(estimator.too_slow(log) is None for estimator in ESTIMATORS.values())
+    crowded = log.replace(steps=np.full(2000, 3), landmarks=np.zeros(2000, int), sightings=np.ones((2000, 3)))
+    assert ESTIMATORS["gtsam"].too_slow(crowded)
+    assert ESTIMATORS["textbook"].too_slow(crowded)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"edges": "pairs"}, "edges"),
+        ({"frame": "map"}, "frame"),
+        ({"weight": "heavy"}, "weight"),
+        ({"motion_weight": 0.0}, "motion_weight"),
+        ({"motion_weight": float("nan")}, "motion_weight"),
+        ({"particles": 0}, "particles"),
+        ({"seed": -1}, "seed"),
+        ({"initialize": "somewhere"}, "initialize"),
+    ],
+)
+def test_impossible_options(options: dict[str, object], word: str) -> None:
+    with pytest.raises(OptionError, match=word):
+        RunOptions(**options)  # type: ignore[arg-type]

@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from evo.core import metrics as evo_metrics
+from evo.core.trajectory import PosePath3D
+from hypothesis import given
+from hypothesis import strategies as st
+
+from comparisons.metrics import Metrics, align, aligned, ate, evaluate, landmark_rmse, position_errors, rpe
+from graphslam import OptionError
+from graphslam.se2 import Array, compose, transform, wrap
+
+ANGLE = st.floats(-3.14, 3.14)
+PLACE = st.floats(-50, 50)
+POSE = st.tuples(PLACE, PLACE, ANGLE).map(np.array)
+
+
+def walk(seed: int, steps: int = 40) -> tuple[Array, Array]:
+    """A true trajectory and an estimate of it, in another frame."""
+    rng = np.random.default_rng(seed)
+    truth = np.cumsum(rng.normal(0.3, 1.0, (steps, 3)), axis=0)
+    truth[:, 2] = wrap(truth[:, 2])
+    estimate = truth + rng.normal(0, 0.2, truth.shape)
+    estimate = compose(rng.uniform(-3, 3, 3), estimate)
+    return truth, estimate
+
+
+def lifted(poses: Array) -> PosePath3D:
+    """The planar poses as evo's poses in space."""
+    se3 = np.tile(np.eye(4), (len(poses), 1, 1))
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    se3[:, 0, 0], se3[:, 0, 1], se3[:, 1, 0], se3[:, 1, 1] = c, -s, s, c
+    se3[:, :2, 3] = poses[:, :2]
+    return PosePath3D(poses_se3=list(se3))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_ate_is_evos_ape_after_alignment(seed: int) -> None:
+    truth, estimate = walk(seed)
+    reference, other = lifted(truth), lifted(estimate)
+    other.align(reference, correct_scale=False)
+    ape = evo_metrics.APE(evo_metrics.PoseRelation.translation_part)
+    ape.process_data((reference, other))
+    assert ate(truth, estimate) == pytest.approx(ape.get_statistic(evo_metrics.StatisticsType.rmse), rel=1e-10)
+    np.testing.assert_allclose(position_errors(truth, estimate), ape.error, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_rpe_is_evos_rpe_between_neighbours(seed: int) -> None:
+    truth, estimate = walk(seed)
+    figures = []
+    for relation in (evo_metrics.PoseRelation.translation_part, evo_metrics.PoseRelation.rotation_angle_rad):
+        metric = evo_metrics.RPE(relation, delta=1, delta_unit=evo_metrics.Unit.frames)
+        metric.process_data((lifted(truth), lifted(estimate)))
+        figures.append(metric.get_statistic(evo_metrics.StatisticsType.rmse))
+    assert rpe(truth, estimate) == pytest.approx(tuple(figures), rel=1e-9)
+
+
+def test_ate_by_hand() -> None:
+    # a square of side 2 seen as one of side 3: every corner is off by half a diagonal, (0.5, 0.5)
+    corners = np.array([[1.0, 1], [-1, 1], [-1, -1], [1, -1]])
+    truth = np.column_stack([corners, np.zeros(4)])
+    estimate = np.column_stack([1.5 * corners, np.zeros(4)])
+    np.testing.assert_allclose(align(truth, estimate), 0, atol=1e-15)
+    assert ate(truth, estimate) == pytest.approx(np.sqrt(0.5))
+
+
+def test_rpe_by_hand() -> None:
+    truth = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    estimate = np.array([[5.0, 5, np.pi / 2], [5, 6.1, np.pi / 2], [5, 7.1, np.pi / 2 + 0.2]])
+    # the first step is 0.1 m too long, the second turns 0.2 rad too far
+    assert rpe(truth, estimate) == pytest.approx((np.sqrt(0.1**2 / 2), np.sqrt(0.2**2 / 2)))
+
+
+@given(POSE, st.integers(0, 1000))
+def test_no_rigid_motion_of_the_estimate_changes_any_figure(motion: Array, seed: int) -> None:
+    truth, estimate = walk(seed, steps=6)
+    moved = compose(motion, estimate)
+    assert ate(truth, moved) == pytest.approx(ate(truth, estimate), abs=1e-9)
+    assert rpe(truth, moved) == pytest.approx(rpe(truth, estimate), abs=1e-9)
+    assert ate(truth, compose(motion, truth)) == pytest.approx(0, abs=1e-9)
+
+
+@given(st.integers(0, 1000), POSE)
+def test_no_other_motion_lays_the_estimate_closer(seed: int, other: Array) -> None:
+    truth, estimate = walk(seed, steps=6)
+    moved = transform(0.01 * other, transform(align(truth, estimate), estimate[:, :2]))
+    assert np.sqrt(np.mean(np.sum((moved - truth[:, :2]) ** 2, axis=1))) >= ate(truth, estimate) - 1e-12
+
+
+def test_the_plane_is_never_turned_over() -> None:
+    truth, _ = walk(3)
+    mirrored = truth * [1, -1, -1]
+    # in space the mirror image fits exactly after half a turn about the x axis; a robot in the plane cannot do that
+    assert ate(truth, mirrored) > 1.0
+
+
+def test_steps_that_are_not_estimated_count_nowhere() -> None:
+    truth, estimate = walk(5, steps=9)
+    mask = np.array([True, True, False, True, True, True, False, True, False])
+    spoiled = np.where(mask[:, None], estimate, 1e6)
+    assert ate(truth, spoiled, mask) == pytest.approx(ate(truth[mask], estimate[mask]))
+    assert np.isnan(position_errors(truth, spoiled, mask)[~mask]).all()
+    # of the neighbours only 0-1, 3-4 and 4-5 are both estimated
+    parts = [rpe(truth[a : a + 2], estimate[a : a + 2]) for a in (0, 3, 4)]
+    by_hand = np.sqrt(np.mean(np.square([part for part in parts if part is not None]), axis=0))
+    assert rpe(truth, spoiled, mask) == pytest.approx(tuple(by_hand))
+
+
+def test_rpe_needs_neighbours() -> None:
+    truth, estimate = walk(1, steps=4)
+    assert rpe(truth, estimate, np.array([True, False, True, False])) is None
+    assert rpe(truth[:1], estimate[:1]) is None
+
+
+def test_one_place_has_no_best_heading() -> None:
+    truth, estimate = np.array([[1.0, 2, 0.3]] * 3), np.array([[4.0, 6, 0.5]] * 3)
+    np.testing.assert_allclose(align(truth, estimate), [-3, -4, 0])
+
+
+def test_the_map_is_judged_in_the_frame_of_the_trajectory() -> None:
+    truth, estimate = walk(2)
+    alignment = align(truth, estimate)
+    landmarks = {3: np.array([1.0, 2]), 7: np.array([4.0, -5, 0.3]), 9: np.array([0.0, 0])}
+    back = {j: transform(_inverse(alignment), m[:2]) for j, m in landmarks.items()}
+    assert landmark_rmse(landmarks, back, alignment) == pytest.approx(0, abs=1e-12)
+    # one landmark of two is off by 3-4-5; the third is on one map only and does not count
+    shifted = {3: back[3], 7: transform(_inverse(alignment), landmarks[7][:2] + [3, 4]), 8: back[9]}
+    assert landmark_rmse(landmarks, shifted, alignment) == pytest.approx(np.sqrt(25 / 2))
+    assert landmark_rmse(landmarks, {1: np.zeros(2)}, alignment) is None
+
+
+def _inverse(pose: Array) -> Array:
+    from graphslam.se2 import inverse
+
+    return inverse(pose)
+
+
+def test_evaluate_says_none_where_the_truth_is_silent() -> None:
+    truth, estimate = walk(4)
+    landmarks = {0: np.zeros(2)}
+    assert evaluate(None, landmarks, estimate, landmarks) == Metrics()
+    assert evaluate(truth, None, estimate, landmarks).landmark_rmse_m is None
+    assert evaluate(truth, None, estimate, landmarks).ate_m == ate(truth, estimate)
+    assert evaluate(truth, landmarks, estimate, {}).landmark_rmse_m is None
+    # a single pose always fits
+    alone = np.arange(len(truth)) == 3
+    assert evaluate(truth, landmarks, estimate, landmarks, alone) == Metrics()
+
+
+def test_aligned_carries_headings_too() -> None:
+    truth, _ = walk(6)
+    np.testing.assert_allclose(aligned(truth, compose([1.0, 2, 3], truth)), truth, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("truth", "estimate", "mask"),
+    [
+        (np.zeros((3, 3)), np.zeros((4, 3)), None),
+        (np.zeros((3, 3)), np.zeros((3, 2)), None),
+        (np.zeros(3), np.zeros(3), None),
+        (np.zeros((3, 3)), np.zeros((3, 3)), [True]),
+        (np.zeros((3, 3)), np.zeros((3, 3)), [False] * 3),
+    ],
+)
+def test_shapes_are_checked(truth: Array, estimate: Array, mask: list[bool] | None) -> None:
+    with pytest.raises(OptionError):
+        ate(truth, estimate, mask)
+
+
+def test_rpe_wants_headings() -> None:
+    with pytest.raises(OptionError, match=r"\(T\+1, 3\)"):
+        rpe(np.zeros((3, 2)), np.zeros((3, 2)))

@@ -1,0 +1,196 @@
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons import estimators, run
+from comparisons.estimator import Estimator, EstimatorResult, RunOptions
+from comparisons.metrics import ate
+from comparisons.run import Comparison, Skipped, compare
+from graphslam import GraphError, Log, OptionError, simulate
+from graphslam.se2 import wrap
+
+# the keys of an estimator's entry that DESIGN section 4 promises
+PROMISED = {"name", "converged", "iterations", "step_norms", "cost", "seconds", "ate_m", "rpe_m", "rpe_rad"}
+PROMISED |= {"landmark_rmse_m", "poses", "landmarks"}
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return simulate(seed=2, steps=24, clean=True)
+
+
+@pytest.fixture(scope="module")
+def comparison(log: Log) -> Comparison:
+    return compare(log, options=RunOptions(particles=50))
+
+
+def made_up(name: str, poses: np.ndarray, **rest: object) -> EstimatorResult:
+    return EstimatorResult(name=name, poses=poses, estimated=np.ones(len(poses), bool), seconds=0.1, **rest)  # type: ignore[arg-type]
+
+
+def registered(monkeypatch: pytest.MonkeyPatch, name: str, function: object, **rest: object) -> None:
+    monkeypatch.setitem(run.ESTIMATORS, name, Estimator(function, **rest))  # type: ignore[arg-type]
+
+
+def test_all_estimators_run_on_a_full_log(comparison: Comparison, log: Log) -> None:
+    assert [r.name for r in comparison.results] == list(estimators.ESTIMATORS)
+    assert comparison.skipped == ()
+    rows = {row.name: row for row in comparison.table()}
+    assert rows["graph"].ate_m == ate(log.true_poses, comparison["graph"].poses)  # type: ignore[arg-type]
+    assert rows["mcl"].landmark_rmse_m is None
+    assert rows["graph"].landmark_rmse_m is not None
+    assert comparison.difference() < 1e-6  # type: ignore[operator]
+
+
+def test_json_is_what_the_design_says(comparison: Comparison, log: Log) -> None:
+    payload = json.loads(json.dumps(comparison.to_json({"figure": Path("f.png")}), allow_nan=False))
+    assert set(payload) == {"log", "estimators", "files"}
+    assert payload["files"] == {"figure": "f.png"}
+    assert payload["log"]["poses"] == log.num_poses
+    for entry, result in zip(payload["estimators"], comparison.results):
+        assert entry.keys() >= PROMISED
+        np.testing.assert_array_equal(entry["poses"], result.poses)
+        assert {int(j) for j in entry["landmarks"]} == set(result.landmarks)
+        assert isinstance(entry["ate_m"], float)
+
+
+def test_without_truth_the_errors_are_null(log: Log) -> None:
+    bare = compare(log.replace(true_poses=None), ["graph"])
+    (entry,) = bare.to_json()["estimators"]
+    assert [entry[k] for k in ("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m")] == [None] * 4
+    assert entry["converged"] is True
+
+
+def test_poses_outside_the_graph_do_not_count(log: Log) -> None:
+    outcome = compare(log, ["graph"], RunOptions(edges="virtual"))
+    estimated = outcome["graph"].estimated
+    assert not estimated.all()
+    assert outcome.metrics["graph"].ate_m == ate(log.true_poses, outcome["graph"].poses, estimated)  # type: ignore[arg-type]
+
+
+def test_those_that_cannot_run_are_rows_with_their_reason(log: Log) -> None:
+    outcome = compare(log.replace(true_landmarks=None), options=RunOptions(particles=50))
+    assert [entry.name for entry in outcome.skipped] == ["mcl"]
+    row = next(row for row in outcome.table() if row.name == "mcl")
+    assert "map" in str(row.skipped)
+    assert [row.name for row in outcome.table()] == list(estimators.ESTIMATORS)
+    entry = next(e for e in outcome.to_json()["estimators"] if e["name"] == "mcl")
+    assert entry.keys() >= PROMISED
+    assert entry["poses"] is None
+    assert "map" in entry["reason"]
+
+
+def test_those_that_were_named_have_to_run(log: Log) -> None:
+    with pytest.raises(OptionError, match="map"):
+        compare(log.replace(true_landmarks=None), ["graph", "mcl"])
+
+
+def test_without_the_graph_there_is_no_comparison(log: Log) -> None:
+    with pytest.raises(GraphError, match="one landmark"):
+        compare(log.without_orientation(), options=RunOptions(edges="virtual"))
+    nothing = log.replace(steps=[], landmarks=[], sightings=np.empty((0, 3)))
+    with pytest.raises(GraphError, match="no sightings"):
+        compare(nothing, ["dead-reckoning"])
+
+
+def test_slow_ones_run_only_when_named(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    registered(
+        monkeypatch, "slow", lambda log, _: made_up("slow", log.initial_poses), seconds_per_iteration=lambda _: 9.0
+    )
+    outcome = compare(log, options=RunOptions(particles=50))
+    assert outcome.skipped == (Skipped("slow", outcome.skipped[0].reason),)
+    assert "9 s" in outcome.skipped[0].reason
+    assert "slow" in compare(log, ["slow"])
+
+
+def test_names_are_checked(log: Log) -> None:
+    with pytest.raises(OptionError, match="no estimator 'graf'.*graph"):
+        compare(log, ["graph", "graf"])
+    with pytest.raises(OptionError, match="at least one"):
+        compare(log, [])
+    assert [r.name for r in compare(log, ["graph", "dead-reckoning", "graph"]).results] == ["graph", "dead-reckoning"]
+
+
+def test_warnings_become_notes(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    def loud(log: Log, _: RunOptions) -> EstimatorResult:
+        warnings.warn("step 3: impossible", RuntimeWarning, stacklevel=1)
+        warnings.warn("step 3: impossible", RuntimeWarning, stacklevel=1)
+        return made_up("loud", log.initial_poses, notes=("mine",))
+
+    registered(monkeypatch, "loud", loud)
+    assert compare(log, ["loud"])["loud"].notes == ("mine", "step 3: impossible")
+
+
+def test_warnings_for_programmers_stay_warnings(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    def old(log: Log, _: RunOptions) -> EstimatorResult:
+        warnings.warn("this will go away", DeprecationWarning, stacklevel=1)
+        return made_up("old", log.initial_poses)
+
+    registered(monkeypatch, "old", old)
+    with pytest.warns(DeprecationWarning, match="go away"):
+        assert compare(log, ["old"])["old"].notes == ()
+
+
+def test_bugs_are_not_swallowed(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(log: Log, _: RunOptions) -> EstimatorResult:
+        raise ZeroDivisionError
+
+    registered(monkeypatch, "broken", broken)
+    with pytest.raises(ZeroDivisionError):
+        compare(log)
+
+
+def test_progress_tells_of_begin_and_end(log: Log) -> None:
+    told: list[tuple[str, bool]] = []
+    compare(log, ["dead-reckoning", "graph"], progress=lambda name, outcome: told.append((name, outcome is None)))
+    assert told == [("dead-reckoning", True), ("dead-reckoning", False), ("graph", True), ("graph", False)]
+
+
+def test_difference_is_wrapped_and_masked(log: Log) -> None:
+    a = np.zeros((3, 3))
+    b = np.array([[0.0, 0, 0], [0.25, 0, 2 * np.pi - 0.5], [99, 0, 0]])
+    both = np.array([True, True, False])
+    first = EstimatorResult(name="graph", poses=a, estimated=np.ones(3, bool), seconds=0)
+    second = EstimatorResult(name="gtsam", poses=b, estimated=both, seconds=0)
+    outcome = Comparison(log, (first, second))
+    assert outcome.difference() == pytest.approx(abs(float(wrap(0.5))))
+    assert outcome.difference("graph", "mcl") is None
+    with pytest.raises(KeyError):
+        outcome["mcl"]
+
+
+def test_save_writes_figure_and_json(comparison: Comparison, tmp_path: Path) -> None:
+    files = comparison.save(tmp_path / "out")
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(p.name for p in files.values())
+    assert files["figure"].read_bytes().startswith(b"\x89PNG")
+    assert files["figure_pdf"].read_bytes().startswith(b"%PDF")
+    assert json.loads(files["json"].read_text())["files"]["figure"] == str(files["figure"])
+
+
+def test_save_makes_a_folder_of_its_own(
+    comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = comparison.save()["json"].parent
+    assert folder.parent == Path("results")
+    assert Path("results/latest").resolve() == folder.resolve()
+
+
+def test_nothing_is_left_when_the_figure_fails(
+    comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("comparisons.plots.save_figure", fails)
+    for directory in (None, tmp_path / "out"):
+        with pytest.raises(MemoryError):
+            comparison.save(directory)
+    assert [p.name for p in tmp_path.iterdir()] == ["results"]
+    assert list((tmp_path / "results").iterdir()) == []
