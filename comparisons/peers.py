@@ -170,7 +170,7 @@ def _smallest_number(
     optimizer.set_compute_batch_statistics(True)
     optimizer.initialize_optimization()
     optimizer.optimize(max_iterations)
-    costs = [graph.cost(graph.initial), *(float(step.chi2) for step in optimizer.batch_statistics)]
+    costs = [graph.cost(graph.initial), *(float(step.chi2) for step in optimizer.batch_statistics())]
     for count in range(1, len(costs)):
         if not np.isfinite(costs[count]):
             return tuple(costs[: count + 1]), count
