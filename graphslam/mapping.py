@@ -43,19 +43,18 @@ def estimate_map(log: Log, poses: ArrayLike, sensor: SensorModel | None = None) 
     trajectory = np.asarray(getattr(poses, "poses", poses), dtype=float)
     if trajectory.shape != (log.num_poses, 3):
         raise OptionError(f"poses must have shape ({log.num_poses}, 3) for this log, not {trajectory.shape}")
-    at = trajectory[log.steps]
-    y = sensor.h_inverse(at, log.sightings)
-    information = np.linalg.inv(sensor.landmark_covariance(at, log.sightings))
-    means, covariances = {}, {}
-    for j in log.landmark_ids.tolist():
-        mine = log.landmarks == j
-        first = y[mine][0]
-        offset = y[mine] - first
-        if log.has_orientation:
-            offset[:, 2] = wrap(offset[:, 2])
-        covariances[j] = np.linalg.inv(information[mine].sum(axis=0))
-        mean = first + covariances[j] @ np.einsum("kij,kj->i", information[mine], offset)
-        if log.has_orientation:
-            mean[2] = wrap(mean[2])
-        means[j] = mean
-    return LandmarkMap(means, covariances)
+    if len(log.steps) == 0:
+        return LandmarkMap({}, {})
+    order = np.argsort(log.landmarks, kind="stable")
+    ids, starts, count = np.unique(log.landmarks[order], return_index=True, return_counts=True)
+    at, z = trajectory[log.steps[order]], log.sightings[order]
+    y = sensor.h_inverse(at, z)
+    information = np.linalg.inv(sensor.landmark_covariance(at, z))
+    first = y[starts]
+    offset = y - np.repeat(first, count, axis=0)
+    offset[:, 2:] = wrap(offset[:, 2:])
+    covariance = np.linalg.inv(np.add.reduceat(information, starts, axis=0))
+    pulled = np.add.reduceat(np.einsum("kij,kj->ki", information, offset), starts, axis=0)
+    mean = first + np.einsum("kij,kj->ki", covariance, pulled)
+    mean[:, 2:] = wrap(mean[:, 2:])
+    return LandmarkMap(dict(zip(ids.tolist(), mean)), dict(zip(ids.tolist(), covariance)))

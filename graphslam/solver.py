@@ -130,7 +130,9 @@ def solve(
     begin = time.perf_counter()
 
     def run_from(start: Array, search: str) -> _Run:
-        run = _Run(start.copy(), callback, cost_tolerance, mixing=AndersonMixing() if graph.frozen_information else None)
+        run = _Run(
+            start.copy(), callback, cost_tolerance, mixing=AndersonMixing() if graph.frozen_information else None
+        )
         (_gauss_newton if search == "gauss-newton" else _levenberg_marquardt)(graph, run, tolerance, max_iterations)
         return run
 

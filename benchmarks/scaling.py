@@ -1,0 +1,104 @@
+"""How time and memory grow: landmark graphs of 10^3 to 10^5 poses, made by the simulator, solved from dead reckoning.
+
+    python benchmarks/scaling.py [--largest 100000] [--json FILE]
+
+A robot drives up and down a field of landmarks, about ten in view at each step, 2-D sensor, clean noise a tenth of the
+book's. Each size runs in a process of its own, so that the peak memory is that size's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+
+def field_log(poses: int):
+    """Rows of 250 m, 4 m apart; landmarks on a jittered grid so that the camera sees about ten."""
+    from graphslam import MotionModel, SensorModel, simulate
+
+    stride, side = 0.5, 250.0
+    rows = max(2, int(np.ceil(poses * stride / side)))
+    route = [(x, 4.0 * r) for r in range(rows + 1) for x in ((0.0, side) if r % 2 == 0 else (side, 0.0))]
+    rng = np.random.default_rng(0)
+    gx, gy = np.meshgrid(np.arange(-5.0, side + 6.0, 3.2), np.arange(-5.0, 4.0 * rows + 6.0, 3.2))
+    landmarks = np.column_stack([gx.ravel(), gy.ravel()]) + rng.uniform(-1, 1, (gx.size, 2))
+    motion = MotionModel(nn=0.019, no=1e-4, on=0.013, oo=0.02, epsilon=1e-6)
+    sensor = SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005)
+    log = simulate(
+        steps=poses - 1, dt=1.0, speed=stride, turn_rate=1.0, way_points=route[1:], start=(0.0, 0.0, 0.0),
+        landmarks=landmarks, max_range=9.0, field_of_view=2.0, orientation=False, clean=True, motion=motion,
+        sensor=sensor, seed=1,
+    )  # fmt: skip
+    return log, motion, sensor
+
+
+def one(poses: int) -> dict:
+    """Build and solve one size; seconds of each part and the peak memory of the process."""
+    from graphslam import Graph, solve
+
+    small, motion, sensor = field_log(300)
+    solve(Graph.from_log(small, motion=motion, sensor=sensor, edges="landmark+motion"), initialize="auto")  # compiles
+    log, motion, sensor = field_log(poses)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    begin = time.perf_counter()
+    graph = Graph.from_log(log, motion=motion, sensor=sensor, edges="landmark+motion")
+    built = time.perf_counter()
+    solution = solve(graph, initialize="auto", cost_tolerance=1e-9)
+    solved = time.perf_counter()
+    error = np.linalg.norm(solution.poses[:, :2] - log.true_poses[:, :2], axis=1)
+    return {
+        "poses": poses,
+        "landmarks": len(log.landmark_ids),
+        "sightings": len(log.steps),
+        "build_s": built - begin,
+        "solve_s": solved - built,
+        "iterations": solution.iterations,
+        "converged": solution.converged,
+        "cost_per_sighting": solution.cost / len(log.steps),
+        "rms_error_m": float(np.sqrt(np.mean(error**2))),
+        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "before_mib": before / 1024,
+        "reason": solution.reason,
+    }
+
+
+def main() -> None:
+    """Run all sizes, print a table and the slopes in log-log."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--largest", type=int, default=100_000)
+    parser.add_argument("--json")
+    parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.one:
+        print(json.dumps(one(options.one)))
+        return
+    sizes = [n for n in (1_000, 3_000, 10_000, 30_000, 100_000) if n <= options.largest]
+    rows = []
+    print(f"{'poses':>7} {'sightings':>9} {'build':>8} {'solve':>8} {'its':>4} {'peak':>9} {'error':>8}")
+    for n in sizes:
+        out = subprocess.run([sys.executable, __file__, "--one", str(n)], check=True, capture_output=True, text=True)
+        row = json.loads(out.stdout.splitlines()[-1])
+        rows.append(row)
+        print(
+            f"{n:7d} {row['sightings']:9d} {row['build_s']:7.2f}s {row['solve_s']:7.2f}s {row['iterations']:4d} "
+            f"{row['peak_mib']:6.0f}MiB {row['rms_error_m']:7.3f}m  {row['reason']}"
+        )
+    large = [row for row in rows if row["poses"] >= 10_000]
+    if len(large) > 1:
+        logs = {k: np.log([row[k] for row in large]) for k in ("poses", "build_s", "solve_s", "peak_mib")}
+        total = np.log([row["build_s"] + row["solve_s"] for row in large])
+        print(f"slope of time from 10^4 poses on: {np.polyfit(logs['poses'], total, 1)[0]:.2f}")
+        print(f"slope of peak memory: {np.polyfit(logs['poses'], logs['peak_mib'], 1)[0]:.2f}")
+    if options.json:
+        with open(options.json, "w") as stream:
+            json.dump(rows, stream, indent=1)
+
+
+if __name__ == "__main__":
+    main()
