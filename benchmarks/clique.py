@@ -51,7 +51,7 @@ def main() -> None:
     begin = time.perf_counter()
     graph.system.symbolic  # noqa: B018
     pattern = time.perf_counter()
-    system, cost = graph.linearize(graph.initial)
+    system, _ = graph.linearize(graph.initial)
     assembled = time.perf_counter()
     delta = system.factorize().solve(system.xi)
     solved = time.perf_counter()

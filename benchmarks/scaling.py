@@ -14,6 +14,7 @@ import resource
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -96,8 +97,7 @@ def main() -> None:
         print(f"slope of time from 10^4 poses on: {np.polyfit(logs['poses'], total, 1)[0]:.2f}")
         print(f"slope of peak memory: {np.polyfit(logs['poses'], logs['peak_mib'], 1)[0]:.2f}")
     if options.json:
-        with open(options.json, "w") as stream:
-            json.dump(rows, stream, indent=1)
+        Path(options.json).write_text(json.dumps(rows, indent=1))
 
 
 if __name__ == "__main__":

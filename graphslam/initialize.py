@@ -30,7 +30,6 @@ from .graph import Graph
 from .information import BlockSystem
 from .se2 import Array, compose, rotation, wrap
 
-
 #: how many neighbouring sightings of a landmark are paired with each other by `without_landmarks`
 GROUP = 8
 
@@ -106,8 +105,9 @@ def without_landmarks(graph: Graph) -> Graph | None:
     """The graph with its landmark nodes exchanged for virtual-motion edges between the poses that saw them.
 
     Only sightings that follow each other are paired, in groups of `GROUP` that share an end, so that the cost stays
-    linear in the sightings; each pair weighs 2/`GROUP`, so that every sighting counts about once. Its cost is far less crooked than that of landmark nodes, whose bearings turn quickly near a landmark that
-    starts in the wrong place. None where there are no sightings to exchange.
+    linear in the sightings; each pair weighs 2/`GROUP`, so that every sighting counts about once. The cost is far less
+    crooked than that of landmark nodes, whose bearings turn quickly near a landmark that starts in the wrong place.
+    None where there are no sightings to exchange.
     """
     families: list[EdgeFamily] = []
     for family in graph.families:
