@@ -30,9 +30,6 @@ from .graph import Graph
 from .information import BlockSystem
 from .se2 import Array, compose, rotation, wrap
 
-#: how many neighbouring sightings of a landmark are paired with each other by `without_landmarks`
-GROUP = 8
-
 
 def rotation_first(graph: Graph) -> Array:
     """A state (n, 3): headings by linear least squares on unit vectors, then positions by linear least squares.
@@ -104,20 +101,21 @@ def dead_reckoning(graph: Graph) -> Array:
 def without_landmarks(graph: Graph) -> Graph | None:
     """The graph with its landmark nodes exchanged for virtual-motion edges between the poses that saw them.
 
-    Only sightings that follow each other are paired, in groups of `GROUP` that share an end, so that the cost stays
-    linear in the sightings; each pair weighs 2/`GROUP`, so that every sighting counts about once. The cost is far less
-    crooked than that of landmark nodes, whose bearings turn quickly near a landmark that starts in the wrong place.
-    None where there are no sightings to exchange.
+    Only a landmark's sightings that follow each other are paired: as many edges as sightings, and hardly more fill than
+    the landmarks themselves make. The cost is far less crooked than that of landmark nodes, whose bearings turn quickly
+    near a landmark that starts in the wrong place. None where there are no sightings to exchange.
     """
     families: list[EdgeFamily] = []
     for family in graph.families:
         if isinstance(family, ObservationEdges):
             order = np.lexsort((family.first, family.second))
-            starts, rows = _chained_groups(family.second[order], GROUP)
-            order = order[rows]
+            landmark = family.second[order]
+            here = np.flatnonzero(landmark[1:] == landmark[:-1])
+            pairs = order[np.column_stack([here, here + 1]).ravel()]
+            starts = np.arange(0, len(pairs) + 1, 2)
             families.append(
                 VirtualMotionEdges(
-                    starts, family.first[order], family.sightings[order], family.sensor, "body", 2.0 / np.diff(starts)
+                    starts, family.first[pairs], family.sightings[pairs], family.sensor, "body", np.ones(len(here))
                 )
             )
         elif not isinstance(family, RelativePointEdges):
@@ -128,22 +126,6 @@ def without_landmarks(graph: Graph) -> Graph | None:
     return replace(
         graph, initial=graph.initial[:poses], families=tuple(families), landmark_ids=graph.landmark_ids[:0], log=None
     )
-
-
-def _chained_groups(landmarks: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Groups of up to ``size`` neighbours with the same landmark (M,), each sharing its first with the one before it.
-
-    Returns their starts (G+1,) and the rows, shared ones twice.
-    """
-    first = np.flatnonzero(np.diff(landmarks, prepend=landmarks[0] - 1))
-    count = np.diff(first, append=len(landmarks))
-    groups = np.maximum(-(-(count - 1) // (size - 1)), 1)
-    number = np.arange(groups.sum()) - np.repeat(np.cumsum(groups) - groups, groups)
-    begin = np.repeat(first, groups) + number * (size - 1)
-    end = np.minimum(begin + size, np.repeat(first + count, groups))
-    starts = np.concatenate([[0], np.cumsum(end - begin)])
-    rows = np.arange(starts[-1]) + np.repeat(begin - starts[:-1], end - begin)
-    return starts, rows
 
 
 def place_landmarks(graph: Graph, poses: Array) -> Array:

@@ -1,0 +1,99 @@
+import math
+
+import pytest
+
+from comparisons.backend_report import backends_figure, backends_remarks, backends_table
+from comparisons.backends import BACKENDS, BackendComparison, BackendRow, compare_backends
+from comparisons.peers import information_of_g2o, native_gtsam_graph
+from graphslam import Graph, GraphError, OptionError, solve
+
+TRIANGLE = """VERTEX_SE2 0 0 0 0
+VERTEX_SE2 1 1 0 1.5
+VERTEX_SE2 2 1 1 3.0
+VERTEX_XY 9 2 2
+EDGE_SE2 0 1 1 0 1.57 10 1 0.5 20 0.2 30
+EDGE_SE2 1 2 1 0 1.57 10 0 0 10 0 10
+EDGE_SE2 2 0 1 1 3.1 10 0 0 10 0 10
+EDGE_SE2_XY 0 9 2 2 5 0 5
+EDGE_SE2_XY 2 9 -1 -1 5 1 5
+"""
+
+
+@pytest.fixture
+def triangle(tmp_path):
+    path = tmp_path / "triangle.g2o"
+    path.write_text(TRIANGLE)
+    return path
+
+
+def row(backend, chi2, seconds, converged=True):
+    return BackendRow("a.g2o", backend, chi2, 3, seconds, converged, "because")
+
+
+def test_gtsam_and_this_solver_on_a_small_graph(triangle):
+    outcome = compare_backends([triangle], backends=["graphslam", "gtsam-lm", "gtsam-gn"], repeat=1)
+    ours = outcome.rows[0]
+    assert ours.converged
+    assert ours.chi2 == pytest.approx(solve(Graph.from_g2o(triangle)).cost, rel=1e-8)
+    for theirs in outcome.rows[1:]:
+        # the between factor measures through the logarithm: the same minimum up to the size of the residuals squared
+        assert theirs.chi2 == pytest.approx(ours.chi2, rel=0.05)
+    payload = outcome.to_json()
+    assert {"file", "backend", "chi2", "iterations", "seconds", "converged", "reason"} <= set(payload["rows"][0])
+
+
+def test_g2o_reaches_the_same_chi2(triangle):
+    pytest.importorskip("g2opy", reason="needs the extra 'peers'")
+    outcome = compare_backends([triangle], backends=["graphslam", "g2o-gn", "g2o-lm"], repeat=1)
+    assert [r.chi2 for r in outcome.rows] == pytest.approx([outcome.rows[0].chi2] * 3, rel=1e-6)
+
+
+def test_information_goes_back_to_what_the_file_says(triangle):
+    omega = information_of_g2o(Graph.from_g2o(triangle).families[0])
+    assert omega[0].ravel().tolist() == pytest.approx([10, 1, 0.5, 1, 20, 0.2, 0.5, 0.2, 30])
+
+
+def test_ratios_count_only_runs_that_reached_the_best(triangle):
+    rows = (
+        row("graphslam", 10.0, 0.1),
+        row("g2o-gn", 10.0, 0.4),
+        row("gtsam-lm", 900.0, 0.01),
+        row("g2o-lm", 10.0, 1.6),
+    )
+    outcome = BackendComparison(rows)
+    assert outcome.ratio(rows[1]) == pytest.approx(0.25)
+    assert outcome.ratio(rows[2]) is None
+    assert outcome.geometric_mean("gtsam-lm") is None
+    two = BackendComparison((*rows, BackendRow("b.g2o", "graphslam", 1.0, 3, 0.1, True, "")))
+    assert two.geometric_mean("g2o-lm") == pytest.approx(1 / 16)
+    assert any("gtsam-lm did not reach the best chi2: because" in text for text in backends_remarks(outcome))
+    assert outcome.reached(row("x", math.nan, 1.0)) is False
+
+
+def test_table_and_figure(triangle):
+    outcome = compare_backends([triangle], backends=["graphslam", "gtsam-gn"], repeat=1)
+    assert backends_table(outcome).row_count == 2
+    figure = backends_figure(outcome)
+    assert figure.axes[0].get_title(loc="left") == "triangle.g2o"
+    assert len(figure.axes[0].lines) == 2
+
+
+def test_all_can_start_from_the_same_state(triangle):
+    outcome = compare_backends([triangle], backends=["graphslam"], repeat=1, same_start=True)
+    assert outcome.rows[0].trace[0][1] < Graph.from_g2o(triangle).cost(Graph.from_g2o(triangle).initial)
+
+
+def test_impossible_options(triangle, book_log):
+    assert BACKENDS == ("graphslam", "gtsam-lm", "gtsam-gn", "g2o-gn", "g2o-lm")
+    for options, message in (
+        ({"backends": ["ceres"]}, "backends must be one of"),
+        ({"repeat": 0}, "repeat must be at least 1"),
+        ({"initialize": "zero"}, "initialize must be one of"),
+    ):
+        with pytest.raises(OptionError, match=message):
+            compare_backends([triangle], **options)
+    with pytest.raises(OptionError, match="do not belong to a pose graph"):
+        native_gtsam_graph(Graph.from_log(book_log))
+    with pytest.raises(GraphError, match="several pieces"):
+        triangle.write_text(TRIANGLE + "VERTEX_SE2 5 0 0 0\nVERTEX_SE2 6 0 0 0\nEDGE_SE2 5 6 1 0 0 1 0 0 1 0 1\n")
+        compare_backends([triangle])
