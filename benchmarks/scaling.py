@@ -4,7 +4,8 @@
 
 A robot mows a strip of a given width among landmarks, about ten in view at each step, seeing the neighbouring lanes
 again on its way back; 2-D sensor, clean noise a tenth of the book's. A strip grows in one direction, so elimination
-costs the same per pose; a field that grows in both has the n^1.5 of all planar graphs (try --side 250). Each size runs in a process of its own, so that the peak memory is that size's.
+costs the same per pose; a field that grows in both has the n^1.5 of all planar graphs (try --side 250). Each size runs
+in a process of its own, so that the peak memory is that size's.
 """
 
 from __future__ import annotations
