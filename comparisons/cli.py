@@ -17,6 +17,7 @@ from .cli_backends import backends
 from .cli_options import (
     GRAPH,
     OUTPUT,
+    Association,
     BearingStd,
     Dimensions,
     JsonFile,
@@ -28,9 +29,11 @@ from .cli_options import (
     Oo,
     OrientationStd,
     RangeRate,
+    Resampling,
     Seed,
 )
 from .cli_parse import numbers
+from .cli_particles import particles
 from .cli_simulate import simulate
 from .cli_support import DIFFERENT, INTERRUPTED, Output, examples, models, read_log, sentences
 
@@ -80,12 +83,14 @@ def run(
         str | None,
         typer.Option(
             metavar="NAME,...",
-            help="Which to run: dead-reckoning, textbook, graph, gtsam, mcl, fastslam1.",
+            help="Which to run: dead-reckoning, textbook, graph, gtsam, mcl, fastslam1, fastslam2.",
             show_default="all that can run on the log",
         ),
     ] = None,
     particles: Annotated[int, typer.Option(help="Of the particle filters.", min=1)] = 1000,
     seed: Seed = 0,
+    resampling: Resampling = "systematic",
+    association: Association = "known",
     format: LogFormat = None,
     dimensions: Dimensions = None,
     edges: Annotated[
@@ -135,7 +140,7 @@ def run(
         motion, sensor = models(nn, no, on, oo, range_rate, bearing_std, orientation_std)
         options = RunOptions(
             edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, initialize=initialize,
-            particles=particles, seed=seed, motion=motion, sensor=sensor,
+            particles=particles, seed=seed, resampling=resampling, association=association, motion=motion, sensor=sensor,
         )  # fmt: skip
         data, source = read_log(log, format, dimensions)
         names = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
@@ -229,6 +234,14 @@ app.command(
 app.command(
     epilog=examples("slam-compare backends M3500.g2o", "slam-compare backends *.g2o --figure cost.png --json rows.json")
 )(backends)
+
+
+app.command(
+    epilog=examples(
+        "slam-compare particles --particles 10,100,1000 --seeds 5",
+        "slam-compare particles LOG --figure particles.png --json particles.json",
+    )
+)(particles)
 
 
 def main() -> None:

@@ -35,6 +35,10 @@ JsonFile = Annotated[
         rich_help_panel=OUTPUT,
     ),
 ]
+Resampling = Annotated[
+    str, typer.Option(help="Of the particle filters: systematic, stratified, residual or multinomial.")
+]
+Association = Annotated[str, typer.Option(help="Of FastSLAM: known ids, or maximum-likelihood, which ignores them.")]
 Seed = Annotated[int, typer.Option(help="Of the random numbers; the same seed gives the same result.", min=0)]
 
 

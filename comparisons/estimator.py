@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from fastslam.resampling import RESAMPLING_SCHEMES
+from fastslam.slam_filter import ASSOCIATIONS
 from graphslam import Log, MotionModel, OptionError, SensorModel
 from graphslam.errors import check_choice, check_positive
 from graphslam.graph import EDGES, FRAMES, WEIGHTS
@@ -28,6 +30,8 @@ class RunOptions:
         initialize: where the graph's solvers start, see `graphslam.solve`; gtsam starts where "auto" starts first.
         particles: of the particle filters.
         seed: of the particle filters' random numbers.
+        resampling: of the particle filters: systematic, stratified, residual or multinomial.
+        association: of FastSLAM: known, or maximum-likelihood, which ignores the ids.
         motion, sensor: the noise models of all estimators.
 
     Raises:
@@ -41,6 +45,8 @@ class RunOptions:
     initialize: str = "auto"
     particles: int = 1000
     seed: int = 0
+    resampling: str = "systematic"
+    association: str = "known"
     motion: MotionModel = field(default_factory=MotionModel)
     sensor: SensorModel = field(default_factory=SensorModel)
 
@@ -51,6 +57,8 @@ class RunOptions:
         check_choice("weight", self.weight, WEIGHTS)
         check_choice("initialize", self.initialize, INITIALIZE)
         check_positive(motion_weight=self.motion_weight)
+        check_choice("resampling", self.resampling, tuple(RESAMPLING_SCHEMES))
+        check_choice("association", self.association, tuple(ASSOCIATIONS))
         if self.particles < 1:
             raise OptionError(f"particles must be at least 1, not {self.particles}")
         if self.seed < 0:

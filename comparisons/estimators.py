@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fastslam import FastSLAM1, MonteCarloLocalization
+from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, ParticleFilter
 from graphslam import Graph, Log, SensorModel, Solution, estimate_map, solve, solve_with_gtsam, textbook
 from graphslam.graph import EDGES
 from graphslam.se2 import Array, wrap
@@ -107,12 +107,17 @@ def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 
 def mcl(log: Log, options: RunOptions) -> EstimatorResult:
     """Monte Carlo localisation on the true map: what a robot could know that need not map. It estimates no map."""
-    return _particle_filter("mcl", MonteCarloLocalization, log, options, maps=False)
+    return _particle_filter("mcl", MonteCarloLocalization, log, options)
 
 
 def fastslam1(log: Log, options: RunOptions) -> EstimatorResult:
     """FastSLAM 1.0; trajectory and map of the best particle."""
-    return _particle_filter("fastslam1", FastSLAM1, log, options, maps=True)
+    return _particle_filter("fastslam1", FastSLAM1, log, options, association=options.association)
+
+
+def fastslam2(log: Log, options: RunOptions) -> EstimatorResult:
+    """FastSLAM 2.0, whose proposal is corrected by the sightings; trajectory and map of the best particle."""
+    return _particle_filter("fastslam2", FastSLAM2, log, options, association=options.association)
 
 
 def pair_count(log: Log) -> int:
@@ -139,6 +144,7 @@ ESTIMATORS: dict[str, Estimator] = {
     "gtsam": Estimator(gtsam_estimator, _gtsam_seconds),
     "mcl": Estimator(mcl),
     "fastslam1": Estimator(fastslam1),
+    "fastslam2": Estimator(fastslam2),
 }
 
 
@@ -195,14 +201,17 @@ def _world_cost(log: Log, edges: str, poses: Array, models: Mapping[str, Any]) -
 
 
 def _particle_filter(
-    name: str, kind: type[MonteCarloLocalization] | type[FastSLAM1], log: Log, options: RunOptions, *, maps: bool
+    name: str, kind: type[ParticleFilter], log: Log, options: RunOptions, **more: Any
 ) -> EstimatorResult:
-    models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
+    told: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor, "resampling": options.resampling}
+    told |= more
+    # a filter that ignores the ids numbers its landmarks itself: no map to compare by id
+    maps = more.get("association") == "known"
     if (head := _head(log)) is not None:
         # the kernels compile at their first call; a few steps with two particles keep that out of the time
-        kind(head, particles=2, seed=0, **models).run()
+        kind(head, particles=2, seed=0, **told).run()
     begin = time.perf_counter()
-    result = kind(log, particles=options.particles, seed=options.seed, **models).run()
+    result = kind(log, particles=options.particles, seed=options.seed, **told).run()
     seconds = time.perf_counter() - begin
     return EstimatorResult(
         name=name,
@@ -211,7 +220,7 @@ def _particle_filter(
         seconds=seconds,
         landmarks=dict(result.landmarks) if maps else {},
         landmark_covariances=dict(result.landmark_covariances) if maps else {},
-        options={"particles": options.particles, "seed": options.seed},
+        options={"particles": options.particles, "seed": options.seed, "resampling": options.resampling} | more,
         reason=f"went over the log once with {options.particles} particles",
     )
 

@@ -41,6 +41,7 @@ _STYLES: dict[str, dict[str, Any]] = {
     "gtsam": {"color": "#0072B2", "linestyle": "none", "marker": "o", "markerfacecolor": "none", "zorder": 3.5},
     "mcl": {"color": "#CC79A7", "linestyle": (0, (1, 1.2)), "linewidth": 1.4, "zorder": 2.5},
     "fastslam1": {"color": "#009E73", "linestyle": (0, (6, 1.2, 1, 1.2)), "linewidth": 1.1, "zorder": 2.6},
+    "fastslam2": {"color": "#882255", "linestyle": (0, (3, 1, 1, 1, 1, 1)), "linewidth": 1.1, "zorder": 2.7},
 }
 _OTHER = ("#882255", "#44AA99", "#999933", "#332288")
 _TRUTH: dict[str, Any] = {"color": "black", "linestyle": "-", "linewidth": 0.9, "zorder": 2.9}
@@ -69,7 +70,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
         else:
             _draw_convergence(right, comparison)
         handles, labels = _legend(comparison)
-        figure.legend(handles, labels, loc="outside lower center", ncols=-(-len(labels) // 2))
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(6, -(-len(labels) // 2)))
     return figure
 
 

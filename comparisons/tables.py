@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
 from .run import Comparison
 from .solvers import SkippedVariant, SolverComparison, VariantResult
+
+if TYPE_CHECKING:
+    from .particles import ParticleStudy
 
 NOTHING = "–"
 
@@ -122,3 +127,23 @@ def variant_line(outcome: VariantResult | SkippedVariant) -> str:
     if isinstance(outcome, SkippedVariant):
         return f"{outcome.name}: skipped"
     return f"{outcome.name}: {seconds(outcome.seconds)}, gtsam {seconds(outcome.gtsam_seconds)}"
+
+
+def particles_table(outcome: ParticleStudy) -> Table:
+    """Medians over the seeds, a row per filter and number of particles."""
+    table = lean_table(f"{outcome.log}: medians over seeds")
+    table.add_column("filter", no_wrap=True)
+    for heading in ("parti-\ncles", "ATE\n[m]", "ATE of\nmean [m]", "map\n[m]", "ESS / N", "ances-\ntors", "time"):
+        table.add_column(Text(heading), justify="right", no_wrap=True)
+    for row in outcome.rows():
+        table.add_row(
+            row["name"],
+            str(row["particles"]),
+            number(row["ate_m"]),
+            number(row["mean_ate_m"]),
+            number(row["landmark_rmse_m"]),
+            number(row["ess_share"]),
+            number(row["ancestors"], 0),
+            seconds(row["seconds"]),
+        )
+    return table

@@ -5,6 +5,7 @@ Importing this package compiles nothing: the kernels are compiled at their first
 """
 
 from .fastslam1 import FastSLAM1
+from .fastslam2 import FastSLAM2
 from .mcl import MonteCarloLocalization
 from .particle_filter import ParticleFilter, VanishedWeightsWarning
 from .resampling import RESAMPLING_SCHEMES, effective_sample_size
@@ -12,6 +13,7 @@ from .state import FilterResult, LandmarkEstimate, ParticleState
 
 __all__ = [
     "FastSLAM1",
+    "FastSLAM2",
     "FilterResult",
     "LandmarkEstimate",
     "MonteCarloLocalization",

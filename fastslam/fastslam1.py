@@ -7,24 +7,26 @@ Sources: Murphy, *Bayesian map learning in dynamic environments*, NIPS 1999; Mon
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from graphslam.errors import OptionError
-from graphslam.log import Log
-from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 
 from .landmark_columns import LandmarkColumns
-from .particle_filter import ParticleFilter
-from .state import LandmarkEstimate, weighted_covariance, weighted_mean
+from .slam_filter import FastSLAM
 
 
-class FastSLAM1(ParticleFilter):
-    """FastSLAM 1.0 with known data association, on sightings with or without psi (with it landmarks have a heading).
+class FastSLAM1(FastSLAM):
+    """FastSLAM 1.0, on sightings with or without psi (with it landmarks have a heading).
 
     A first sighting starts a landmark at N(h^-1(x, z), (H' Q^-1 H)^-1) and does not weigh. A later one multiplies the
     weight by N(z; h(m), V), V = H S H' + Q, and then moves the landmark by K = S H' V^-1. A particle that stands
     on its landmark (nearer than 1e-9 m) cannot tell the bearing: its likelihood is 0 and that landmark stays as it is.
+
+    With ``association="maximum-likelihood"`` ids are not looked at, and `observe` takes None for them. Each particle
+    gives every sighting to the landmark of its own map under which it is likeliest, the likeliest pair of the scan
+    first, no landmark twice. A sighting that is likelier to be of a new landmark starts one. New landmarks are
+    provisional: each sighting counts one for them, each time they should have been seen and were not (well within
+    the ranges and bearings at which anything was seen so far) one against; at 0 they are dropped, at 3 they stay. Maps
+    number landmarks by birth.
 
     Args:
         log: what the robot did and saw; None to feed the filter by hand.
@@ -35,38 +37,19 @@ class FastSLAM1(ParticleFilter):
         ess_threshold: resample after sightings when ESS <= ess_threshold * N; 1 is the lectures' way, after every step
             with sightings of known landmarks.
         start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose.
+        association: "known" or "maximum-likelihood".
+        new_landmark_threshold: p between 0 and 1: a sighting is of a new landmark where its likelihood under every
+            known one is below that at the rim of the ellipse that holds 1 - p of the sightings of a perfectly known
+            landmark; and a particle's weight is multiplied by that much for each new landmark.
+        threads: how many; None for all cores where there are particles enough. The result is the same.
 
     Raises:
         OptionError: an option has an impossible value.
         LogError: the log has no controls.
     """
 
-    def __init__(
-        self,
-        log: Log | None = None,
-        *,
-        particles: int = 1000,
-        seed: int | np.random.Generator = 0,
-        motion: MotionModel | None = None,
-        sensor: SensorModel | None = None,
-        resampling: str = "systematic",
-        ess_threshold: float = 0.5,
-        start: ArrayLike | None = None,
-    ) -> None:
-        super().__init__(
-            log, particles=particles, seed=seed, motion=motion, sensor=sensor, resampling=resampling,
-            ess_threshold=ess_threshold, start=start,
-        )  # fmt: skip
-        self._columns: LandmarkColumns | None = None
-
-    def _check_sightings(self, ids: np.ndarray, columns: int) -> None:  # noqa: ARG002
-        if self._columns is not None and columns != self._columns.coordinates:
-            raise OptionError(f"sightings so far had {self._columns.coordinates} columns, these have {columns}")
-
-    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
-        if self._columns is None:
-            self._columns = LandmarkColumns(self._genealogy, self.particles, sightings.shape[1])
-        columns, log_likelihood = self._columns, None
+    def _weigh_known(self, columns: LandmarkColumns, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
+        log_likelihood = None
         for j, z, variances in zip(ids.tolist(), sightings, q, strict=True):
             if j not in columns:
                 columns.initialize(j, self._poses, z, variances)
@@ -74,22 +57,5 @@ class FastSLAM1(ParticleFilter):
             if log_likelihood is None:
                 log_likelihood = np.zeros(self.particles)
             columns.update(j, self._poses, z, variances, log_likelihood)
+        columns.finish()
         return log_likelihood
-
-    def _map(self, particle: int) -> dict[int, LandmarkEstimate]:
-        if self._columns is None:
-            return {}
-        estimates = {}
-        for j in sorted(self._columns.ids):
-            means, covariances = self._columns.gaussians(j, slice(particle, particle + 1))
-            estimates[j] = LandmarkEstimate(means[0], covariances[0])
-        return estimates
-
-    def _mixture(self, weights: Array) -> dict[int, LandmarkEstimate]:
-        estimates = {}
-        for j in sorted(self._columns.ids) if self._columns is not None else ():
-            means, covariances = self._columns.gaussians(j)  # type: ignore[union-attr]
-            mean = weighted_mean(means, weights)
-            within = np.tensordot(weights, covariances, 1)
-            estimates[j] = LandmarkEstimate(mean, within + weighted_covariance(means, mean, weights))
-        return estimates

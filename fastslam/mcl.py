@@ -16,7 +16,7 @@ from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 
-from . import kernels
+from . import landmark_kernels as kernels
 from .particle_filter import ParticleFilter
 from .state import LandmarkEstimate
 
@@ -35,6 +35,7 @@ class MonteCarloLocalization(ParticleFilter):
         resampling: "systematic", "stratified", "residual" or "multinomial".
         ess_threshold: resample after sightings when ESS <= ess_threshold * N; 1 is after every step with sightings.
         start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose.
+        threads: how many; None for all cores where there are particles enough. The result is the same.
 
     Raises:
         OptionError: an option has an impossible value, there is no map, or the log saw a landmark that is not in it.
@@ -53,10 +54,11 @@ class MonteCarloLocalization(ParticleFilter):
         resampling: str = "systematic",
         ess_threshold: float = 0.5,
         start: ArrayLike | None = None,
+        threads: int | None = None,
     ) -> None:
         super().__init__(
             log, particles=particles, seed=seed, motion=motion, sensor=sensor, resampling=resampling,
-            ess_threshold=ess_threshold, start=start,
+            ess_threshold=ess_threshold, start=start, threads=threads,
         )  # fmt: skip
         if landmarks is None:
             landmarks = log.true_landmarks if log is not None else None
@@ -83,7 +85,7 @@ class MonteCarloLocalization(ParticleFilter):
         for j, z, variances in zip(ids.tolist(), sightings, q, strict=True):
             known = self._landmarks[j]
             n = min(len(z), len(known))
-            kernels.weigh_known(self._poses, known, z[:n], variances[:n], log_likelihood)
+            self._crew.run(kernels.weigh_known, self._poses, known, z[:n], variances[:n], log_likelihood)
         return log_likelihood
 
     def _map(self, particle: int) -> dict[int, LandmarkEstimate]:  # noqa: ARG002

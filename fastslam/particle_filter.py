@@ -9,6 +9,7 @@ import operator
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,10 +19,16 @@ from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
 
-from . import kernels
+from . import motion_kernels
+from .crew import Crew
 from .genealogy import Genealogy
-from .resampling import effective_sample_size, resampling_scheme
-from .state import FilterResult, LandmarkEstimate, ParticleState, weighted_mean
+from .noise import draw_key
+from .resampling import resampling_scheme
+from .state import FilterResult, LandmarkEstimate, ParticleState
+from .weight_kernels import multiply, normalize
+
+#: a turn in one step beyond this [rad] is a mistake, and the compiled sine is not made for it
+MOST_TURN = 1e5
 
 
 class VanishedWeightsWarning(RuntimeWarning):
@@ -42,8 +49,9 @@ class ParticleFilter(ABC):
     is resampled, and the filter goes on. In log space that takes more than a bad guess: every particle exactly on the
     landmark, or numbers beyond the range of floating point.
 
-    Random numbers come from one generator in this order: for each motion ``standard_normal((N, 5))`` (nu, omega, x, y,
-    theta of each particle), for each resampling what the scheme draws. The same seed gives the same result.
+    Random numbers come from one generator in this order: for each motion `noise.standard_normals`, five per particle
+    (nu, omega, x, y, theta), for each resampling what the scheme draws. The same seed gives the same result, bit for
+    bit, whatever the number of threads.
     """
 
     def __init__(
@@ -57,6 +65,7 @@ class ParticleFilter(ABC):
         resampling: str = "systematic",
         ess_threshold: float = 0.5,
         start: ArrayLike | None = None,
+        threads: int | None = None,
     ) -> None:
         try:
             self.particles = operator.index(particles)
@@ -75,23 +84,25 @@ class ParticleFilter(ABC):
         self.log = log
         self.motion, self.sensor = motion or MotionModel(), sensor or SensorModel()
         self._scheme, self._ess_threshold = resampling_scheme(resampling), ess_threshold
-        # SFC64 draws normals a fifth faster than the default PCG64
-        self._rng = seed if isinstance(seed, np.random.Generator) else np.random.Generator(np.random.SFC64(seed))
+        self._rng = np.random.default_rng(seed)
+        self._crew = Crew(self.particles, threads)
 
         if start is None:
             start = np.zeros(3) if log is None else log.initial_poses[0]
         pose = np.asarray(start, dtype=float)
         if pose.shape not in ((3,), (self.particles, 3)) or not np.all(np.isfinite(pose)):
             raise OptionError(f"start must be a finite pose (3,) or one per particle ({self.particles}, 3)")
-        poses = np.tile(pose, (self.particles, 1)) if pose.ndim == 1 else pose.copy()
-        poses[:, 2] = wrap(poses[:, 2])
+        poses = np.empty((3, self.particles))
+        poses[:] = pose[:, None] if pose.ndim == 1 else pose.T
+        poses[2] = wrap(poses[2])
 
+        self._needs_ids = True
         self._step, self._version, self._next = 0, 0, 0
         self._poses = _read_only(poses)
         self._uniform = _read_only(np.full(self.particles, -np.log(self.particles)))
         self._log_weights = self._uniform
         self._best, self._resampled = 0, False
-        self._normals = np.empty((self.particles, 5))
+        self._motion: Motion | None = None
         self._genealogy = Genealogy(self.particles)
         self._genealogy.record(self._poses)
         self._ess_history, self._resampled_history = [float(self.particles)], [False]
@@ -104,7 +115,8 @@ class ParticleFilter(ABC):
         dt = 0 [s] is a step in which nothing moves: no noise is added, although the random numbers are drawn.
 
         Raises:
-            OptionError: the control is not two finite numbers, or dt is negative or not finite.
+            OptionError: the control is not two finite numbers, dt is negative or not finite, or the robot would turn
+                by more than 1e5 rad.
         """
         u = np.asarray(control, dtype=float)
         if u.shape != (2,) or not np.all(np.isfinite(u)):
@@ -113,16 +125,20 @@ class ParticleFilter(ABC):
             raise OptionError(f"dt must be a finite number of seconds, not below 0, not {dt!r}")
         self._move(u, np.sqrt(np.diag(self.motion.M(u, dt))) if dt > 0 else np.zeros(2), float(dt))
 
-    def observe(self, ids: Sequence[int] | np.ndarray, sightings: ArrayLike) -> None:
+    def observe(self, ids: Sequence[int] | np.ndarray | None, sightings: ArrayLike) -> None:
         """Weigh the particles by what was seen at this step, (k,) ids and (k, 2 or 3) sightings, and resample if due.
 
-        The sightings are folded in one after the other; there may be any number of them, and none changes nothing.
+        The sightings are folded in one after the other; there may be any number of them, and none changes nothing. Only
+        where the association is unknown may ids be None.
 
         Raises:
             OptionError: a sighting is not finite or its range not above zero, the shapes do not fit, or, on a known
                 map, an id is not in it.
         """
-        ids, z = np.asarray(ids), np.array(sightings, dtype=float)
+        z = np.array(sightings, dtype=float)
+        if ids is None and not self._needs_ids:
+            ids = np.zeros(len(z), dtype=np.int64)
+        ids = np.asarray(ids)
         if ids.size == 0 and z.size == 0:
             return
         if z.ndim != 2 or z.shape[1] not in (2, 3) or ids.shape != (len(z),) or ids.dtype.kind not in "iu":
@@ -154,7 +170,7 @@ class ParticleFilter(ABC):
 
         return ParticleState(
             self._step,
-            self._poses,
+            self._poses.T,
             self._log_weights,
             self._ess_history[-1],
             self._resampled,
@@ -206,19 +222,17 @@ class ParticleFilter(ABC):
 
     def result(self) -> FilterResult:
         """The estimate so far."""
-        backwards = [
-            (weighted_mean(poses, w), len(w)) for poses, w in self._genealogy.walk_back(np.exp(self._log_weights))
-        ]
+        mean_poses, ancestors = self._genealogy.summary(np.exp(self._log_weights))
         best_map = self._map(self._best)
         return FilterResult(
             poses=self.trajectory(),
-            mean_poses=np.array([mean for mean, _ in reversed(backwards)]),
+            mean_poses=mean_poses,
             landmarks={j: estimate.mean for j, estimate in best_map.items()},
             landmark_covariances={j: estimate.covariance for j, estimate in best_map.items()},
             log_weights=self._log_weights,
             ess=np.array(self._ess_history),
             resampled=np.array(self._resampled_history),
-            ancestors=np.array([count for _, count in reversed(backwards)]),
+            ancestors=ancestors,
         )
 
     # -- the filter --------------------------------------------------------------------------------------------------
@@ -238,18 +252,28 @@ class ParticleFilter(ABC):
     def _mixture(self, weights: Array) -> dict[int, LandmarkEstimate]: ...
 
     def _move(self, control: Array, control_std: Array, dt: float) -> None:
-        self._rng.standard_normal(out=self._normals)
+        if abs(control[1]) * dt > MOST_TURN:
+            raise OptionError(
+                f"omega = {control[1]:g} rad/s for {dt:g} s turns the robot by more than {MOST_TURN:g} rad"
+            )
         moved = np.empty_like(self._poses)
-        pose_std = self.motion.epsilon**0.5 if dt > 0 else 0.0
-        nu, omega, nu_std, omega_std = control[0], control[1], control_std[0], control_std[1]
-        kernels.move(self._poses, self._normals, nu, omega, nu_std, omega_std, dt, pose_std, moved)
+        motion = Motion(
+            self._poses, draw_key(self._rng), control[0], control[1], control_std[0], control_std[1], dt,
+            self.motion.epsilon**0.5 if dt > 0 else 0.0,
+        )  # fmt: skip
+        self._crew.run_all([(motion_kernels.move, (*motion, moved)), self._genealogy.recording(moved)])
+        self._motion = motion if dt > 0 else None
         self._poses = _read_only(moved)
-        self._genealogy.record(moved)
         self._step += 1
         self._version += 1
         self._resampled = False
         self._ess_history.append(self._ess_history[-1])
         self._resampled_history.append(False)
+
+    def _set_poses(self, poses: Array) -> None:
+        """Exchange the poses (3, N) of this step."""
+        self._poses = _read_only(poses)
+        self._genealogy.amend(poses)
 
     def _observe(self, ids: np.ndarray, sightings: Array) -> None:
         self._version += 1
@@ -257,10 +281,12 @@ class ParticleFilter(ABC):
             q = np.diagonal(self.sensor.Q(sightings), axis1=-2, axis2=-1).copy()
         # a copy: kernels are compiled once more for the read-only arrays of a log
         log_likelihood = self._weigh(ids, sightings.copy(), q)
+        # from here on the poses depend on the sightings: later ones of this step must not bend the motion again
+        self._motion = None
         if log_likelihood is None:
             return
-        log_weights = self._log_weights + log_likelihood
-        highest = log_weights.max()
+        log_weights = log_likelihood
+        highest = multiply(self._crew, self._log_weights, log_weights)
         if highest == -np.inf:
             warnings.warn(
                 f"step {self._step}: its sightings are impossible for all {self.particles} particles; "
@@ -269,22 +295,40 @@ class ParticleFilter(ABC):
                 stacklevel=3,
             )
             return
-        log_weights -= highest
-        log_weights -= np.log(np.exp(log_weights).sum())
-        ess = effective_sample_size(log_weights)
+        weights, total, squares = normalize(self._crew, log_weights, highest)
+        ess = min(total * total / squares, float(self.particles))
         self._log_weights, self._best = _read_only(log_weights), int(np.argmax(log_weights))
         self._ess_history[-1] = ess
         if ess <= self._ess_threshold * self.particles:
-            self._resample()
+            self._resample(weights)
 
-    def _resample(self) -> None:
-        ancestors = self._scheme(np.exp(self._log_weights), self._rng)
-        self._best = int(np.argmax(self._log_weights[ancestors]))
+    def _resample(self, weights: Array) -> None:
+        ancestors = self._scheme(weights, self._rng)
+        copy = int(np.searchsorted(ancestors, self._best))
+        if copy == self.particles or ancestors[copy] != self._best:
+            # only where copies are drawn at random can the heaviest particle be left without one
+            copy = int(np.argmax(self._log_weights[ancestors]))
+        self._best = copy
         self._genealogy.branch(ancestors)
-        self._poses = _read_only(self._poses[ancestors])
+        survivors = np.empty_like(self._poses)
+        self._crew.run_light(motion_kernels.pick, self._poses, ancestors, survivors)
+        self._poses = _read_only(survivors)
         self._log_weights = self._uniform
         self._resampled = True
         self._resampled_history[-1] = True
+
+
+class Motion(NamedTuple):
+    """The motion that led to this step: the arguments of the compiled motion."""
+
+    poses: Array
+    key: np.uint64
+    nu: float
+    omega: float
+    nu_std: float
+    omega_std: float
+    dt: float
+    pose_std: float
 
 
 def _particle(particle: int, particles: int) -> int:

@@ -1,11 +1,12 @@
-"""FastSLAM 1.0 and Monte Carlo localisation as in the lectures: particle by particle, one equation per function.
+"""FastSLAM and Monte Carlo localisation as in the lectures: particle by particle, one equation per function.
 
 This file is the oracle of the array versions, and its first reader is a student: it is plain, short and slow. The
 random numbers come from one generator in a stated order, the same as in the array versions: for each motion
-``rng.standard_normal((N, 5))``, row i for particle i, and for each systematic resampling one ``rng.random()``.
+``standard_normals(rng, N)``, five Gaussian numbers per particle in row i for particle i, and for each systematic
+resampling one ``rng.random()``.
 
-Sources: Ueda, *LNPR*, chapters 5 and 8; Montemerlo, Thrun, Koller and Wegbreit, *FastSLAM*, AAAI 2002; Thrun, Burgard
-and Fox, *Probabilistic Robotics*, sections 8.3 and 13.3.
+Sources: Ueda, *LNPR*, chapters 5 and 8; Montemerlo, Thrun, Koller and Wegbreit, *FastSLAM*, AAAI 2002, and *FastSLAM
+2.0*, IJCAI 2003; Thrun, Burgard and Fox, *Probabilistic Robotics*, sections 8.3, 13.3 and 13.5 to 13.8.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from graphslam.errors import LogError
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
+
+from .noise import standard_normals
 
 
 @dataclass
@@ -48,6 +51,14 @@ class Particle:
         return self.path[-1]
 
 
+@dataclass(frozen=True)
+class PoseBelief:
+    """What one particle of FastSLAM 2.0 believes of x_t before it draws: the Gaussian N(mean, covariance)."""
+
+    mean: Array
+    covariance: np.ndarray
+
+
 def start(particles: int, pose: ArrayLike) -> list[Particle]:
     """N particles at the known first pose, each of weight 1/N, with empty maps."""
     return [Particle([wrap_heading(np.array(pose, dtype=float))], -np.log(particles)) for _ in range(particles)]
@@ -58,20 +69,22 @@ def wrap_heading(pose: Array) -> Array:
     return np.array([pose[0], pose[1], wrap(pose[2])])
 
 
-def motion_update(
-    particles: list[Particle], control: ArrayLike, dt: float, motion: MotionModel, rng: np.random.Generator
-) -> None:
+def sample_motion(pose: Array, control: ArrayLike, dt: float, motion: MotionModel, noise: Array) -> Array:
     """Sample x_t ~ p(x_t | x_{t-1}, u_t): u' ~ N(u_t, M), x_t = f(x_{t-1}, u') + e with e ~ N(0, epsilon I).
 
     The lectures have no e; the framework's motion edges add epsilon I to the covariance A M A', and with e both
-    estimators ask for the same posterior.
+    estimators ask for the same posterior. The noise is five standard normal numbers (nu, omega, x, y, theta).
     """
-    std = np.sqrt(np.diag(motion.M(control, dt)))
-    normals = rng.standard_normal((len(particles), 5))
-    for particle, noise in zip(particles, normals, strict=True):
-        noisy_control = np.asarray(control) + std * noise[:2]
-        pose = motion.f(particle.pose, noisy_control, dt) + np.sqrt(motion.epsilon) * noise[2:]
-        particle.path.append(wrap_heading(pose))
+    noisy_control = np.asarray(control) + np.sqrt(np.diag(motion.M(control, dt))) * noise[:2]
+    return wrap_heading(motion.f(pose, noisy_control, dt) + np.sqrt(motion.epsilon) * noise[2:])
+
+
+def motion_update(
+    particles: list[Particle], control: ArrayLike, dt: float, motion: MotionModel, rng: np.random.Generator
+) -> None:
+    """Every particle samples its own motion."""
+    for particle, noise in zip(particles, standard_normals(rng, len(particles)), strict=True):
+        particle.path.append(sample_motion(particle.pose, control, dt, motion, noise))
 
 
 def initialize_landmark(pose: Array, z: Array, sensor: SensorModel) -> Landmark:
@@ -139,6 +152,77 @@ def observation_update(
     return weighed
 
 
+def predict_pose(pose: Array, control: ArrayLike, dt: float, motion: MotionModel) -> PoseBelief:
+    """FastSLAM 2.0 before the sightings: the motion as a Gaussian, N(f(x_{t-1}, u_t), A M A' + epsilon I)."""
+    return PoseBelief(wrap_heading(motion.f(pose, control, dt)), motion.covariance(pose, control, dt))
+
+
+def correct_pose(belief: PoseBelief, landmark: Landmark, z: Array, sensor: SensorModel) -> tuple[PoseBelief, float]:
+    """FastSLAM 2.0, one sighting: where was the robot, with pose and landmark both uncertain, and how likely is z?
+
+    V = H_x P H_x' + H_m S H_m' + Q, K = P H_x' V^-1, mean += K (z - h), P = (I - K H_x) P. The likelihood N(z; h, V) is
+    the one under the prediction: neither pose nor landmark is drawn yet. 0 where the mean stands on the landmark.
+    """
+    if np.hypot(*(landmark.mean[:2] - belief.mean[:2])) < 1e-9:
+        return belief, -np.inf
+    H_x, H_m = sensor.H_pose(belief.mean, landmark.mean), sensor.H(belief.mean, landmark.mean)
+    V = H_x @ belief.covariance @ H_x.T + H_m @ landmark.covariance @ H_m.T + sensor.Q(z)
+    r = residual(belief.mean, landmark, z, sensor)
+    K = belief.covariance @ H_x.T @ np.linalg.inv(V)
+    corrected = PoseBelief(wrap_heading(belief.mean + K @ r), (np.eye(3) - K @ H_x) @ belief.covariance)
+    return corrected, float(-0.5 * (r @ np.linalg.solve(V, r) + np.log(np.linalg.det(2 * np.pi * V))))
+
+
+def draw_pose(belief: PoseBelief, noise: Array) -> Array:
+    """Sample x_t ~ N(mean, P) as mean + L noise with P = L L'; three standard normal numbers."""
+    return wrap_heading(belief.mean + np.linalg.cholesky(belief.covariance) @ noise)
+
+
+def proposal_update(
+    particles: list[Particle],
+    control: ArrayLike,
+    dt: float,
+    ids: Iterable[int],
+    sightings: Iterable[Array],
+    motion: MotionModel,
+    sensor: SensorModel,
+    rng: np.random.Generator,
+) -> bool:
+    """FastSLAM 2.0, one whole step: each particle corrects its motion by what it knows, draws, and maps from there.
+
+    Sightings of known landmarks are folded in one after the other, the first of each landmark; the weight is
+    multiplied by their likelihoods under the prediction. A landmark's further sightings in the step weigh as in 1.0,
+    from the pose that was drawn. A step without known landmarks is that of 1.0. Weights sum to 1 in the end. Returns
+    whether any sighting was weighed.
+    """
+    sighted = list(zip(ids, sightings, strict=True))
+    before = [particle.log_weight for particle in particles]
+    weighed = False
+    for particle, noise in zip(particles, standard_normals(rng, len(particles)), strict=True):
+        leading = {k for k, (j, _) in enumerate(sighted) if j in particle.map and j not in [i for i, _ in sighted[:k]]}
+        if leading:
+            belief = predict_pose(particle.pose, control, dt, motion)
+            for k in sorted(leading):
+                j, z = sighted[k]
+                belief, likelihood = correct_pose(belief, particle.map[j], z, sensor)
+                particle.log_weight += likelihood
+            particle.path.append(draw_pose(belief, noise[:3]))
+        else:
+            particle.path.append(sample_motion(particle.pose, control, dt, motion, noise))
+        for k, (j, z) in enumerate(sighted):
+            if j not in particle.map:
+                particle.map[j] = initialize_landmark(particle.pose, z, sensor)
+                continue
+            weighed = True
+            likelihood = log_likelihood(particle.pose, particle.map[j], z, sensor)
+            if k not in leading:
+                particle.log_weight += likelihood
+            if likelihood > -np.inf:
+                particle.map[j] = update_landmark(particle.pose, particle.map[j], z, sensor)
+    normalize(particles, before)
+    return weighed
+
+
 def localization_update(
     particles: list[Particle],
     ids: Iterable[int],
@@ -169,7 +253,8 @@ def normalize(particles: list[Particle], before: list[float]) -> None:
 
 def effective_sample_size(particles: list[Particle]) -> float:
     """ESS = 1 / sum of w_i², between 1 and N."""
-    return float(1 / sum(np.exp(particle.log_weight) ** 2 for particle in particles))
+    # rounding must not push it above N: a threshold of N means always
+    return float(min(1 / sum(np.exp(particle.log_weight) ** 2 for particle in particles), len(particles)))
 
 
 def resample(particles: list[Particle], rng: np.random.Generator) -> list[Particle]:
@@ -213,6 +298,37 @@ def fastslam1(
             motion_update(current, log.controls[t - 1], log.dt[t - 1], motion, rng)
         seen = log.steps == t
         weighed = observation_update(current, log.landmarks[seen].tolist(), log.sightings[seen], sensor)
+        if weighed and effective_sample_size(current) <= ess_threshold * particles:
+            current = resample(current, rng)
+        yield current
+
+
+def fastslam2(
+    log: Log,
+    *,
+    particles: int = 100,
+    rng: np.random.Generator,
+    motion: MotionModel | None = None,
+    sensor: SensorModel | None = None,
+    ess_threshold: float = 1.0,
+) -> Iterator[list[Particle]]:
+    """FastSLAM 2.0 over a whole log, as `fastslam1`.
+
+    Raises:
+        LogError: the log has no controls.
+    """
+    motion, sensor = motion or MotionModel(), sensor or SensorModel()
+    if log.controls is None or log.dt is None:
+        raise LogError(f"{log.name} has no controls, and a particle filter moves its particles by them")
+    current = start(particles, log.initial_poses[0])
+    for t in range(log.num_poses):
+        seen = log.steps == t
+        ids, sightings = log.landmarks[seen].tolist(), log.sightings[seen]
+        if t == 0:
+            weighed = observation_update(current, ids, sightings, sensor)
+        else:
+            u, dt = log.controls[t - 1], log.dt[t - 1]
+            weighed = proposal_update(current, u, dt, ids, sightings, motion, sensor, rng)
         if weighed and effective_sample_size(current) <= ess_threshold * particles:
             current = resample(current, rng)
         yield current

@@ -7,7 +7,18 @@ import pytest
 
 from comparisons.estimator import Estimator, RunOptions
 from comparisons.estimators import ESTIMATORS, default_edges, make_graph, pair_count
-from graphslam import Log, MotionModel, OptionError, SensorModel, SlamError, simulate, solve, textbook
+from graphslam import (
+    Log,
+    MotionModel,
+    OptionError,
+    SensorModel,
+    SlamError,
+    load,
+    sample_log_path,
+    simulate,
+    solve,
+    textbook,
+)
 from graphslam.graph import EDGES
 
 
@@ -62,7 +73,7 @@ def test_textbook_is_the_books_program(log: Log) -> None:
 def test_models_reach_every_estimator(log: Log) -> None:
     sensor, motion = SensorModel(range_rate=0.5), MotionModel(nn=0.9)
     other = replace(OPTIONS, sensor=sensor, motion=motion)
-    for name in ("textbook", "graph", "gtsam", "mcl", "fastslam1"):
+    for name in ("textbook", "graph", "gtsam", "mcl", "fastslam1", "fastslam2"):
         run = ESTIMATORS[name].run
         assert not np.allclose(run(log, OPTIONS).poses, run(log, other).poses), name
 
@@ -132,3 +143,18 @@ def test_slow_estimators_say_so(log: Log) -> None:
 def test_impossible_options(options: dict[str, object], word: str) -> None:
     with pytest.raises(OptionError, match=word):
         RunOptions(**options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["fastslam1", "fastslam2"])
+def test_filters_that_ignore_the_ids_have_no_map_to_compare(name):
+    log = load(sample_log_path())
+    options = RunOptions(particles=20, association="maximum-likelihood", resampling="residual")
+    result = ESTIMATORS[name].run(log, options)
+    assert result.landmarks == {}
+    assert result.options["association"] == "maximum-likelihood"
+
+
+@pytest.mark.parametrize("options", [{"resampling": "wheel"}, {"association": "guess"}, {"initialize": "zero"}])
+def test_impossible_options_of_the_filters(options):
+    with pytest.raises(OptionError, match="must be one of"):
+        RunOptions(**options)

@@ -5,13 +5,14 @@ import warnings
 import numpy as np
 import pytest
 
-from fastslam import FastSLAM1, MonteCarloLocalization, VanishedWeightsWarning
+from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, VanishedWeightsWarning
 from graphslam import Log, LogError, MotionModel, OptionError, SensorModel, simulate
 
-FILTERS = [FastSLAM1, MonteCarloLocalization]
+FILTERS = [FastSLAM1, FastSLAM2, MonteCarloLocalization]
+SLAM = [FastSLAM1, FastSLAM2]
 
 
-def make(cls: type, **options: object) -> FastSLAM1 | MonteCarloLocalization:
+def make(cls: type, **options: object) -> FastSLAM1 | FastSLAM2 | MonteCarloLocalization:
     if cls is MonteCarloLocalization:
         options.setdefault("landmarks", {0: (2.0, 1.0, 0.5), 1: (3.0, -1.0)})
     return cls(**options)
@@ -76,6 +77,20 @@ def test_no_motion_noise_but_epsilon() -> None:
     np.testing.assert_allclose(slam.state.poses, np.tile([1.0, 0.0, 0.0], (1000, 1)), atol=1e-12)
 
 
+@pytest.mark.parametrize("cls", SLAM)
+@pytest.mark.parametrize("epsilon", [1e-300, 1e-30])
+def test_no_motion_noise_and_sightings(cls: type, epsilon: float) -> None:
+    """The proposal of 2.0 is degenerate too: everybody goes where the motion says."""
+    slam = cls(particles=20, motion=MotionModel(nn=0, no=0, on=0, oo=0, epsilon=epsilon))
+    slam.observe([0], [[2.0, 0.1]])
+    slam.move((0.5, 0.1), 1.0)
+    slam.observe([0], [[1.4, 0.2]])
+    np.testing.assert_allclose(
+        slam.state.poses, np.tile(slam.motion.f(np.zeros(3), (0.5, 0.1), 1.0), (20, 1)), atol=1e-12
+    )
+    np.testing.assert_allclose(slam.state.log_weights, -np.log(20))
+
+
 def test_sensor_without_noise_is_refused() -> None:
     with pytest.raises(OptionError, match="bearing_std must be a positive number"):
         FastSLAM1(sensor=SensorModel(bearing_std=0.0))
@@ -105,6 +120,13 @@ def test_nothing_seen(cls: type) -> None:
     before = slam.state.log_weights
     slam.observe([], [])
     np.testing.assert_array_equal(slam.state.log_weights, before)
+
+
+def test_turning_beyond_reason() -> None:
+    slam = FastSLAM1()
+    with pytest.raises(OptionError, match="turns the robot by more than"):
+        slam.move((0.1, 1e6), 1.0)
+    assert slam.state.step == 0
 
 
 def test_psi_cannot_come_and_go() -> None:
@@ -140,11 +162,12 @@ def test_range_bearing_landmarks_on_the_map_leave_psi_out() -> None:
     np.testing.assert_array_equal(a.poses, b.poses)
 
 
+@pytest.mark.parametrize("cls", SLAM)
 @pytest.mark.parametrize("columns", [2, 3])
-def test_all_particles_on_the_landmark(columns: int) -> None:
+def test_all_particles_on_the_landmark(columns: int, cls: type) -> None:
     """Every particle stands on the landmark: the step is warned about and taken back, and the filter goes on."""
     landmark = np.array([1.0, 0.0, 0.0])[:columns]
-    slam = FastSLAM1(particles=30, motion=MotionModel(nn=0, no=0, on=0, oo=0, epsilon=1e-300), start=np.zeros(3))
+    slam = cls(particles=30, motion=MotionModel(nn=0, no=0, on=0, oo=0, epsilon=1e-300), start=np.zeros(3))
     slam.observe([0], [[1.0, 0.0, 0.0][:columns]])
     slam.move((0.0, 0.0), 1.0)
     slam.move((1.0, 0.0), 1.0)
@@ -190,11 +213,12 @@ def test_very_unlikely_is_not_impossible() -> None:
     assert np.exp(mcl.state.log_weights).sum() == pytest.approx(1)
 
 
+@pytest.mark.parametrize("cls", SLAM)
 @pytest.mark.parametrize("columns", [2, 3])
-def test_two_hundred_sightings_in_a_step(columns: int) -> None:
+def test_two_hundred_sightings_in_a_step(columns: int, cls: type) -> None:
     rng = np.random.default_rng(0)
     landmarks = np.column_stack([rng.uniform(-10, 10, (200, 2)), rng.uniform(-3, 3, 200)])[:, :columns]
-    slam = FastSLAM1(particles=100)
+    slam = cls(particles=100)
     for _ in range(3):
         slam.observe(np.arange(200), slam.sensor.h(slam.state.mean_pose, landmarks))
         slam.move((0.2, 0.1), 1.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fastslam import FastSLAM1, MonteCarloLocalization, ParticleFilter, textbook
+from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, ParticleFilter, textbook
 from graphslam import Log, simulate
 
 TOLERANCE = {"rtol": 1e-10, "atol": 1e-10}
@@ -43,10 +43,12 @@ def assert_same(fast: ParticleFilter, slow: list[textbook.Particle], maps: bool 
             np.testing.assert_allclose(found[j].covariance, landmark.covariance, **TOLERANCE)
 
 
+@pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize("ess_threshold", [1.0, 0.5])
-def test_step_by_step(log: Log, ess_threshold: float) -> None:
-    fast = FastSLAM1(log, particles=8, seed=np.random.default_rng(3), ess_threshold=ess_threshold)
-    slow = textbook.fastslam1(log, particles=8, rng=np.random.default_rng(3), ess_threshold=ess_threshold)
+def test_step_by_step(log: Log, ess_threshold: float, version: int) -> None:
+    filters = {1: (FastSLAM1, textbook.fastslam1), 2: (FastSLAM2, textbook.fastslam2)}
+    fast = filters[version][0](log, particles=8, seed=np.random.default_rng(3), ess_threshold=ess_threshold)
+    slow = filters[version][1](log, particles=8, rng=np.random.default_rng(3), ess_threshold=ess_threshold)
     steps = 0
     for _, particles in zip(fast, slow, strict=True):
         assert_same(fast, particles)

@@ -6,7 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fastslam import RESAMPLING_SCHEMES, effective_sample_size
-from fastslam.resampling import resampling_scheme
+from fastslam.crew import Crew
+from fastslam.resampling import _comb, resampling_scheme
+from fastslam.weight_kernels import multiply, normalize
 from graphslam import OptionError
 
 weights_lists = st.lists(st.one_of(st.just(0.0), st.floats(1e-9, 1.0)), min_size=1, max_size=40).filter(
@@ -62,6 +64,37 @@ def test_systematic_by_hand() -> None:
     weights = np.array([0.1, 0.0, 0.6, 0.3])
     # teeth at 1/8, 3/8, 5/8, 7/8 over 0.1, 0.1, 0.7, 1.0
     np.testing.assert_array_equal(RESAMPLING_SCHEMES["systematic"](weights, Fixed()), [2, 2, 2, 3])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("count", [1, 2, 63, 1000])
+def test_comb_is_the_search_for_its_teeth(count: int) -> None:
+    """The branch-free comb against the plain search, also with many particles of no weight at either end."""
+    rng = np.random.default_rng(count)
+    for _ in range(50):
+        weights = rng.exponential(size=count) ** 3 * (rng.random(count) < 0.7)
+        weights[: count // 5] = weights[count - count // 5 :] = 0.0
+        if weights.sum() == 0:
+            continue
+        offset, cumulative = rng.random(), np.cumsum(weights)
+        expected = np.searchsorted(cumulative, (offset + np.arange(count)) / count * cumulative[-1], side="right")
+        np.testing.assert_array_equal(_comb(cumulative, offset), expected)
+
+
+@pytest.mark.parametrize("count", [1, 64, 65, 3000])
+def test_weights_are_multiplied_and_normalized(count: int) -> None:
+    rng = np.random.default_rng(count)
+    before, likelihood = rng.normal(-300, 20, (2, count))
+    likelihood[1::7] = -np.inf
+    product, crew = likelihood.copy(), Crew(count, 1)
+    highest = multiply(crew, before, product)
+    np.testing.assert_array_equal(product, before + likelihood)
+    assert highest == product.max()
+    weights, total, squares = normalize(crew, product, highest)
+    expected = np.exp(before + likelihood - highest)
+    np.testing.assert_allclose(weights, expected, rtol=1e-14)
+    assert total == pytest.approx(expected.sum(), rel=1e-13)
+    assert squares == pytest.approx(expected @ expected, rel=1e-13)
+    np.testing.assert_allclose(np.exp(product), expected / expected.sum(), rtol=1e-12)
 
 
 def test_effective_sample_size() -> None:

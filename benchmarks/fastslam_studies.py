@@ -1,0 +1,76 @@
+"""Two studies over 50 seeds: FastSLAM 2.0 against 1.0 with a sharp sensor, unknown against known association.
+
+python benchmarks/fastslam_studies.py
+"""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+
+from comparisons.metrics import align, ate, landmark_rmse
+from fastslam import FastSLAM1, FastSLAM2
+from graphslam import Log, MotionModel, SensorModel, simulate
+
+SEEDS = range(50)
+
+
+def compare_versions() -> None:
+    """A tenth of the book's sensor noise, N = 100: error of the map, and ESS before resampling."""
+    sensor = SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005)
+    for psi in (True, False):
+        rmse, ess = {FastSLAM1: [], FastSLAM2: []}, {FastSLAM1: [], FastSLAM2: []}
+        for seed in SEEDS:
+            log = simulate(seed=seed, clean=True, orientation=psi, sensor=sensor)
+            for kind in rmse:
+                result = kind(log, particles=100, seed=seed, sensor=sensor).run()
+                rmse[kind].append(
+                    landmark_rmse(log.true_landmarks, result.landmarks, align(log.true_poses, result.poses))
+                )
+                ess[kind].append(np.mean(result.ess[1:]))
+        print(
+            f"sharp sensor, psi {psi!s:5}: median landmark RMSE 1.0 {np.median(rmse[FastSLAM1]):.3f} m, "
+            f"2.0 {np.median(rmse[FastSLAM2]):.3f} m; mean ESS 1.0 {np.median(ess[FastSLAM1]):.1f}, "
+            f"2.0 {np.median(ess[FastSLAM2]):.1f} ({np.median(ess[FastSLAM2]) / np.median(ess[FastSLAM1]):.1f} times)"
+        )
+
+
+def scattered(seed: int, count: int, apart: float, arena: float) -> np.ndarray:
+    """Landmarks drawn uniformly, none nearer than ``apart`` to another; (count, 3)."""
+    rng, places = np.random.default_rng(1000 + seed), []
+    while len(places) < count:
+        place = rng.uniform(-arena, arena, 2)
+        if all(np.hypot(*(place - other)) >= apart for other in places):
+            places.append(place)
+    return np.column_stack([places, rng.uniform(-pi, pi, count)])
+
+
+def compare_association() -> None:
+    """Landmarks at least 4 standard deviations of the sensor at its limit apart, N = 1000."""
+    for name, part, count in (("book's six", 2, 0), ("30 scattered", 5, 30)):
+        motion = MotionModel(nn=0.19 / part, no=0.001 / part, on=0.13 / part, oo=0.2 / part, epsilon=1e-4 / part**2)
+        sensor = SensorModel(range_rate=0.14 / part, bearing_std=0.05 / part, orientation_std=0.05 / part)
+        models = {"motion": motion, "sensor": sensor}
+        for psi in (True, False):
+            for kind in (FastSLAM1, FastSLAM2):
+                right, known, unknown = 0, [], []
+                for seed in SEEDS:
+                    world = {"landmarks": scattered(seed, count, 4 * sensor.range_rate * 6.0, 4.5)} if count else {}
+                    log: Log = simulate(seed=seed, clean=True, orientation=psi, **world, **models)
+                    a = kind(log, particles=1000, seed=seed, **models).run()
+                    b = kind(log, particles=1000, seed=seed, association="maximum-likelihood", **models).run()
+                    right += len(b.landmarks) == len(a.landmarks)
+                    known.append(ate(log.true_poses, a.poses))
+                    unknown.append(ate(log.true_poses, b.poses))
+                print(
+                    f"{name}, 1/{part} of the book's noise, psi {psi!s:5}, {kind.__name__}: right number {right} of "
+                    f"{len(SEEDS)}; median ATE {np.median(known):.3f} m known, {np.median(unknown):.3f} m unknown "
+                    f"({np.median(unknown) / np.median(known):.2f} times; mean {np.mean(unknown) / np.mean(known):.2f})",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    compare_versions()
+    compare_association()

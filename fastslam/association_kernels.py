@@ -1,0 +1,132 @@
+"""Which landmark was that? Decided by every particle for itself, compiled.
+
+Unlike the kernels for known landmarks these branch: particles differ in what they see. Maps are slices of one pool
+(landmarks, 10, N), where row 9 is the *evidence* for the landmark: 0 where the particle does not have it.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+from graphslam.se2 import Array
+
+from .branchless import INLINED, OPTIONS, atan2, wrap_angle
+from .fusion import Nine, draw_pose, first_sighting, fold_into_landmark, fold_into_pose
+from .noise import normal_pair
+
+#: the row of the pool that holds the evidence
+EVIDENCE = 9
+
+
+@njit(**INLINED)
+def _read(rows: Array, i: int) -> Nine:
+    return (
+        rows[0, i], rows[1, i], rows[2, i], rows[3, i], rows[4, i], rows[5, i], rows[6, i], rows[7, i], rows[8, i],
+    )  # fmt: skip
+
+
+@njit(**OPTIONS)
+def associate(
+    lo: int, hi: int, belief: Array, poses: Array, drawn: bool, key: np.uint64, pool: Array, candidates: np.ndarray,
+    fresh: np.ndarray, sightings: Array, q: Array, third: float, log_new: Array, view: Array, confirmed: float,
+    log_likelihood: Array,
+) -> None:  # fmt: skip
+    """One scan of K sightings (K, 3): assign, weigh, draw the pose (2.0), update the map and its evidence.
+
+    Args:
+        belief: (9, N) of the poses; without covariance in 1.0.
+        poses: (3, N); where ``drawn`` is False the poses of 2.0 are drawn here, with the numbers of ``key``.
+        candidates: the landmarks of the pool that may be in view; ``fresh``: (K,) free ones for new landmarks.
+        third: 1 where there is psi, 0 where not; then the third columns of sightings and q are 0 and 1.
+        log_new: (K,) log likelihood of each sighting if it is of a new landmark.
+        view: least range, largest range [m] and largest bearing [rad] within which a landmark should be seen.
+        confirmed: the evidence at which a landmark is no longer provisional.
+    """
+    scan, known = len(sightings), len(candidates)
+    score = np.empty((scan, known))
+    chosen, taken = np.empty(scan, np.int64), np.empty(known, np.bool_)
+    for i in range(lo, hi):
+        x = _read(belief, i)
+        for c in range(known):
+            taken[c] = False
+            rows = pool[candidates[c]]
+            # a particle without the landmark cannot choose it
+            have = rows[EVIDENCE, i] > 0
+            for k in range(scan):
+                score[k, c] = -np.inf
+                if have:
+                    z = (sightings[k, 0], sightings[k, 1], sightings[k, 2])
+                    value, _ = fold_into_pose(x, _read(rows, i), z, (q[k, 0], q[k, 1], q[k, 2]), third)
+                    score[k, c] = value if value >= log_new[k] else -np.inf
+        _choose(score, chosen, taken)
+
+        for k in range(scan):
+            z, variances = (sightings[k, 0], sightings[k, 1], sightings[k, 2]), (q[k, 0], q[k, 1], q[k, 2])
+            if chosen[k] < 0:
+                log_likelihood[i] += log_new[k]
+            elif drawn:
+                log_likelihood[i] += score[k, chosen[k]]
+            else:
+                value, x = fold_into_pose(x, _read(pool[candidates[chosen[k]]], i), z, variances, third)
+                log_likelihood[i] += value
+        if not drawn:
+            n0, n1 = normal_pair(key, i, 0)
+            n2, _ = normal_pair(key, i, 1)
+            poses[0, i], poses[1, i], poses[2, i] = draw_pose(x, n0, n1, n2)
+        pose = (poses[0, i], poses[1, i], poses[2, i])
+
+        for c in range(known):
+            rows = pool[candidates[c]]
+            provisional = 0 < rows[EVIDENCE, i] < confirmed
+            if provisional and not taken[c] and _in_view(rows[0, i] - pose[0], rows[1, i] - pose[1], pose[2], view):
+                rows[EVIDENCE, i] -= 1
+        for k in range(scan):
+            z, variances = (sightings[k, 0], sightings[k, 1], sightings[k, 2]), (q[k, 0], q[k, 1], q[k, 2])
+            if chosen[k] < 0:
+                rows = pool[fresh[k]]
+                landmark = first_sighting(pose, z, variances, third)
+                rows[EVIDENCE, i] = 1.0
+            else:
+                rows = pool[candidates[chosen[k]]]
+                _, landmark = fold_into_landmark(_read(rows, i), pose, z, variances, third)
+                rows[EVIDENCE, i] = min(rows[EVIDENCE, i] + 1, confirmed)
+            for n in range(9):
+                rows[n, i] = landmark[n]
+
+
+@njit(**INLINED)
+def _choose(score: Array, chosen: np.ndarray, taken: np.ndarray) -> None:
+    """The likeliest pair first, then the likeliest of the rest: no landmark is seen twice in a scan."""
+    scan, known = score.shape
+    chosen[:] = -1
+    for _ in range(min(scan, known)):
+        best, sighting, landmark = -np.inf, -1, -1
+        for k in range(scan):
+            for c in range(known):
+                if chosen[k] < 0 and not taken[c] and score[k, c] > best:
+                    best, sighting, landmark = score[k, c], k, c
+        if sighting < 0:
+            break
+        chosen[sighting] = landmark
+        taken[landmark] = True
+
+
+@njit(**INLINED)
+def _in_view(dx: float, dy: float, heading: float, view: Array) -> bool:
+    r = sqrt(dx * dx + dy * dy)
+    return view[0] <= r <= view[1] and abs(wrap_angle(atan2(dy, dx) - heading)) <= view[2]
+
+
+@njit(**OPTIONS)
+def extent(rows: Array) -> tuple[int, float, float, float, float]:
+    """How many particles have a landmark, and the box of its means: least x, most x, least y, most y."""
+    count, left, right, low, high = 0, np.inf, -np.inf, np.inf, -np.inf
+    for i in range(rows.shape[1]):
+        if rows[EVIDENCE, i] > 0:
+            count += 1
+            left, right = min(left, rows[0, i]), max(right, rows[0, i])
+            low, high = min(low, rows[1, i]), max(high, rows[1, i])
+    return count, left, right, low, high

@@ -1,0 +1,113 @@
+"""What FastSLAM 1.0 and 2.0 have in common: a particle filter in which every particle carries a map."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graphslam.errors import OptionError, check_choice
+from graphslam.log import Log
+from graphslam.models import MotionModel, SensorModel
+from graphslam.se2 import Array
+
+from .association import AnonymousLandmarks
+from .landmark_columns import LandmarkColumns
+from .particle_filter import ParticleFilter
+from .state import LandmarkEstimate, weighted_covariance, weighted_mean
+
+#: how sightings find their landmarks
+ASSOCIATIONS = ("known", "maximum-likelihood")
+
+
+class FastSLAM(ParticleFilter):
+    """A particle filter whose particles have maps of independent Gaussians; see `FastSLAM1` for the arguments."""
+
+    def __init__(
+        self,
+        log: Log | None = None,
+        *,
+        particles: int = 1000,
+        seed: int | np.random.Generator = 0,
+        motion: MotionModel | None = None,
+        sensor: SensorModel | None = None,
+        resampling: str = "systematic",
+        ess_threshold: float = 0.5,
+        start: ArrayLike | None = None,
+        threads: int | None = None,
+        association: str = "known",
+        new_landmark_threshold: float = 1e-6,
+    ) -> None:
+        super().__init__(
+            log, particles=particles, seed=seed, motion=motion, sensor=sensor, resampling=resampling,
+            ess_threshold=ess_threshold, start=start, threads=threads,
+        )  # fmt: skip
+        check_choice("association", association, ASSOCIATIONS)
+        if not 0 < new_landmark_threshold < 1:
+            raise OptionError(f"new_landmark_threshold must lie between 0 and 1, not {new_landmark_threshold!r}")
+        self.association, self._new_landmark_threshold = association, new_landmark_threshold
+        self._needs_ids = association == "known"
+        self._columns: LandmarkColumns | None = None
+        self._anonymous: AnonymousLandmarks | None = None
+        self._coordinates: int | None = None
+
+    def _check_sightings(self, ids: np.ndarray, columns: int) -> None:  # noqa: ARG002
+        if self._coordinates is not None and columns != self._coordinates:
+            raise OptionError(f"sightings so far had {self._coordinates} columns, these have {columns}")
+
+    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
+        if self._coordinates is None:
+            self._coordinates = sightings.shape[1]
+            shape = self._genealogy, self._crew, self.particles, self._coordinates
+            if self.association == "known":
+                self._columns = LandmarkColumns(*shape)
+            else:
+                self._anonymous = AnonymousLandmarks(*shape, self._new_landmark_threshold)
+        if self._columns is not None:
+            return self._weigh_known(self._columns, ids, sightings, q)
+        assert self._anonymous is not None
+        return self._weigh_anonymous(self._anonymous, sightings, q)
+
+    @abstractmethod
+    def _weigh_known(self, columns: LandmarkColumns, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
+        """`_weigh` where the ids are to be believed."""
+
+    def _weigh_anonymous(self, landmarks: AnonymousLandmarks, sightings: Array, q: Array) -> Array:
+        """`_weigh` where each particle finds out for itself; here from the poses as they are."""
+        log_likelihood, belief = np.zeros(self.particles), np.zeros((9, self.particles))
+        belief[:3] = self._poses
+        # the poses are not written where they are drawn, but the kernel is compiled for writable ones
+        landmarks.scan(belief, belief[:3], True, np.uint64(0), sightings, q, log_likelihood)
+        return log_likelihood
+
+    def _gaussians(self, particles: slice) -> Iterator[tuple[int, Array, Array, np.ndarray]]:
+        """Of every landmark: id, means (k, n), covariances (k, n, n) and whether the particle has it (k,)."""
+        if self._columns is not None:
+            for j in sorted(self._columns.ids):
+                means, covariances = self._columns.gaussians(j, particles)
+                yield j, means, covariances, np.ones(len(means), dtype=bool)
+        if self._anonymous is not None:
+            for j in self._anonymous.ids:
+                yield j, *self._anonymous.gaussians(j, particles)
+
+    def _map(self, particle: int) -> dict[int, LandmarkEstimate]:
+        return {
+            j: LandmarkEstimate(means[0], covariances[0])
+            for j, means, covariances, owned in self._gaussians(slice(particle, particle + 1))
+            if owned[0]
+        }
+
+    def _mixture(self, weights: Array) -> dict[int, LandmarkEstimate]:
+        estimates = {}
+        for j, means, covariances, owned in self._gaussians(slice(None)):
+            share = weights @ owned
+            # what most believe in, as those believe who do
+            if share < 0.5:
+                continue
+            among = np.where(owned, weights / share, 0.0)[owned]
+            mean = weighted_mean(means[owned], among)
+            within = np.tensordot(among, covariances[owned], 1)
+            estimates[j] = LandmarkEstimate(mean, within + weighted_covariance(means[owned], mean, among))
+        return estimates

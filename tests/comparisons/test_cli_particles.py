@@ -1,0 +1,30 @@
+import json
+
+from typer.testing import CliRunner
+
+from comparisons.cli import app
+
+
+def test_a_small_study(tmp_path):
+    picture = tmp_path / "study.png"
+    words = ["particles", "--particles", "5,10", "--seeds", "2", "--filters", "fastslam1", "--figure", str(picture)]
+    result = CliRunner().invoke(app, [*words, "--json", "-"])
+    assert result.exit_code == 0, result.output
+    payload = json.loads(result.stdout)
+    assert len(payload["runs"]) == 4
+    assert [band["particles"] for band in payload["bands"]] == [5, 10]
+    assert picture.stat().st_size > 10_000
+
+
+def test_wrong_use_is_one_sentence(tmp_path):
+    for words, message in (
+        (["--particles", "1.5"], "whole numbers"),
+        (["--particles", "0"], "at least 1"),
+        (["--filters", "kalman"], "filters must be one of"),
+        (["--association", "guess"], "association must be one of"),
+        ([str(tmp_path / "absent.npz")], "no such file"),
+    ):
+        result = CliRunner().invoke(app, ["particles", "--seeds", "1", *words])
+        assert result.exit_code == 2
+        assert message in result.stderr
+        assert "Traceback" not in result.output

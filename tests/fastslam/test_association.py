@@ -1,0 +1,188 @@
+"""Unknown data association: against plain Python particle by particle, and in worlds where the answer is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from fastslam import FastSLAM1, FastSLAM2, textbook
+from fastslam.noise import standard_normals
+from graphslam import MotionModel, OptionError, SensorModel, simulate
+
+UNKNOWN = {"association": "maximum-likelihood"}
+HALF = {
+    "motion": MotionModel(nn=0.095, no=0.0005, on=0.065, oo=0.1, epsilon=2.5e-5),
+    "sensor": SensorModel(range_rate=0.07, bearing_std=0.025, orientation_std=0.025),
+}
+CONTROL, DT = np.array([0.5, 0.2]), 1.0
+
+
+def greedy(scores: np.ndarray) -> list[int]:
+    """The likeliest pair first; -1 for a sighting that is left over."""
+    scores, chosen = scores.copy(), [-1] * len(scores)
+    while scores.size and scores.max() > -np.inf:
+        k, c = np.unravel_index(scores.argmax(), scores.shape)
+        chosen[k] = int(c)
+        scores[k], scores[:, c] = -np.inf, -np.inf
+    return chosen
+
+
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("columns", [2, 3])
+def test_against_the_textbooks_equations(columns: int, version: int) -> None:
+    """Ten scans of landmarks so close that particles disagree; every map, weight and pose is the plain program's."""
+    rng, particles, p = np.random.default_rng(3), 12, 0.05
+    world = np.column_stack([rng.uniform(1, 5, 6), rng.uniform(-2, 2, 6), rng.uniform(-1, 1, 6)])[:, :columns]
+    kind = {1: FastSLAM1, 2: FastSLAM2}[version]
+    options = {"ess_threshold": 0.0, "new_landmark_threshold": p, "particles": particles, **HALF, **UNKNOWN}
+    slam = kind(seed=np.random.default_rng(8), **options)
+    sensor, motion, noise_rng = slam.sensor, slam.motion, np.random.default_rng(8)
+    slow = textbook.start(particles, np.zeros(3))
+    evidence: list[dict[int, float]] = [{} for _ in slow]
+    births, reach, pose = 0, np.array([np.inf, 0.0, 0.0]), np.zeros(3)
+    disagreed = False
+    for t in range(10):
+        normals = standard_normals(noise_rng, particles) if t else None
+        if t:
+            slam.move(CONTROL, DT)
+            pose = motion.f(pose, CONTROL, DT) + [0.02, -0.03, 0.05]
+        seen = rng.permutation(6)[:4]
+        z = sensor.h(pose, world[seen]) + 0.03 * rng.standard_normal((4, columns))
+        slam.observe(None, z)
+        reach = [min(reach[0], z[:, 0].min()), max(reach[1], z[:, 0].max()), max(reach[2], abs(z[:, 1]).max())]
+        log_new = [
+            -0.5 * (chi2.isf(p, columns) + np.log(np.linalg.det(2 * np.pi * sensor.Q(one)))) for one in z
+        ]  # fmt: skip
+        for i, particle in enumerate(slow):
+            if t:
+                moved = textbook.sample_motion(particle.pose, CONTROL, DT, motion, normals[i])
+                belief = textbook.predict_pose(particle.pose, CONTROL, DT, motion)
+                if version == 1:
+                    belief = textbook.PoseBelief(moved, np.zeros((3, 3)))
+            else:
+                moved, belief = particle.pose, textbook.PoseBelief(particle.pose, np.zeros((3, 3)))
+            names = sorted(particle.map)
+            scores = np.array(
+                [[textbook.correct_pose(belief, particle.map[j], one, sensor)[1] for j in names] for one in z]
+            ).reshape(4, len(names))
+            scores[scores < np.array(log_new)[:, None]] = -np.inf
+            chosen = [names[c] if c >= 0 else None for c in greedy(scores)]
+            for k, j in enumerate(chosen):
+                if j is None:
+                    particle.log_weight += log_new[k]
+                elif version == 1:
+                    particle.log_weight += scores[k, names.index(j)]
+                else:
+                    belief, likelihood = textbook.correct_pose(belief, particle.map[j], z[k], sensor)
+                    particle.log_weight += likelihood
+            now = textbook.draw_pose(belief, normals[i, :3]) if version == 2 and t else moved
+            particle.path.append(now)
+            for j in set(names) - set(chosen):
+                r, phi = sensor.h(now, particle.map[j].mean)[:2]
+                if evidence[i][j] < 3 and reach[0] / 0.9 <= r <= 0.9 * reach[1] and abs(phi) <= 0.9 * reach[2]:
+                    evidence[i][j] -= 1
+                    if evidence[i][j] == 0:
+                        del particle.map[j], evidence[i][j]
+            for k, j in enumerate(chosen):
+                if j is None:
+                    particle.map[births + k] = textbook.initialize_landmark(now, z[k], sensor)
+                    evidence[i][births + k] = 1
+                else:
+                    particle.map[j] = textbook.update_landmark(now, particle.map[j], z[k], sensor)
+                    evidence[i][j] = min(evidence[i][j] + 1, 3)
+        births += 4
+        log_weights = np.array([particle.log_weight for particle in slow])
+        np.testing.assert_allclose(
+            slam.state.log_weights, log_weights - np.log(np.exp(log_weights).sum()), atol=1e-10, rtol=1e-10
+        )
+        np.testing.assert_allclose(slam.state.poses, [particle.pose for particle in slow], atol=1e-10)
+        for i, particle in enumerate(slow):
+            found = slam.state.map(i)
+            assert found.keys() == particle.map.keys()
+            for j, landmark in particle.map.items():
+                np.testing.assert_allclose(found[j].mean, landmark.mean, atol=1e-10)
+                np.testing.assert_allclose(found[j].covariance, landmark.covariance, atol=1e-10)
+        disagreed |= len({tuple(sorted(particle.map)) for particle in slow}) > 1
+    assert disagreed
+
+
+@pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
+@pytest.mark.parametrize("psi", [True, False])
+def test_right_number_of_landmarks(kind: type, psi: bool) -> None:
+    """Half the book's noise: the landmarks are 5 standard deviations apart or more. 50 seeds are in docs/fastslam.md."""
+    for seed in range(4):
+        log = simulate(seed=seed, clean=True, orientation=psi, **HALF)
+        slam = kind(log, particles=500, seed=seed, **HALF, **UNKNOWN)
+        result, state = slam.run(), slam.state
+        assert len(result.landmarks) == len(log.landmark_ids)
+        mixture = state.mixture_map()
+        assert len(mixture) == len(log.landmark_ids)
+        for mean in result.landmarks.values():
+            nearest = min(np.hypot(*(mean - m)[:2]) for m in log.true_landmarks.values())
+            assert nearest < 1.0
+
+
+def test_ids_are_not_looked_at() -> None:
+    log = simulate(seed=1, clean=True, **HALF)
+    lying = log.replace(landmarks=np.arange(len(log.landmarks))[::-1].copy())
+    a, b = (FastSLAM1(one, particles=50, **HALF, **UNKNOWN).run() for one in (log, lying))
+    np.testing.assert_array_equal(a.poses, b.poses)
+    assert a.landmarks.keys() == b.landmarks.keys()
+
+
+def test_a_phantom_is_dropped_when_it_is_not_seen_again() -> None:
+    marks = np.array([[3.0, 1.0, 0.2], [4.0, -1.0, -0.4], [5.0, 2.5, 1.0], [2.0, -2.0, 0.0]])
+    slam = FastSLAM1(particles=20, **HALF, **UNKNOWN)
+    real = slam.sensor.h(np.zeros(3), marks)
+    slam.observe(None, real)
+    assert len(slam.state.map()) == 4
+    slam.observe(None, np.vstack([real, [4.5, 0.1, 0.0]]))
+    assert len(slam.state.map()) == 5
+    slam.observe(None, real)
+    assert len(slam.state.map()) == 4
+    # seen three times they stay, whatever happens
+    for _ in range(5):
+        slam.observe(None, real[:1])
+    assert len(slam.state.map()) == 4
+
+
+def test_mutual_exclusion() -> None:
+    """Two sightings alike in one scan are two landmarks; one at a time they are one."""
+    z = np.array([[3.0, 0.1]])
+    together, apart = (FastSLAM1(particles=5, **HALF, **UNKNOWN) for _ in range(2))
+    together.observe(None, np.vstack([z, z]))
+    apart.observe(None, z)
+    apart.observe(None, z)
+    assert (len(together.state.map()), len(apart.state.map())) == (2, 1)
+
+
+def test_the_pool_grows_and_is_recycled() -> None:
+    """Many landmarks, resampled at every scan: more than the pool begins with, and dead lines give theirs back."""
+    log = simulate(seed=2, clean=True, landmarks=60, arena=6.0, orientation=False, **HALF)
+    slam = FastSLAM2(log, particles=60, ess_threshold=1.0, **HALF, **UNKNOWN)
+    for state in slam:
+        for i in (0, 59):
+            for estimate in state.map(i).values():
+                assert np.all(np.linalg.eigvalsh(estimate.covariance) > 0)
+    pool = slam._anonymous
+    used = [part.index for part in pool._slices.values()]
+    assert sorted(used + pool._free) == list(range(len(pool._pool)))
+    assert len(slam.result().landmarks) > 20
+
+
+@pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
+def test_same_result_whatever_the_number_of_threads(kind: type) -> None:
+    log = simulate(seed=1, steps=15, clean=True, **HALF)
+    a, b = (kind(log, particles=9000, threads=threads, **HALF, **UNKNOWN).run() for threads in (1, 2))
+    np.testing.assert_array_equal(a.poses, b.poses)
+    np.testing.assert_array_equal(a.log_weights, b.log_weights)
+
+
+def test_options() -> None:
+    with pytest.raises(OptionError, match="association must be one of known, maximum-likelihood"):
+        FastSLAM1(association="nearest")
+    with pytest.raises(OptionError, match="new_landmark_threshold must lie between 0 and 1"):
+        FastSLAM2(new_landmark_threshold=0.0)
+    with pytest.raises(OptionError, match="whole numbers"):
+        FastSLAM1().observe(None, [[1.0, 0.0]])

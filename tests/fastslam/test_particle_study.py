@@ -1,0 +1,64 @@
+"""The study over numbers of particles: rows, bands and figure."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from comparisons.particles import FIGURES, particles_figure, study
+from graphslam import LogError, OptionError, simulate
+
+
+def test_rows_bands_and_json() -> None:
+    log, seen = simulate(seed=1, steps=20), []
+    outcome = study(log, filters=("mcl", "fastslam1", "fastslam2"), particles=(10, 100), seeds=3, progress=seen.append)
+    assert seen == list(outcome.runs)
+    assert len(outcome.runs) == 3 * 2 * 3
+    assert [(row["name"], row["particles"]) for row in outcome.rows()] == [
+        (name, n) for name in ("mcl", "fastslam1", "fastslam2") for n in (10, 100)
+    ]
+    numbers, quartiles = outcome.bands("fastslam1", "ate_m")
+    np.testing.assert_array_equal(numbers, [10, 100])
+    values = [run.ate_m for run in outcome.runs if run.name == "fastslam1" and run.particles == 100]
+    np.testing.assert_allclose(quartiles[:, 1], np.percentile(values, (25, 50, 75)))
+    assert outcome.rows()[3]["ate_m"] == pytest.approx(np.median(values))
+    assert all(0 < run.ess_share <= 1 and 1 <= run.ancestors <= run.particles for run in outcome.runs)
+    # localisation makes no map
+    assert outcome.rows()[0]["landmark_rmse_m"] is None
+    payload = json.loads(json.dumps(outcome.to_json(), allow_nan=False))
+    assert payload["log"] == log.name
+    assert payload["bands"][2]["ate_m"] == pytest.approx(outcome.bands("fastslam1", "ate_m")[1][:, 0])
+    assert payload["bands"][0]["landmark_rmse_m"] is None
+
+
+def test_figure(tmp_path) -> None:
+    outcome = study(simulate(seed=1, steps=10), particles=(10, 20), seeds=2)
+    figure = particles_figure(outcome)
+    shown = [axes for axes in figure.axes if axes.get_visible()]
+    assert [axes.get_title(loc="left") for axes in shown] == list(FIGURES.values())
+    figure.savefig(tmp_path / "study.pdf")
+
+
+def test_without_truth_and_without_names() -> None:
+    log = simulate(seed=1, steps=10)
+    blind = study(log.replace(true_poses=None, true_landmarks=None), particles=(10,), seeds=1)
+    assert [row["ate_m"] for row in blind.rows()] == [None, None]
+    assert len([axes for axes in particles_figure(blind).axes if axes.get_visible()]) == 3
+    unnamed = study(log, filters=("fastslam2",), particles=(10,), seeds=1, association="maximum-likelihood")
+    assert unnamed.runs[0].ate_m is not None
+    assert unnamed.runs[0].landmark_rmse_m is None
+
+
+def test_bad_input() -> None:
+    log = simulate(seed=1, steps=5)
+    with pytest.raises(OptionError, match="filters must be one of mcl"):
+        study(log, filters=("graph",))
+    with pytest.raises(OptionError, match="seeds must be at least 1"):
+        study(log, seeds=0)
+    with pytest.raises(OptionError, match="at least one filter"):
+        study(log, particles=())
+    poses_only = log.replace(dt=None, controls=None)
+    with pytest.raises(LogError, match="no controls"):
+        study(poses_only)
