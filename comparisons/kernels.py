@@ -1,0 +1,52 @@
+"""Compile the numba kernels ahead of their first use: ``python -m comparisons.kernels``, two processes side by side.
+
+numba compiles a function when it is first called and keeps the result beside the source; in one process all of them
+take half a minute. Nothing depends on this having been run.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+
+
+def edges_and_filters() -> None:
+    """What a graph does before Omega is factorised, and the particle filters."""
+    from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
+    from graphslam import Graph, load, sample_log_path
+
+    log = load(sample_log_path())
+    graph = Graph.from_log(log)
+    graph.linearize(graph.initial)
+    graph.cost(graph.initial)
+    for kind in (MonteCarloLocalization, FastSLAM1, FastSLAM2):
+        kind(log, particles=10).run()
+
+
+def factorisation() -> None:
+    """Ordering, structure, factorisation, solution and selected inverse of a small ring with a chord."""
+    from graphslam.cholesky import analyze
+
+    n = 40
+    rows = [[*({j - 1} if j else set()), *({0} if j == n - 1 else set()), j] for j in range(n)]
+    rows = [sorted(set(column)) for column in rows]
+    indptr = np.concatenate([[0], np.cumsum([len(column) for column in rows])])
+    indices = np.concatenate(rows)
+    values = np.zeros((len(indices), 3, 3))
+    values[indptr[1:] - 1] = 4 * np.eye(3)
+    factor = analyze(indptr, indices).factorize(values)
+    factor.solve(np.ones((n, 3)))
+    factor.diagonal_covariances()
+
+
+def main() -> None:
+    """Compile both halves."""
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        for done in [pool.submit(edges_and_filters), pool.submit(factorisation)]:
+            done.result()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,7 @@
+from comparisons.kernels import edges_and_filters, factorisation
+
+
+def test_the_kernels_are_called_as_the_solvers_call_them():
+    """Both halves run; that they leave numba nothing to compile is seen by the clock of make compare."""
+    edges_and_filters()
+    factorisation()
