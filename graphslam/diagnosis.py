@@ -9,6 +9,9 @@ from .errors import GraphError
 from .graph import Graph
 from .se2 import Array
 
+#: edges that a message lists
+MOST = 4
+
 
 def undetermined(graph: Graph, state: Array, error: SingularPivot) -> GraphError:
     """The error that names what a vanished pivot of Omega at a state (n, 3) leaves free.
@@ -18,13 +21,9 @@ def undetermined(graph: Graph, state: Array, error: SingularPivot) -> GraphError
     v = error.null_vector
     moving = np.flatnonzero(np.abs(v).max(axis=1) > 1e-6 * np.abs(v).max())
     what = _direction(v[moving], state[moving])
-    touching, crossing = _edges_at(graph, moving)
-    held = (
-        f"{touching} of the graph's edges touch {'it' if len(moving) == 1 else 'them'}"
-        + (f", {crossing} of these tie to other nodes" if crossing else ", none ties to other nodes")
-        if touching
-        else f"no edge touches {'it' if len(moving) == 1 else 'them'}"
-    )
+    touching = _edges_at(graph, moving)
+    shown = "; ".join(touching[:MOST]) + (f"; and {len(touching) - MOST} more" if len(touching) > MOST else "")
+    held = f"the edges there are {shown}" if touching else "no edge is there"
     names = graph.names(moving)
     return GraphError(
         f"the edges do not determine {names}: nothing holds {what}; {held}. "
@@ -46,17 +45,16 @@ def _direction(v: Array, state: Array) -> str:
     return "a motion of these against the rest"
 
 
-def _edges_at(graph: Graph, nodes: np.ndarray) -> tuple[int, int]:
-    """How many groups of edges touch the nodes, and how many of those also tie to others."""
+def _edges_at(graph: Graph, nodes: np.ndarray) -> list[str]:
+    """The groups of edges that touch the nodes, by the nodes they tie; those that lead out to other nodes first."""
     inside = np.zeros(graph.num_nodes, dtype=bool)
     inside[nodes] = True
-    touching = crossing = 0
+    leading_out: list[str] = []
+    within: list[str] = []
     for family in graph.families:
         starts, tied = family.cliques()
-        if len(tied) == 0:
-            continue
         group = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
-        within = np.bincount(group, weights=inside[tied], minlength=len(starts) - 1)
-        touching += int(np.sum(within > 0))
-        crossing += int(np.sum((within > 0) & (within < np.diff(starts))))
-    return touching, crossing
+        for g in np.unique(group[inside[tied]]).tolist():
+            ends = np.unique(tied[starts[g] : starts[g + 1]])
+            (within if np.all(inside[ends]) else leading_out).append(f"between {graph.names(ends)}")
+    return leading_out + within

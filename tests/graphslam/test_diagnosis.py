@@ -21,9 +21,15 @@ FULL, NO_HEADING, NO_X = "1 0 0 1 0 1", "1 0 0 1 0 0", "0 0 0 1 0 1"
 @pytest.mark.parametrize(
     ("information", "message"),
     [
-        ([FULL, FULL, FULL, NO_HEADING], "do not determine pose 4: nothing holds its heading; 1 of the graph's edges"),
+        (
+            [FULL, FULL, FULL, NO_HEADING],
+            "do not determine pose 4: nothing holds its heading; the edges there are between poses 3 and 4",
+        ),
         ([FULL, FULL, FULL, NO_X], "do not determine pose 4: nothing holds its x"),
-        ([FULL, NO_X, FULL, FULL], "do not determine poses 2, 3 and 4: nothing holds the whole piece, which can shift"),
+        (
+            [FULL, NO_X, FULL, FULL],
+            "poses 2, 3 and 4: nothing holds the whole piece, which can shift; the edges there are between poses 1 and 2",
+        ),
         (
             [FULL, NO_HEADING, FULL, FULL],
             "do not determine poses 2, 3 and 4: nothing holds the whole piece, which can turn",
