@@ -16,6 +16,8 @@ from .edges import (
     ANCHOR_INFORMATION,
     AnchorEdges,
     EdgeFamily,
+    LandmarkSightings,
+    MarginalEdges,
     ObservationEdges,
     RelativePointEdges,
     RelativePoseEdges,
@@ -28,11 +30,12 @@ from .information import BlockSystem
 from .log import Log
 from .mapping import estimate_map
 from .models import MotionModel, SensorModel
+from .robust import Kernel, kernel_of
 from .se2 import Array
 
 EDGES = ("virtual", "virtual+motion", "landmark+motion")
 FRAMES = ("world", "body")
-WEIGHTS = ("pairs", "tempered")
+WEIGHTS = ("pairs", "tempered", "marginal")
 
 
 def _none() -> np.ndarray:
@@ -81,6 +84,7 @@ class Graph:
         frame: str = "body",
         weight: str = "pairs",
         motion_weight: float = 1.0,
+        kernel: Kernel | str | None = None,
         dimensions: int | None = None,
     ) -> Graph:
         """The graph of a log: an anchor at the first node, edges from the sightings, and perhaps motion edges.
@@ -91,8 +95,12 @@ class Graph:
             edges: "virtual" (poses that saw nothing are left out), "virtual+motion", or "landmark+motion", in which
                 landmarks are nodes and every sighting is one edge.
             frame: "world" (the lectures: information re-evaluated at every step) or "body" (constant information).
-            weight: "pairs" (the book: each of K sightings enters K-1 edges) or "tempered" (each pair times 2/K).
+            weight: of virtual edges: "pairs" (the book: each of K sightings enters K-1 edges, so a landmark weighs up
+                to K/2 times what it should), "tempered" (each pair times 2/K: exact where sightings are alike) or
+                "marginal" (the landmark eliminated: each sighting counts once, exactly).
             motion_weight: lambda, the factor on the motion edges.
+            kernel: against wrong sightings, `robust.Huber`, `Cauchy`, `GemanMcClure` or their names; on every pair of
+                "pairs" and "tempered", on every sighting elsewhere. See also `solve_gnc`.
             dimensions: 2 ignores psi, 3 insists on it; default: what the log has.
 
         Raises:
@@ -104,6 +112,7 @@ class Graph:
         check_choice("frame", frame, FRAMES)
         check_choice("weight", weight, WEIGHTS)
         check_positive(motion_weight=motion_weight)
+        kernel = kernel_of(kernel)
         log = _with_dimensions(log, dimensions)
         motion, sensor = motion or MotionModel(), sensor or SensorModel()
         with_motion = edges.endswith("+motion")
@@ -153,7 +162,7 @@ class Graph:
         }
         if with_landmarks:
             node_of_landmark = log.num_poses + np.searchsorted(ids, log.landmarks)
-            seen = ObservationEdges(log.steps, node_of_landmark, log.sightings, sensor)
+            seen = ObservationEdges(log.steps, node_of_landmark, log.sightings, sensor, kernel)
             start = np.zeros((len(ids), 3))
             start[:, : log.sightings.shape[1]] = list(estimate_map(log, log.initial_poses, sensor).values())
             return cls(
@@ -165,8 +174,15 @@ class Graph:
         kept = order[node_of[log.steps[order]] >= 0]
         ids, starts = np.unique(log.landmarks[kept], return_index=True)
         starts = np.append(starts, len(kept))
-        weights = 2.0 / np.diff(starts) if weight == "tempered" else np.ones(len(ids))
-        virtual = VirtualMotionEdges(starts, node_of[log.steps[kept]], log.sightings[kept], sensor, frame, weights)
+        sightings: dict[str, Any] = {
+            "starts": starts, "nodes": node_of[log.steps[kept]], "sightings": log.sightings[kept],
+            "sensor": sensor, "frame": frame, "kernel": kernel,
+        }  # fmt: skip
+        virtual = (
+            MarginalEdges(**sightings)
+            if weight == "marginal"
+            else VirtualMotionEdges(**sightings, tempered=weight == "tempered")
+        )
         if not with_motion:
             _check_determined(virtual, steps, log.has_orientation)
         return cls(initial, (anchor, virtual, *driven), notes=tuple(notes), **common)
@@ -271,6 +287,11 @@ class Graph:
         """Whether some information depends on the state, so that it has to be re-evaluated between linear solves."""
         return any(family.frozen_information for family in self.families)
 
+    @property
+    def reweighted(self) -> bool:
+        """Whether some edges have a robust kernel, which re-weights them at every step."""
+        return any(getattr(family, "kernel", None) is not None for family in self.families)
+
     @cached_property
     def system(self) -> BlockSystem:
         """Omega and xi: the pattern is made at the first use, the numbers by `linearize`."""
@@ -333,7 +354,7 @@ def _check_connected(graph: Graph, path: Path) -> None:
         )
 
 
-def _check_determined(virtual: VirtualMotionEdges, steps: np.ndarray, oriented: bool) -> None:
+def _check_determined(virtual: LandmarkSightings, steps: np.ndarray, oriented: bool) -> None:
     """Raise `GraphError` where virtual edges alone leave poses undetermined in a way that the pattern shows."""
     num_nodes, num_groups = len(steps), len(virtual.starts) - 1
     group = np.repeat(np.arange(num_groups), np.diff(virtual.starts))

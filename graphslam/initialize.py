@@ -114,9 +114,7 @@ def without_landmarks(graph: Graph) -> Graph | None:
             pairs = order[np.column_stack([here, here + 1]).ravel()]
             starts = np.arange(0, len(pairs) + 1, 2)
             families.append(
-                VirtualMotionEdges(
-                    starts, family.first[pairs], family.sightings[pairs], family.sensor, "body", np.ones(len(here))
-                )
+                VirtualMotionEdges(starts, family.first[pairs], family.sightings[pairs], family.sensor, "body")
             )
         elif not isinstance(family, RelativePointEdges):
             families.append(family)

@@ -76,14 +76,16 @@ class _Run:
         """Whether the last step, which promised to lower J by ``promised``, was short enough to stop.
 
         On badly scaled graphs rounding keeps the steps from becoming shorter than some 1e-7 (INTEL). So a step that no
-        longer shrinks is taken for the last, too, when it promises less than a rounding error of J.
+        longer shrinks is taken for the last, too, when it promises less than a rounding error of J. Mixed steps may grow
+        for a while and shrink again: there it takes ten.
         """
-        norm = self.step_norms[-1]
+        norm, window = self.step_norms[-1], 1 if self.mixing is None else 10
+        before = self.step_norms[-1 - window : -1]
         if norm < tolerance:
             self.converged, self.reason = True, f"step norm {norm:.1e} below the tolerance {tolerance:g}"
         elif promised <= self.cost_tolerance * self.costs[-1]:
             self.converged, self.reason = True, f"the last step lowered J by less than {self.cost_tolerance:g} of it"
-        elif promised < 1e-15 * self.costs[-1] and len(self.step_norms) > 1 and norm > 0.5 * self.step_norms[-2]:
+        elif promised < 1e-15 * self.costs[-1] and len(before) == window and norm > 0.5 * min(before):
             self.converged, self.reason = True, f"step norm {norm:.1e} at its rounding floor: J can fall no further"
         return self.converged
 
@@ -130,9 +132,9 @@ def solve(
     begin = time.perf_counter()
 
     def run_from(start: Array, search: str) -> _Run:
-        run = _Run(
-            start.copy(), callback, cost_tolerance, mixing=AndersonMixing() if graph.frozen_information else None
-        )
+        # plain steps converge slowly where the information, or a kernel's weights, are re-evaluated at each of them
+        slow = graph.frozen_information or (graph.reweighted and search == "gauss-newton")
+        run = _Run(start.copy(), callback, cost_tolerance, mixing=AndersonMixing() if slow else None)
         (_gauss_newton if search == "gauss-newton" else _levenberg_marquardt)(graph, run, tolerance, max_iterations)
         return run
 

@@ -12,24 +12,32 @@ unit on its diagonal).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numba import njit
 
 from ..models import SensorModel
+from ..robust import Kernel, code_and_width, loss, weight
 from ..se2 import Array, rotation, wrap
 from .base import BlockSystem, Linearization, Relations
+from .sightings import trusted
 
 
 @dataclass(frozen=True, eq=False)
 class ObservationEdges:
-    """Sightings (M, 2 or 3) of landmark nodes ``second`` (M,) from pose nodes ``first`` (M,)."""
+    """Sightings (M, 2 or 3) of landmark nodes ``second`` (M,) from pose nodes ``first`` (M,).
+
+    ``kernel`` and ``trust`` are those of `LandmarkSightings`.
+    """
 
     first: np.ndarray
     second: np.ndarray
     sightings: Array
     sensor: SensorModel
+    kernel: Kernel | None = None
+    trust: Array | None = None
 
     @property
     def count(self) -> int:
@@ -53,8 +61,16 @@ class ObservationEdges:
         residuals[:, 1:] = wrap(residuals[:, 1:])
         by_landmark = np.zeros((self.count, d, 3))
         by_landmark[:, :, :d] = self.sensor.H(x, m)
-        information = np.linalg.inv(self.sensor.Q(self.sightings))
+        information = np.linalg.inv(self.sensor.Q(self.sightings)) * self._robust[2][:, None, None]
         return Linearization(residuals, information, (self.first, self.second), (self.sensor.H_pose(x, m), by_landmark))
+
+    def with_trust(self, trust: Array | None) -> ObservationEdges:
+        """The same edges with another factor (M,) on the information of each sighting."""
+        return replace(self, trust=trust)
+
+    def squares(self, state: Array, reference: Array) -> Array:
+        """The squared Mahalanobis norm (M,) of each sighting, without kernel and trust."""
+        return self.with_trust(None).linearize(state, reference).mahalanobis
 
     def headings(self) -> Relations | None:
         """See `EdgeFamily.headings`."""
@@ -74,20 +90,27 @@ class ObservationEdges:
 
     def cost(self, state: Array, reference: Array) -> float:
         """See `EdgeFamily.cost`."""
-        return float(_observation_cost(state, self.first, self.second, self.sightings, *self._variances()))
+        return float(
+            _observation_cost(state, self.first, self.second, self.sightings, *self._variances(), *self._robust)
+        )
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem) -> float:
         """See `EdgeFamily.accumulate`."""
         return float(
             _observations(
-                state, self.first, self.second, self.sightings, *self._variances(), *system.slots_of(self),
-                system.values, system.xi,
+                state, self.first, self.second, self.sightings, *self._variances(), *self._robust,
+                *system.slots_of(self), system.values, system.xi,
             )
         )  # fmt: skip
 
     def _variances(self) -> tuple[float, float, float]:
         sensor = self.sensor
         return sensor.range_rate**2, sensor.bearing_std**2, sensor.orientation_std**2
+
+    @cached_property
+    def _robust(self) -> tuple[int, float, Array]:
+        """The kernel's code and width, and the trust (M,)."""
+        return *code_and_width(self.kernel), trusted(self.trust, len(self.first))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +171,9 @@ def _pairs(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 @njit(cache=True, error_model="numpy")
-def _observation_cost(state, first, second, z, range_variance, bearing_variance, psi_variance):  # type: ignore[no-untyped-def]
+def _observation_cost(  # type: ignore[no-untyped-def]
+    state, first, second, z, range_variance, bearing_variance, psi_variance, kernel, width, trust
+):
     total = 0.0
     oriented = z.shape[1] == 3
     for k in range(len(first)):
@@ -156,17 +181,19 @@ def _observation_cost(state, first, second, z, range_variance, bearing_variance,
         dx, dy = m[0] - x[0], m[1] - x[1]
         direction = np.arctan2(dy, dx)
         e0, e1 = np.sqrt(dx * dx + dy * dy) - z[k, 0], _wrap(direction - x[2] - z[k, 1])
-        total += e0 * e0 / (range_variance * z[k, 0] * z[k, 0]) + e1 * e1 / bearing_variance
+        squares = e0 * e0 / (range_variance * z[k, 0] * z[k, 0]) + e1 * e1 / bearing_variance
         if oriented:
             e2 = _wrap(direction - m[2] - z[k, 2])
-            total += e2 * e2 / psi_variance
+            squares += e2 * e2 / psi_variance
+        total += loss(kernel, width, trust[k] * squares)
     return total
 
 
 @njit(cache=True, error_model="numpy")
 def _observations(  # type: ignore[no-untyped-def]
-    state, first, second, z, range_variance, bearing_variance, psi_variance, at_pose, at_landmark, at_pair, values, xi
-):
+    state, first, second, z, range_variance, bearing_variance, psi_variance, kernel, width, trust,
+    at_pose, at_landmark, at_pair, values, xi,
+):  # fmt: skip
     # Each row of e is uncorrelated with the others, so it adds weight * (row of B)' (row of B). With the unit vector
     # (c, s) towards the landmark at distance r, rows by the pose are -(c, s, 0) and (s, -c, -r) / r, by the landmark
     # (c, s, 0) and (-s, c, 0) / r; psi has (s, -c, 0) / r and (-s, c, -r) / r.
@@ -182,7 +209,10 @@ def _observations(  # type: ignore[no-untyped-def]
         w0, w1, w2, e2 = 1 / (range_variance * z[k, 0] * z[k, 0]), 1 / bearing_variance, 0.0, 0.0
         if oriented:
             w2, e2 = 1 / psi_variance, _wrap(direction - state[j, 2] - z[k, 2])
-        total += w0 * e0 * e0 + w1 * e1 * e1 + w2 * e2 * e2
+        squares = trust[k] * (w0 * e0 * e0 + w1 * e1 * e1 + w2 * e2 * e2)
+        total += loss(kernel, width, squares)
+        f = trust[k] * weight(kernel, width, squares)
+        w0, w1, w2 = f * w0, f * w1, f * w2
         # the position parts of all rows: w0 along the line of sight, wa across it
         p, q = -s / r, c / r
         wa = w1 + w2

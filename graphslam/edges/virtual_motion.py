@@ -32,30 +32,23 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from ..models import SensorModel
+from ..robust import loss, weight
 from ..se2 import Array, rotation, wrap
-from .base import BlockSystem, Linearization, Relations
+from .base import BlockSystem, Linearization
+from .sightings import BODY, BODY_WITHOUT_PSI, WORLD, LandmarkSightings, wrapped
 
 
 @dataclass(frozen=True, eq=False)
-class VirtualMotionEdges:
-    """All pairs of sightings of each landmark.
+class VirtualMotionEdges(LandmarkSightings):
+    """All pairs of sightings of each landmark; see `LandmarkSightings` for the arguments.
 
     Args:
-        starts: (G+1,); landmark g has the sightings ``starts[g]`` to ``starts[g+1]``, by increasing node.
-        nodes: (M,) the node each sighting was made from.
-        sightings: (M, 2 or 3).
-        sensor: gives Q.
-        frame: "world" or "body".
-        group_weights: (G,) factor on the information of all edges of a landmark.
+        tempered: every pair of a landmark times 2/K, K the number of its sightings (the sum of their trust).
+
+    The trust in an edge is the product of that in its two sightings.
     """
 
-    starts: np.ndarray
-    nodes: np.ndarray
-    sightings: Array
-    sensor: SensorModel
-    frame: str
-    group_weights: Array
+    tempered: bool = False
 
     @property
     def count(self) -> int:
@@ -71,10 +64,6 @@ class VirtualMotionEdges:
         """Only with psi and in the body frame do the sightings alone give the information."""
         return self.frame == "world" or self.sightings.shape[1] == 2
 
-    def cliques(self) -> tuple[np.ndarray, np.ndarray]:
-        """The nodes that saw a landmark; see `EdgeFamily.cliques`."""
-        return self.starts, self.nodes
-
     def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """All edges listed: sighting a (E,), sighting b (E,), landmark (E,). Large: for inspection, not for solving."""
         firsts, seconds, groups = [], [], []
@@ -87,17 +76,6 @@ class VirtualMotionEdges:
             groups.append(np.full(different.sum(), g))
         none = [np.zeros(0, dtype=np.int64)]
         return np.concatenate(firsts or none), np.concatenate(seconds or none), np.concatenate(groups or none)
-
-    def placed(self, state: Array) -> tuple[Array, Array, Array]:
-        """Per sighting at a state: y = h^-1(x, z) (M, 3), the lever t (M, 2), and gamma (M,) of the psi-given axes."""
-        poses = state[self.nodes]
-        direction = poses[:, 2] + self.sightings[:, 1]
-        lever = self.sightings[:, :1] * np.column_stack([-np.sin(direction), np.cos(direction)])
-        y = np.zeros((len(poses), 3))
-        y[:, 0], y[:, 1] = poses[:, 0] + lever[:, 1], poses[:, 1] - lever[:, 0]
-        if self.sightings.shape[1] == 3:
-            y[:, 2] = wrap(direction - self.sightings[:, 2])
-        return y, lever, y[:, 2]
 
     def covariances(self, reference: Array) -> Array:
         """C (M, d, d) of each sighting in the axes that `frame` uses: the landmark's own, or the reference's world."""
@@ -122,7 +100,9 @@ class VirtualMotionEdges:
         a, b, group = self.pairs()
         y, lever, _ = self.placed(state)
         covariance = self.covariances(reference)
-        information = np.linalg.inv(covariance[a] + covariance[b]) * self.group_weights[group, None, None]
+        trust = self._robust[2]
+        factor = self.group_weights[group] * trust[a] * trust[b]
+        information = np.linalg.inv(covariance[a] + covariance[b]) * factor[:, None, None]
         residuals = y[b] - y[a]
         residuals[:, 2] = wrap(residuals[:, 2])
         by_a, by_b = np.zeros((len(a), 3, 3)), np.zeros((len(a), 3, 3))
@@ -137,104 +117,34 @@ class VirtualMotionEdges:
             by_a, by_b = turn @ by_a, turn @ by_b
         return Linearization(residuals[:, :d], information, (self.nodes[a], self.nodes[b]), (by_a[:, :d], by_b[:, :d]))
 
-    def headings(self) -> Relations | None:
-        """See `EdgeFamily.headings`. Consecutive sightings of a landmark only: a start needs no more."""
-        if self.sightings.shape[1] == 2:
-            return None
-        a, b = self._consecutive()
-        # theta + phi - psi is the landmark's heading
-        facing = self.sightings[:, 1] - self.sightings[:, 2]
-        variance = 2 * (self.sensor.bearing_std**2 + self.sensor.orientation_std**2)
-        return Relations(self.nodes[a], self.nodes[b], facing[a] - facing[b], np.full(len(a), 1 / variance))
-
-    def positions(self, state: Array) -> Relations | None:
-        """See `EdgeFamily.positions`. Consecutive sightings of a landmark only."""
-        a, b = self._consecutive()
-        _, lever, _ = self.placed(state)
-        # the vector to the landmark is the lever turned back by a quarter
-        towards = np.column_stack([lever[:, 1], -lever[:, 0]])
-        covariance = self.sensor.landmark_covariance(state[self.nodes], self.sightings)[:, :2, :2]
-        information = np.linalg.inv(covariance[a] + covariance[b])
-        return Relations(self.nodes[a], self.nodes[b], towards[a] - towards[b], information)
-
-    def _consecutive(self) -> tuple[np.ndarray, np.ndarray]:
-        group = np.repeat(np.arange(len(self.starts) - 1), np.diff(self.starts))
-        a = np.flatnonzero((group[1:] == group[:-1]) & (self.nodes[1:] != self.nodes[:-1]))
-        return a, a + 1
-
     def cost(self, state: Array, reference: Array) -> float:
         """See `EdgeFamily.cost`."""
-        y, _, gamma, C = self._prepared(state, reference)
-        return float(_cost(self.starts, self.nodes, self.group_weights, y, gamma, C, self.sightings.shape[1] == 3))
+        y, _, gamma, C = self._prepared(state, reference, self._mode)
+        return float(_cost(self.starts, self.nodes, self.group_weights, y, gamma, C, self._oriented, *self._robust))
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem) -> float:
         """See `EdgeFamily.accumulate`."""
-        y, lever, gamma, C = self._prepared(state, reference)
+        y, lever, gamma, C = self._prepared(state, reference, self._mode)
         return float(
             _accumulate(
                 self.starts, self.nodes, *self._by_node, self.group_weights, y, lever, gamma, C,
-                self.sightings.shape[1] == 3, self.frame == "body",
+                self._oriented, self.frame == "body", *self._robust,
                 system.indptr, system.indices, system.workspace, system.values, system.xi,
             )
         )  # fmt: skip
 
-    def _prepared(self, state: Array, reference: Array) -> tuple[Array, Array, Array, Array]:
-        """y (M, 3), lever (M, 2), gamma (M,) and C (M, 6) as `placed`, `turned_by` and `covariances` give them."""
-        s = self.sensor
-        variances = (s.range_rate**2, s.bearing_std**2, s.orientation_std**2)
-        mode = _WORLD if self.frame == "world" else _BODY if self.sightings.shape[1] == 3 else _BODY_WITHOUT_PSI
-        return _prepare(state, reference, self.nodes, self.sightings, variances, mode)
+    @cached_property
+    def group_weights(self) -> Array:
+        """The factor (G,) on the information of all edges of a landmark."""
+        if not self.tempered:
+            return np.ones(len(self.starts) - 1)
+        return 2 / np.bincount(self.group, weights=self._robust[2], minlength=len(self.starts) - 1)
 
     @cached_property
-    def _by_node(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The sightings by node: their order (M,), the start of each node (last node + 2,), their landmarks (M,)."""
-        order = np.argsort(self.nodes, kind="stable")
-        last = int(self.nodes.max(initial=-1))
-        return (
-            order,
-            np.searchsorted(self.nodes[order], np.arange(last + 2)),
-            np.repeat(np.arange(len(self.starts) - 1), np.diff(self.starts)),
-        )
-
-
-_WORLD, _BODY, _BODY_WITHOUT_PSI = 0, 1, 2
-
-
-@njit(cache=True, error_model="numpy")
-def _prepare(state, reference, nodes, z, variances, mode):  # type: ignore[no-untyped-def]
-    count, oriented = len(nodes), z.shape[1] == 3
-    y, lever, gamma, C = np.zeros((count, 3)), np.empty((count, 2)), np.zeros(count), np.zeros((count, 6))
-    for k in range(count):
-        x, l = state[nodes[k]], z[k, 0]  # noqa: E741  # the slides' letter for the range
-        direction = x[2] + z[k, 1]
-        c, s = np.cos(direction), np.sin(direction)
-        lever[k, 0], lever[k, 1] = -l * s, l * c
-        y[k, 0], y[k, 1] = x[0] + l * c, x[1] + l * s
-        if oriented:
-            y[k, 2] = direction - z[k, 2]
-        if mode == _BODY:
-            gamma[k] = y[k, 2]
-            c, s = np.cos(z[k, 2]), np.sin(z[k, 2])
-        else:
-            before = reference[nodes[k], 2]
-            if mode == _BODY_WITHOUT_PSI:
-                gamma[k] = x[2] - before
-            if before != x[2]:
-                c, s = np.cos(before + z[k, 1]), np.sin(before + z[k, 1])
-        # R Q R' with R = [[c, -l s, 0], [s, l c, 0], [0, 1, -1]]
-        along, across = variances[0] * l * l, variances[1] * l * l
-        C[k, 0] = along * c * c + across * s * s
-        C[k, 1] = (along - across) * c * s
-        C[k, 2] = along * s * s + across * c * c
-        if oriented:
-            C[k, 3], C[k, 4] = -variances[1] * l * s, variances[1] * l * c
-            C[k, 5] = variances[1] + variances[2]
-    return y, lever, gamma, C
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _wrap(angle):  # type: ignore[no-untyped-def]
-    return angle - 2 * np.pi * np.floor((angle + np.pi) / (2 * np.pi))
+    def _mode(self) -> int:
+        if self.frame == "world":
+            return WORLD
+        return BODY if self._oriented else BODY_WITHOUT_PSI
 
 
 @njit(cache=True, error_model="numpy")
@@ -258,7 +168,7 @@ def _information(C, a, b, c, s, oriented):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _cost(starts, nodes, weights, y, gamma, C, oriented):  # type: ignore[no-untyped-def]
+def _cost(starts, nodes, weights, y, gamma, C, oriented, kernel, width, trust):  # type: ignore[no-untyped-def]
     total = 0.0
     for g in range(len(starts) - 1):
         for a in range(starts[g], starts[g + 1]):
@@ -267,16 +177,17 @@ def _cost(starts, nodes, weights, y, gamma, C, oriented):  # type: ignore[no-unt
                 if nodes[a] == nodes[b]:
                     continue
                 w00, w01, w11, w02, w12, w22 = _information(C, a, b, c, s, oriented)
-                ex, ey, et = y[b, 0] - y[a, 0], y[b, 1] - y[a, 1], _wrap(y[b, 2] - y[a, 2])
+                ex, ey, et = y[b, 0] - y[a, 0], y[b, 1] - y[a, 1], wrapped(y[b, 2] - y[a, 2])
                 squares = w00 * ex * ex + w11 * ey * ey + w22 * et * et
-                total += weights[g] * (squares + 2 * (w01 * ex * ey + w02 * ex * et + w12 * ey * et))
+                squares += 2 * (w01 * ex * ey + w02 * ex * et + w12 * ey * et)
+                total += loss(kernel, width, weights[g] * trust[a] * trust[b] * squares)
     return total
 
 
 @njit(cache=True, error_model="numpy")
 def _accumulate(  # type: ignore[no-untyped-def]
     starts, nodes, order, node_starts, groups, weights, y, lever, gamma, C, oriented, body,
-    indptr, indices, slot_of, values, xi,
+    kernel, width, trust, indptr, indices, slot_of, values, xi,
 ):  # fmt: skip
     # Column by column of Omega: slot_of maps the rows of the current column to slots, so no list of pairs is needed.
     cosines, sines = np.cos(gamma), np.sin(gamma)
@@ -290,15 +201,16 @@ def _accumulate(  # type: ignore[no-untyped-def]
         for k in range(node_starts[j], node_starts[j + 1]):
             b = order[k]
             g = groups[b]
-            w = weights[g]
+            weight_b = weights[g] * trust[b]
             bx, by = lever[b, 0], lever[b, 1]
             for a in range(starts[g], b):
                 i = nodes[a]
                 if i == j:
                     continue
                 w00, w01, w11, w02, w12, w22 = _information(C, a, b, cosines[a], sines[a], oriented)
+                w = weight_b * trust[a]
                 w00, w01, w11, w02, w12, w22 = w * w00, w * w01, w * w11, w * w02, w * w12, w * w22
-                ex, ey, et = y[b, 0] - y[a, 0], y[b, 1] - y[a, 1], _wrap(y[b, 2] - y[a, 2])
+                ex, ey, et = y[b, 0] - y[a, 0], y[b, 1] - y[a, 1], wrapped(y[b, 2] - y[a, 2])
                 ax, ay = lever[a, 0], lever[a, 1]
                 if body:
                     ax, ay = ax - ey, ay + ex
@@ -307,7 +219,14 @@ def _accumulate(  # type: ignore[no-untyped-def]
                     w01 * ex + w11 * ey + w12 * et,
                     w02 * ex + w12 * ey + w22 * et,
                 )
-                total += gx * ex + gy * ey + gt * et
+                squares = gx * ex + gy * ey + gt * et
+                if kernel:
+                    total += loss(kernel, width, squares)
+                    w = weight(kernel, width, squares)
+                    w00, w01, w11, w02, w12, w22 = w * w00, w * w01, w * w11, w * w02, w * w12, w * w22
+                    gx, gy, gt = w * gx, w * gy, w * gt
+                else:
+                    total += squares
                 xi[i, 0] += gx
                 xi[i, 1] += gy
                 xi[i, 2] += ax * gx + ay * gy + gt
