@@ -1,7 +1,7 @@
 """Planar graph SLAM with virtual-motion edges: logs, models, graphs, the hand-written solver and the GTSAM one."""
 
 from . import textbook
-from .errors import FormatError, GraphError, LogError, OptionError, SlamError
+from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
 from .formats import load, save
 from .graph import Graph
 from .gtsam_solver import solve_with_gtsam
@@ -15,6 +15,7 @@ from .worlds import WORLDS, sample_log_path
 
 __all__ = [
     "WORLDS",
+    "FactorError",
     "FormatError",
     "Graph",
     "GraphError",

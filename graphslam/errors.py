@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class SlamError(Exception):
     """Root of all errors that this project raises on purpose; its text is one sentence meant for the user."""
@@ -27,6 +29,14 @@ class OptionError(SlamError, ValueError):
 
 class GraphError(SlamError):
     """A graph cannot be built, or cannot be solved because its edges do not determine its nodes."""
+
+
+class FactorError(SlamError):
+    """A GTSAM factor cannot be evaluated; the text names the factor and its keys, ``description`` is what it is."""
+
+    def __init__(self, message: str, description: Any = None) -> None:
+        super().__init__(f"{description}: {message}" if description is not None else message)
+        self.description = description
 
 
 def check_choice(option: str, value: str, allowed: tuple[str, ...]) -> None:

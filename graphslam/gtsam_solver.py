@@ -3,26 +3,46 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
+from collections.abc import Iterator
+from itertools import pairwise
 
 import gtsam
 import numpy as np
 
-from .edges import AnchorEdges, ObservationEdges, RelativePointEdges, RelativePoseEdges, VirtualMotionEdges
-from .errors import GraphError, OptionError, check_positive
+from .edges import (
+    AnchorEdges,
+    EdgeFamily,
+    LandmarkSightings,
+    MarginalEdges,
+    ObservationEdges,
+    RelativePointEdges,
+    RelativePoseEdges,
+    VirtualMotionEdges,
+)
+from .errors import GraphError, OptionError, check_choice, check_positive
 from .factors import (
     AnchorFactor,
+    InverseObservationFactor,
+    LandmarkFactor,
     ObservationFactor,
     RelativePointFactor,
     RelativePoseFactor,
     VirtualMotionFactor,
+    describe,
 )
 from .fixed_point import AndersonMixing
 from .graph import Graph
 from .se2 import Array, wrap
 from .solution import Solution, make_solution
 
+#: how virtual-motion edges become factors
+FACTORS = ("fastest", "per-edge")
 
-def solve_with_gtsam(graph: Graph, tolerance: float = 1e-9, max_iterations: int = 100) -> Solution:
+
+def solve_with_gtsam(
+    graph: Graph, tolerance: float = 1e-9, max_iterations: int = 100, factors: str = "fastest"
+) -> Solution:
     """Minimise the cost J of a graph with GTSAM's Levenberg-Marquardt on the custom factors.
 
     GTSAM's noise models are fixed. Where the information depends on the state (``frame="world"``, or no psi) an outer
@@ -34,6 +54,9 @@ def solve_with_gtsam(graph: Graph, tolerance: float = 1e-9, max_iterations: int 
         graph: what to solve.
         tolerance: converged when the Euclidean norm of a whole correction is below this.
         max_iterations: the most steps to take.
+        factors: "fastest", one `LandmarkFactor` for all edges of a landmark; or "per-edge", one `VirtualMotionFactor`
+            for each, the same cost with some ten times the work. Where each edge has a robust kernel, it is per edge
+            anyway. A note of the solution says what was used.
 
     Raises:
         GraphError: GTSAM finds the system indeterminate.
@@ -45,11 +68,12 @@ def solve_with_gtsam(graph: Graph, tolerance: float = 1e-9, max_iterations: int 
     begin = time.perf_counter()
     try:
         if graph.frozen_information:
-            state, norms, converged = _refrozen(graph, tolerance, max_iterations)
+            made = to_gtsam(graph, graph.initial, factors)
+            state, norms, converged = _refrozen(graph, tolerance, max_iterations, factors)
         else:
-            factors = to_gtsam(graph, graph.initial)
+            made = to_gtsam(graph, graph.initial, factors)
             begin = time.perf_counter()
-            state, norms, converged = _optimize(graph, factors, graph.initial, tolerance, max_iterations)
+            state, norms, converged = _optimize(graph, made, graph.initial, tolerance, max_iterations)
     except RuntimeError as error:
         raise GraphError(f"gtsam gave up: {str(error).strip().splitlines()[0]}") from None
     seconds = time.perf_counter() - begin
@@ -59,46 +83,97 @@ def solve_with_gtsam(graph: Graph, tolerance: float = 1e-9, max_iterations: int 
         reason = f"max_iterations = {max_iterations} reached"
     else:
         reason = "stuck: gtsam finds no step that lowers the cost"
+    kinds = Counter(_kind(made.at(k)) for k in range(made.size()))
+    used = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
     return make_solution(
-        graph, state, step_norms=norms, costs=[], converged=converged, reason=reason, seconds=seconds, solver="gtsam"
-    )
+        graph, state, step_norms=norms, costs=[], converged=converged, reason=reason, seconds=seconds, solver="gtsam",
+        notes=(f"gtsam worked on {used}",),
+    )  # fmt: skip
 
 
-def to_gtsam(graph: Graph, reference: Array) -> gtsam.NonlinearFactorGraph:
-    """The factors of a graph, keyed by node number, state-dependent information frozen at ``reference`` (n, 3)."""
-    factors = gtsam.NonlinearFactorGraph()
+def _kind(factor: gtsam.NonlinearFactor) -> str:
+    return describe(factor).kind if isinstance(factor, gtsam.CustomFactor) else type(factor).__name__
+
+
+def to_gtsam(graph: Graph, reference: Array, factors: str = "fastest") -> gtsam.NonlinearFactorGraph:
+    """The factors of a graph, keyed by node number, state-dependent information frozen at ``reference`` (n, 3).
+
+    Args:
+        graph: what to translate.
+        reference: the state at which information is frozen.
+        factors: see `solve_with_gtsam`.
+
+    Marginal edges with a robust kernel get landmark nodes of their own, after the graph's; see `eliminated_landmarks`.
+    """
+    check_choice("factors", factors, FACTORS)
+    made = gtsam.NonlinearFactorGraph()
     for family in graph.families:
-        if isinstance(family, AnchorEdges):
-            for node, value, information in zip(family.nodes.tolist(), family.values, family.information):
-                factors.add(AnchorFactor(node, value, information))
-        elif isinstance(family, RelativePoseEdges):
-            for i, j, z, information in zip(
-                family.first.tolist(), family.second.tolist(), family.measured, family.information
-            ):
-                factors.add(RelativePoseFactor(i, j, z, information, family.frame, at=reference[i]))
-        elif isinstance(family, VirtualMotionEdges):
-            a, b, group = family.pairs()
-            weights = family.group_weights[group].tolist()
-            z, nodes = family.sightings, family.nodes.tolist()
-            for first, second, weight in zip(a.tolist(), b.tolist(), weights):
-                i, j = nodes[first], nodes[second]
-                at = (reference[i], reference[j])
-                factors.add(
-                    VirtualMotionFactor(i, j, z[first], z[second], family.sensor, family.frame, at=at, weight=weight)
-                )
-        elif isinstance(family, ObservationEdges):
-            for i, j, z in zip(family.first.tolist(), family.second.tolist(), family.sightings):
-                factors.add(ObservationFactor(i, j, z, family.sensor))
-        elif isinstance(family, RelativePointEdges):
-            for i, j, z, information in zip(
-                family.first.tolist(), family.second.tolist(), family.measured, family.information
-            ):
-                factors.add(RelativePointFactor(i, j, z, information))
-        else:
-            raise GraphError(f"no gtsam factor is known for {type(family).__name__}")
+        for factor in _factors_of(family, reference, graph.num_nodes, factors):
+            made.add(factor)
     for node in graph.fixed.tolist():
-        factors.add(gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node])))
-    return factors
+        made.add(gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node])))
+    return made
+
+
+def _factors_of(family: EdgeFamily, reference: Array, num_nodes: int, factors: str) -> Iterator[gtsam.NonlinearFactor]:
+    if isinstance(family, AnchorEdges):
+        for node, value, information in zip(family.nodes.tolist(), family.values, family.information):
+            yield AnchorFactor(node, value, information)
+    elif isinstance(family, RelativePoseEdges):
+        ends = zip(family.first.tolist(), family.second.tolist(), family.measured, family.information)
+        for i, j, z, information in ends:
+            yield RelativePoseFactor(i, j, z, information, family.frame, at=reference[i])
+    elif isinstance(family, MarginalEdges) and family.kernel is not None:
+        trust = family.trusted.tolist()
+        for i, j, z, w in zip(family.nodes.tolist(), (num_nodes + family.group).tolist(), family.sightings, trust):
+            yield InverseObservationFactor(
+                i, j, z, family.sensor, family.frame, at=reference[i], weight=w, kernel=family.kernel
+            )
+    elif isinstance(family, MarginalEdges):
+        yield from _landmark_factors(family, reference, "marginal")
+    elif isinstance(family, VirtualMotionEdges) and family.kernel is None and factors == "fastest":
+        yield from _landmark_factors(family, reference, "tempered" if family.tempered else "pairs")
+    elif isinstance(family, VirtualMotionEdges):
+        a, b, group = family.pairs()
+        weights = (family.group_weights[group] * family.trusted[a] * family.trusted[b]).tolist()
+        z, nodes = family.sightings, family.nodes.tolist()
+        for first, second, weight in zip(a.tolist(), b.tolist(), weights):
+            i, j = nodes[first], nodes[second]
+            yield VirtualMotionFactor(
+                i, j, z[first], z[second], family.sensor, family.frame,
+                at=(reference[i], reference[j]), weight=weight, kernel=family.kernel,
+            )  # fmt: skip
+    elif isinstance(family, ObservationEdges):
+        ends = zip(family.first.tolist(), family.second.tolist(), family.sightings, family.trusted.tolist())
+        for i, j, z, weight in ends:
+            yield ObservationFactor(i, j, z, family.sensor, weight=weight, kernel=family.kernel)
+    elif isinstance(family, RelativePointEdges):
+        ends = zip(family.first.tolist(), family.second.tolist(), family.measured, family.information)
+        for i, j, z, information in ends:
+            yield RelativePointFactor(i, j, z, information)
+    else:
+        raise GraphError(f"no gtsam factor is known for {type(family).__name__}")
+
+
+def _landmark_factors(family: LandmarkSightings, reference: Array, weight: str) -> Iterator[LandmarkFactor]:
+    for start, end in pairwise(family.starts.tolist()):
+        nodes = family.nodes[start:end]
+        if len(np.unique(nodes)) > 1 or weight == "marginal":
+            yield LandmarkFactor(
+                nodes.tolist(), family.sightings[start:end], family.sensor, family.frame, weight,
+                at=reference[nodes], trust=family.trusted[start:end],
+            )  # fmt: skip
+
+
+def eliminated_landmarks(graph: Graph, state: Array) -> gtsam.Values:
+    """The landmark nodes that `to_gtsam` gives to marginal edges with a kernel, at their robust means; else nothing."""
+    values = gtsam.Values()
+    for family in graph.families:
+        if isinstance(family, MarginalEdges) and family.kernel is not None:
+            for key, (x, y, heading) in enumerate(family.landmarks(state, state).tolist(), start=graph.num_nodes):
+                oriented = family.sightings.shape[1] == 3
+                values.insert(key, gtsam.Pose2(x, y, heading) if oriented else gtsam.Point2(x, y))
+    return values
 
 
 def to_values(graph: Graph, state: Array) -> gtsam.Values:
@@ -117,9 +192,10 @@ def from_values(graph: Graph, values: gtsam.Values) -> Array:
     state = np.zeros((graph.num_nodes, 3))
     points = len(graph.landmark_ids) and graph.landmark_dimension == 2
     poses = len(graph.steps) if points else graph.num_nodes
-    state[:poses] = gtsam.utilities.extractPose2(values)
+    # the landmarks of `eliminated_landmarks` come behind the graph's own nodes
+    state[:poses] = gtsam.utilities.extractPose2(values)[:poses]
     if points:
-        state[poses:, :2] = gtsam.utilities.extractPoint2(values)
+        state[poses:, :2] = gtsam.utilities.extractPoint2(values)[: len(state) - poses]
     return state
 
 
@@ -141,12 +217,12 @@ def _optimize(
 
     ``roughly`` lets a short step count even where damping may have shortened it.
     """
+    values = to_values(graph, initial)
+    values.insert(eliminated_landmarks(graph, initial))
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setVerbosityLM("SILENT")
     parameters.setlambdaUpperBound(1e12)
-    optimizer: gtsam.NonlinearOptimizer = gtsam.LevenbergMarquardtOptimizer(
-        factors, to_values(graph, initial), parameters
-    )
+    optimizer: gtsam.NonlinearOptimizer = gtsam.LevenbergMarquardtOptimizer(factors, values, parameters)
     state = from_values(graph, optimizer.values())
     norms: list[float] = []
     polishing = False
@@ -171,14 +247,14 @@ def _optimize(
     return state, norms, False
 
 
-def _refrozen(graph: Graph, tolerance: float, max_iterations: int) -> tuple[Array, list[float], bool]:
+def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str) -> tuple[Array, list[float], bool]:
     """Freeze, solve, and freeze again, until the solution no longer moves."""
     state, mixing = graph.initial.copy(), AndersonMixing()
     norms: list[float] = []
     while len(norms) < max_iterations:
         # the inner problem moves on at every freezing: solving it much closer than that is wasted
         inner = max(tolerance / 10, 0.1 * norms[-1] if norms else 0.1)
-        solved, _, _ = _optimize(graph, to_gtsam(graph, state), state, inner, max_iterations, roughly=True)
+        solved, _, _ = _optimize(graph, to_gtsam(graph, state, factors), state, inner, max_iterations, roughly=True)
         move = _difference(solved, state)
         norms.append(float(np.linalg.norm(move)))
         state = mixing.next(state, move)

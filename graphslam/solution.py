@@ -125,6 +125,7 @@ def make_solution(
     reason: str,
     seconds: float,
     solver: str,
+    notes: tuple[str, ...] = (),
 ) -> Solution:
     """The `Solution` of a graph from the final state (n, 3) of a solver and the story of its iteration."""
     poses, estimated = graph.trajectory_of(state)
@@ -150,6 +151,6 @@ def make_solution(
         seconds=seconds,
         solver=solver,
         state=state,
-        notes=graph.notes,
+        notes=(*graph.notes, *notes),
         _graph=graph,
     )

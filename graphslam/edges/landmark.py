@@ -107,10 +107,15 @@ class ObservationEdges:
         sensor = self.sensor
         return sensor.range_rate**2, sensor.bearing_std**2, sensor.orientation_std**2
 
+    @property
+    def trusted(self) -> Array:
+        """The trust (M,) that the edges work with."""
+        return trusted(self.trust, len(self.first))
+
     @cached_property
     def _robust(self) -> tuple[int, float, Array]:
         """The kernel's code and width, and the trust (M,)."""
-        return *code_and_width(self.kernel), trusted(self.trust, len(self.first))
+        return *code_and_width(self.kernel), self.trusted
 
 
 @dataclass(frozen=True, eq=False)

@@ -112,10 +112,15 @@ class LandmarkSightings:
         variances = (s.range_rate**2, s.bearing_std**2, s.orientation_std**2)
         return prepare(state, reference, self.nodes, self.sightings, variances, mode)
 
+    @property
+    def trusted(self) -> Array:
+        """The trust (M,) that the edges work with."""
+        return trusted(self.trust, len(self.nodes))
+
     @cached_property
     def _robust(self) -> tuple[int, float, Array]:
         """The kernel's code and width, and the trust (M,)."""
-        return *code_and_width(self.kernel), trusted(self.trust, len(self.nodes))
+        return *code_and_width(self.kernel), self.trusted
 
     @cached_property
     def _by_node(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

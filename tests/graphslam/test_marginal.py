@@ -24,7 +24,9 @@ def random_edges(rng, frame, d, kernel=None, trust=True, noise=0.3):
     groups = [np.array([0, 1, 1, 3]), np.arange(6), np.array([2, 5])]
     starts, nodes = np.array([0, 4, 10, 12]), np.concatenate(groups)
     marks = np.column_stack([rng.normal(size=(3, 2)) * 4 + 6, rng.uniform(-np.pi, np.pi, 3)])
-    z = sensor.h(poses[nodes], np.repeat(marks, [4, 6, 2], axis=0)) + noise * sensor.bearing_std * rng.normal(size=(12, 3))
+    z = sensor.h(poses[nodes], np.repeat(marks, [4, 6, 2], axis=0)) + noise * sensor.bearing_std * rng.normal(
+        size=(12, 3)
+    )
     weights = rng.uniform(0.3, 1, 12) if trust else None
     return MarginalEdges(starts, nodes, z[:, :d], sensor, frame, kernel, weights), poses
 

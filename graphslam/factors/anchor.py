@@ -1,0 +1,40 @@
+"""A pose held at a value."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..robust import Kernel
+from .layer import POSE, Coordinates, Factor, positive_definite, vector, wrapped
+
+
+class AnchorFactor(Factor):
+    """The pose at a key held at a value: e = x - x̂ in world axes, the heading wrapped.
+
+    (`gtsam.PriorFactorPose2` measures its error in the axes of x̂ and through the logarithm.)
+
+    Args:
+        key: of a `gtsam.Pose2`.
+        pose: x̂ (3,).
+        information: Omega_0 (3, 3); default: the lectures' 1e6 I.
+        kernel: a robust kernel around the noise model; see `graphslam.robust`.
+
+    Raises:
+        OptionError: a value is not what it must be.
+    """
+
+    def __init__(
+        self, key: int, pose: ArrayLike, information: ArrayLike | None = None, *, kernel: Kernel | str | None = None
+    ) -> None:
+        held = vector("pose", pose, (3,))
+        omega = positive_definite(1e6 * np.eye(3) if information is None else information)
+        x, y, theta = held.tolist()
+
+        def residual(a: Coordinates) -> tuple[list[float], tuple[list[list[float]], ...]]:
+            e = [a[0] - x, a[1] - y, wrapped(a[2] - theta)]
+            return e, ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],)
+
+        noise = gtsam.noiseModel.Gaussian.Information(omega)
+        super().__init__([key], [POSE], noise, residual, {"pose": held, "information": omega}, kernel)

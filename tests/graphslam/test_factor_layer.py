@@ -1,0 +1,171 @@
+# ruff: noqa: E501  (a table of one-line abuses)
+"""The layer between GTSAM's callback and our residuals: mistakes become exceptions, never a crash, and nothing leaks."""
+
+import subprocess
+import sys
+import textwrap
+
+import gtsam
+import numpy as np
+import pytest
+
+from graphslam import FactorError, OptionError
+from graphslam.factors import (
+    AnchorFactor,
+    LandmarkFactor,
+    MotionFactor,
+    ObservationFactor,
+    RelativePointFactor,
+    ResidualFactor,
+    VirtualMotionFactor,
+)
+
+X1, X2, M = gtsam.symbol("x", 1), gtsam.symbol("x", 2), gtsam.symbol("m", 1)
+HEAD = """
+import gtsam, numpy as np
+from graphslam import FactorError, OptionError
+from graphslam.factors import *
+X1, X2, M = gtsam.symbol("x", 1), gtsam.symbol("x", 2), gtsam.symbol("m", 1)
+def values(*more):
+    v = gtsam.Values()
+    v.insert(X1, gtsam.Pose2(0, 0, 0)); v.insert(X2, gtsam.Pose2(1, 0, 0.1))
+    for key, value in more: v.insert(key, value)
+    return v
+def solved(factor, v):
+    g = gtsam.NonlinearFactorGraph(); g.add(factor); g.add(gtsam.PriorFactorPose2(X1, gtsam.Pose2(), gtsam.noiseModel.Unit.Create(3)))
+    return gtsam.LevenbergMarquardtOptimizer(g, v).optimize()
+"""
+#: what is abused, in a process of its own: (name, code, the exception and what it must say)
+ABUSES = [
+    ("missing value", "solved(MotionFactor(X1, M, [1, 0], 1.0), values())", "FactorError", "nothing at its key m1"),
+    ("wrong type", "solved(MotionFactor(X1, M, [1, 0], 1.0), values((M, gtsam.Point2(1, 2))))", "FactorError", "m1 is no gtsam.Pose2"),
+    ("pose for a point", "solved(RelativePointFactor(X1, X2, [1, 2], np.eye(2)), values())", "FactorError", "x2 is no gtsam.Point2"),
+    ("key a word", "MotionFactor('x1', X2, [1, 0], 1.0)", "OptionError", "a key must be an integer"),
+    ("key a float", "MotionFactor(1.5, X2, [1, 0], 1.0)", "OptionError", "a key must be an integer"),
+    ("key negative", "AnchorFactor(-1, [0, 0, 0])", "OptionError", "from 0 to 2^64 - 1"),
+    ("key twice", "MotionFactor(X1, X1, [1, 0], 1.0)", "OptionError", "keys must differ"),
+    ("NaN measured", "ObservationFactor(X1, M, [1, float('nan'), 0])", "OptionError", "finite numbers"),
+    ("words measured", "VirtualMotionFactor(X1, X2, 'abc', [1, 0, 0])", "OptionError", "finite numbers"),
+    ("raises", "solved(ResidualFactor([X1, X2], lambda a, b: 1 / 0, np.eye(3)), values())", "FactorError", "raised ZeroDivisionError"),
+    ("NaN residual", "solved(ResidualFactor([X1], lambda a: a * np.nan, np.eye(3)), values())", "FactorError", "not finite"),
+    ("short residual", "solved(ResidualFactor([X1], lambda a: a[:2], np.eye(3)), values())", "FactorError", "must have shape (3,)"),
+    ("none returned", "solved(ResidualFactor([X1], lambda a: None, np.eye(3)), values())", "FactorError", "must have shape"),
+    ("Jacobian 2 x 2", "solved(ResidualFactor([X1], lambda a: (a + 1, [np.eye(2)]), np.eye(3)), values())", "FactorError", "Jacobian 0 must have shape (3, 3)"),
+    ("Jacobian 3 x 2", "solved(ResidualFactor([X1], lambda a: (a + 1, [np.ones((3, 2))]), np.eye(3)), values())", "FactorError", "Jacobian 0 must have shape (3, 3)"),
+    ("Jacobian missing", "solved(ResidualFactor([X1, X2], lambda a, b: (a - b + 1, [np.eye(3)]), np.eye(3)), values())", "FactorError", "needs 2 Jacobians"),
+    ("Jacobian unset", "solved(ResidualFactor([X1], lambda a: (a + 1, [None]), np.eye(3)), values())", "FactorError", "Jacobian 0"),
+    ("Jacobian ragged", "solved(ResidualFactor([X1], lambda a: (a + 1, [[[1, 2, 3], [1, 2], [3]]]), np.eye(3)), values())", "FactorError", "Jacobian 0"),
+    ("landmark underfoot", "solved(ObservationFactor(X1, M, [1, 0, 0]), values((M, gtsam.Pose2(0, 0, 0))))", "FactorError", "exactly at the robot"),
+    ("raises in ISAM2", "i = gtsam.ISAM2(); g = gtsam.NonlinearFactorGraph(); g.add(ResidualFactor([X1], lambda a: 1 / 0, np.eye(3))); v = gtsam.Values(); v.insert(X1, gtsam.Pose2()); i.update(g, v)", "FactorError", "ZeroDivisionError"),
+    ("missing in linearize", "MotionFactor(X1, X2, [1, 0], 1.0).linearize(gtsam.Values())", "FactorError", "MotionFactor(x1, x2)"),
+    ("landmark without poses", "LandmarkFactor([], np.zeros((0, 3)))", "OptionError", "at least one sighting"),
+    ("landmark rows", "LandmarkFactor([X1, X2], [[1, 0, 0]])", "OptionError", "2 rows of 2 or 3"),
+]  # fmt: skip
+
+
+def run(code):
+    return subprocess.run([sys.executable, "-c", HEAD + code], capture_output=True, text=True, timeout=300, check=False)
+
+
+def test_every_abuse_is_an_exception_and_no_crash():
+    """All in one process, which must live to its end."""
+    lines = [
+        textwrap.dedent(f"""
+        try:
+            {code}
+            print({name!r}, "passed")
+        except {error} as e:
+            print({name!r}, "raised" if {text!r} in str(e) else "said " + str(e))
+        """)
+        for name, code, error, text in ABUSES
+    ]
+    done = run("".join(lines))
+    assert done.returncode == 0, f"the process died: {done.returncode}\n{done.stdout}\n{done.stderr}"
+    assert done.stdout.splitlines() == [f"{name} raised" for name, *_ in ABUSES]
+
+
+def test_memory_comes_back():
+    """Resident memory after many factors made, used and dropped; the 10^6 of the goal are in benchmarks/factors.py."""
+    code = textwrap.dedent("""
+    import gc, os
+    def resident():
+        with open("/proc/self/statm") as f: return int(f.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+    def batch():
+        v = values()
+        for k in range(3000):
+            g = gtsam.NonlinearFactorGraph()
+            g.add(VirtualMotionFactor(X1, X2, [1, 0, 0], [1, 0.1, 0])); g.add(MotionFactor(X1, X2, [1, 0], 1.0))
+            g.error(v)
+    batch(); gc.collect(); before = resident()
+    for _ in range(4): batch()
+    gc.collect()
+    print(before, resident())
+    """)
+    done = run(code)
+    if "statm" in done.stderr:
+        pytest.skip("this system does not tell the resident memory in /proc")
+    before, after = map(float, done.stdout.split())
+    assert after < 1.05 * before
+
+
+def test_a_residual_of_ones_own_with_and_without_jacobians():
+    """x_2 must lie one metre ahead of x_1: the same answer from given and from numeric derivatives."""
+
+    def ahead(a, b):
+        c, s = np.cos(a[2]), np.sin(a[2])
+        d = b[:2] - a[:2]
+        e = np.array([c * d[0] + s * d[1] - 1.0, -s * d[0] + c * d[1]])
+        by_a = np.array([[-c, -s, e[1]], [s, -c, -e[0] - 1.0]])
+        return e, (by_a, np.array([[c, s, 0.0], [-s, c, 0.0]]))
+
+    values = gtsam.Values()
+    values.insert(X1, gtsam.Pose2(0.3, -0.2, 2.0))
+    values.insert(X2, gtsam.Pose2(1.0, 0.4, -1.0))
+    omega = np.array([[4.0, 1.0], [1.0, 2.0]])
+    given = ResidualFactor([X1, X2], ahead, omega)
+    numeric = ResidualFactor([X1, X2], lambda a, b: ahead(a, b)[0], omega)
+    assert given.error(values) == numeric.error(values)
+    np.testing.assert_allclose(
+        numeric.linearize(values).jacobian()[0], given.linearize(values).jacobian()[0], atol=1e-7
+    )
+
+
+def test_a_residual_between_a_pose_and_a_point():
+    factor = ResidualFactor([X1, M], lambda x, m: m - x[:2], np.eye(2), kinds=["pose", "point"])
+    values = gtsam.Values()
+    values.insert(X1, gtsam.Pose2(1, 2, 0.5))
+    values.insert(M, gtsam.Point2(4, 6))
+    assert factor.error(values) == pytest.approx(12.5)
+    jacobian, _ = factor.linearize(values).jacobian()
+    c, s = np.cos(0.5), np.sin(0.5)
+    np.testing.assert_allclose(jacobian, [[-c, s, 0, 1, 0], [-s, -c, 0, 0, 1]], atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: ResidualFactor([X1], "no function", np.eye(3)), "residual must be a function"),
+        (lambda: ResidualFactor([X1], len, np.zeros(3)), "d x d matrix"),
+        (lambda: ResidualFactor([X1], len, np.zeros((2, 2))), "positive definite"),
+        (lambda: ResidualFactor([X1], len, np.eye(2), kinds=["circle"]), "kinds must be one of"),
+        (lambda: ResidualFactor([X1], len, np.eye(2), kinds=["pose", "pose"]), "one kind per key"),
+        (lambda: LandmarkFactor([X1, X2], [[1, 0], [1, 0]]), "give them as 'at'"),
+        (lambda: LandmarkFactor([X1, X2], [[1, 0, 0], [0, 0, 0]]), "ranges above zero"),
+        (lambda: LandmarkFactor([X1, X2], [[1, 0, 0], [1, 0, 0]], trust=[1, 0]), "trust must be 2 positive"),
+        (lambda: LandmarkFactor([X1, X2], [[1, 0, 0]] * 3, of=[0, 0, 0]), "of must name each"),
+        (lambda: MotionFactor(X1, X2, [1, 0], 1.0, kernel="l7"), "kernel must be one of"),
+        (lambda: VirtualMotionFactor(X1, X2, [1, 0], [1, 0], frame="world", at=([0, 0, 0],) * 2).to_between(), "no relative pose"),
+        (lambda: MotionFactor(X1, X2, [1, 0], 1.0, frame="world", at=[0, 0, 0]).to_between(), "frame='body'"),
+        (lambda: ObservationFactor(X1, M, [1, 0], weight=-1), "weight must be a positive"),
+        (lambda: AnchorFactor(True, [0, 0, 0]), "a key must be an integer"),
+        (lambda: RelativePointFactor(X1, M, [1, 2, 3], np.eye(2)), "2 finite numbers"),
+    ],
+)  # fmt: skip
+def test_impossible_arguments(make, message):
+    with pytest.raises(OptionError, match=message):
+        make()
+
+
+def test_the_error_names_factor_and_keys():
+    with pytest.raises(FactorError, match=r"VirtualMotionFactor\(x1, x2\): the values have nothing at its key x1"):
+        VirtualMotionFactor(X1, X2, [1, 0, 0], [1, 0, 0]).error(gtsam.Values())
