@@ -148,7 +148,7 @@ def _around_means(starts, y, C, oriented, kernel, width, trust):  # type: ignore
         # positions and headings as differences from the first sighting's: no cancellation, no seam
         x0, y0, t0 = y[first, 0], y[first, 1], y[first, 2]
         mx, my, mt = 0.0, 0.0, 0.0
-        for turn in range(100 if kernel else 1):
+        for _ in range(100 if kernel else 1):
             s00, s01, s11, s02, s12, s22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0 if oriented else 1.0
             bx, by, bt = 0.0, 0.0, 0.0
             for k in range(first, end):

@@ -120,8 +120,9 @@ def _pairs(
 
     def error(*at: Coordinates) -> Array:
         x = np.array(at)
+        y, _, c, s = placed(x, node, z, ahead, turning)
         only_norm = np.zeros(3 * poses + 1)
-        only_norm[-1] = np.sqrt(pair_cost(a, b, *placed(x, node, z, ahead, turning), information))
+        only_norm[-1] = np.sqrt(pair_cost(a, b, y, c, s, information))
         return only_norm
 
     def residual(*at: Coordinates) -> tuple[Array, list[Array]]:

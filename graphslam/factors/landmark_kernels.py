@@ -27,7 +27,7 @@ def placed(x, node, z, ahead, turning):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def pair_cost(a, b, y, lever, c, s, information):  # type: ignore[no-untyped-def]
+def pair_cost(a, b, y, c, s, information):  # type: ignore[no-untyped-def]
     """b'b: the sum of e' Omega e over pairs (a, b), e = y_b - y_a in axes turned by the angle of cosine c, sine s."""
     total = 0.0
     e = np.zeros(3)

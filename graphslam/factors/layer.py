@@ -88,7 +88,7 @@ def guarded(
     ends = [(key, kind == POSE) for key, kind in zip(keys, kinds)]
     expected, shapes = (rows,), [(rows, size) for size in sizes]
 
-    def callback(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> Array:
+    def callback(_this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> Array:
         at: list[Coordinates] = []
         try:
             for key, is_pose in ends:
