@@ -83,7 +83,7 @@ def run(
         str | None,
         typer.Option(
             metavar="NAME,...",
-            help="Which to run: dead-reckoning, textbook, graph, gtsam, mcl, fastslam1, fastslam2.",
+            help="Which to run: dead-reckoning, textbook, graph, gtsam, isam2, mcl, fastslam1, fastslam2.",
             show_default="all that can run on the log",
         ),
     ] = None,
@@ -102,11 +102,21 @@ def run(
     ] = None,
     frame: Annotated[str, typer.Option(help="Of the residuals: body or world.", rich_help_panel=GRAPH)] = "body",
     weight: Annotated[
-        str, typer.Option(help="pairs (the book's) or tempered (each sighting once).", rich_help_panel=GRAPH)
+        str,
+        typer.Option(
+            help="Of virtual edges: pairs (the book's), tempered or marginal (each sighting once).",
+            rich_help_panel=GRAPH,
+        ),
     ] = "pairs",
     motion_weight: Annotated[
         float, typer.Option(help="lambda, the factor on the motion edges.", rich_help_panel=GRAPH)
     ] = 1.0,
+    robust: Annotated[
+        str,
+        typer.Option(
+            help="Against wrong sightings: none, huber, cauchy, geman-mcclure or gnc.", rich_help_panel=GRAPH
+        ),
+    ] = "none",
     initialize: Annotated[
         str,
         typer.Option(
@@ -139,7 +149,7 @@ def run(
         check_can_make(RESULTS if out is None else out)
         motion, sensor = models(nn, no, on, oo, range_rate, bearing_std, orientation_std)
         options = RunOptions(
-            edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, initialize=initialize,
+            edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, robust=robust, initialize=initialize,
             particles=particles, seed=seed, resampling=resampling, association=association, motion=motion, sensor=sensor,
         )  # fmt: skip
         data, source = read_log(log, format, dimensions)
@@ -171,7 +181,9 @@ def _progress(output: Output) -> Progress:
 
 @app.command(
     epilog=examples(
-        "slam-compare solvers", "slam-compare solvers LOG --motion-weights 1,10,100 --json differences.json"
+        "slam-compare solvers",
+        "slam-compare solvers LOG --motion-weights 1,10,100 --json differences.json",
+        "slam-compare solvers LOG --kernels none,huber,cauchy",
     )
 )
 def solvers(
@@ -183,6 +195,9 @@ def solvers(
     edges: Annotated[
         str | None, typer.Option(metavar="EDGES,...", help="Kinds of graph to try.", show_default="all")
     ] = None,
+    kernels: Annotated[
+        str, typer.Option(metavar="KERNEL,...", help="Robust kernels to try: none, huber, cauchy, geman-mcclure.")
+    ] = "none",
     jobs: Annotated[
         int | None,
         typer.Option(help="Variants to solve at a time.", min=1, show_default="the number of cores, up to 8"),
@@ -210,6 +225,7 @@ def solvers(
         data, _ = read_log(log, format)
         outcome = compare_solvers(
             data, motion=motion, sensor=sensor, motion_weights=weights, edges=kinds,
+            kernels=tuple(name.strip() for name in kernels.split(",")),
             jobs=jobs or min(os.cpu_count() or 1, 8),
             progress=lambda variant: output.progress(variant_line(variant)),
         )  # fmt: skip

@@ -13,8 +13,12 @@ from fastslam.slam_filter import ASSOCIATIONS
 from graphslam import Log, MotionModel, OptionError, SensorModel
 from graphslam.errors import check_choice, check_positive
 from graphslam.graph import EDGES, FRAMES, WEIGHTS
+from graphslam.robust import KERNELS
 from graphslam.se2 import Array
 from graphslam.solver import INITIALIZE
+
+#: what can be done against wrong sightings
+ROBUST = ("none", *KERNELS, "gnc")
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
 PATIENCE = 0.5
@@ -27,6 +31,7 @@ class RunOptions:
     Attributes:
         edges: of the graph; None takes what suits the log (see `estimators.default_edges`).
         frame, weight, motion_weight: of the graph, see `graphslam.Graph.from_log`.
+        robust: against wrong sightings: none, huber, cauchy, geman-mcclure, or gnc (graduated non-convexity).
         initialize: where the graph's solvers start, see `graphslam.solve`; gtsam starts where "auto" starts first.
         particles: of the particle filters.
         seed: of the particle filters' random numbers.
@@ -42,6 +47,7 @@ class RunOptions:
     frame: str = "body"
     weight: str = "pairs"
     motion_weight: float = 1.0
+    robust: str = "none"
     initialize: str = "auto"
     particles: int = 1000
     seed: int = 0
@@ -55,6 +61,7 @@ class RunOptions:
             check_choice("edges", self.edges, EDGES)
         check_choice("frame", self.frame, FRAMES)
         check_choice("weight", self.weight, WEIGHTS)
+        check_choice("robust", self.robust, ROBUST)
         check_choice("initialize", self.initialize, INITIALIZE)
         check_positive(motion_weight=self.motion_weight)
         check_choice("resampling", self.resampling, tuple(RESAMPLING_SCHEMES))
@@ -63,6 +70,11 @@ class RunOptions:
             raise OptionError(f"particles must be at least 1, not {self.particles}")
         if self.seed < 0:
             raise OptionError(f"seed must not be negative, but is {self.seed}")
+
+    @property
+    def kernel(self) -> str | None:
+        """The robust kernel of the graph's sightings, by name."""
+        return self.robust if self.robust in KERNELS else None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -27,6 +27,7 @@ from graphslam import (
 )
 from graphslam.errors import check_choice
 from graphslam.graph import EDGES, FRAMES, WEIGHTS
+from graphslam.robust import KERNELS
 from graphslam.se2 import wrap
 from graphslam.solver import starting_state
 
@@ -51,13 +52,14 @@ class Variant:
     weight: str
     dimensions: int
     motion_weight: float = 1.0
+    kernel: str | None = None
 
     @property
     def name(self) -> str:
         """The variant in words, unique among the variants."""
         weight = f" {self.weight}" if self.edges.startswith("virtual") else ""
         lam = f" lambda={self.motion_weight:g}" if self.edges.endswith("+motion") else ""
-        return f"{self.edges} {self.frame}{weight} {self.dimensions}-D{lam}"
+        return f"{self.edges} {self.frame}{weight} {self.dimensions}-D{lam}{f' {self.kernel}' if self.kernel else ''}"
 
 
 @dataclass(frozen=True)
@@ -128,16 +130,19 @@ class SolverComparison:
 
 
 def variants(
-    log: Log, motion_weights: tuple[float, ...] = MOTION_WEIGHTS, edges: tuple[str, ...] = EDGES
+    log: Log,
+    motion_weights: tuple[float, ...] = MOTION_WEIGHTS,
+    edges: tuple[str, ...] = EDGES,
+    kernels: tuple[str, ...] = ("none",),
 ) -> Iterator[Variant]:
-    """Every variant of a log: edges x frame x weight x sensor dimension x lambda where there are motion edges."""
+    """Every variant of a log: edges x frame x weight x sensor dimension x kernel x lambda where there are motion edges."""
     dimensions = (3, 2) if log.has_orientation else (2,)
-    for kind, frame, weight, d in product(edges, FRAMES, WEIGHTS, dimensions):
+    for kind, frame, weight, d, kernel in product(edges, FRAMES, WEIGHTS, dimensions, kernels):
         if not kind.startswith("virtual") and weight != WEIGHTS[0]:
             # only pairs of sightings can be weighted differently
             continue
         for motion_weight in motion_weights if kind.endswith("+motion") else (1.0,):
-            yield Variant(kind, frame, weight, d, motion_weight)
+            yield Variant(kind, frame, weight, d, motion_weight, None if kernel == "none" else kernel)
 
 
 def compare_solvers(
@@ -147,6 +152,7 @@ def compare_solvers(
     sensor: SensorModel | None = None,
     motion_weights: tuple[float, ...] = MOTION_WEIGHTS,
     edges: tuple[str, ...] = EDGES,
+    kernels: tuple[str, ...] = ("none",),
     jobs: int = 1,
     progress: Callable[[VariantResult | SkippedVariant], None] | None = None,
 ) -> SolverComparison:
@@ -157,6 +163,8 @@ def compare_solvers(
         motion, sensor: the noise models; default: the book's.
         motion_weights: the lambdas to try.
         edges: the kinds of graph to try; default: all there are.
+        kernels: the robust kernels to try, "none" for plain squares. Both solvers start from Huber's solution where the
+            kernel has several minima.
         jobs: how many variants to solve at a time, each in a process of its own.
         progress: called after each variant.
 
@@ -166,6 +174,8 @@ def compare_solvers(
     """
     for kind in edges:
         check_choice("edges", kind, EDGES)
+    for kernel in kernels:
+        check_choice("kernels", kernel, ("none", *KERNELS))
     if jobs < 1:
         raise OptionError(f"jobs must be at least 1, not {jobs}")
     if len(log.steps) == 0:
@@ -174,7 +184,7 @@ def compare_solvers(
     skipped: list[SkippedVariant] = []
     work = partial(_solve_both, log=log, motion=motion, sensor=sensor)
     with _mapping(jobs) as run:
-        for outcome in run(work, list(variants(log, motion_weights, edges))):
+        for outcome in run(work, list(variants(log, motion_weights, edges, kernels))):
             if isinstance(outcome, SkippedVariant):
                 skipped.append(outcome)
             else:
@@ -204,20 +214,19 @@ def _solve_both(
 ) -> VariantResult | SkippedVariant:
     seen = log if log.sightings.shape[1] == variant.dimensions else log.without_orientation()
     try:
-        graph = Graph.from_log(
-            seen,
-            motion=motion,
-            sensor=sensor,
-            edges=variant.edges,
-            frame=variant.frame,
-            weight=variant.weight,
-            motion_weight=variant.motion_weight,
-        )
+        make = partial(
+            Graph.from_log, seen, motion=motion, sensor=sensor, edges=variant.edges, frame=variant.frame,
+            weight=variant.weight, motion_weight=variant.motion_weight,
+        )  # fmt: skip
+        graph = make(kernel=variant.kernel)
     except (GraphError, LogError) as error:
         return SkippedVariant(variant.name, str(error))
     try:
         # Landmark graphs have many minima, and pose graphs some: the two are compared on the way to one of them.
-        graph = graph.with_initial(starting_state(graph, "auto"))
+        start = starting_state(graph, "auto")
+        if variant.kernel is not None:
+            start = solve(make(kernel="huber").with_initial(start), tolerance=1e-3).state
+        graph = graph.with_initial(start)
     except GraphError as error:
         return SkippedVariant(variant.name, str(error))
     # one step ahead of the clock: whatever compiles at its first use compiles now

@@ -59,6 +59,7 @@ class Graph:
         fixed: (F,) nodes that do not move.
         log, sensor: what the graph was made from, where it was made from a log.
         notes: what the user should know, one sentence each.
+        sighting_rows: (M,) the row of the log's sightings that each sighting of the edges comes from.
     """
 
     initial: Array
@@ -72,6 +73,7 @@ class Graph:
     log: Log | None = None
     sensor: SensorModel | None = None
     notes: tuple[str, ...] = ()
+    sighting_rows: np.ndarray = field(default_factory=_none)
 
     @classmethod
     def from_log(
@@ -167,7 +169,7 @@ class Graph:
             start[:, : log.sightings.shape[1]] = list(estimate_map(log, log.initial_poses, sensor).values())
             return cls(
                 np.concatenate([initial, start]), (anchor, seen, *driven), notes=tuple(notes), landmark_ids=ids,
-                landmark_dimension=log.sightings.shape[1], **common,
+                landmark_dimension=log.sightings.shape[1], sighting_rows=np.arange(len(log.steps)), **common,
             )  # fmt: skip
 
         # a sighting from a pose that is no node is a landmark's only one, and pairs with nothing
@@ -185,7 +187,7 @@ class Graph:
         )
         if not with_motion:
             _check_determined(virtual, steps, log.has_orientation)
-        return cls(initial, (anchor, virtual, *driven), notes=tuple(notes), **common)
+        return cls(initial, (anchor, virtual, *driven), notes=tuple(notes), sighting_rows=kept, **common)
 
     @classmethod
     def from_g2o(cls, path: str | PathLike[str], format: str | None = None, unknown: str = "error") -> Graph:

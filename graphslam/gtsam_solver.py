@@ -87,7 +87,7 @@ def solve_with_gtsam(
     used = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
     return make_solution(
         graph, state, step_norms=norms, costs=[], converged=converged, reason=reason, seconds=seconds, solver="gtsam",
-        notes=(f"gtsam worked on {used}",),
+        notes=(f"worked on {used}",),
     )  # fmt: skip
 
 

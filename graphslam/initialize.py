@@ -20,6 +20,7 @@ from .cholesky import SingularPivot
 from .edges import (
     AnchorEdges,
     EdgeFamily,
+    MarginalEdges,
     ObservationEdges,
     RelativePointEdges,
     RelativePoseEdges,
@@ -126,8 +127,30 @@ def without_landmarks(graph: Graph) -> Graph | None:
     )
 
 
+def with_landmarks_eliminated(graph: Graph) -> tuple[Graph, np.ndarray] | None:
+    """The graph with its landmark nodes exchanged for marginal edges, and the sighting behind each of theirs (M,).
+
+    None where there are no sightings of landmark nodes.
+    """
+    found = [family for family in graph.families if isinstance(family, ObservationEdges)]
+    if not found:
+        return None
+    seen = found[0]
+    order = np.lexsort((seen.first, seen.second))
+    _, starts = np.unique(seen.second[order], return_index=True)
+    marginal = MarginalEdges(
+        np.append(starts, len(order)), seen.first[order], seen.sightings[order], seen.sensor, "body",
+        trust=None if seen.trust is None else seen.trust[order],
+    )  # fmt: skip
+    others = [family for family in graph.families if not isinstance(family, ObservationEdges | RelativePointEdges)]
+    return replace(
+        graph, initial=graph.initial[: len(graph.steps)], families=(marginal, *others),
+        landmark_ids=graph.landmark_ids[:0], log=None,
+    ), order  # fmt: skip
+
+
 def place_landmarks(graph: Graph, poses: Array) -> Array:
-    """A state (n, 3) of poses (P, 3) and every landmark node at the mean of where its sightings put it from there."""
+    """A state (n, 3) of poses (P, 3) and every landmark node at the mean of where its trusted sightings put it."""
     state = np.concatenate([poses, graph.initial[len(graph.steps) :]])
     for family in graph.families:
         if isinstance(family, ObservationEdges):
@@ -139,8 +162,9 @@ def place_landmarks(graph: Graph, poses: Array) -> Array:
             some[family.second] = y
             offset = y - some[family.second]
             offset[:, 2:] = wrap(offset[:, 2:])
-            total, count = np.zeros((graph.num_nodes, d)), np.bincount(family.second, minlength=graph.num_nodes)
-            np.add.at(total, family.second, offset)
+            trust = family.trusted
+            total, count = np.zeros((graph.num_nodes, d)), np.bincount(family.second, trust, graph.num_nodes)
+            np.add.at(total, family.second, trust[:, None] * offset)
             seen = np.flatnonzero(count)
             state[seen, :d] = some[seen] + total[seen] / count[seen, None]
     return state

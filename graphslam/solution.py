@@ -33,6 +33,8 @@ class Solution:
         solver: which solver made it.
         state: (n, 3) the values of the graph's nodes.
         notes: what the user should know about the graph.
+        trust: (M,) how far each sighting of the log was trusted, from 0 to 1, where `solve_gnc` decided; NaN for
+            sightings that the graph does not use. None elsewhere.
     """
 
     poses: Array
@@ -48,6 +50,7 @@ class Solution:
     solver: str
     state: Array
     notes: tuple[str, ...] = ()
+    trust: Array | None = None
     _graph: Graph | None = field(default=None, repr=False)
 
     def covariance(self, step: int) -> Array:

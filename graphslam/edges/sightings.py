@@ -24,7 +24,7 @@ WORLD, BODY, BODY_WITHOUT_PSI = 0, 1, 2
 
 
 #: the least trust: a landmark all of whose sightings are wrong must still be somewhere
-NO_TRUST = 1e-12
+NO_TRUST = 1e-9
 
 
 def trusted(trust: Array | None, count: int) -> Array:

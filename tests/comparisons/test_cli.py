@@ -251,6 +251,8 @@ def test_options_reach_the_estimators(invoke: Invoke, log_file: Path) -> None:
         "3",
         "--edges",
         "virtual+motion",
+        "--robust",
+        "cauchy",
     ]
     command = [
         "run",
@@ -267,7 +269,7 @@ def test_options_reach_the_estimators(invoke: Invoke, log_file: Path) -> None:
     ]
     graph, fastslam = json.loads(invoke(*command).stdout)["estimators"]
     expected = {"edges": "virtual+motion", "frame": "world", "weight": "tempered", "motion_weight": 3.0}
-    assert graph["options"] == expected | {"initialize": "given"}
+    assert graph["options"] == expected | {"initialize": "given", "robust": "cauchy"}
     assert fastslam["options"] == {"particles": 20, "seed": 5, "resampling": "systematic", "association": "known"}
     noisy = json.loads(invoke("run", log_file, *QUICK, "--range-rate", "0.5", "--json", "-").stdout)["estimators"][1]
     assert noisy["cost"] != pytest.approx(graph["cost"])

@@ -1,0 +1,91 @@
+"""Graduated non-convexity against phantoms: wrong sightings are found, and cost nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from comparisons.metrics import ate
+from graphslam import Graph, GraphError, OptionError, simulate, solve, solve_gnc
+from graphslam.gnc import truncated_trust
+from graphslam.se2 import wrap
+
+SEEDS = range(10)
+
+
+def with_phantoms(log, part, seed):
+    """The log with a part of its sightings replaced by random ones, and which."""
+    rng = np.random.default_rng(seed)
+    sightings, count = log.sightings.copy(), len(log.sightings)
+    wrong = rng.choice(count, round(part * count), replace=False)
+    sightings[wrong, 0] = rng.uniform(0.5, 6, len(wrong))
+    sightings[wrong, 1] = rng.uniform(-np.pi / 3, np.pi / 3, len(wrong))
+    sightings[wrong, 2] = rng.uniform(-np.pi, np.pi, len(wrong))
+    return log.replace(sightings=sightings), wrong
+
+
+@pytest.mark.parametrize(
+    "options", [{"weight": w} for w in ("pairs", "tempered", "marginal")] + [{"edges": "landmark+motion"}], ids=str
+)
+def test_phantoms_are_found_and_do_no_harm(options):
+    clean, plain, robust, found = [], [], [], []
+    for seed in SEEDS:
+        log = simulate(seed=seed, clean=True)
+        bad, wrong = with_phantoms(log, 0.1, 1000 + seed)
+        clean.append(ate(log.true_poses, solve(Graph.from_log(log, **options), initialize="auto").poses))
+        untouched = solve(Graph.from_log(bad, **options), initialize="auto", max_iterations=50)
+        plain.append(ate(log.true_poses, untouched.poses))
+        solution = solve_gnc(Graph.from_log(bad, **options))
+        assert solution.converged, solution.reason
+        robust.append(ate(log.true_poses, solution.poses))
+        found.append(np.mean(solution.trust[wrong] < 0.5))
+        assert np.nanmean(np.delete(solution.trust, wrong) > 0.5) > 0.9
+        assert "rejected" in solution.notes[-1]
+    assert np.median(robust) < 1.2 * np.median(clean)
+    assert np.median(plain) > 2 * np.median(clean)
+    assert np.median(found) == 1.0
+
+
+def test_a_wrong_sighting_loses_all_its_pairs_at_once(book_log):
+    """With pairs: the solution is that of the graph without the sighting."""
+    sightings = book_log.sightings.copy()
+    sightings[40] = [5.0, 1.0, 2.0]
+    bad = book_log.replace(sightings=sightings)
+    keep = np.delete(np.arange(len(sightings)), 40)
+    without = book_log.replace(
+        steps=book_log.steps[keep], landmarks=book_log.landmarks[keep], sightings=sightings[keep]
+    )
+    robust, expected = solve_gnc(Graph.from_log(bad), probability=0.9999), solve(Graph.from_log(without))
+    assert np.flatnonzero(robust.trust < 0.5).tolist() == [40]
+    difference = robust.poses - expected.poses
+    difference[:, 2] = wrap(difference[:, 2])
+    assert np.abs(difference).max() < 1e-6
+
+
+def test_nothing_wrong_nothing_changed(book_log):
+    plain, robust = solve(Graph.from_log(book_log)), solve_gnc(Graph.from_log(book_log), probability=1 - 1e-9)
+    assert robust.converged and np.all(robust.trust == 1)
+    np.testing.assert_allclose(robust.poses, plain.poses, atol=1e-7)
+
+
+def test_trust_goes_from_squares_to_all_or_nothing():
+    squares = np.array([0.0, 1.0, 8.0, 9.0, 10.0, 400.0])
+    # the surrogate: trust falls as 1 / r, so that no sighting pulls harder the farther it is
+    early = truncated_trust(squares, 9.0, 1e-4)
+    np.testing.assert_allclose((early * np.sqrt(squares))[1:5], 0.03, rtol=0.05)
+    np.testing.assert_array_equal(truncated_trust(squares, 9.0, np.inf), [1, 1, 1, 1, 0, 0])
+    middle = truncated_trust(squares, 9.0, 1.0)
+    assert np.all(np.diff(middle) <= 0) and middle[0] == 1 and middle[-1] == 0 and 0 < middle[3] < 1
+
+
+def test_what_cannot_be(book_log):
+    graph = Graph.from_log(book_log)
+    for options, message in [({"probability": 1.0}, "probability"), ({"max_rounds": 0}, "max_rounds")]:
+        with pytest.raises(OptionError, match=message):
+            solve_gnc(graph, **options)
+    unseen = replace(graph, families=(graph.families[0], graph.families[2]))
+    with pytest.raises(GraphError, match="needs edges from sightings"):
+        solve_gnc(unseen)
+    bad, _ = with_phantoms(book_log, 0.2, 1)
+    early = solve_gnc(Graph.from_log(bad), max_rounds=2)
+    assert not early.converged and "trusted in part" in early.reason

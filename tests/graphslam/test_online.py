@@ -1,0 +1,94 @@
+"""ISAM2, step by step: near the batch answer with default relinearisation, and at it after full relinearisation."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from graphslam import Graph, GraphError, IncrementalSmoother, OptionError, load, sample_log_path, solve, solve_online
+from graphslam.se2 import wrap
+
+VARIANTS = [
+    {},
+    {"weight": "tempered"},
+    {"weight": "marginal"},
+    {"weight": "marginal", "dimensions": 2},
+    {"edges": "landmark+motion"},
+    {"edges": "landmark+motion", "dimensions": 2, "kernel": "huber"},
+    {"edges": "landmark+motion", "dimensions": 2, "motion_weight": 5.0},
+]
+
+
+def largest_difference(a, b):
+    off = a.poses - b.poses
+    off[:, 2] = wrap(off[:, 2])
+    return np.abs(off).max()
+
+
+@pytest.mark.parametrize("options", VARIANTS, ids=str)
+@pytest.mark.parametrize("name", ["book", "sample"])
+def test_it_ends_at_the_batch_answer(name, options, book_log):
+    log = book_log if name == "book" else load(sample_log_path())
+    batch = solve(Graph.from_log(log, **options), initialize="auto")
+    online = solve_online(log, **options)
+    # a kernel's weights change with every step, which relinearisation by a threshold does not follow
+    assert largest_difference(online, batch) < (1e-2 if "kernel" not in options else 5e-2)
+    settled = solve_online(log, **options, settle=True)
+    assert settled.converged
+    assert largest_difference(settled, batch) < 1e-6
+    assert settled.cost == pytest.approx(batch.cost, rel=1e-9)
+    for landmark, mark in batch.landmarks.items():
+        off = settled.landmarks[landmark] - mark
+        off[2:] = wrap(off[2:])
+        assert np.abs(off).max() < 1e-5
+
+
+def test_fed_by_hand_it_tells_where_it_is(clean_log):
+    """After every step the estimate is that of the batch graph of the log so far."""
+    log = clean_log
+    smoother = IncrementalSmoother(log.initial_poses[0], weight="marginal")
+    for step in range(31):
+        if step:
+            smoother.move(log.controls[step - 1], log.dt[step - 1])
+        now = log.steps == step
+        smoother.observe(log.landmarks[now], log.sightings[now])
+        smoother.update()
+        assert len(smoother.poses) == step + 1
+    seen = log.steps <= 30
+    so_far = log.replace(
+        dt=log.dt[:30], controls=log.controls[:30], initial_poses=log.initial_poses[:31], true_poses=None,
+        steps=log.steps[seen], landmarks=log.landmarks[seen], sightings=log.sightings[seen],
+    )  # fmt: skip
+    batch = solve(Graph.from_log(so_far, weight="marginal"))
+    off = smoother.poses - batch.poses
+    off[:, 2] = wrap(off[:, 2])
+    assert np.abs(off).max() < 1e-2
+    assert smoother.landmarks == {}
+    # and it goes on after everything was relinearised
+    smoother.settle()
+    smoother.move(log.controls[30], log.dt[30])
+    smoother.update()
+    assert len(smoother.poses) == 32
+
+
+def test_parameters_of_ones_own(book_log):
+    params = gtsam.ISAM2Params()
+    params.setOptimizationParams(gtsam.ISAM2DoglegParams())
+    params.relinearizeSkip = 1
+    smoother = IncrementalSmoother(book_log.initial_poses[0], edges="landmark+motion", params=params)
+    smoother.observe([1], [[2.0, 0.1, 0.2]])
+    smoother.update()
+    assert set(smoother.landmarks) == {1}
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"edges": "virtual"}, GraphError, "needs motion edges"),
+        ({"dimensions": 2}, GraphError, "use weight='marginal'"),
+        ({"kernel": "huber"}, OptionError, "landmark\\+motion"),
+        ({"weight": "all"}, OptionError, "weight must be one of"),
+    ],
+)
+def test_what_does_not_go_online(options, error, message, book_log):
+    with pytest.raises(error, match=message):
+        solve_online(book_log, **options)
