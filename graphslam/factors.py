@@ -63,7 +63,7 @@ class VirtualMotionFactor(gtsam.CustomFactor):
     ) -> None:
         check_choice("frame", frame, ("world", "body"))
         check_positive(weight=weight)
-        sensor = sensor or SensorModel()
+        sensor = _centred(sensor)
         first, second = _sighting("z_1", z_1), _sighting("z_2", z_2)
         if len(first) != len(second):
             raise OptionError("z_1 and z_2 must both have psi, or both lack it")
@@ -222,7 +222,7 @@ class ObservationFactor(gtsam.CustomFactor):
         seen = _sighting("z", z)
         if len(seen) == 3:
             return super().__new__(cls)
-        stds = np.sqrt(np.diag((sensor or SensorModel()).Q(seen)))
+        stds = np.sqrt(np.diag(_centred(sensor).Q(seen)))
         # GTSAM puts the bearing first
         noise = gtsam.noiseModel.Diagonal.Sigmas(stds[::-1].copy())
         return gtsam.BearingRangeFactor2D(pose_key, landmark_key, gtsam.Rot2(seen[1]), seen[0], noise)
@@ -239,7 +239,7 @@ class ObservationFactor(gtsam.CustomFactor):
             by_pose = [[-c, -s, 0.0], [-p, -q, -1.0], [-p, -q, 0.0]]
             return e, (by_pose, [[c, s, 0.0], [p, q, 0.0], [p, q, -1.0]])
 
-        noise = gtsam.noiseModel.Gaussian.Covariance((sensor or SensorModel()).Q(seen))
+        noise = gtsam.noiseModel.Gaussian.Covariance(_centred(sensor).Q(seen))
         super().__init__(noise, [pose_key, landmark_key], _callback((pose_key, landmark_key), residual))
 
 
@@ -310,6 +310,15 @@ def _callback(keys: Sequence[int], residual: Residual) -> Callable[..., Array]:
         return np.array(e)
 
     return callback
+
+
+def _centred(sensor: SensorModel | None) -> SensorModel:
+    sensor = sensor or SensorModel()
+    if not sensor.centred:
+        raise OptionError(
+            "these factors have the sensor at the robot's pose; a sensor with an offset is not theirs yet"
+        )
+    return sensor
 
 
 def _coordinates(pose: gtsam.Pose2) -> Pose:

@@ -29,7 +29,7 @@ def estimate_map(log: Log, poses: ArrayLike, sensor: SensorModel | None = None) 
     Args:
         log: whose sightings are placed.
         poses: the trajectory (T+1, 3), or anything with such an attribute ``poses`` (a `Solution`).
-        sensor: the noise model; default: the book's.
+        sensor: the noise model; default: the log's, else the book's.
 
     Returns:
         The map, with the covariance (sum of Omega)^-1 of each landmark given the trajectory.
@@ -39,7 +39,7 @@ def estimate_map(log: Log, poses: ArrayLike, sensor: SensorModel | None = None) 
 
     Source: the lectures, section 9.1.2.
     """
-    sensor = sensor or SensorModel()
+    sensor = sensor or log.sensor or SensorModel()
     trajectory = np.asarray(getattr(poses, "poses", poses), dtype=float)
     if trajectory.shape != (log.num_poses, 3):
         raise OptionError(f"poses must have shape ({log.num_poses}, 3) for this log, not {trajectory.shape}")

@@ -6,7 +6,7 @@ a landmark from different steps give an edge
     e = y_b - y_a  (heading wrapped),   Omega^-1 = C_a + C_b,   B_a = -[I, t_a; 0, 1],  B_b = [I, t_b; 0, 1],
 
 where t = (-l sin(theta + phi), l cos(theta + phi)) is what turning the pose does to y. Without psi the heading row is
-missing.
+missing. A sensor that sits at o on the robot adds R(theta) o to y, and R(theta) (-o_y, o_x) to t; C is the same.
 
 ``frame`` decides how Omega, which turns with the poses, is treated:
 
@@ -93,6 +93,9 @@ class VirtualMotionEdges:
         poses = state[self.nodes]
         direction = poses[:, 2] + self.sightings[:, 1]
         lever = self.sightings[:, :1] * np.column_stack([-np.sin(direction), np.cos(direction)])
+        if not self.sensor.centred:
+            arm = self.sensor.mount(poses)[:, :2] - poses[:, :2]
+            lever += np.column_stack([-arm[:, 1], arm[:, 0]])
         y = np.zeros((len(poses), 3))
         y[:, 0], y[:, 1] = poses[:, 0] + lever[:, 1], poses[:, 1] - lever[:, 0]
         if self.sightings.shape[1] == 3:
@@ -151,7 +154,7 @@ class VirtualMotionEdges:
         """See `EdgeFamily.positions`. Consecutive sightings of a landmark only."""
         a, b = self._consecutive()
         _, lever, _ = self.placed(state)
-        # the vector to the landmark is the lever turned back by a quarter
+        # the vector from the pose to the landmark is the lever turned back by a quarter
         towards = np.column_stack([lever[:, 1], -lever[:, 0]])
         covariance = self.sensor.landmark_covariance(state[self.nodes], self.sightings)[:, :2, :2]
         information = np.linalg.inv(covariance[a] + covariance[b])
@@ -181,9 +184,9 @@ class VirtualMotionEdges:
     def _prepared(self, state: Array, reference: Array) -> tuple[Array, Array, Array, Array]:
         """y (M, 3), lever (M, 2), gamma (M,) and C (M, 6) as `placed`, `turned_by` and `covariances` give them."""
         s = self.sensor
-        variances = (s.range_rate**2, s.bearing_std**2, s.orientation_std**2)
+        variances = (s.range_rate**2, s.bearing_std**2, s.orientation_std**2, s.range_std**2)
         mode = _WORLD if self.frame == "world" else _BODY if self.sightings.shape[1] == 3 else _BODY_WITHOUT_PSI
-        return _prepare(state, reference, self.nodes, self.sightings, variances, mode)
+        return _prepare(state, reference, self.nodes, self.sightings, variances, s.offset, mode)
 
     @cached_property
     def _by_node(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -201,15 +204,20 @@ _WORLD, _BODY, _BODY_WITHOUT_PSI = 0, 1, 2
 
 
 @njit(cache=True, error_model="numpy")
-def _prepare(state, reference, nodes, z, variances, mode):  # type: ignore[no-untyped-def]
+def _prepare(state, reference, nodes, z, variances, offset, mode):  # type: ignore[no-untyped-def]
     count, oriented = len(nodes), z.shape[1] == 3
     y, lever, gamma, C = np.zeros((count, 3)), np.empty((count, 2)), np.zeros(count), np.zeros((count, 6))
     for k in range(count):
         x, l = state[nodes[k]], z[k, 0]  # noqa: E741  # the slides' letter for the range
         direction = x[2] + z[k, 1]
         c, s = np.cos(direction), np.sin(direction)
-        lever[k, 0], lever[k, 1] = -l * s, l * c
-        y[k, 0], y[k, 1] = x[0] + l * c, x[1] + l * s
+        vx, vy = l * c, l * s
+        if offset[0] != 0 or offset[1] != 0:
+            ct, st = np.cos(x[2]), np.sin(x[2])
+            vx += ct * offset[0] - st * offset[1]
+            vy += st * offset[0] + ct * offset[1]
+        lever[k, 0], lever[k, 1] = -vy, vx
+        y[k, 0], y[k, 1] = x[0] + vx, x[1] + vy
         if oriented:
             y[k, 2] = direction - z[k, 2]
         if mode == _BODY:
@@ -222,7 +230,7 @@ def _prepare(state, reference, nodes, z, variances, mode):  # type: ignore[no-un
             if before != x[2]:
                 c, s = np.cos(before + z[k, 1]), np.sin(before + z[k, 1])
         # R Q R' with R = [[c, -l s, 0], [s, l c, 0], [0, 1, -1]]
-        along, across = variances[0] * l * l, variances[1] * l * l
+        along, across = variances[0] * l * l + variances[3], variances[1] * l * l
         C[k, 0] = along * c * c + across * s * s
         C[k, 1] = (along - across) * c * s
         C[k, 2] = along * s * s + across * c * c
