@@ -83,12 +83,15 @@ def simulate(
             "phantom": phantom, "oversight": oversight, "occlusion": occlusion,
         })  # fmt: skip
         check_faults(wheels | camera)
-        noise = (nn, no, on, oo, range_rate, bearing_std, orientation_std)
-        if not clean and any(value is not None for value in noise):
+        noise: dict[str, Any] = {
+            "nn": nn, "no": no, "on": on, "oo": oo, "range_rate": range_rate, "bearing_std": bearing_std,
+            "orientation_std": orientation_std,
+        }  # fmt: skip
+        if not clean and given(noise):
             raise graphslam.OptionError(
                 "the noise models drive only --clean simulations; add it, or set faults instead"
             )
-        motion, sensor = models(*noise)
+        motion, sensor = models(None, **noise)
         changes = given({
             "steps": steps, "dt": dt, "speed": speed, "turn_rate": turn_rate, "arena": arena, "min_range": min_range,
             "max_range": max_range, "field_of_view": field_of_view,

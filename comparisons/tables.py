@@ -79,6 +79,8 @@ def comparison_remarks(comparison: Comparison) -> list[str]:
         remarks.append(f"graph and gtsam differ by at most {difference:.1e} in any x, y [m] or heading [rad].")
     if comparison.log.true_poses is None:
         remarks.append("The log has no true poses, so no error can be measured.")
+    elif (covered := int(comparison.log.covered.sum())) < comparison.log.num_poses:
+        remarks.append(f"Errors are those of the {covered} of {comparison.log.num_poses} poses that the truth covers.")
     remarks += [f"{entry.name} left out: {entry.reason}." for entry in comparison.skipped]
     remarks += [f"{result.name} did not converge: {result.reason}." for result in comparison.results
                 if result.converged is False]  # fmt: skip

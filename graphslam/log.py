@@ -253,7 +253,14 @@ class Log:
         return self.at_steps(np.unique(self.steps))
 
     def replace(self, **changes: Any) -> Log:
-        """The same log with some arguments exchanged."""
+        """The same log with some arguments exchanged.
+
+        Other controls bring their own ``control_starts`` and ``control_variances``, unless there are as many as before.
+        """
+        if "controls" in changes and (
+            changes["controls"] is None or self.controls is None or len(changes["controls"]) != len(self.controls)
+        ):
+            changes = {"control_starts": None, "control_variances": None} | changes
         return replace(self, **changes)
 
     def equals(self, other: Log) -> bool:

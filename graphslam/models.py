@@ -39,9 +39,10 @@ class MotionModel:
 
     The noise of the control is Gaussian; ``nn`` says how much noise in nu comes per metre of forward motion, ``no`` in
     nu per radian turned, ``on`` in omega per metre and ``oo`` in omega per radian (standard deviations per square
-    root of the metre or radian). ``sigma_v`` and ``sigma_omega`` are noise that comes with time, moving or not:
-    standard deviations of the way [m] and the turn [rad] of one second, growing with the square root of the time, so
-    that the sum over a motion does not depend on how finely it was recorded; `constant` has only these.
+    root of the metre or radian). ``sigma_v`` [m/s] and ``sigma_omega`` [rad/s] are standard deviations that every
+    control has, moving or not, whatever its size and duration; `constant` has only these. The errors of controls are
+    independent of each other, so with ``sigma_v`` and ``sigma_omega`` k controls of dt seconds make a variance of k
+    (sigma dt)²: they belong to the rate at which controls are recorded. (The other four do not depend on it.)
     ``epsilon`` [m², rad²] is added to the diagonal of the pose covariance, because A M A' has only rank 2.
 
     Raises:
@@ -64,18 +65,9 @@ class MotionModel:
                 check_positive(**{option: getattr(self, option)})
 
     @classmethod
-    def constant(cls, sigma_v: float, sigma_omega: float, *, period: float = 1.0, epsilon: float = 1e-4) -> MotionModel:
-        """The model of noise that does not depend on the control: nn = no = on = oo = 0.
-
-        Args:
-            sigma_v, sigma_omega: standard deviations [m/s], [rad/s] of a control held for ``period`` seconds, each
-                period's independent of the others': M = diag(sigma_v², sigma_omega²) period / dt.
-            period: [s]; the step time of data that publish the noise of each step's control.
-            epsilon: [m², rad²].
-        """
-        check_positive(period=period)
-        root = float(np.sqrt(period))
-        return cls(0.0, 0.0, 0.0, 0.0, epsilon, sigma_v * root, sigma_omega * root)
+    def constant(cls, sigma_v: float, sigma_omega: float, *, epsilon: float = 1e-4) -> MotionModel:
+        """The model with noise of one size, M = diag(sigma_v², sigma_omega²) [m/s, rad/s]: nn = no = on = oo = 0."""
+        return cls(0.0, 0.0, 0.0, 0.0, epsilon, sigma_v, sigma_omega)
 
     def f(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
         """The pose after the motion, f(x, u): the arc of length nu dt turning by omega dt; (..., 3).
@@ -120,13 +112,13 @@ class MotionModel:
     def M(self, control: ArrayLike, dt: ArrayLike) -> Array:
         """The covariance of the control noise; (..., 2, 2).
 
-        diag(nn² |nu|/dt + no² |omega|/dt + sigma_v²/dt, on² |nu|/dt + oo² |omega|/dt + sigma_omega²/dt).
+        diag(nn² |nu|/dt + no² |omega|/dt + sigma_v², on² |nu|/dt + oo² |omega|/dt + sigma_omega²).
         """
         control, dt = np.asarray(control, dtype=float), np.asarray(dt, dtype=float)
         nu, omega = np.abs(control[..., 0]), np.abs(control[..., 1])
         covariance = np.zeros((*np.broadcast_shapes(nu.shape, dt.shape), 2, 2))
-        covariance[..., 0, 0] = (self.nn**2 * nu + self.no**2 * omega + self.sigma_v**2) / dt
-        covariance[..., 1, 1] = (self.on**2 * nu + self.oo**2 * omega + self.sigma_omega**2) / dt
+        covariance[..., 0, 0] = (self.nn**2 * nu + self.no**2 * omega) / dt + self.sigma_v**2
+        covariance[..., 1, 1] = (self.on**2 * nu + self.oo**2 * omega) / dt + self.sigma_omega**2
         return covariance
 
     def covariance(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:

@@ -216,8 +216,8 @@ def motion_edge(x1: Array, x2: Array, u: Array, dt: float, motion: MotionModel) 
     )
     M = np.diag(
         [
-            (motion.nn**2 * abs(nu) + motion.no**2 * abs(omega) + motion.sigma_v**2) / dt,
-            (motion.on**2 * abs(nu) + motion.oo**2 * abs(omega) + motion.sigma_omega**2) / dt,
+            (motion.nn**2 * abs(nu) + motion.no**2 * abs(omega)) / dt + motion.sigma_v**2,
+            (motion.on**2 * abs(nu) + motion.oo**2 * abs(omega)) / dt + motion.sigma_omega**2,
         ]
     )
     F = np.array([[1, 0, nu / omega * (ct - c)], [0, 1, nu / omega * (st - s)], [0, 0, 1]])

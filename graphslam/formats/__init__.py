@@ -62,7 +62,9 @@ def _guessed(path: Path) -> Format:
             return candidate
     if path.is_dir():
         raise FormatError(
-            path, None, "not the folder of a known data set; slam-compare datasets tells how they must look"
+            path,
+            None,
+            "this is a folder, and not that of a known data set; slam-compare datasets tells how they must look",
         )
     raise FormatError(
         path,

@@ -127,8 +127,10 @@ def _noise(path: Path) -> tuple[MotionModel | None, SensorModel | None]:
         if found is None:
             return None, None
         sigma[name] = float(found[1]) * (math.pi / 180 if found[2] else 1.0)
+    # two controls of half a step each, with independent errors, add up to the published error of one whole step
+    twice = math.sqrt(2)
     return (
-        MotionModel.constant(sigma["sigv"], sigma["sigomega"], period=STEP, epsilon=EPSILON),
+        MotionModel.constant(twice * sigma["sigv"], twice * sigma["sigomega"], epsilon=EPSILON),
         SensorModel(range_rate=0.0, range_std=sigma["sigr"], bearing_std=sigma["sigtheta"]),
     )
 

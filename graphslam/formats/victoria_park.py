@@ -43,7 +43,7 @@ START = (-67.6493, -41.7142, math.radians(35.5))
 GPS_GAP = 0.5
 
 #: not published: what wheel slip on grass and the extraction of trees leave, set by hand
-MOTION = MotionModel.constant(0.5, math.radians(2.0), epsilon=1e-6)
+MOTION = MotionModel.constant(2.0, math.radians(10.0), epsilon=1e-6)
 SENSOR = SensorModel(range_rate=0.0, range_std=0.5, bearing_std=math.radians(1.5), offset=LASER)
 
 
