@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .cli_backends import backends
+from .cli_datasets import datasets
 from .cli_options import (
     GRAPH,
     OUTPUT,
@@ -279,6 +280,9 @@ app.command(
         "slam-compare particles LOG --figure particles.png --json particles.json",
     )
 )(particles)
+
+
+app.command(epilog=examples("slam-compare datasets", "SLAM_DATA=~/data slam-compare datasets --json -"))(datasets)
 
 
 def main() -> None:
