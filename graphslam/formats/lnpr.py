@@ -175,12 +175,12 @@ def _write(log: Log, path: Path) -> None:
     pairs = np.column_stack([log.steps, log.landmarks])
     if log.true_poses is not None or log.true_landmarks is not None:
         cannot = "the truth"
+    elif log.composite:
+        cannot = "motions of several controls"
     elif log.dt is not None and len(log.dt) == 0:
         cannot = "a log with controls but without motions"
     elif log.dt is not None and np.any(log.dt != log.dt[0]):
         cannot = "steps of different length"
-    elif log.composite:
-        cannot = "motions of several controls"
     elif not log.identified:
         cannot = "sightings of landmarks without ids"
     elif log.motion is not None or log.sensor is not None:
