@@ -14,23 +14,33 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .cli_backends import backends
+from .cli_datasets import datasets
 from .cli_options import (
     GRAPH,
     OUTPUT,
     Association,
     BearingStd,
     Dimensions,
+    Epsilon,
     JsonFile,
+    KeepEvery,
     LogFile,
     LogFormat,
+    MaxRange,
     Nn,
     No,
     On,
     Oo,
     OrientationStd,
     RangeRate,
+    RangeStd,
     Resampling,
+    Robot,
     Seed,
+    SensorOffset,
+    SigmaOmega,
+    SigmaV,
+    Stride,
 )
 from .cli_parse import numbers
 from .cli_particles import particles
@@ -92,6 +102,10 @@ def run(
     resampling: Resampling = "systematic",
     association: Association = "known",
     format: LogFormat = None,
+    robot: Robot = None,
+    keep_every: KeepEvery = None,
+    stride: Stride = 1,
+    max_range: MaxRange = None,
     dimensions: Dimensions = None,
     edges: Annotated[
         str | None,
@@ -127,9 +141,14 @@ def run(
     no: No = None,
     on: On = None,
     oo: Oo = None,
+    sigma_v: SigmaV = None,
+    sigma_omega: SigmaOmega = None,
+    epsilon: Epsilon = None,
     range_rate: RangeRate = None,
+    range_std: RangeStd = None,
     bearing_std: BearingStd = None,
     orientation_std: OrientationStd = None,
+    sensor_offset: SensorOffset = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -147,12 +166,18 @@ def run(
 
         output = Output(json)
         check_can_make(RESULTS if out is None else out)
-        motion, sensor = models(nn, no, on, oo, range_rate, bearing_std, orientation_std)
+        data, source = read_log(
+            log, format, dimensions, robot=robot, keep_every=keep_every, stride=stride, max_range=max_range
+        )
+        motion, sensor = models(
+            data, nn=nn, no=no, on=on, oo=oo, sigma_v=sigma_v, sigma_omega=sigma_omega, epsilon=epsilon,
+            range_rate=range_rate, range_std=range_std, bearing_std=bearing_std, orientation_std=orientation_std,
+            sensor_offset=sensor_offset,
+        )  # fmt: skip
         options = RunOptions(
             edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, robust=robust, initialize=initialize,
             particles=particles, seed=seed, resampling=resampling, association=association, motion=motion, sensor=sensor,
         )  # fmt: skip
-        data, source = read_log(log, format, dimensions)
         names = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
         outcome = compare(data, names, options, source=source, progress=_progress(output))
         files = outcome.save(out)
@@ -189,6 +214,10 @@ def _progress(output: Output) -> Progress:
 def solvers(
     log: LogFile = None,
     format: LogFormat = None,
+    robot: Robot = None,
+    keep_every: KeepEvery = None,
+    stride: Stride = 1,
+    max_range: MaxRange = None,
     motion_weights: Annotated[
         str, typer.Option(metavar="LAMBDA,...", help="Factors on the motion edges to try.")
     ] = "1,10",
@@ -206,9 +235,14 @@ def solvers(
     no: No = None,
     on: On = None,
     oo: Oo = None,
+    sigma_v: SigmaV = None,
+    sigma_omega: SigmaOmega = None,
+    epsilon: Epsilon = None,
     range_rate: RangeRate = None,
+    range_std: RangeStd = None,
     bearing_std: BearingStd = None,
     orientation_std: OrientationStd = None,
+    sensor_offset: SensorOffset = None,
     json: JsonFile = None,
 ) -> None:
     """Check the hand-written solver against GTSAM on every graph that a log allows; exit status 1 if they differ."""
@@ -219,10 +253,14 @@ def solvers(
         from .tables import solvers_remarks, solvers_table, variant_line
 
         output = Output(json)
-        motion, sensor = models(nn, no, on, oo, range_rate, bearing_std, orientation_std)
         weights = numbers("--motion-weights", motion_weights)
         kinds = EDGES if edges is None else tuple(kind.strip() for kind in edges.split(","))
-        data, _ = read_log(log, format)
+        data, _ = read_log(log, format, robot=robot, keep_every=keep_every, stride=stride, max_range=max_range)
+        motion, sensor = models(
+            data, nn=nn, no=no, on=on, oo=oo, sigma_v=sigma_v, sigma_omega=sigma_omega, epsilon=epsilon,
+            range_rate=range_rate, range_std=range_std, bearing_std=bearing_std, orientation_std=orientation_std,
+            sensor_offset=sensor_offset,
+        )  # fmt: skip
         outcome = compare_solvers(
             data, motion=motion, sensor=sensor, motion_weights=weights, edges=kinds,
             kernels=tuple(name.strip() for name in kernels.split(",")),
@@ -258,6 +296,9 @@ app.command(
         "slam-compare particles LOG --figure particles.png --json particles.json",
     )
 )(particles)
+
+
+app.command(epilog=examples("slam-compare datasets", "SLAM_DATA=~/data slam-compare datasets --json -"))(datasets)
 
 
 def main() -> None:

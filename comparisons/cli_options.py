@@ -15,10 +15,27 @@ GRAPH, NOISE, OUTPUT = "Graph", "Noise models", "Output"
 
 LogFile = Annotated[
     Path | None,
-    typer.Argument(metavar="LOG", help="The log to work on.", show_default="the sample log of the package"),
-]
+    typer.Argument(
+        metavar="LOG", help="The log to work on: a file, or the folder of a data set.",
+        show_default="the sample log of the package",
+    ),
+]  # fmt: skip
 LogFormat = Annotated[
-    str | None, typer.Option("--format", help="Format of the log: npz, lnpr, ...", show_default="by its content")
+    str | None,
+    typer.Option("--format", help="Format of the log: npz, lnpr, mrclam, huang, ...", show_default="by its content"),
+]
+Robot = Annotated[
+    int | None, typer.Option(help="Which robot of a data set that has several.", min=0, show_default=False)
+]
+KeepEvery = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS", help="Keep a pose at least so often, seen or not.", show_default="where something was seen"
+    ),
+]
+Stride = Annotated[int, typer.Option(help="Keep only every so manieth pose, and what was seen from it.", min=1)]
+MaxRange = Annotated[
+    float | None, typer.Option(metavar="M", help="Leave out what was seen from farther [m].", show_default=False)
 ]
 Dimensions = Annotated[
     int | None,
@@ -55,6 +72,18 @@ Nn = Annotated[float | None, _noise("nn", "0.19", "Noise in nu per metre [m/√m
 No = Annotated[float | None, _noise("no", "0.001", "Noise in nu per radian [m/√rad].")]
 On = Annotated[float | None, _noise("on", "0.13", "Noise in omega per metre [rad/√m].")]
 Oo = Annotated[float | None, _noise("oo", "0.2", "Noise in omega per radian [rad/√rad].")]
+SigmaV = Annotated[
+    float | None, _noise("sigma-v", "0", "Noise in nu of every control [m/s]; alone it replaces the four above.")
+]
+SigmaOmega = Annotated[float | None, _noise("sigma-omega", "0", "Noise in omega of every control [rad/s]; likewise.")]
+Epsilon = Annotated[float | None, _noise("epsilon", "1e-4", "Added to the variances of every motion [m², rad²].")]
+RangeStd = Annotated[float | None, _noise("range-std", "0", "Noise of the range [m]; alone it replaces --range-rate.")]
+SensorOffset = Annotated[
+    str | None,
+    typer.Option(
+        metavar="AHEAD,LEFT", help="Where the sensor sits on the robot [m].", show_default="0,0", rich_help_panel=NOISE
+    ),
+]
 RangeRate = Annotated[float | None, _noise("range-rate", "0.14", "Noise of the range, per metre of it.")]
 BearingStd = Annotated[float | None, _noise("bearing-std", "0.05", "Noise of the bearing [rad].")]
 OrientationStd = Annotated[float | None, _noise("orientation-std", "0.05", "Noise of psi [rad].")]

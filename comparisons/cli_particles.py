@@ -11,16 +11,25 @@ from .cli_options import (
     OUTPUT,
     Association,
     BearingStd,
+    Epsilon,
     JsonFile,
+    KeepEvery,
     LogFile,
     LogFormat,
+    MaxRange,
     Nn,
     No,
     On,
     Oo,
     OrientationStd,
     RangeRate,
+    RangeStd,
     Resampling,
+    Robot,
+    SensorOffset,
+    SigmaOmega,
+    SigmaV,
+    Stride,
 )
 from .cli_parse import numbers
 from .cli_support import Output, models, read_log, sentences
@@ -29,6 +38,10 @@ from .cli_support import Output, models, read_log, sentences
 def particles(
     log: LogFile = None,
     format: LogFormat = None,
+    robot: Robot = None,
+    keep_every: KeepEvery = None,
+    stride: Stride = 1,
+    max_range: MaxRange = None,
     filters: Annotated[
         str, typer.Option(metavar="NAME,...", help="Which to run: mcl, fastslam1, fastslam2.")
     ] = "fastslam1,fastslam2",
@@ -42,9 +55,14 @@ def particles(
     no: No = None,
     on: On = None,
     oo: Oo = None,
+    sigma_v: SigmaV = None,
+    sigma_omega: SigmaOmega = None,
+    epsilon: Epsilon = None,
     range_rate: RangeRate = None,
+    range_std: RangeStd = None,
     bearing_std: BearingStd = None,
     orientation_std: OrientationStd = None,
+    sensor_offset: SensorOffset = None,
     figure: Annotated[
         Path | None, typer.Option(help="Also draw medians and quartiles (.png, .pdf, .svg).", rich_help_panel=OUTPUT)
     ] = None,
@@ -65,8 +83,12 @@ def particles(
         counts = numbers("--particles", particles)
         if any(count != int(count) for count in counts):
             raise OptionError(f"--particles takes whole numbers, not {particles!r}")
-        motion, sensor = models(nn, no, on, oo, range_rate, bearing_std, orientation_std)
-        data, _ = read_log(log, format)
+        data, _ = read_log(log, format, robot=robot, keep_every=keep_every, stride=stride, max_range=max_range)
+        motion, sensor = models(
+            data, nn=nn, no=no, on=on, oo=oo, sigma_v=sigma_v, sigma_omega=sigma_omega, epsilon=epsilon,
+            range_rate=range_rate, range_std=range_std, bearing_std=bearing_std, orientation_std=orientation_std,
+            sensor_offset=sensor_offset,
+        )  # fmt: skip
         outcome = study(
             data, filters=[name.strip() for name in filters.split(",") if name.strip()],
             particles=[int(count) for count in counts], seeds=seeds, motion=motion, sensor=sensor,

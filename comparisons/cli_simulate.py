@@ -7,7 +7,23 @@ from typing import Annotated, Any
 
 import typer
 
-from .cli_options import BearingStd, JsonFile, Nn, No, On, Oo, OrientationStd, RangeRate, Seed, plain
+from .cli_options import (
+    BearingStd,
+    Epsilon,
+    JsonFile,
+    Nn,
+    No,
+    On,
+    Oo,
+    OrientationStd,
+    RangeRate,
+    RangeStd,
+    Seed,
+    SensorOffset,
+    SigmaOmega,
+    SigmaV,
+    plain,
+)
 from .cli_parse import check_faults, check_finite, numbers, places, points
 from .cli_support import Output, given, models, sentences
 
@@ -55,7 +71,9 @@ def simulate(
     oversight: Annotated[float | None, _option("Probability of not seeing.", EYES, "0.1")] = None,
     occlusion: Annotated[float | None, _option("Probability of a range too long.", EYES, "0")] = None,
     nn: Nn = None, no: No = None, on: On = None, oo: Oo = None,
-    range_rate: RangeRate = None, bearing_std: BearingStd = None, orientation_std: OrientationStd = None,
+    sigma_v: SigmaV = None, sigma_omega: SigmaOmega = None, epsilon: Epsilon = None,
+    range_rate: RangeRate = None, range_std: RangeStd = None, bearing_std: BearingStd = None,
+    orientation_std: OrientationStd = None, sensor_offset: SensorOffset = None,
     json: JsonFile = None,
 ) -> None:  # fmt: skip
     """Write a simulated log with its truth.
@@ -83,12 +101,16 @@ def simulate(
             "phantom": phantom, "oversight": oversight, "occlusion": occlusion,
         })  # fmt: skip
         check_faults(wheels | camera)
-        noise = (nn, no, on, oo, range_rate, bearing_std, orientation_std)
-        if not clean and any(value is not None for value in noise):
+        noise: dict[str, Any] = {
+            "nn": nn, "no": no, "on": on, "oo": oo, "sigma_v": sigma_v, "sigma_omega": sigma_omega, "epsilon": epsilon,
+            "range_rate": range_rate, "range_std": range_std, "bearing_std": bearing_std,
+            "orientation_std": orientation_std,
+        }  # fmt: skip
+        if not clean and (given(noise) or sensor_offset is not None):
             raise graphslam.OptionError(
                 "the noise models drive only --clean simulations; add it, or set faults instead"
             )
-        motion, sensor = models(*noise)
+        motion, sensor = models(None, sensor_offset=sensor_offset, **noise)
         changes = given({
             "steps": steps, "dt": dt, "speed": speed, "turn_rate": turn_rate, "arena": arena, "min_range": min_range,
             "max_range": max_range, "field_of_view": field_of_view,

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,41 +78,76 @@ class Output:
             self._errors.print(sentence, style="dim", markup=False)
 
 
-def read_log(path: Path | None, format: str | None, dimensions: int | None = None) -> tuple[Log, Path]:
-    """The log and the file it came from: the sample log where no path is given.
+def read_log(
+    path: Path | None,
+    format: str | None,
+    dimensions: int | None = None,
+    *,
+    robot: int | None = None,
+    keep_every: float | None = None,
+    stride: int = 1,
+    max_range: float | None = None,
+) -> tuple[Log, Path]:
+    """The log and the file or folder it came from: the sample log where no path is given.
 
     Raises:
         FormatError: the file is not a log.
         LogError: 3-D sensor values are asked for, and the log has none.
+        OptionError: an option is not for this log.
     """
+    import numpy as np
+
     from graphslam import LogError, load, sample_log_path
+    from graphslam.errors import check_positive
 
     source = sample_log_path() if path is None else path
-    log = load(source, format=format)
+    with warnings.catch_warnings():
+        # what a reader warns of is among the notes of the log, too, which are shown
+        warnings.simplefilter("ignore", UserWarning)
+        log = load(source, format=format, robot=robot, keep_every=keep_every)
     if dimensions == 3 and not log.has_orientation:
         raise LogError(f"{source}: the sightings have no psi, but 3-D sensor values were asked for; use --dimensions 2")
+    if stride > 1:
+        log = log.at_steps(np.arange(0, log.num_poses, stride))
+    if max_range is not None:
+        check_positive(max_range=max_range)
+        log = log.nearer_than(max_range)
     return (log.without_orientation() if dimensions == 2 else log), source
 
 
 def models(
-    nn: float | None,
-    no: float | None,
-    on: float | None,
-    oo: float | None,
-    range_rate: float | None,
-    bearing_std: float | None,
-    orientation_std: float | None,
+    log: Log | None,
+    *,
+    sensor_offset: str | None = None,
+    **noise: float | None,
 ) -> tuple[MotionModel, SensorModel]:
-    """The noise models, the library's defaults where an option is None.
+    """The noise models: the log's own, or else the book's, with what the options (named like the fields) say.
+
+    ``sigma_v`` and ``sigma_omega`` without any of the book's four replace those; so does ``range_std`` ``range_rate``.
 
     Raises:
         OptionError: a noise is impossible.
     """
     from graphslam import MotionModel, SensorModel
 
-    motion = {"nn": nn, "no": no, "on": on, "oo": oo}
-    sensor = {"range_rate": range_rate, "bearing_std": bearing_std, "orientation_std": orientation_std}
-    return MotionModel(**given(motion)), SensorModel(**given(sensor))
+    from .cli_parse import numbers
+
+    said = given(noise)
+    book, timed = ("nn", "no", "on", "oo"), ("sigma_v", "sigma_omega")
+    if any(name in said for name in timed) and not any(name in said for name in book):
+        said |= dict.fromkeys(book, 0.0)
+    elif any(name in said for name in book) and not any(name in said for name in timed):
+        said |= dict.fromkeys(timed, 0.0)
+    if "range_std" in said:
+        said.setdefault("range_rate", 0.0)
+    elif "range_rate" in said:
+        said["range_std"] = 0.0
+    of_motion = {name: said.pop(name) for name in (*book, *timed, "epsilon") if name in said}
+    of_log = (None, None) if log is None else (log.motion, log.sensor)
+    motion = replace(of_log[0] or MotionModel(), **of_motion)
+    if sensor_offset is not None:
+        said["offset"] = numbers("--sensor-offset", sensor_offset, count=2)
+    return motion, replace(of_log[1] or SensorModel(), **said)
 
 
 def given(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -37,7 +37,7 @@ class RunOptions:
         seed: of the particle filters' random numbers.
         resampling: of the particle filters: systematic, stratified, residual or multinomial.
         association: of FastSLAM: known, or maximum-likelihood, which ignores the ids.
-        motion, sensor: the noise models of all estimators.
+        motion, sensor: the noise models of all estimators; None for those of the log, else the book's.
 
     Raises:
         OptionError: a value is impossible.
@@ -53,8 +53,8 @@ class RunOptions:
     seed: int = 0
     resampling: str = "systematic"
     association: str = "known"
-    motion: MotionModel = field(default_factory=MotionModel)
-    sensor: SensorModel = field(default_factory=SensorModel)
+    motion: MotionModel | None = None
+    sensor: SensorModel | None = None
 
     def __post_init__(self) -> None:
         if self.edges is not None:

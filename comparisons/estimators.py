@@ -71,7 +71,7 @@ def dead_reckoning(log: Log, options: RunOptions) -> EstimatorResult:
     if log.controls is None or log.dt is None:
         poses, notes = log.initial_poses, ("the log has no controls: these are its own initial poses",)
     else:
-        poses = options.motion.dead_reckoning(log.initial_poses[0], log.controls, log.dt)
+        poses = log.dead_reckoning(options.motion)
     seconds = time.perf_counter() - begin
     return _with_map("dead-reckoning", log, options.sensor, poses, seconds=seconds, notes=notes)
 
@@ -221,7 +221,7 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
 
 
 def _with_map(
-    name: str, log: Log, sensor: SensorModel, poses: Array, *, estimated: np.ndarray | None = None, **rest: Any
+    name: str, log: Log, sensor: SensorModel | None, poses: Array, *, estimated: np.ndarray | None = None, **rest: Any
 ) -> EstimatorResult:
     """A result whose map is put where the poses see it, the same way for every estimator that has none of its own."""
     poses = np.array(poses, dtype=float)
@@ -273,16 +273,6 @@ def _head(log: Log) -> Log | None:
     """The log up to the first landmark seen again, or None where none is."""
     first_of = np.unique(log.landmarks, return_index=True, return_inverse=True)
     again = np.flatnonzero(log.steps > log.steps[first_of[1][first_of[2]]]) if len(log.steps) else np.empty(0, int)
-    if len(again) == 0 or log.controls is None or log.dt is None:
+    if len(again) == 0 or log.controls is None:
         return None
-    count = int(log.steps[again[0]]) + 1
-    seen = log.steps < count
-    return log.replace(
-        dt=log.dt[: count - 1],
-        controls=log.controls[: count - 1],
-        steps=log.steps[seen],
-        landmarks=log.landmarks[seen],
-        sightings=log.sightings[seen],
-        initial_poses=log.initial_poses[:count],
-        true_poses=None,
-    )
+    return log.at_steps(np.arange(int(log.steps[again[0]]) + 1)).replace(true_poses=None)

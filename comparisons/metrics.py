@@ -5,6 +5,8 @@ estimate best onto the truth. The definitions are those of Sturm et al., *A benc
 systems* (IROS 2012), in the plane, and the figures are those of the tool ``evo`` (APE of the translation part after
 alignment without scale, RPE between neighbours). One difference: evo aligns in space, where turning the plane over is
 a rotation, so for an estimate closer to the truth's mirror image it reports the mirror image's error; we never mirror.
+
+Where the truth is NaN (see `graphslam.Log`) a step counts in no figure, and where only its heading is, in no RPE.
 """
 
 from __future__ import annotations
@@ -27,12 +29,14 @@ class Metrics:
         ate_m: absolute trajectory error [m], see `ate`.
         rpe_m, rpe_rad: relative pose error per step [m], [rad], see `rpe`.
         landmark_rmse_m: error of the map [m], see `landmark_rmse`.
+        poses_counted: how many poses the figures are of: estimated, and covered by the truth.
     """
 
     ate_m: float | None = None
     rpe_m: float | None = None
     rpe_rad: float | None = None
     landmark_rmse_m: float | None = None
+    poses_counted: int | None = None
 
 
 def align(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) -> Array:
@@ -102,6 +106,7 @@ def rpe(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) ->
         OptionError: the shapes differ, or no step counts.
     """
     truth, estimate, mask = _checked(truth, estimate, mask, columns=3)
+    mask = mask & np.isfinite(truth[:, 2])
     pairs = mask[:-1] & mask[1:]
     if not pairs.any():
         return None
@@ -140,7 +145,7 @@ def evaluate(
     """
     if true_poses is None:
         return Metrics()
-    counted = np.ones(len(poses), dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+    counted = np.isfinite(true_poses[:, 0]) & (True if mask is None else np.asarray(mask, dtype=bool))
     if np.count_nonzero(counted) < 2:
         return Metrics()
     per_step = rpe(true_poses, poses, counted)
@@ -150,6 +155,7 @@ def evaluate(
         rpe_m=None if per_step is None else per_step[0],
         rpe_rad=None if per_step is None else per_step[1],
         landmark_rmse_m=None if true_landmarks is None else landmark_rmse(true_landmarks, landmarks, alignment),
+        poses_counted=int(np.count_nonzero(counted)),
     )
 
 
@@ -169,6 +175,7 @@ def _checked(
     counted = np.ones(len(truth), dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
     if counted.shape != truth.shape[:1]:
         raise OptionError(f"mask must have one entry per step, shape ({len(truth)},), not {counted.shape}")
+    counted = counted & np.isfinite(truth[:, :2]).all(axis=1)
     if not counted.any():
         raise OptionError("no step counts, so there is nothing to compare")
     return truth, estimate, counted

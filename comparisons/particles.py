@@ -204,7 +204,7 @@ def _run(log: Log, name: str, particles: int, seed: int, options: dict[str, Any]
         particles=particles,
         seed=seed,
         ate_m=metrics.ate_m,
-        mean_ate_m=None if log.true_poses is None else ate(log.true_poses, result.mean_poses),
+        mean_ate_m=None if metrics.ate_m is None or log.true_poses is None else ate(log.true_poses, result.mean_poses),
         landmark_rmse_m=map_error,
         ess_share=float(np.mean(result.ess[seen]) / particles) if len(seen) else 1.0,
         ancestors=int(result.ancestors[len(result.ancestors) // 2]),

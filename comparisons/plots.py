@@ -126,7 +126,7 @@ def _draw_map(axes: Axes, comparison: Comparison) -> None:
     rest: list[Array] = []
     if truth is not None:
         axes.plot(truth[:, 0], truth[:, 1], **_TRUTH)
-        core.append(truth[:, :2])
+        core.append(truth[log.covered, :2])
         if log.true_landmarks:
             landmarks = np.array([m[:2] for m in log.true_landmarks.values()])
             axes.plot(landmarks[:, 0], landmarks[:, 1], **_true_landmark_style())
@@ -216,7 +216,9 @@ def _frame(comparison: Comparison, result: EstimatorResult) -> Array:
     if truth is None or not result.estimated.any():
         return np.zeros(3)
     if result.name == DRIFTING:
-        return compose(truth[0], inverse(result.poses[0]))
+        # without a true heading it leaves from where the log has it
+        known = np.flatnonzero(np.isfinite(truth).all(axis=1))
+        return compose(truth[known[0]], inverse(result.poses[known[0]])) if len(known) else np.zeros(3)
     return align(truth, result.poses, result.estimated)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from graphslam import GraphError, Log, OptionError, SlamError
+from graphslam import GraphError, Log, MotionModel, OptionError, SensorModel, SlamError
 from graphslam.se2 import wrap
 
 from .estimator import EstimatorResult, RunOptions
@@ -167,7 +167,7 @@ def compare(
         OptionError: there is no such estimator.
         SlamError: a named estimator, or ``graph``, cannot run on this log.
     """
-    options = options or RunOptions()
+    options = with_models(options or RunOptions(), log)
     names = tuple(ESTIMATORS) if estimators is None else _checked(estimators)
     if len(log.steps) == 0:
         raise GraphError(f"{log.name} has no sightings at all, so there is nothing to estimate from")
@@ -184,6 +184,15 @@ def compare(
         if progress is not None:
             progress(name, outcome)
     return Comparison(log, tuple(results), tuple(skipped), source)
+
+
+def with_models(options: RunOptions, log: Log) -> RunOptions:
+    """The options with the noise models that nobody gave: those of the log, else the book's."""
+    return replace(
+        options,
+        motion=options.motion or log.motion or MotionModel(),
+        sensor=options.sensor or log.sensor or SensorModel(),
+    )
 
 
 def _run_one(name: str, log: Log, options: RunOptions, *, must_run: bool) -> EstimatorResult | Skipped:
@@ -245,6 +254,8 @@ def describe(log: Log, source: Path | None = None) -> dict[str, Any]:
         "landmarks": len(log.landmark_ids),
         "dimensions": log.sightings.shape[1],
         "has_controls": log.controls is not None,
+        "controls": None if log.controls is None else len(log.controls),
+        "poses_covered": int(np.count_nonzero(log.covered)),
         "true_poses": log.true_poses,
         "true_landmarks": log.true_landmarks,
         "notes": list(log.notes),
@@ -263,6 +274,7 @@ def _result_json(result: EstimatorResult, metrics: Metrics) -> dict[str, Any]:
         "rpe_m": metrics.rpe_m,
         "rpe_rad": metrics.rpe_rad,
         "landmark_rmse_m": metrics.landmark_rmse_m,
+        "poses_counted": metrics.poses_counted,
         "poses": result.poses,
         "estimated": result.estimated,
         "landmarks": result.landmarks,
@@ -275,6 +287,6 @@ def _result_json(result: EstimatorResult, metrics: Metrics) -> dict[str, Any]:
 
 def _skipped_json(entry: Skipped) -> dict[str, Any]:
     unknown = ("converged", "iterations", "step_norms", "cost", "seconds", "ate_m", "rpe_m", "rpe_rad")
-    unknown_too = ("landmark_rmse_m", "poses", "estimated", "landmarks", "landmark_covariances")
+    unknown_too = ("landmark_rmse_m", "poses_counted", "poses", "estimated", "landmarks", "landmark_covariances")
     figures: dict[str, Any] = dict.fromkeys((*unknown, *unknown_too))
     return {"name": entry.name} | figures | {"options": {}, "reason": entry.reason, "notes": []}

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from .datasets import DATA_SETS, Survey
 from .run import Comparison
 from .solvers import SkippedVariant, SolverComparison, VariantResult
 
@@ -79,6 +81,8 @@ def comparison_remarks(comparison: Comparison) -> list[str]:
         remarks.append(f"graph and gtsam differ by at most {difference:.1e} in any x, y [m] or heading [rad].")
     if comparison.log.true_poses is None:
         remarks.append("The log has no true poses, so no error can be measured.")
+    elif (covered := int(comparison.log.covered.sum())) < comparison.log.num_poses:
+        remarks.append(f"Errors are those of the {covered} of {comparison.log.num_poses} poses that the truth covers.")
     remarks += [f"{entry.name} left out: {entry.reason}." for entry in comparison.skipped]
     remarks += [f"{result.name} did not converge: {result.reason}." for result in comparison.results
                 if result.converged is False]  # fmt: skip
@@ -146,4 +150,52 @@ def particles_table(outcome: ParticleStudy) -> Table:
             number(row["ancestors"], 0),
             seconds(row["seconds"]),
         )
+    return table
+
+
+def datasets_remarks(outcome: Survey) -> list[str]:
+    """What the known data sets are, a few lines each."""
+    lines = []
+    for known in DATA_SETS:
+        count = len(outcome.found[known.name])
+        lines += [
+            f"{known.name}: {known.title}",
+            f"  published: {known.source}",
+            f"  terms:     {known.terms}",
+            f"  layout:    {known.layout}",
+            f"  at hand:   {count if count else 'no'}",
+        ]
+    where = "" if outcome.folder.is_dir() else " (there is no such folder: name another with SLAM_DATA or --folder)"
+    return [*lines, f"Looked below {outcome.folder}{where}.", ""]
+
+
+def datasets_table(outcome: Survey) -> Table:
+    """What is at hand, a row per log or pose graph."""
+    table = lean_table("At hand")
+    table.add_column("data set", no_wrap=True)
+    table.add_column("file or folder")
+    headings = (
+        "robot",
+        "poses",
+        "sightings,\nedges",
+        "land-\nmarks",
+        "controls",
+        "time\n[s]",
+        "truth\ncovers",
+        "reads",
+    )
+    for heading in headings:
+        table.add_column(Text(heading), justify="right", no_wrap=True)
+    for name, entries in outcome.found.items():
+        for entry in entries:
+            robot = NOTHING if entry.robot is None else str(entry.robot)
+            place = os.path.relpath(entry.path, outcome.folder)
+            if entry.error is not None:
+                table.add_row(name, Text(place), robot, *[NOTHING] * 6, yes_no(False))
+                continue
+            covered = NOTHING if entry.poses_covered is None else f"{100 * entry.poses_covered / entry.poses:.0f} %"
+            table.add_row(
+                name, Text(place), robot, str(entry.poses), str(entry.sightings), str(entry.landmarks),
+                NOTHING if entry.controls is None else str(entry.controls), number(entry.seconds, 1), covered, yes_no(True),
+            )  # fmt: skip
     return table

@@ -6,8 +6,6 @@ Sources: Montemerlo, Thrun, Koller and Wegbreit, *FastSLAM 2.0*, IJCAI 2003; *Pr
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from graphslam.se2 import Array
@@ -16,7 +14,7 @@ from . import proposal_kernels
 from .association import AnonymousLandmarks
 from .crew import Job
 from .landmark_columns import LandmarkColumns
-from .particle_filter import Motion
+from .particle_filter import Leap, Motion
 from .slam_filter import FastSLAM
 
 
@@ -72,15 +70,21 @@ class FastSLAM2(FastSLAM):
             return super()._weigh_anonymous(landmarks, sightings, q)
         log_likelihood = np.zeros(self.particles)
         belief, poses = np.empty((9, self.particles)), np.empty_like(self._poses)
-        self._crew.run(proposal_kernels.predict, *self._prediction(self._motion, belief))
+        predict, arguments = self._prediction(self._motion, belief)
+        self._crew.run(predict, *arguments)
         landmarks.scan(belief, poses, False, self._motion.key, sightings, q, log_likelihood)
         self._set_poses(poses)
         return log_likelihood
 
-    def _prediction(self, motion: Motion, belief: Array) -> tuple[Any, ...]:
-        """The arguments of `proposal_kernels.predict`."""
+    def _prediction(self, motion: Motion | Leap, belief: Array) -> Job:
+        """The prediction of the poses as Gaussians, as a job for the crew."""
+        if isinstance(motion, Leap):
+            covariance = tuple(motion.covariance[np.triu_indices(3)].tolist())
+            return proposal_kernels.predict_leap, (motion.poses, motion.mean, covariance, belief)
         variances = motion.nu_std**2, motion.omega_std**2
-        return motion.poses, motion.nu, motion.omega, *variances, motion.dt, self.motion.epsilon, belief
+        return proposal_kernels.predict, (
+            motion.poses, motion.nu, motion.omega, *variances, motion.dt, self.motion.epsilon, belief,
+        )  # fmt: skip
 
     def _bending(
         self, columns: LandmarkColumns, seen: list[tuple[int, Array, Array]], log_likelihood: Array
@@ -89,7 +93,7 @@ class FastSLAM2(FastSLAM):
         motion = self._motion
         assert motion is not None
         belief, poses = np.empty((9, self.particles)), np.empty_like(self._poses)
-        jobs: list[Job] = [(proposal_kernels.predict, self._prediction(motion, belief))]
+        jobs: list[Job] = [self._prediction(motion, belief)]
         for j, z, q in seen:
             jobs.append((proposal_kernels.correct, (belief, *columns.read(j), z, q, log_likelihood)))
         jobs.append((proposal_kernels.draw, (belief, motion.key, poses)))

@@ -70,6 +70,10 @@ class MonteCarloLocalization(ParticleFilter):
             if known.shape not in ((2,), (3,)) or not np.all(np.isfinite(known)):
                 raise OptionError(f"landmarks[{j}] must be finite, (x, y) or (x, y, heading), not {place!r}")
             self._landmarks[int(j)] = known
+        if log is not None and not log.identified:
+            raise OptionError(
+                f"{log.name} has sightings that do not tell their landmark, and localisation needs to know"
+            )
         if log is not None:
             self._check_sightings(log.landmark_ids, log.sightings.shape[1])
 

@@ -50,6 +50,32 @@ def move(
 
 
 @njit(**OPTIONS)
+def leap(
+    lo: int, hi: int, poses: Array, key: np.uint64, mean: tuple[float, ...], root: tuple[float, ...], moved: Array
+) -> None:
+    """x_t = x_{t-1} moved by N(mean, L L') in its own axes, L's lower triangle row by row; n_012 as in `noise`."""
+    dx, dy, turn = mean
+    l00, l10, l11, l20, l21, l22 = root
+    b = np.empty((6, BLOCK))
+    for start in range(lo, hi, BLOCK):
+        n = min(BLOCK, hi - start)
+        for k in range(3):
+            for i in range(n):
+                b[k, i] = poses[k, start + i]
+        for i in range(n):
+            n0, n1 = normal_pair(key, start + i, 0)
+            n2, _ = normal_pair(key, start + i, 1)
+            ahead, left = dx + l00 * n0, dy + l10 * n0 + l11 * n1
+            s, c = sincos(b[2, i])
+            b[3, i] = b[0, i] + c * ahead - s * left
+            b[4, i] = b[1, i] + s * ahead + c * left
+            b[5, i] = wrap_angle(b[2, i] + turn + l20 * n0 + l21 * n1 + l22 * n2)
+        for k in range(3):
+            for i in range(n):
+                moved[k, start + i] = b[3 + k, i]
+
+
+@njit(**OPTIONS)
 def pick(lo: int, hi: int, poses: Array, ancestors: np.ndarray, survivors: Array) -> None:
     """The poses (3, N) of the ancestors."""
     for k in range(3):

@@ -59,6 +59,31 @@ def predict(
 
 
 @njit(**OPTIONS)
+def predict_leap(
+    lo: int, hi: int, poses: Array, mean: tuple[float, ...], covariance: tuple[float, ...], belief: Array
+) -> None:
+    """The motion of `motion_kernels.leap` as a Gaussian; covariance: upper triangle, in the axes of x_{t-1}."""
+    dx, dy, turn = mean
+    p_aa, p_ac, p_at, p_cc, p_ct, p_tt = covariance
+    b = np.empty((12, BLOCK))
+    for start in range(lo, hi, BLOCK):
+        n = min(BLOCK, hi - start)
+        copy_in(b, 0, poses, start, n)
+        for i in range(n):
+            s, c = sincos(b[2, i])
+            b[3, i] = b[0, i] + c * dx - s * dy
+            b[4, i] = b[1, i] + s * dx + c * dy
+            b[5, i] = wrap_angle(b[2, i] + turn)
+            b[6, i] = c * c * p_aa - 2 * c * s * p_ac + s * s * p_cc
+            b[7, i] = c * s * (p_aa - p_cc) + (c * c - s * s) * p_ac
+            b[8, i] = c * p_at - s * p_ct
+            b[9, i] = s * s * p_aa + 2 * c * s * p_ac + c * c * p_cc
+            b[10, i] = s * p_at + c * p_ct
+            b[11, i] = p_tt
+        copy_out(b, 3, belief, start, n)
+
+
+@njit(**OPTIONS)
 def correct(
     lo: int, hi: int, belief: Array, slots: np.ndarray, source: Array, z: Array, q: Array, log_likelihood: Array
 ) -> None:

@@ -47,6 +47,10 @@ class FastSLAM(ParticleFilter):
         check_choice("association", association, ASSOCIATIONS)
         if not 0 < new_landmark_threshold < 1:
             raise OptionError(f"new_landmark_threshold must lie between 0 and 1, not {new_landmark_threshold!r}")
+        if association == "known" and log is not None and not log.identified:
+            raise OptionError(
+                f"{log.name} has sightings that do not tell their landmark: use association='maximum-likelihood'"
+            )
         self.association, self._new_landmark_threshold = association, new_landmark_threshold
         self._needs_ids = association == "known"
         self._columns: LandmarkColumns | None = None

@@ -289,9 +289,11 @@ def fastslam1(
     Raises:
         LogError: the log has no controls.
     """
-    motion, sensor = motion or MotionModel(), sensor or SensorModel()
+    motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
     if log.controls is None or log.dt is None:
         raise LogError(f"{log.name} has no controls, and a particle filter moves its particles by them")
+    if log.composite or not sensor.centred:
+        raise LogError(f"{log.name}: the lectures' filter takes one control a step, and a sensor at the robot's pose")
     current = start(particles, log.initial_poses[0])
     for t in range(log.num_poses):
         if t > 0:
@@ -317,9 +319,11 @@ def fastslam2(
     Raises:
         LogError: the log has no controls.
     """
-    motion, sensor = motion or MotionModel(), sensor or SensorModel()
+    motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
     if log.controls is None or log.dt is None:
         raise LogError(f"{log.name} has no controls, and a particle filter moves its particles by them")
+    if log.composite or not sensor.centred:
+        raise LogError(f"{log.name}: the lectures' filter takes one control a step, and a sensor at the robot's pose")
     current = start(particles, log.initial_poses[0])
     for t in range(log.num_poses):
         seen = log.steps == t

@@ -93,7 +93,7 @@ class Graph:
 
         Args:
             log: what the robot did and saw.
-            motion, sensor: the noise models; default: the book's.
+            motion, sensor: the noise models; default: those of the log, else the book's.
             edges: "virtual" (poses that saw nothing are left out), "virtual+motion", or "landmark+motion", in which
                 landmarks are nodes and every sighting is one edge.
             frame: "world" (the lectures: information re-evaluated at every step) or "body" (constant information).
@@ -116,10 +116,15 @@ class Graph:
         check_positive(motion_weight=motion_weight)
         kernel = kernel_of(kernel)
         log = _with_dimensions(log, dimensions)
-        motion, sensor = motion or MotionModel(), sensor or SensorModel()
+        motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
         with_motion = edges.endswith("+motion")
         if len(log.steps) == 0:
             raise GraphError(f"{log.name} has no sightings at all, so there is nothing to correct dead reckoning with")
+        if not log.identified:
+            raise GraphError(
+                f"{log.name} has sightings that do not tell their landmark, and a graph needs to know: use FastSLAM with "
+                "association='maximum-likelihood'"
+            )
         if with_motion and log.controls is None:
             raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")
 
@@ -154,7 +159,12 @@ class Graph:
         driven: list[EdgeFamily] = []
         if with_motion:
             assert log.controls is not None and log.dt is not None
-            driven = [motion_edges(steps, log.controls, log.dt, motion, frame=frame, weight=motion_weight)]
+            driven = [
+                motion_edges(
+                    steps, log.controls, log.dt, motion, starts=log.control_starts,
+                    control_variances=log.control_variances, frame=frame, weight=motion_weight,
+                )
+            ]  # fmt: skip
         common: dict[str, Any] = {
             "steps": steps,
             "pose_ids": steps,

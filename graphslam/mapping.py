@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import OptionError
-from .log import Log
+from .log import UNIDENTIFIED, Log
 from .models import SensorModel
 from .se2 import Array, wrap
 
@@ -27,9 +27,9 @@ def estimate_map(log: Log, poses: ArrayLike, sensor: SensorModel | None = None) 
     Headings are averaged as differences from the first sighting's, so that a landmark that faces along -pi is not torn.
 
     Args:
-        log: whose sightings are placed.
+        log: whose sightings are placed; those that do not tell their landmark are left out.
         poses: the trajectory (T+1, 3), or anything with such an attribute ``poses`` (a `Solution`).
-        sensor: the noise model; default: the book's.
+        sensor: the noise model; default: the log's, else the book's.
 
     Returns:
         The map, with the covariance (sum of Omega)^-1 of each landmark given the trajectory.
@@ -39,13 +39,14 @@ def estimate_map(log: Log, poses: ArrayLike, sensor: SensorModel | None = None) 
 
     Source: the lectures, section 9.1.2.
     """
-    sensor = sensor or SensorModel()
+    sensor = sensor or log.sensor or SensorModel()
     trajectory = np.asarray(getattr(poses, "poses", poses), dtype=float)
     if trajectory.shape != (log.num_poses, 3):
         raise OptionError(f"poses must have shape ({log.num_poses}, 3) for this log, not {trajectory.shape}")
-    if len(log.steps) == 0:
+    known = np.flatnonzero(log.landmarks != UNIDENTIFIED)
+    if len(known) == 0:
         return LandmarkMap({}, {})
-    order = np.argsort(log.landmarks, kind="stable")
+    order = known[np.argsort(log.landmarks[known], kind="stable")]
     ids, starts, count = np.unique(log.landmarks[order], return_index=True, return_counts=True)
     at, z = trajectory[log.steps[order]], log.sightings[order]
     y = sensor.h_inverse(at, z)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import check_positive
-from .se2 import Array, wrap
+from .errors import OptionError, check_positive
+from .se2 import Array, transform, wrap
 
 
 def sinc(a: ArrayLike) -> Array:
@@ -39,8 +39,11 @@ class MotionModel:
 
     The noise of the control is Gaussian; ``nn`` says how much noise in nu comes per metre of forward motion, ``no`` in
     nu per radian turned, ``on`` in omega per metre and ``oo`` in omega per radian (standard deviations per square
-    root of the metre or radian). ``epsilon`` [m², rad²] is added to the diagonal of the pose covariance, because
-    A M A' has only rank 2.
+    root of the metre or radian). ``sigma_v`` [m/s] and ``sigma_omega`` [rad/s] are standard deviations that every
+    control has, moving or not, whatever its size and duration; `constant` has only these. The errors of controls are
+    independent of each other, so with ``sigma_v`` and ``sigma_omega`` k controls of dt seconds make a variance of k
+    (sigma dt)²: they belong to the rate at which controls are recorded. (The other four do not depend on it.)
+    ``epsilon`` [m², rad²] is added to the diagonal of the pose covariance, because A M A' has only rank 2.
 
     Raises:
         OptionError: a noise parameter is negative, or epsilon is not positive.
@@ -51,13 +54,20 @@ class MotionModel:
     on: float = 0.13
     oo: float = 0.2
     epsilon: float = 1e-4
+    sigma_v: float = 0.0
+    sigma_omega: float = 0.0
 
     def __post_init__(self) -> None:
-        # zero is an honest value for one of the four (no such noise), not for epsilon
+        # zero is an honest value for each of the six (no such noise), not for epsilon
         check_positive(epsilon=self.epsilon)
-        for option in ("nn", "no", "on", "oo"):
+        for option in ("nn", "no", "on", "oo", "sigma_v", "sigma_omega"):
             if getattr(self, option) != 0:
                 check_positive(**{option: getattr(self, option)})
+
+    @classmethod
+    def constant(cls, sigma_v: float, sigma_omega: float, *, epsilon: float = 1e-4) -> MotionModel:
+        """The model with noise of one size, M = diag(sigma_v², sigma_omega²) [m/s, rad/s]: nn = no = on = oo = 0."""
+        return cls(0.0, 0.0, 0.0, 0.0, epsilon, sigma_v, sigma_omega)
 
     def f(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
         """The pose after the motion, f(x, u): the arc of length nu dt turning by omega dt; (..., 3).
@@ -100,18 +110,59 @@ class MotionModel:
         return jacobian
 
     def M(self, control: ArrayLike, dt: ArrayLike) -> Array:
-        """The covariance of the control noise, diag(nn² |nu|/dt + no² |omega|/dt, on² |nu|/dt + oo² |omega|/dt)."""
+        """The covariance of the control noise; (..., 2, 2).
+
+        diag(nn² |nu|/dt + no² |omega|/dt + sigma_v², on² |nu|/dt + oo² |omega|/dt + sigma_omega²).
+        """
         control, dt = np.asarray(control, dtype=float), np.asarray(dt, dtype=float)
         nu, omega = np.abs(control[..., 0]), np.abs(control[..., 1])
         covariance = np.zeros((*np.broadcast_shapes(nu.shape, dt.shape), 2, 2))
-        covariance[..., 0, 0] = (self.nn**2 * nu + self.no**2 * omega) / dt
-        covariance[..., 1, 1] = (self.on**2 * nu + self.oo**2 * omega) / dt
+        covariance[..., 0, 0] = (self.nn**2 * nu + self.no**2 * omega) / dt + self.sigma_v**2
+        covariance[..., 1, 1] = (self.on**2 * nu + self.oo**2 * omega) / dt + self.sigma_omega**2
         return covariance
 
     def covariance(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
         """The covariance of the pose after one motion from a known pose, A M A' + epsilon I; (..., 3, 3)."""
         A = self.A(pose, control, dt)
         return A @ self.M(control, dt) @ np.swapaxes(A, -1, -2) + self.epsilon * np.eye(3)
+
+    def accumulate(
+        self, controls: ArrayLike, dt: ArrayLike, starts: np.ndarray, control_variances: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Motions that are made of several controls each: where they lead from (0, 0, 0), and how surely.
+
+        The controls ``starts[t]`` to ``starts[t+1]`` - 1 follow one another in motion t. It leads to f(... f(f(0,
+        u_1), u_2) ..., u_k), and its covariance is propagated, P <- F P F' + A M A' from P = 0, to which epsilon I is
+        added once. (The product of all later F is one lever arm, so the propagation is a plain sum.)
+
+        Args:
+            controls: (S, 2) [m/s, rad/s].
+            dt: (S,) [s].
+            starts: (T+1,), increasing, from 0 to S.
+            control_variances: (S, 2) more noise of single controls [m²/s², rad²/s²], added to M; None for none.
+
+        Returns:
+            The motions (T, 3), turns not wrapped, and their covariances (T, 3, 3), in the frame that each starts from.
+        """
+        controls, dt = np.asarray(controls, dtype=float), np.asarray(dt, dtype=float)
+        first, count = starts[:-1], np.diff(starts)
+        before = np.zeros((len(controls), 3))
+        before[:, 2] = _sum_before(controls[:, 1] * dt, first, count)
+        # with the heading it has within its motion, each control starts from the origin: f is affine in (x, y)
+        steps = self.f(before, controls, dt) - before
+        motions = np.add.reduceat(steps, first, axis=0) if len(first) else np.zeros((0, 3))
+        A, M = self.A(before, controls, dt), self.M(controls, dt)
+        if control_variances is not None:
+            M[:, [0, 1], [0, 1]] += control_variances
+        left = np.repeat(motions[:, :2], count, axis=0) - steps[:, :2]
+        left -= np.column_stack([_sum_before(steps[:, k], first, count) for k in (0, 1)])
+        # rounding must not make the last control of a motion, which nothing follows, see a lever
+        left[starts[1:] - 1] = 0.0
+        A[:, 0, :] -= left[:, 1, None] * A[:, 2, :]
+        A[:, 1, :] += left[:, 0, None] * A[:, 2, :]
+        each = A @ M @ np.swapaxes(A, -1, -2)
+        covariances = np.add.reduceat(each, first, axis=0) if len(first) else np.zeros((0, 3, 3))
+        return motions, covariances + self.epsilon * np.eye(3)
 
     def dead_reckoning(self, start: ArrayLike, controls: ArrayLike, dt: ArrayLike) -> Array:
         """The poses x_t = f(x_{t-1}, u_t) from a start (3,), noise-free; controls (T, 2), dt (T,) -> (T+1, 3)."""
@@ -126,6 +177,12 @@ class MotionModel:
         return np.column_stack([position, heading])
 
 
+def _sum_before(values: Array, first: np.ndarray, count: np.ndarray) -> Array:
+    """Of each value the sum of those before it in its group; groups begin at ``first`` and have ``count`` members."""
+    total = np.concatenate([[0.0], np.cumsum(values)[:-1]]) if len(values) else values
+    return total - np.repeat(total[first], count)
+
+
 def _broadcast(pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> tuple[Array, Array, Array]:
     pose, control, dt = (np.asarray(v, dtype=float) for v in (pose, control, dt))
     shape = np.broadcast_shapes(pose.shape[:-1], control.shape[:-1], dt.shape)
@@ -137,22 +194,52 @@ class SensorModel:
     """A sensor that sees identified landmarks by range l [m], bearing phi [rad] and perhaps orientation psi [rad].
 
     psi tells which face of the landmark is seen: psi = theta + phi - (the landmark's own heading). Its noise is
-    Gaussian with standard deviations ``range_rate`` * l, ``bearing_std`` and ``orientation_std``.
+    Gaussian; the variance of the range is (``range_rate`` * l)² + ``range_std``², and the standard deviations of the
+    angles are ``bearing_std`` and ``orientation_std``. The sensor looks from s(x) = p + R(theta) o, where o =
+    ``offset`` = (ahead, to the left) [m] of the robot's pose; one number is the first of the two.
 
     Raises:
-        OptionError: a noise parameter is not positive.
+        OptionError: a noise parameter is not positive (one of the two of the range may be zero), or the offset is not
+            finite.
     """
 
     range_rate: float = 0.14
     bearing_std: float = 0.05
     orientation_std: float = 0.05
+    range_std: float = 0.0
+    offset: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        check_positive(range_rate=self.range_rate, bearing_std=self.bearing_std, orientation_std=self.orientation_std)
+        check_positive(bearing_std=self.bearing_std, orientation_std=self.orientation_std)
+        # either part of the range's noise may be absent, not both
+        if self.range_std == 0:
+            check_positive(range_rate=self.range_rate)
+        else:
+            check_positive(range_std=self.range_std)
+            if self.range_rate != 0:
+                check_positive(range_rate=self.range_rate)
+        offset = np.asarray(self.offset, dtype=float)
+        if offset.ndim == 0:
+            offset = np.array([float(offset), 0.0])
+        if offset.shape != (2,) or not np.all(np.isfinite(offset)):
+            raise OptionError(f"offset must be (ahead, to the left) in m, or one number ahead, not {self.offset!r}")
+        object.__setattr__(self, "offset", (float(offset[0]), float(offset[1])))
+
+    @property
+    def centred(self) -> bool:
+        """Whether the sensor sits at the robot's pose."""
+        return self.offset == (0.0, 0.0)
+
+    def mount(self, pose: ArrayLike) -> Array:
+        """The pose of the sensor on a robot at a pose, (p + R(theta) o, theta); (..., 3)."""
+        pose = np.asarray(pose, dtype=float)
+        if self.centred:
+            return pose
+        return np.concatenate([transform(pose, self.offset), pose[..., 2:]], axis=-1)
 
     def h(self, pose: ArrayLike, landmark: ArrayLike) -> Array:
         """The sighting of a landmark (..., 2 or 3) from a pose (..., 3), noise-free: (l, phi) or (l, phi, psi)."""
-        pose, landmark = np.asarray(pose, dtype=float), np.asarray(landmark, dtype=float)
+        pose, landmark = self.mount(pose), np.asarray(landmark, dtype=float)
         d = landmark[..., :2] - pose[..., :2]
         direction = np.arctan2(d[..., 1], d[..., 0])
         sighting = [np.hypot(d[..., 0], d[..., 1]), wrap(direction - pose[..., 2])]
@@ -163,9 +250,9 @@ class SensorModel:
     def h_inverse(self, pose: ArrayLike, sighting: ArrayLike) -> Array:
         """The landmark that a sighting puts there, h^-1(x, z) = (x + l cos, y + l sin, theta + phi - psi).
 
-        cos and sin of theta + phi; (..., 2) without psi, (..., 3) with it, the heading wrapped.
+        x and y of the sensor, cos and sin of theta + phi; (..., 2) without psi, (..., 3) with it, the heading wrapped.
         """
-        pose, sighting = np.asarray(pose, dtype=float), np.asarray(sighting, dtype=float)
+        pose, sighting = self.mount(pose), np.asarray(sighting, dtype=float)
         direction = pose[..., 2] + sighting[..., 1]
         landmark = [
             pose[..., 0] + sighting[..., 0] * np.cos(direction),
@@ -177,7 +264,7 @@ class SensorModel:
 
     def H(self, pose: ArrayLike, landmark: ArrayLike) -> Array:
         """The derivative dh/dm of the sighting by the landmark; (..., 2, 2) or (..., 3, 3)."""
-        pose, landmark = np.asarray(pose, dtype=float), np.asarray(landmark, dtype=float)
+        pose, landmark = self.mount(pose), np.asarray(landmark, dtype=float)
         n = landmark.shape[-1]
         d, q, r = _offset(pose, landmark)
         jacobian = np.zeros((*r.shape, n, n))
@@ -192,12 +279,17 @@ class SensorModel:
         """The derivative dh/dx of the sighting by the pose; (..., 2, 3) or (..., 3, 3)."""
         pose, landmark = np.asarray(pose, dtype=float), np.asarray(landmark, dtype=float)
         n = landmark.shape[-1]
-        d, q, r = _offset(pose, landmark)
+        sensor = self.mount(pose)
+        d, q, r = _offset(sensor, landmark)
         jacobian = np.zeros((*r.shape, n, 3))
         jacobian[..., 0, :2] = -d / r[..., None]
         jacobian[..., 1, 0], jacobian[..., 1, 1], jacobian[..., 1, 2] = d[..., 1] / q, -d[..., 0] / q, -1.0
         if n == 3:
             jacobian[..., 2, :2] = jacobian[..., 1, :2]
+        if not self.centred:
+            # turning the robot moves the sensor across the arm that carries it
+            arm = sensor[..., :2] - pose[..., :2]
+            jacobian[..., 2] += jacobian[..., 1] * arm[..., 0, None] - jacobian[..., 0] * arm[..., 1, None]
         return jacobian
 
     def R(self, pose: ArrayLike, sighting: ArrayLike) -> Array:
@@ -214,11 +306,11 @@ class SensorModel:
         return jacobian
 
     def Q(self, sighting: ArrayLike) -> Array:
-        """The covariance of a sighting, diag((l sigma_l)², sigma_phi², sigma_psi²); (..., n, n), n = 2 or 3."""
+        """The covariance of a sighting, diag((l range_rate)² + range_std², bearing_std², orientation_std²); (..., n, n)."""
         sighting = np.asarray(sighting, dtype=float)
         n = sighting.shape[-1]
         covariance = np.zeros((*sighting.shape, n))
-        covariance[..., 0, 0] = (sighting[..., 0] * self.range_rate) ** 2
+        covariance[..., 0, 0] = (sighting[..., 0] * self.range_rate) ** 2 + self.range_std**2
         covariance[..., 1, 1] = self.bearing_std**2
         if n == 3:
             covariance[..., 2, 2] = self.orientation_std**2

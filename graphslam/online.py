@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import GraphError, OptionError, check_choice
-from .factors import AnchorFactor, LandmarkFactor, MotionFactor, ObservationFactor
+from .factors import AnchorFactor, LandmarkFactor, MotionFactor, ObservationFactor, RelativePoseFactor
 from .graph import Graph
 from .log import Log
 from .models import MotionModel, SensorModel
 from .robust import Kernel, kernel_of
-from .se2 import Array, wrap
+from .se2 import Array, compose, wrap
 from .solution import Solution, make_solution
 
 EDGES = ("virtual+motion", "landmark+motion")
@@ -84,10 +84,26 @@ class IncrementalSmoother:
 
     def move(self, control: ArrayLike, dt: float) -> None:
         """The robot drives: a new pose, with a motion factor from the one before."""
-        before, here = _pose(self.num_poses - 1), _pose(self.num_poses)
-        self._latest = self.motion.f(self._latest, control, dt)
-        self._factors.add(MotionFactor(before, here, control, dt, self.motion, weight=self.motion_weight))
-        self._values.insert(here, gtsam.Pose2(*self._latest))
+        self._reach(
+            self.motion.f(self._latest, control, dt),
+            MotionFactor(*self._ends(), control, dt, self.motion, weight=self.motion_weight),
+        )
+
+    def move_by(self, motion: ArrayLike, covariance: ArrayLike) -> None:
+        """The robot has moved: a new pose, as seen (3,) from the one before with a covariance (3, 3)."""
+        information = self.motion_weight * np.linalg.inv(np.asarray(covariance, dtype=float))
+        self._reach(
+            compose(self._latest, motion),
+            RelativePoseFactor(*self._ends(), motion, (information + information.T) / 2),
+        )
+
+    def _ends(self) -> tuple[int, int]:
+        return _pose(self.num_poses - 1), _pose(self.num_poses)
+
+    def _reach(self, pose: Array, factor: gtsam.NonlinearFactor) -> None:
+        self._latest = pose
+        self._factors.add(factor)
+        self._values.insert(_pose(self.num_poses), gtsam.Pose2(*pose))
         self.num_poses += 1
 
     def observe(self, ids: ArrayLike, sightings: ArrayLike) -> None:
@@ -224,14 +240,15 @@ def solve_online(
         raise GraphError(f"isam2 needs motion edges: edges must be {' or '.join(EDGES)}, not {edges!r}")
     graph = Graph.from_log(log, **common, dimensions=dimensions)
     seen = log.without_orientation() if dimensions == 2 and log.has_orientation else log
-    assert log.controls is not None and log.dt is not None
-    smoother = IncrementalSmoother(log.initial_poses[0], **common)
+    motion, sensor = motion or log.motion or MotionModel(), graph.sensor
+    motions, covariances = log.motions(motion)
+    smoother = IncrementalSmoother(log.initial_poses[0], **(common | {"motion": motion, "sensor": sensor}))
     order = np.argsort(log.steps, kind="stable")
     bounds = np.searchsorted(log.steps[order], np.arange(log.num_poses + 1))
     begin = time.perf_counter()
     for step in range(log.num_poses):
         if step:
-            smoother.move(log.controls[step - 1], float(log.dt[step - 1]))
+            smoother.move_by(motions[step - 1], covariances[step - 1])
         now = order[bounds[step] : bounds[step + 1]]
         smoother.observe(seen.landmarks[now], seen.sightings[now])
         smoother.update()

@@ -59,3 +59,23 @@ def between(a: ArrayLike, b: ArrayLike) -> Array:
     d = b - a
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     return np.stack([c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1], wrap(d[..., 2])], axis=-1)
+
+
+def interpolate(a: ArrayLike, b: ArrayLike, share: ArrayLike) -> Array:
+    """The pose a exp(share log(a^-1 b)): on the arc that leads from a to b with one twist; (..., 3), (..., 3), (...).
+
+    The shorter way round is taken. a at share 0, b at share 1; the heading is not wrapped but follows a's.
+
+    Source: Lynch and Park, *Modern Robotics*, section 3.3 (screw motions), in the plane.
+    """
+    a, share = np.asarray(a, dtype=float), np.asarray(share, dtype=float)
+    d = between(a, b)
+    whole = d[..., 2]
+    part = share * whole
+    # a chord looks along half the turn, and is sin(turn/2) / (turn/2) as long as its arc
+    longer = share * np.sinc(part / (2 * np.pi)) / np.sinc(whole / (2 * np.pi))
+    back = (part - whole) / 2
+    c, s = np.cos(back), np.sin(back)
+    x, y = longer * (c * d[..., 0] - s * d[..., 1]), longer * (s * d[..., 0] + c * d[..., 1])
+    position = transform(a, np.stack([x, y], axis=-1))
+    return np.concatenate([position, (a[..., 2] + part)[..., None]], axis=-1)

@@ -82,8 +82,16 @@ def solve(
         raise OptionError(f"dimensions must be 2 or 3 and not more than the log has, not {dimensions!r}")
     if motion_copies < 1:
         raise OptionError(f"motion_copies must be at least 1, not {motion_copies}")
-    motion, sensor = motion or MotionModel(), sensor or SensorModel()
+    motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
     with_motion = edges == "virtual+motion"
+    if with_motion and log.composite:
+        raise GraphError(f"{log.name} has motions of several controls each, and the lectures' program takes one a step")
+    if not sensor.centred:
+        raise GraphError("the lectures' program has the sensor at the robot's pose; this one sits at an offset")
+    if not log.identified:
+        raise GraphError(
+            f"{log.name} has sightings that do not tell their landmark, and the lectures' program needs that"
+        )
     if with_motion and log.controls is None:
         raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")
 
@@ -165,7 +173,11 @@ def sighting_derivative(x: Array, z: Array) -> Array:
 
 def sighting_covariance(z: Array, sensor: SensorModel) -> Array:
     """Q = diag((l sigma_l)², sigma_phi², sigma_psi²)."""
-    variances = [(z[0] * sensor.range_rate) ** 2, sensor.bearing_std**2, sensor.orientation_std**2]
+    variances = [
+        (z[0] * sensor.range_rate) ** 2 + sensor.range_std**2,
+        sensor.bearing_std**2,
+        sensor.orientation_std**2,
+    ]
     return np.diag(variances[: len(z)])
 
 
@@ -204,8 +216,8 @@ def motion_edge(x1: Array, x2: Array, u: Array, dt: float, motion: MotionModel) 
     )
     M = np.diag(
         [
-            (motion.nn**2 * abs(nu) + motion.no**2 * abs(omega)) / dt,
-            (motion.on**2 * abs(nu) + motion.oo**2 * abs(omega)) / dt,
+            (motion.nn**2 * abs(nu) + motion.no**2 * abs(omega)) / dt + motion.sigma_v**2,
+            (motion.on**2 * abs(nu) + motion.oo**2 * abs(omega)) / dt + motion.sigma_omega**2,
         ]
     )
     F = np.array([[1, 0, nu / omega * (ct - c)], [0, 1, nu / omega * (st - s)], [0, 0, 1]])

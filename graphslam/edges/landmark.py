@@ -91,21 +91,21 @@ class ObservationEdges:
     def cost(self, state: Array, reference: Array) -> float:
         """See `EdgeFamily.cost`."""
         return float(
-            _observation_cost(state, self.first, self.second, self.sightings, *self._variances(), *self._robust)
+            _observation_cost(state, self.first, self.second, self.sightings, *self._noise_and_place(), *self._robust)
         )
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem) -> float:
         """See `EdgeFamily.accumulate`."""
         return float(
             _observations(
-                state, self.first, self.second, self.sightings, *self._variances(), *self._robust,
+                state, self.first, self.second, self.sightings, *self._noise_and_place(), *self._robust,
                 *system.slots_of(self), system.values, system.xi,
             )
         )  # fmt: skip
 
-    def _variances(self) -> tuple[float, float, float]:
-        sensor = self.sensor
-        return sensor.range_rate**2, sensor.bearing_std**2, sensor.orientation_std**2
+    def _noise_and_place(self) -> tuple[tuple[float, float, float, float], tuple[float, float]]:
+        s = self.sensor
+        return (s.range_rate**2, s.range_std**2, s.bearing_std**2, s.orientation_std**2), s.offset
 
     @property
     def trusted(self) -> Array:
@@ -177,16 +177,18 @@ def _pairs(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 @njit(cache=True, error_model="numpy")
 def _observation_cost(  # type: ignore[no-untyped-def]
-    state, first, second, z, range_variance, bearing_variance, psi_variance, kernel, width, trust
+    state, first, second, z, variances, offset, kernel, width, trust
 ):
+    by_range, constant, bearing_variance, psi_variance = variances
     total = 0.0
     oriented = z.shape[1] == 3
     for k in range(len(first)):
         x, m = state[first[k]], state[second[k]]
-        dx, dy = m[0] - x[0], m[1] - x[1]
+        ux, uy = _arm(x[2], offset)
+        dx, dy = m[0] - x[0] - ux, m[1] - x[1] - uy
         direction = np.arctan2(dy, dx)
         e0, e1 = np.sqrt(dx * dx + dy * dy) - z[k, 0], _wrap(direction - x[2] - z[k, 1])
-        squares = e0 * e0 / (range_variance * z[k, 0] * z[k, 0]) + e1 * e1 / bearing_variance
+        squares = e0 * e0 / (by_range * z[k, 0] * z[k, 0] + constant) + e1 * e1 / bearing_variance
         if oriented:
             e2 = _wrap(direction - m[2] - z[k, 2])
             squares += e2 * e2 / psi_variance
@@ -196,22 +198,24 @@ def _observation_cost(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _observations(  # type: ignore[no-untyped-def]
-    state, first, second, z, range_variance, bearing_variance, psi_variance, kernel, width, trust,
-    at_pose, at_landmark, at_pair, values, xi,
-):  # fmt: skip
+    state, first, second, z, variances, offset, kernel, width, trust, at_pose, at_landmark, at_pair, values, xi
+):
     # Each row of e is uncorrelated with the others, so it adds weight * (row of B)' (row of B). With the unit vector
-    # (c, s) towards the landmark at distance r, rows by the pose are -(c, s, 0) and (s, -c, -r) / r, by the landmark
-    # (c, s, 0) and (-s, c, 0) / r; psi has (s, -c, 0) / r and (-s, c, -r) / r.
+    # (c, s) from the sensor to the landmark at distance r, rows by the sensor's pose are -(c, s, 0) and (s, -c, -r) / r,
+    # by the landmark (c, s, 0) and (-s, c, 0) / r; psi has (s, -c, 0) / r and (-s, c, -r) / r. Turning the robot moves
+    # the sensor by (-uy, ux), which adds t0 to the first and ta to the other two rows' derivatives by the heading.
     total = 0.0
     oriented = z.shape[1] == 3
+    by_range, constant, bearing_variance, psi_variance = variances
     for k in range(len(first)):
         i, j = first[k], second[k]
-        dx, dy = state[j, 0] - state[i, 0], state[j, 1] - state[i, 1]
+        ux, uy = _arm(state[i, 2], offset)
+        dx, dy = state[j, 0] - state[i, 0] - ux, state[j, 1] - state[i, 1] - uy
         r = np.sqrt(dx * dx + dy * dy)
         c, s = dx / r, dy / r
         direction = np.arctan2(dy, dx)
         e0, e1 = r - z[k, 0], _wrap(direction - state[i, 2] - z[k, 1])
-        w0, w1, w2, e2 = 1 / (range_variance * z[k, 0] * z[k, 0]), 1 / bearing_variance, 0.0, 0.0
+        w0, w1, w2, e2 = 1 / (by_range * z[k, 0] * z[k, 0] + constant), 1 / bearing_variance, 0.0, 0.0
         if oriented:
             w2, e2 = 1 / psi_variance, _wrap(direction - state[j, 2] - z[k, 2])
         squares = trust[k] * (w0 * e0 * e0 + w1 * e1 * e1 + w2 * e2 * e2)
@@ -220,12 +224,15 @@ def _observations(  # type: ignore[no-untyped-def]
         w0, w1, w2 = f * w0, f * w1, f * w2
         # the position parts of all rows: w0 along the line of sight, wa across it
         p, q = -s / r, c / r
-        wa = w1 + w2
+        t0, ta = c * uy - s * ux, p * uy - q * ux
+        t1 = ta - 1
+        wa, wt = w1 + w2, w1 * t1 + w2 * ta
         h00, h01, h11 = w0 * c * c + wa * p * p, w0 * c * s + wa * p * q, w0 * s * s + wa * q * q
+        hx, hy = w0 * t0 * c + wt * p, w0 * t0 * s + wt * q
         gx, gy = w0 * e0 * c + (w1 * e1 + w2 * e2) * p, w0 * e0 * s + (w1 * e1 + w2 * e2) * q
         xi[i, 0] += gx
         xi[i, 1] += gy
-        xi[i, 2] += w1 * e1
+        xi[i, 2] -= w0 * e0 * t0 + w1 * e1 * t1 + w2 * e2 * ta
         xi[j, 0] -= gx
         xi[j, 1] -= gy
         xi[j, 2] += w2 * e2
@@ -234,11 +241,11 @@ def _observations(  # type: ignore[no-untyped-def]
         V[0, 1] += h01
         V[1, 0] += h01
         V[1, 1] += h11
-        V[0, 2] += w1 * p
-        V[2, 0] += w1 * p
-        V[1, 2] += w1 * q
-        V[2, 1] += w1 * q
-        V[2, 2] += w1
+        V[0, 2] -= hx
+        V[2, 0] -= hx
+        V[1, 2] -= hy
+        V[2, 1] -= hy
+        V[2, 2] += w0 * t0 * t0 + w1 * t1 * t1 + w2 * ta * ta
         V = values[at_landmark[k]]
         V[0, 0] += h00
         V[0, 1] += h01
@@ -249,20 +256,21 @@ def _observations(  # type: ignore[no-untyped-def]
         V[1, 2] -= w2 * q
         V[2, 1] -= w2 * q
         V[2, 2] += w2
-        # rows of the pose, columns of the landmark; the pose's heading meets only bearings, the landmark's only psi
+        # rows of the pose, columns of the landmark, or the other way round; the landmark's heading meets only psi
         V = values[at_pair[k]]
         V[0, 0] -= h00
         V[0, 1] -= h01
         V[1, 0] -= h01
         V[1, 1] -= h11
+        V[2, 2] -= w2 * ta
         if i < j:
-            V[2, 0] -= w1 * p
-            V[2, 1] -= w1 * q
+            V[2, 0] += hx
+            V[2, 1] += hy
             V[0, 2] += w2 * p
             V[1, 2] += w2 * q
         else:
-            V[0, 2] -= w1 * p
-            V[1, 2] -= w1 * q
+            V[0, 2] += hx
+            V[1, 2] += hy
             V[2, 0] += w2 * p
             V[2, 1] += w2 * q
     return total
@@ -334,3 +342,10 @@ def _points(state, first, second, measured, information, at_pose, at_landmark, a
 @njit(cache=True, inline="always")
 def _wrap(angle):  # type: ignore[no-untyped-def]
     return angle - 2 * np.pi * np.floor((angle + np.pi) / (2 * np.pi))
+
+
+@njit(cache=True, inline="always")
+def _arm(theta, offset):  # type: ignore[no-untyped-def]
+    """R(theta) o: from the robot's pose to its sensor, in world axes."""
+    c, s = np.cos(theta), np.sin(theta)
+    return c * offset[0] - s * offset[1], s * offset[0] + c * offset[1]

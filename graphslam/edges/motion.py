@@ -1,5 +1,8 @@
 """Motion edges: e = x_t - f(x_{t-1}, u_t) with Omega^-1 = A M A' + epsilon I.
 
+Where odometry is finer than the poses, f is the composition f(... f(x_{t-1}, u_1) ..., u_k), and A M A' the covariance
+propagated through it (`MotionModel.accumulate`).
+
 f turns with the pose it starts from, so the whole edge is a relative-pose edge whose measurement is f(0, u) and whose
 covariance is that of a motion that starts at 0: no new equations. ``frame`` says whether the residual is the lectures'
 (world, Omega re-evaluated at every step) or turned into the frame of x_{t-1} (body, Omega constant).
@@ -15,20 +18,31 @@ from .relative_pose import RelativePoseEdges
 
 
 def motion_edges(
-    nodes: np.ndarray, controls: Array, dt: Array, motion: MotionModel, *, frame: str = "body", weight: float = 1.0
+    nodes: np.ndarray,
+    controls: Array,
+    dt: Array,
+    motion: MotionModel,
+    *,
+    starts: np.ndarray | None = None,
+    control_variances: Array | None = None,
+    frame: str = "body",
+    weight: float = 1.0,
 ) -> RelativePoseEdges:
-    """The motion edges between consecutive ``nodes`` (T+1,), driven by ``controls`` (T, 2) for ``dt`` (T,) seconds.
+    """The motion edges between consecutive ``nodes`` (T+1,), driven by ``controls`` (S, 2) for ``dt`` (S,) seconds.
 
     Args:
         nodes: the node of each pose, x_0 to x_T.
-        controls: u_t = (nu, omega) [m/s, rad/s].
+        controls: u = (nu, omega) [m/s, rad/s].
         dt: [s].
-        motion: gives f, A, M and epsilon.
+        motion: gives f, F, A, M and epsilon.
+        starts: (T+1,) the first control of each motion, as `Log.control_starts`; default: one control a motion.
+        control_variances: (S, 2) more noise of single controls, as `Log.control_variances`.
         frame: "world" or "body".
         weight: lambda, multiplies the information of all motion edges (the book adds each edge lambda times).
     """
-    origin = np.zeros((len(controls), 3))
-    information = weight * np.linalg.inv(motion.covariance(origin, controls, dt))
+    starts = np.arange(len(controls) + 1) if starts is None else starts
+    measured, covariances = motion.accumulate(controls, dt, starts, control_variances)
+    information = weight * np.linalg.inv(covariances)
     # A M A' is symmetric; its computed inverse should not be less so
     information = (information + np.swapaxes(information, 1, 2)) / 2
-    return RelativePoseEdges(nodes[:-1], nodes[1:], motion.f(origin, controls, dt), information, frame)
+    return RelativePoseEdges(nodes[:-1], nodes[1:], measured, information, frame)

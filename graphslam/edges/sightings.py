@@ -1,6 +1,8 @@
 """The sightings of many landmarks, landmark by landmark: what virtual-motion edges and marginal ones have in common.
 
-Every sighting puts its landmark at y = h^-1(x, z) with covariance C = R Q R'.
+Every sighting puts its landmark at y = h^-1(x, z) with covariance C = R Q R'. Turning the pose moves y by the lever t =
+(-v_y, v_x), where v leads from the pose to the landmark: l (cos, sin)(theta + phi), and R(theta) o before it where the
+sensor sits at o on the robot.
 """
 
 from __future__ import annotations
@@ -76,6 +78,9 @@ class LandmarkSightings:
         poses = state[self.nodes]
         direction = poses[:, 2] + self.sightings[:, 1]
         lever = self.sightings[:, :1] * np.column_stack([-np.sin(direction), np.cos(direction)])
+        if not self.sensor.centred:
+            arm = self.sensor.mount(poses)[:, :2] - poses[:, :2]
+            lever += np.column_stack([-arm[:, 1], arm[:, 0]])
         y = np.zeros((len(poses), 3))
         y[:, 0], y[:, 1] = poses[:, 0] + lever[:, 1], poses[:, 1] - lever[:, 0]
         if self._oriented:
@@ -96,7 +101,7 @@ class LandmarkSightings:
         """See `EdgeFamily.positions`. Consecutive sightings of a landmark only."""
         a, b = self._consecutive()
         _, lever, _ = self.placed(state)
-        # the vector to the landmark is the lever turned back by a quarter
+        # the vector from the pose to the landmark is the lever turned back by a quarter
         towards = np.column_stack([lever[:, 1], -lever[:, 0]])
         covariance = self.sensor.landmark_covariance(state[self.nodes], self.sightings)[:, :2, :2]
         information = np.linalg.inv(covariance[a] + covariance[b])
@@ -109,8 +114,8 @@ class LandmarkSightings:
     def _prepared(self, state: Array, reference: Array, mode: int) -> tuple[Array, Array, Array, Array]:
         """y (M, 3), lever (M, 2), gamma (M,) and C (M, 6) of the sightings; see `prepare`."""
         s = self.sensor
-        variances = (s.range_rate**2, s.bearing_std**2, s.orientation_std**2)
-        return prepare(state, reference, self.nodes, self.sightings, variances, mode)
+        variances = (s.range_rate**2, s.bearing_std**2, s.orientation_std**2, s.range_std**2)
+        return prepare(state, reference, self.nodes, self.sightings, variances, s.offset, mode)
 
     @property
     def trusted(self) -> Array:
@@ -135,7 +140,7 @@ class LandmarkSightings:
 
 
 @njit(cache=True, error_model="numpy")
-def prepare(state, reference, nodes, z, variances, mode):  # type: ignore[no-untyped-def]
+def prepare(state, reference, nodes, z, variances, offset, mode):  # type: ignore[no-untyped-def]
     """y, the lever t, gamma and C = (c_xx, c_xy, c_yy, c_xt, c_yt, c_tt) of each sighting."""
     count, oriented = len(nodes), z.shape[1] == 3
     y, lever, gamma, C = np.zeros((count, 3)), np.empty((count, 2)), np.zeros(count), np.zeros((count, 6))
@@ -143,8 +148,13 @@ def prepare(state, reference, nodes, z, variances, mode):  # type: ignore[no-unt
         x, l = state[nodes[k]], z[k, 0]  # noqa: E741  # the slides' letter for the range
         direction = x[2] + z[k, 1]
         c, s = np.cos(direction), np.sin(direction)
-        lever[k, 0], lever[k, 1] = -l * s, l * c
-        y[k, 0], y[k, 1] = x[0] + l * c, x[1] + l * s
+        vx, vy = l * c, l * s
+        if offset[0] != 0 or offset[1] != 0:
+            ct, st = np.cos(x[2]), np.sin(x[2])
+            vx += ct * offset[0] - st * offset[1]
+            vy += st * offset[0] + ct * offset[1]
+        lever[k, 0], lever[k, 1] = -vy, vx
+        y[k, 0], y[k, 1] = x[0] + vx, x[1] + vy
         if oriented:
             y[k, 2] = direction - z[k, 2]
         if mode == BODY:
@@ -157,7 +167,7 @@ def prepare(state, reference, nodes, z, variances, mode):  # type: ignore[no-unt
             if before != x[2]:
                 c, s = np.cos(before + z[k, 1]), np.sin(before + z[k, 1])
         # R Q R' with R = [[c, -l s, 0], [s, l c, 0], [0, 1, -1]]
-        along, across = variances[0] * l * l, variances[1] * l * l
+        along, across = variances[0] * l * l + variances[3], variances[1] * l * l
         C[k, 0] = along * c * c + across * s * s
         C[k, 1] = (along - across) * c * s
         C[k, 2] = along * s * s + across * c * c

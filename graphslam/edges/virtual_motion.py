@@ -6,7 +6,7 @@ a landmark from different steps give an edge
     e = y_b - y_a  (heading wrapped),   Omega^-1 = C_a + C_b,   B_a = -[I, t_a; 0, 1],  B_b = [I, t_b; 0, 1],
 
 where t = (-l sin(theta + phi), l cos(theta + phi)) is what turning the pose does to y. Without psi the heading row is
-missing.
+missing. A sensor that sits at o on the robot adds R(theta) o to y, and R(theta) (-o_y, o_x) to t; C is the same.
 
 ``frame`` decides how Omega, which turns with the poses, is treated:
 

@@ -120,14 +120,16 @@ def _pairs(
 
     def error(*at: Coordinates) -> Array:
         x = np.array(at)
-        y, _, c, s = placed(x, node, z, ahead, turning)
+        y, _, c, s = placed(x, node, z, sensor.offset, ahead, turning)
         only_norm = np.zeros(3 * poses + 1)
         only_norm[-1] = np.sqrt(pair_cost(a, b, y, c, s, information))
         return only_norm
 
     def residual(*at: Coordinates) -> tuple[Array, list[Array]]:
         x = np.array(at)
-        e, R = compressed(*pair_sums(a, b, node, x, *placed(x, node, z, ahead, turning), information, turning))
+        e, R = compressed(
+            *pair_sums(a, b, node, x, *placed(x, node, z, sensor.offset, ahead, turning), information, turning)
+        )
         return e, [R[:, k : k + 3] for k in range(0, 3 * poses, 3)]
 
     return 3 * poses + 1, residual, error
@@ -146,7 +148,7 @@ def _marginal(
     L_transposed = np.swapaxes(np.linalg.cholesky(information), 1, 2)
 
     def placed(x: Array) -> tuple[Array, ...]:
-        y, lever = _seen_from(x[node], z)
+        y, lever = _seen_from(x[node], z, sensor)
         axes = np.zeros((K, d, d))
         axes[:] = np.eye(d)
         if frame == "body":
@@ -192,10 +194,11 @@ def _marginal(
     return K * d, residual, error
 
 
-def _seen_from(x: Array, z: Array) -> tuple[Array, Array]:
+def _seen_from(x: Array, z: Array, sensor: SensorModel) -> tuple[Array, Array]:
     """y = h^-1(x, z) (K, d), its heading not wrapped, and what turning the pose does to its position (K, 2)."""
     direction = x[:, 2] + z[:, 1]
     towards = z[:, :1] * np.column_stack([np.cos(direction), np.sin(direction)])
+    towards += sensor.mount(x)[:, :2] - x[:, :2]
     y = np.empty_like(z)
     y[:, :2] = x[:, :2] + towards
     if z.shape[1] == 3:

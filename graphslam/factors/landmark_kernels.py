@@ -7,7 +7,7 @@ from numba import njit
 
 
 @njit(cache=True, error_model="numpy")
-def placed(x, node, z, ahead, turning):  # type: ignore[no-untyped-def]
+def placed(x, node, z, offset, ahead, turning):  # type: ignore[no-untyped-def]
     """y = h^-1(x, z) (K, d), its heading not wrapped; what turning the pose does to it (K, 2); cos and sin of its axes.
 
     The axes of a pair stand at theta + ahead of its first sighting, or are the world's.
@@ -16,9 +16,11 @@ def placed(x, node, z, ahead, turning):  # type: ignore[no-untyped-def]
     c, s = np.ones(len(z)), np.zeros(len(z))
     for k in range(len(z)):
         pose, direction = x[node[k]], x[node[k], 2] + z[k, 1]
-        along, across = z[k, 0] * np.cos(direction), z[k, 0] * np.sin(direction)
-        y[k, 0], y[k, 1] = pose[0] + along, pose[1] + across
-        lever[k, 0], lever[k, 1] = -across, along
+        ct, st = np.cos(pose[2]), np.sin(pose[2])
+        vx = z[k, 0] * np.cos(direction) + ct * offset[0] - st * offset[1]
+        vy = z[k, 0] * np.sin(direction) + st * offset[0] + ct * offset[1]
+        y[k, 0], y[k, 1] = pose[0] + vx, pose[1] + vy
+        lever[k, 0], lever[k, 1] = -vy, vx
         if z.shape[1] == 3:
             y[k, 2] = direction - z[k, 2]
         if turning:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import FactorError, OptionError
+from ..models import SensorModel
 from ..robust import Cauchy, GemanMcClure, Huber, Kernel, kernel_of
 from ..se2 import Array
 from .description import FactorDescription
@@ -200,6 +201,12 @@ def sighting(name: str, value: ArrayLike) -> Array:
     if z[0] <= 0:
         raise OptionError(f"the range of {name} must be above zero, not {z[0]:g} m")
     return z
+
+
+def seen_from_robot(z: Array, sensor: SensorModel) -> tuple[float, float]:
+    """Where a sighting puts the landmark in the frame of the robot: o + l (cos phi, sin phi)."""
+    ahead, left = sensor.offset
+    return ahead + z[0] * cos(z[1]), left + z[0] * sin(z[1])
 
 
 def vector(name: str, value: ArrayLike, lengths: tuple[int, ...]) -> Array:

@@ -20,6 +20,7 @@ from .layer import (
     checked_keys,
     positive_definite,
     robust_noise,
+    seen_from_robot,
     sighting,
     vector,
     wrapped,
@@ -27,10 +28,10 @@ from .layer import (
 
 
 class ObservationFactor(Factor):
-    """A sighting with psi of a landmark that is a `gtsam.Pose2` of its own: e = h(x, m) - z, information Q^-1.
+    """A sighting of a landmark that is a node of its own: e = h(x, m) - z, information Q^-1.
 
-    Without psi the landmark is a `gtsam.Point2` and GTSAM has the factor itself: then the call
-    ``ObservationFactor(pose_key, landmark_key, z)`` returns a native `gtsam.BearingRangeFactor2D`.
+    With psi the landmark is a `gtsam.Pose2`, without it a `gtsam.Point2`. In the second case GTSAM has the factor itself,
+    if the sensor sits at the robot's pose: then the call returns a native `gtsam.BearingRangeFactor2D`.
 
     Args:
         pose_key: of a `gtsam.Pose2`.
@@ -43,7 +44,7 @@ class ObservationFactor(Factor):
     Raises:
         OptionError: a value is not what it must be.
 
-    A landmark exactly at the robot has no bearing: `FactorError` when it is evaluated there.
+    A landmark exactly at the sensor has no bearing: `FactorError` when it is evaluated there.
     """
 
     def __new__(
@@ -57,12 +58,12 @@ class ObservationFactor(Factor):
         kernel: Kernel | str | None = None,
     ) -> Any:
         """The native factor where GTSAM has one."""
-        seen = sighting("z", z)
-        if len(seen) == 3:
+        seen, sensor = sighting("z", z), sensor or SensorModel()
+        if len(seen) == 3 or not sensor.centred:
             return super().__new__(cls)
         check_positive(weight=weight)
         key_1, key_2 = checked_keys(cls.__name__, (pose_key, landmark_key))
-        stds = np.sqrt(np.diag((sensor or SensorModel()).Q(seen)) / weight)
+        stds = np.sqrt(np.diag(sensor.Q(seen)) / weight)
         # GTSAM puts the bearing first
         noise = robust_noise(gtsam.noiseModel.Diagonal.Sigmas(stds[::-1].copy()), kernel)
         return gtsam.BearingRangeFactor2D(key_1, key_2, gtsam.Rot2(seen[1]), seen[0], noise)
@@ -79,21 +80,32 @@ class ObservationFactor(Factor):
     ) -> None:
         check_positive(weight=weight)
         seen, sensor = sighting("z", z), sensor or SensorModel()
-        length, bearing, orientation = seen.tolist()
+        oriented = len(seen) == 3
+        length, bearing, orientation = (*seen.tolist(), 0.0)[:3]
+        ahead, left = sensor.offset
 
         def residual(x: Coordinates, m: Coordinates) -> tuple[list[float], tuple[list[list[float]], ...]]:
-            dx, dy = m[0] - x[0], m[1] - x[1]
+            ct, st = cos(x[2]), sin(x[2])
+            # the arm from the pose to the sensor; turning the robot moves the sensor by (-uy, ux)
+            ux, uy = ct * ahead - st * left, st * ahead + ct * left
+            dx, dy = m[0] - x[0] - ux, m[1] - x[1] - uy
             r, direction = hypot(dx, dy), atan2(dy, dx)
             if r == 0:
-                raise FactorError("the landmark is exactly at the robot, where it has no bearing")
+                raise FactorError("the landmark is exactly at the robot's sensor, where it has no bearing")
             c, s, p, q = dx / r, dy / r, -dy / (r * r), dx / (r * r)
-            e = [r - length, wrapped(direction - x[2] - bearing), wrapped(direction - m[2] - orientation)]
-            by_pose = [[-c, -s, 0.0], [-p, -q, -1.0], [-p, -q, 0.0]]
+            along, across = c * uy - s * ux, p * uy - q * ux
+            e = [r - length, wrapped(direction - x[2] - bearing)]
+            by_pose = [[-c, -s, along], [-p, -q, across - 1.0]]
+            if not oriented:
+                return e, (by_pose, [[c, s], [p, q]])
+            e.append(wrapped(direction - m[2] - orientation))
+            by_pose.append([-p, -q, across])
             return e, (by_pose, [[c, s, 0.0], [p, q, 0.0], [p, q, -1.0]])
 
         noise = gtsam.noiseModel.Gaussian.Covariance(sensor.Q(seen) / weight)
         arguments = {"z": seen, "sensor": sensor, "weight": weight}
-        super().__init__([pose_key, landmark_key], [POSE, POSE], noise, residual, arguments, kernel)
+        kinds = [POSE, POSE if oriented else POINT]
+        super().__init__([pose_key, landmark_key], kinds, noise, residual, arguments, kernel)
 
 
 class InverseObservationFactor(Factor):
@@ -134,7 +146,7 @@ class InverseObservationFactor(Factor):
         check_positive(weight=weight)
         seen, sensor, body = sighting("z", z), sensor or SensorModel(), frame == "body"
         oriented = len(seen) == 3
-        (length, bearing, orientation) = (*seen.tolist(), 0.0)[:3]
+        (_, bearing, orientation), (px, py) = (*seen.tolist(), 0.0)[:3], seen_from_robot(seen, sensor)
         if body:
             # a pose that looks along x at the landmark: theta + phi = 0
             frozen_at, looking = None, np.array([0.0, 0.0, -bearing])
@@ -144,16 +156,18 @@ class InverseObservationFactor(Factor):
             frozen_at = looking = vector("at", at, (3,))
 
         def residual(x: Coordinates, m: Coordinates) -> tuple[list[float], tuple[list[list[float]], ...]]:
-            c, s = cos(x[2] + bearing), sin(x[2] + bearing)
-            ex, ey = m[0] - x[0] - length * c, m[1] - x[1] - length * s
+            ct, st = cos(x[2]), sin(x[2])
+            # from the pose to where the sighting puts the landmark, and what turning the pose does to e
+            vx, vy = ct * px - st * py, st * px + ct * py
+            ex, ey = m[0] - x[0] - vx, m[1] - x[1] - vy
             if body:
-                # in these axes turning the pose turns e, and moves h^-1 across by l
+                c, s = cos(x[2] + bearing), sin(x[2] + bearing)
                 e = [c * ex + s * ey, -s * ex + c * ey]
-                by_pose = [[-c, -s, e[1]], [s, -c, -e[0] - length]]
+                by_pose = [[-c, -s, c * vy - s * vx + e[1]], [s, -c, -s * vy - c * vx - e[0]]]
                 by_landmark = [[c, s], [-s, c]]
             else:
                 e = [ex, ey]
-                by_pose = [[-1.0, 0.0, length * s], [0.0, -1.0, -length * c]]
+                by_pose = [[-1.0, 0.0, vy], [0.0, -1.0, -vx]]
                 by_landmark = [[1.0, 0.0], [0.0, 1.0]]
             if oriented:
                 e.append(wrapped(m[2] - x[2] - bearing + orientation))

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..errors import OptionError, check_choice, check_positive
 from ..models import SensorModel
 from ..robust import Kernel
-from .layer import POSE, Coordinates, Factor, robust_noise, sighting, vector, wrapped
+from .layer import POSE, Coordinates, Factor, robust_noise, seen_from_robot, sighting, vector, wrapped
 
 
 class VirtualMotionFactor(Factor):
@@ -58,7 +58,7 @@ class VirtualMotionFactor(Factor):
         if len(first) != len(second):
             raise OptionError("z_1 and z_2 must both have psi, or both lack it")
         oriented = len(first) == 3
-        (l1, phi1, psi1), (l2, phi2, psi2) = ((*z, 0.0)[:3] for z in (first.tolist(), second.tolist()))
+        (_, phi1, psi1), (_, phi2, psi2) = ((*z, 0.0)[:3] for z in (first.tolist(), second.tolist()))
         if frame == "body" and oriented:
             axes_1, axes_2 = np.array([0.0, 0.0, -phi1]), np.array([0.0, 0.0, psi2 - psi1 - phi2])
             covariance = sensor.landmark_covariance(axes_1, first) + sensor.landmark_covariance(axes_2, second)
@@ -70,13 +70,16 @@ class VirtualMotionFactor(Factor):
         else:
             x1, x2 = vector("at[0]", at[0], (3,)), vector("at[1]", at[1], (3,))
             covariance = sensor.landmark_covariance(x1, first) + sensor.landmark_covariance(x2, second)
+        # the landmark in the frame of the robot, by each sighting
+        (px, py), (qx, qy) = (seen_from_robot(z, sensor) for z in (first, second))
         body, frozen = frame == "body", 0.0 if oriented or frame == "world" else float(x1[2])
 
         def residual(a: Coordinates, b: Coordinates) -> tuple[list[float], tuple[list[list[float]], ...]]:
-            ca, sa, cb, sb = cos(a[2] + phi1), sin(a[2] + phi1), cos(b[2] + phi2), sin(b[2] + phi2)
-            ex, ey = b[0] + l2 * cb - a[0] - l1 * ca, b[1] + l2 * sb - a[1] - l1 * sa
-            # what turning each pose does to e
-            ax, ay, bx, by = l1 * sa, -l1 * ca, -l2 * sb, l2 * cb
+            ca, sa, cb, sb = cos(a[2]), sin(a[2]), cos(b[2]), sin(b[2])
+            # from each pose to the landmark; turning the pose moves that end by a quarter turn of it
+            ux, uy, vx, vy = ca * px - sa * py, sa * px + ca * py, cb * qx - sb * qy, sb * qx + cb * qy
+            ex, ey = b[0] + vx - a[0] - ux, b[1] + vy - a[1] - uy
+            ax, ay, bx, by = uy, -ux, -vy, vx
             e, by_a, by_b = [ex, ey], [[-1.0, 0.0, ax], [0.0, -1.0, ay]], [[1.0, 0.0, bx], [0.0, 1.0, by]]
             if body:
                 # the axes turn with pose a: towards the landmark, or as pose a has turned since the freezing
@@ -100,10 +103,10 @@ class VirtualMotionFactor(Factor):
     def to_between(self) -> gtsam.BetweenFactorPose2:
         """GTSAM's own factor of the same two sightings: the relative pose z_12 = T_1 T_2^-1 at C++ speed.
 
-        T = (l cos phi, l sin phi, phi - psi) is the landmark as a pose seen from the robot. The noise that the landmark
-        has in its own axes, C = L(l_1, psi_1) Q_1 L' + L(l_2, psi_2) Q_2 L', becomes Ad(T_2) C Ad(T_2)' by the adjoint.
-        Value and information agree with this factor where e = 0; GTSAM measures the error through the logarithm of
-        SE(2), so away from there they differ (docs/factors.md has figures).
+        T = (l cos phi, l sin phi, phi - psi), plus the offset of the sensor, is the landmark as a pose seen from the
+        robot. The noise that the landmark has in its own axes, C = L(l_1, psi_1) Q_1 L' + L(l_2, psi_2) Q_2 L', becomes
+        Ad(T_2) C Ad(T_2)' by the adjoint. Value and information agree with this factor where e = 0; GTSAM measures the
+        error through the logarithm of SE(2), so away from there they differ (docs/factors.md has figures).
 
         Raises:
             OptionError: without psi two sightings measure no relative pose.
@@ -112,10 +115,10 @@ class VirtualMotionFactor(Factor):
         first, second = told["z_1"], told["z_2"]
         if len(first) != 3:
             raise OptionError("without psi two sightings of a landmark measure no relative pose")
-        seen = [gtsam.Pose2(z[0] * cos(z[1]), z[0] * sin(z[1]), z[1] - z[2]) for z in (first, second)]
+        sensor = told["sensor"]
+        seen = [gtsam.Pose2(*seen_from_robot(z, sensor), z[1] - z[2]) for z in (first, second)]
         # a pose whose theta + phi is psi sees the landmark in the landmark's own axes
         own = [np.array([0.0, 0.0, z[2] - z[1]]) for z in (first, second)]
-        sensor = told["sensor"]
         covariance = sensor.landmark_covariance(own[0], first) + sensor.landmark_covariance(own[1], second)
         adjoint = seen[1].AdjointMap()
         carried = adjoint @ covariance @ adjoint.T / told["weight"]

@@ -9,37 +9,68 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
-from ..errors import FormatError, check_choice
+from ..errors import FormatError, OptionError, check_choice
 from ..files import check_file
 from ..log import Log
-from . import lnpr, npz
+from . import huang, lnpr, lost_in_the_woods, mrclam, npz, victoria_park
 from .base import Format
+from .mat import is_mat
 
-FORMATS: dict[str, Format] = {f.name: f for f in (npz.FORMAT, lnpr.FORMAT)}
+FORMATS: dict[str, Format] = {
+    module.FORMAT.name: module.FORMAT for module in (npz, lnpr, mrclam, huang, lost_in_the_woods, victoria_park)
+}
 
 
-def load(path: str | PathLike[str], format: str | None = None) -> Log:
-    """Read a log; the format is guessed from the file's content unless named.
+def load(
+    path: str | PathLike[str], format: str | None = None, *, robot: int | None = None, keep_every: float | None = None
+) -> Log:
+    """Read a log; the format is guessed from the content of the file or folder unless named.
+
+    Args:
+        path: a file, or the folder of a data set.
+        format: the name of the format.
+        robot: which one, where a folder has several.
+        keep_every: also keep a pose at least every so many seconds [s], where poses stand only where something was seen.
 
     Raises:
-        FormatError: the file does not exist, is not of a known format, or breaks its format's rules; the message has
+        FormatError: there is no such file, it is not of a known format, or breaks its format's rules; the message has
             file and line, what was expected and what to do.
-        OptionError: ``format`` is not the name of a format.
+        OptionError: ``format`` is not the name of a format, or an option is not for this format or impossible.
     """
     path = Path(path)
     if format is not None:
         check_choice("format", format, tuple(FORMATS))
-    check_file(path)
-    if format is not None:
-        return FORMATS[format].read(path)
-    with path.open("rb") as stream:
-        head = stream.read(4096)
-    if not head.strip():
-        raise FormatError(path, None, "the file is empty; a log has at least one pose and its sightings")
+    if not path.is_dir():
+        check_file(path)
+    chosen = FORMATS[format] if format is not None else _guessed(path)
+    given = {name: value for name, value in (("robot", robot), ("keep_every", keep_every)) if value is not None}
+    for name in given:
+        if name not in chosen.options:
+            raise OptionError(f"{name} is not for logs of the format {chosen.name!r} ({path})")
+    return chosen.read(path, **given)
+
+
+def _guessed(path: Path) -> Format:
+    head = b""
+    if not path.is_dir():
+        with path.open("rb") as stream:
+            head = stream.read(4096)
+        if not head.strip():
+            raise FormatError(path, None, "the file is empty; a log has at least one pose and its sightings")
     for candidate in FORMATS.values():
-        if candidate.recognises(head):
-            return candidate.read(path)
-    raise FormatError(path, 1, f"not a log in any known format ({', '.join(FORMATS)}); name the format if it is one")
+        if candidate.recognises(path, head):
+            return candidate
+    if path.is_dir():
+        raise FormatError(
+            path,
+            None,
+            "this is a folder, and not that of a known data set; slam-compare datasets tells how they must look",
+        )
+    raise FormatError(
+        path,
+        None if is_mat(head) else 1,
+        f"not a log in any known format ({', '.join(FORMATS)}); name the format if it is one",
+    )
 
 
 def save(log: Log, path: str | PathLike[str], format: str | None = None) -> None:

@@ -11,10 +11,14 @@ from ..log import Log
 
 @dataclass(frozen=True)
 class Format:
-    """A file format: its name, usual suffixes, a test of a file's first bytes, a reader and perhaps a writer."""
+    """A format: its name, usual suffixes, a test of a path and its first bytes, a reader and perhaps a writer.
+
+    A folder has no first bytes. ``options`` names what the reader takes besides the path, of those that `load` has.
+    """
 
     name: str
     suffixes: tuple[str, ...]
-    recognises: Callable[[bytes], bool]
-    read: Callable[[Path], Log]
+    recognises: Callable[[Path, bytes], bool]
+    read: Callable[..., Log]
     write: Callable[[Log, Path], None] | None = None
+    options: tuple[str, ...] = ()

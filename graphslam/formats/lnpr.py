@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FormatError, LogError
-from ..files import write_whole
+from ..files import check_file, write_whole
 from ..log import Log
 from .base import Format
 
@@ -34,7 +34,7 @@ _COLUMNS = {
 _FORM = {"delta": "delta DT", "u": "u t NU OMEGA", "x": "x t X Y THETA", "z": "z t ID RANGE BEARING [PSI]"}
 
 
-def _recognises(head: bytes) -> bool:
+def _recognises(path: Path, head: bytes) -> bool:  # noqa: ARG001
     # damaged files are recognised by what most of their first lines are, so that the reader can say which line is wrong
     tags = [line.split()[0] for line in head.decode("utf-8", errors="replace").splitlines() if line.strip()]
     return sum(tag in _COLUMNS for tag in tags) > len(tags) / 2
@@ -155,6 +155,7 @@ class _Reader:
 
 
 def _read(path: Path) -> Log:
+    check_file(path)
     reader, line = _Reader(path), 0
     try:
         text = path.read_text(encoding="utf-8")
@@ -174,10 +175,16 @@ def _write(log: Log, path: Path) -> None:
     pairs = np.column_stack([log.steps, log.landmarks])
     if log.true_poses is not None or log.true_landmarks is not None:
         cannot = "the truth"
+    elif log.composite:
+        cannot = "motions of several controls"
     elif log.dt is not None and len(log.dt) == 0:
         cannot = "a log with controls but without motions"
     elif log.dt is not None and np.any(log.dt != log.dt[0]):
         cannot = "steps of different length"
+    elif not log.identified:
+        cannot = "sightings of landmarks without ids"
+    elif log.motion is not None or log.sensor is not None:
+        cannot = "noise models"
     elif log.start_time != 0:
         cannot = "a start time"
     elif len(np.unique(pairs, axis=0)) < len(pairs):

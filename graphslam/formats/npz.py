@@ -2,32 +2,38 @@
 
 Arrays (absent = None): ``format`` ("graphslam-log-1"), ``dt`` (T,), ``controls`` (T, 2), ``steps`` (M,), ``landmarks``
 (M,), ``sightings`` (M, 2 or 3), ``initial_poses`` (T+1, 3), ``true_poses`` (T+1, 3), ``true_landmark_ids`` (L,),
-``true_landmark_poses`` (L, 3; a third column of NaN marks a landmark without heading), ``start_time``. No pickles.
+``true_landmark_poses`` (L, 3; a third column of NaN marks a landmark without heading), ``start_time``, and for logs
+whose odometry is finer than their poses ``control_starts`` (T+1,) and ``control_variances`` (S, 2); ``motion`` (nn, no,
+on, oo, epsilon, sigma_v, sigma_omega) and ``sensor`` (range_rate, bearing_std, orientation_std, range_std, offset x and
+y) where the source publishes noise models. No pickles.
 """
 
 from __future__ import annotations
 
 import io
 import zipfile
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import FormatError, LogError
-from ..files import write_whole
+from ..errors import FormatError, SlamError
+from ..files import check_file, write_whole
 from ..log import Log
+from ..models import MotionModel, SensorModel
 from .base import Format
 
 VERSION = "graphslam-log-1"
 _REQUIRED = ("steps", "landmarks", "sightings", "initial_poses")
-_OPTIONAL = ("dt", "controls", "true_poses")
+_OPTIONAL = ("dt", "controls", "control_starts", "control_variances", "true_poses")
 
 
-def _recognises(head: bytes) -> bool:
+def _recognises(path: Path, head: bytes) -> bool:  # noqa: ARG001
     return head.startswith(b"PK\x03\x04")
 
 
 def _read(path: Path) -> Log:
+    check_file(path)
     try:
         # from memory: np.load leaves a file open that turns out not to be an archive
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
@@ -44,20 +50,33 @@ def _read(path: Path) -> Log:
         rows = zip(content["true_landmark_ids"].tolist(), content.get("true_landmark_poses", ()))
         truth = {j: pose[:2] if np.isnan(pose[2]) else pose for j, pose in rows}
     try:
+        motion = MotionModel(*content["motion"].tolist()) if "motion" in content else None
+        sensor = None
+        if "sensor" in content:
+            rate, bearing, orientation, std, x, y = content["sensor"].tolist()
+            sensor = SensorModel(rate, bearing, orientation, std, (x, y))
         return Log(
             **{name: content[name] for name in _REQUIRED},
             **{name: content[name] for name in _OPTIONAL if name in content},
             true_landmarks=truth,
             start_time=float(content.get("start_time", 0.0)),
+            motion=motion,
+            sensor=sensor,
             name=path.stem,
         )
-    except (LogError, TypeError, ValueError) as error:
+    except (SlamError, TypeError, ValueError) as error:
         raise FormatError(path, None, str(error)) from None
 
 
 def _write(log: Log, path: Path) -> None:
     content = {name: getattr(log, name) for name in _REQUIRED}
     content |= {name: getattr(log, name) for name in _OPTIONAL if getattr(log, name) is not None}
+    if not log.composite:
+        content.pop("control_starts", None)
+    if log.motion is not None:
+        content["motion"] = np.array(astuple(log.motion))
+    if log.sensor is not None:
+        content["sensor"] = np.array([*astuple(log.sensor)[:-1], *log.sensor.offset])
     if log.true_landmarks is not None:
         content["true_landmark_ids"] = np.array(list(log.true_landmarks), dtype=np.int64)
         poses = [np.append(m, np.nan)[:3] for m in log.true_landmarks.values()]

@@ -178,5 +178,5 @@ def test_no_option_or_fault_of_the_simulator_is_forgotten() -> None:
         "name",
     }
     needed |= set(vars(MotionFaults())) | set(vars(SensorFaults()))
-    needed |= (set(vars(MotionModel())) | set(vars(SensorModel()))) - {"epsilon"}
+    needed |= (set(vars(MotionModel())) | set(vars(SensorModel()))) - {"offset"} | {"sensor_offset"}
     assert needed <= offered

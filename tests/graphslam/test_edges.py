@@ -22,8 +22,10 @@ from graphslam.se2 import wrap
 
 seeds = st.integers(0, 2**32 - 1)
 frames = ["world", "body"]
-FAMILIES = ["anchor", "relative", "motion", "virtual-3d", "virtual-2d", "observation-3d", "observation-2d", "point"]
+SEEING = ["virtual-3d", "virtual-2d", "observation-3d", "observation-2d"]
+FAMILIES = ["anchor", "relative", "motion", *SEEING, *(f"{name}-offset" for name in SEEING), "point"]
 motion, sensor = MotionModel(), SensorModel()
+ahead = SensorModel(range_rate=0.05, range_std=0.2, offset=(0.7, -0.3))
 
 
 def random_information(rng, count):
@@ -31,7 +33,7 @@ def random_information(rng, count):
     return factor @ np.swapaxes(factor, 1, 2) + 0.1 * np.eye(3)
 
 
-def virtual(rng, frame, d, num_nodes=6):
+def virtual(rng, frame, d, num_nodes=6, sensor=sensor):
     """Three landmarks, seen from random nodes, also twice from one; angles anywhere, the seam included."""
     groups = [np.sort(rng.integers(0, num_nodes, size=k)) for k in (2, 3, 4)]
     starts = np.concatenate([[0], np.cumsum([len(g) for g in groups])])
@@ -68,8 +70,12 @@ def family(name, rng, frame):
                 poses, landmarks, rng.normal(size=(8, 2)) * 3, random_information(rng, 8)[:, :2, :2]
             )
         z = np.column_stack([rng.uniform(0.5, 5, 8), rng.uniform(-np.pi, np.pi, (8, 2))])
-        return ObservationEdges(poses, landmarks, z[:, : 3 if name == "observation-3d" else 2], sensor)
-    return virtual(rng, frame, 3 if name == "virtual-3d" else 2)
+        return ObservationEdges(poses, landmarks, z[:, : 3 if "3d" in name else 2], eyes(name))
+    return virtual(rng, frame, 3 if "3d" in name else 2, sensor=eyes(name))
+
+
+def eyes(name):
+    return ahead if name.endswith("offset") else sensor
 
 
 def random_state(rng):

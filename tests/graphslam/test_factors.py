@@ -59,7 +59,8 @@ def check(factor, a, b):
 
 @given(pose, pose, sighting, sighting, st.sampled_from(["world", "body"]), st.sampled_from([2, 3]), pose, pose)
 def test_virtual_motion_jacobians(a, b, z1, z2, frame, d, at1, at2):
-    check(VirtualMotionFactor(x1, x2, z1[:d], z2[:d], sensor, frame, at=(at1, at2)), a, b)
+    for model in (sensor, SensorModel(offset=(0.4, -0.2))):
+        check(VirtualMotionFactor(x1, x2, z1[:d], z2[:d], model, frame, at=(at1, at2)), a, b)
 
 
 @given(pose, pose, st.floats(-1, 1), st.floats(-1, 1), st.floats(0.1, 3), st.sampled_from(["world", "body"]), pose)

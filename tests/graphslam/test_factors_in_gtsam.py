@@ -114,7 +114,8 @@ def test_a_robust_kernel_is_gtsams(kernel):
         )
 
 
-def test_the_between_factor_of_two_sightings():
+@pytest.mark.parametrize("sensor", [SensorModel(), SensorModel(offset=(0.4, -0.2))], ids=["centred", "offset"])
+def test_the_between_factor_of_two_sightings(sensor):
     """Same value, cost and Gauss-Newton matrix where e = 0, and close by as long as e is small."""
     rng = np.random.default_rng(0)
     for _ in range(50):

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from graphslam import Log, LogError, MotionModel
+from graphslam import Graph, GraphError, Log, LogError, MotionModel, SensorModel, load, save
+from graphslam.log import UNIDENTIFIED
 
 
 def make(**changes):
@@ -69,3 +70,86 @@ def test_two_sightings_of_one_landmark_in_one_step_are_allowed_here():
 def test_impossible_logs_are_refused(changes, message):
     with pytest.raises(LogError, match=message):
         make(**changes)
+
+
+def fine(**changes):
+    """Three poses, two and three controls apart."""
+    arguments = {
+        "dt": [0.1, 0.2, 0.3, 0.1, 0.1],
+        "controls": [[1.0, 0.1], [1.0, 0.0], [0.5, 0.2], [0.4, -1.0], [0.1, 0.0]],
+        "control_starts": [0, 2, 5],
+        "true_poses": [[0.0, 0.0, 0.0], [np.nan] * 3, [1.0, 1.0, np.nan]],
+    }
+    return make(**(arguments | changes))
+
+
+def test_odometry_finer_than_the_poses():
+    log = fine(start_time=10.0)
+    assert log.num_poses == 3
+    assert log.composite and not make().composite
+    np.testing.assert_allclose(log.times, [10.0, 10.3, 10.8])
+    every = MotionModel().dead_reckoning(np.zeros(3), log.controls, log.dt)
+    np.testing.assert_allclose(log.initial_poses, every[[0, 2, 5]])
+    np.testing.assert_allclose(log.dead_reckoning(), log.initial_poses)
+    assert log.covered.tolist() == [True, False, True]
+
+
+def test_poses_left_out_join_their_motions():
+    log = fine(control_variances=np.arange(10).reshape(5, 2), start_time=1.0)
+    joined = log.at_steps([0, 2])
+    assert joined.control_starts.tolist() == [0, 5]
+    np.testing.assert_allclose(joined.dead_reckoning(), log.dead_reckoning()[[0, 2]])
+    assert len(joined.steps) == 1  # what was seen from the pose between is gone
+    end = log.at_steps([1, 2])
+    assert end.start_time == pytest.approx(1.3)
+    np.testing.assert_allclose(end.control_variances, log.control_variances[2:])
+    assert end.steps.tolist() == [0, 0]
+    assert log.where_seen().num_poses == 2
+    assert log.nearer_than(2.0).sightings[:, 0].max() == 2.0
+    with pytest.raises(LogError, match="must increase"):
+        log.at_steps([1, 1])
+    with pytest.raises(LogError, match="no sightings"):
+        make(steps=[], landmarks=[], sightings=np.empty((0, 2))).where_seen()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"control_starts": [0, 2, 2, 5]}, "must increase from 0 to the number of controls"),
+        ({"control_starts": [0, 2, 4]}, "must increase from 0 to the number of controls"),
+        ({"control_starts": [0.0, 2.0, 5.0]}, "whole numbers"),
+        ({"control_variances": -np.ones((5, 2))}, "a variance is not negative"),
+        ({"true_poses": [[0.0, np.nan, 0.0], [0] * 3, [0] * 3]}, "a row is whole"),
+        ({"true_poses": [[np.nan, np.nan, 0.0], [0] * 3, [0] * 3]}, "a row is whole"),
+        ({"true_poses": [[np.inf, 0.0, 0.0], [0] * 3, [0] * 3]}, "finite"),
+        ({"dt": None, "controls": None, "initial_poses": np.zeros((3, 3))}, "control_starts without controls"),
+    ],
+)  # fmt: skip
+def test_impossible_odometry_is_refused(changes, message):
+    with pytest.raises(LogError, match=message):
+        fine(**changes)
+
+
+def test_everything_survives_a_file(tmp_path):
+    log = fine(
+        control_variances=np.ones((5, 2)), landmarks=[UNIDENTIFIED, 7, 3], motion=MotionModel.constant(0.1, 0.2),
+        sensor=SensorModel(range_std=0.3, offset=(0.2, 0.1)),
+    )  # fmt: skip
+    save(log, tmp_path / "log.npz")
+    again = load(tmp_path / "log.npz")
+    assert again.equals(log)
+    assert (again.motion, again.sensor) == (log.motion, log.sensor)
+    assert not log.identified and log.landmark_ids.tolist() == [3, 7]
+    with pytest.raises(LogError, match="motions of several controls"):
+        save(log.replace(true_poses=None), tmp_path / "log.txt")
+
+
+def test_the_noise_of_a_log_is_the_default():
+    log = make(motion=MotionModel(nn=0.5), sensor=SensorModel(range_rate=0.01))
+    own, given = Graph.from_log(log), Graph.from_log(make(), motion=log.motion, sensor=log.sensor)
+    assert own.cost(own.initial) == given.cost(given.initial) != Graph.from_log(make()).cost(given.initial)
+
+
+def test_a_graph_needs_ids():
+    with pytest.raises(GraphError, match="do not tell their landmark"):
+        Graph.from_log(make(landmarks=[UNIDENTIFIED] * 3))

@@ -11,7 +11,7 @@ from graphslam.information import BlockSystem
 from graphslam.robust import Cauchy, GemanMcClure, Huber
 from graphslam.se2 import wrap
 
-sensor = SensorModel()
+sensor = SensorModel(range_std=0.1, offset=(0.3, 0.1))
 #: a tenth of the book's noise
 FINE = SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005)
 seeds = st.integers(0, 2**32 - 1)

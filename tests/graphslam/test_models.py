@@ -155,3 +155,91 @@ def test_models_are_vectorised():
 def test_impossible_noise_is_refused_with_its_name(make):
     with pytest.raises(OptionError, match="must be a positive number"):
         make()
+
+
+def propagated(model, controls, dt, extra):
+    """The pose and covariance after controls, one by one: P <- F P F' + A M A'."""
+    x, P = np.zeros(3), np.zeros((3, 3))
+    for u, step, more in zip(controls, dt, extra):
+        F, A = model.F(x, u, step), model.A(x, u, step)
+        P = F @ P @ F.T + A @ (model.M(u, step) + np.diag(more)) @ A.T
+        x = model.f(x, u, step)
+    return x, P + model.epsilon * np.eye(3)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_accumulated_motions_are_the_propagation_control_by_control(seed):
+    rng = np.random.default_rng(seed)
+    model = MotionModel(nn=0.2, no=0.1, on=0.1, oo=0.3, epsilon=1e-6, sigma_v=0.1, sigma_omega=0.2)
+    starts = np.concatenate([[0], np.cumsum(rng.integers(1, 6, size=5))])
+    controls, dt = rng.normal(size=(starts[-1], 2)), rng.uniform(0.01, 1, starts[-1])
+    extra = rng.uniform(0, 0.1, controls.shape)
+    motions, covariances = model.accumulate(controls, dt, starts, extra)
+    for t, (a, b) in enumerate(zip(starts[:-1], starts[1:])):
+        x, P = propagated(model, controls[a:b], dt[a:b], extra[a:b])
+        np.testing.assert_allclose(motions[t], x, atol=1e-12)
+        np.testing.assert_allclose(covariances[t], P, atol=1e-12)
+
+
+def test_a_motion_of_one_control_is_f_and_its_covariance_bit_for_bit():
+    rng = np.random.default_rng(3)
+    controls, dt = rng.normal(size=(50, 2)), rng.uniform(0.1, 1, 50)
+    motions, covariances = motion.accumulate(controls, dt, np.arange(51))
+    origin = np.zeros((50, 3))
+    assert np.array_equal(motions, motion.f(origin, controls, dt))
+    assert np.array_equal(covariances, motion.covariance(origin, controls, dt))
+
+
+def test_accumulated_covariance_against_samples():
+    model, rng = MotionModel.constant(0.02, 0.05, epsilon=1e-9), np.random.default_rng(0)
+    controls, dt = np.array([[1.0, 0.3], [0.5, -0.8], [0.8, 0.1]]), np.array([0.5, 0.4, 0.6])
+    (mean,), (P,) = model.accumulate(controls, dt, np.array([0, 3]))
+    x = np.zeros((200_000, 3))
+    for u, step in zip(controls, dt):
+        x = model.f(x, u + rng.normal(size=(len(x), 2)) * [0.02, 0.05], step)
+    # 200,000 samples give a covariance to about 1 %
+    np.testing.assert_allclose(x.mean(axis=0), mean, atol=1e-3)
+    np.testing.assert_allclose(np.cov(x.T), P, atol=0.02 * np.max(P))
+
+
+def test_constant_noise_is_of_every_control():
+    model = MotionModel.constant(0.1, 0.3)
+    np.testing.assert_allclose(model.M([[0.0, 0.0], [5.0, 1.0]], [0.01, 7.0]), [np.diag([0.01, 0.09])] * 2)
+
+
+def test_the_sensor_sits_where_its_offset_says():
+    eyes = SensorModel(offset=(2.0, 1.0))
+    # looking along y, 2 m ahead is up and 1 m to the left is -x
+    np.testing.assert_allclose(eyes.mount([1.0, 1.0, np.pi / 2]), [0.0, 3.0, np.pi / 2], atol=1e-15)
+    np.testing.assert_allclose(eyes.h([1.0, 1.0, np.pi / 2], [0.0, 5.0]), [2.0, 0.0], atol=1e-15)
+    assert SensorModel(offset=0.5).offset == (0.5, 0.0)
+
+
+@given(pose, sighting)
+def test_jacobians_of_a_sensor_with_an_offset(x, z):
+    eyes = SensorModel(offset=(0.4, -0.2))
+    for n in (2, 3):
+        landmark = eyes.h_inverse(x, z[:n])
+        again = eyes.h(x, landmark)
+        np.testing.assert_allclose(wrap(again[1:] - z[1:n]), 0, atol=1e-9)
+
+        def unwrapped(value, z=z, n=n):
+            return np.concatenate([value[..., :1], z[1:n] + wrap(value[..., 1:] - z[1:n])], axis=-1)
+
+        scale = 1 + 1 / z[0] ** 2
+        by_pose = numeric(lambda x, m=landmark: unwrapped(eyes.h(x, m)), x)
+        by_landmark = numeric(lambda m: unwrapped(eyes.h(x, m)), landmark)
+        np.testing.assert_allclose(eyes.H_pose(x, landmark), by_pose, atol=1e-6 * scale)
+        np.testing.assert_allclose(eyes.H(x, landmark), by_landmark, atol=1e-6 * scale)
+
+
+def test_range_noise_has_a_constant_part():
+    Q = SensorModel(range_rate=0.1, range_std=0.3).Q([4.0, 0.0])
+    assert Q[0, 0] == pytest.approx(0.16 + 0.09)
+    assert SensorModel(range_rate=0.0, range_std=0.3).Q([4.0, 0.0])[0, 0] == pytest.approx(0.09)
+
+
+@pytest.mark.parametrize("offset", [(1.0, np.nan), (1.0, 2.0, 3.0), np.inf])
+def test_an_impossible_offset_is_refused(offset):
+    with pytest.raises(OptionError, match="offset must be"):
+        SensorModel(offset=offset)

@@ -52,3 +52,22 @@ def test_shapes_are_broadcast():
     assert se2.compose(many, many).shape == (4, 5, 3)
     assert se2.transform(many, many[..., :2]).shape == (4, 5, 2)
     np.testing.assert_array_equal(se2.between(many, many), 0)
+
+
+def test_interpolation_is_the_arc_of_one_twist():
+    # half of a quarter turn on the unit circle, from (1, 0) heading up to (0, 1) heading left
+    middle = se2.interpolate([1.0, 0.0, np.pi / 2], [0.0, 1.0, np.pi], 0.5)
+    np.testing.assert_allclose(middle, [np.sqrt(0.5), np.sqrt(0.5), 3 * np.pi / 4], atol=1e-15)
+    # over the seam, and straight where nothing turns
+    np.testing.assert_allclose(se2.interpolate([0, 0, 3.0], [0, 0, -3.0], 0.5)[2], np.pi)
+    np.testing.assert_allclose(se2.interpolate([0, 0, 1.0], [2, 4, 1.0], 0.25), [0.5, 1.0, 1.0])
+
+
+def test_interpolation_composes():
+    rng = np.random.default_rng(5)
+    a, b = rng.normal(size=(100, 3)), rng.normal(size=(100, 3))
+    s = rng.uniform(size=100)
+    # from there the rest of the way is the same arc
+    some, later = se2.interpolate(a, b, s), se2.interpolate(a, b, (s + 1) / 2)
+    np.testing.assert_allclose(se2.wrap(se2.interpolate(some, b, np.full(100, 0.5)) - later), 0, atol=1e-12)
+    np.testing.assert_allclose(se2.wrap(se2.interpolate(a, b, np.ones(100)) - b), 0, atol=1e-12)

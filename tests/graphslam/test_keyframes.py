@@ -1,0 +1,133 @@
+"""Odometry, sightings and truth at their own times become one log."""
+
+import numpy as np
+import pytest
+
+from graphslam import LogError, MotionModel, OptionError
+from graphslam.keyframes import Stream, divide, join, truth_at
+
+DRIVE = Stream(np.arange(0.0, 10.01, 0.5), np.column_stack([np.linspace(0.5, 1.5, 21), np.linspace(-1, 1, 21)]))
+
+
+def seen(*times):
+    return Stream(np.array(times), np.tile([2.0, 0.1], (len(times), 1)))
+
+
+def joined(*times, **changes):
+    return join(DRIVE, seen(*times), np.full(len(times), 3), **changes)
+
+
+def pose_at(time, origin):
+    """The pose that the controls lead to from the origin's time on, in tiny steps of Euler's rule."""
+    x, t, h = np.zeros(3), origin, 1e-4
+    while t < time - h / 2:
+        nu, omega = DRIVE.rows[np.searchsorted(DRIVE.times, t + h / 2, side="right") - 1]
+        x = x + h * np.array([nu * np.cos(x[2] + omega * h / 2), nu * np.sin(x[2] + omega * h / 2), omega])
+        t += h
+    return x
+
+
+def test_motions_between_events_are_integrated_exactly():
+    # events between the rows of the odometry, at one, and two in one control
+    log = joined(0.25, 2.0, 2.1, 2.2, 7.75)
+    assert log.num_poses == 5
+    np.testing.assert_allclose(log.times, [0.25, 2.0, 2.1, 2.2, 7.75])
+    for pose, time in zip(log.initial_poses, log.times):
+        np.testing.assert_allclose(pose, pose_at(time, 0.25), atol=1e-6)
+
+
+def test_a_control_holds_until_the_next():
+    controls, dt, starts, variances, gaps = divide(DRIVE, np.array([0.2, 0.7, 0.9]))
+    np.testing.assert_allclose(dt, [0.3, 0.2, 0.2])
+    np.testing.assert_allclose(controls, DRIVE.rows[[0, 1, 1]])
+    assert (starts.tolist(), variances, gaps) == ([0, 2, 3], None, [])
+
+
+def test_of_several_rows_with_one_time_the_last_holds():
+    odometry = Stream(np.array([0.0, 1.0, 1.0, 2.0]), np.array([[1.0, 0], [2, 0], [3, 0], [4, 0]]))
+    controls, dt, _, _, _ = divide(odometry, np.array([0.5, 1.5]))
+    np.testing.assert_allclose(controls[:, 0], [1, 3])
+    np.testing.assert_allclose(dt, [0.5, 0.5])
+
+
+def test_sightings_of_one_time_are_of_one_pose_and_those_outside_the_odometry_are_counted():
+    log = joined(-1.0, 1.0, 1.0, 3.0, 12.0)
+    assert log.steps.tolist() == [0, 0, 1]
+    assert "2 of 5 sightings are from before or after the odometry: left out" in log.notes
+
+
+def test_a_pose_at_least_every_so_often():
+    log = joined(1.0, 1.5, 4.0, keep_every=1.0)
+    np.testing.assert_allclose(log.times, [1.0, 1.5, 1.5 + 2.5 / 3, 1.5 + 5 / 3, 4.0])
+    assert log.steps.tolist() == [0, 1, 4]
+    np.testing.assert_allclose(log.initial_poses[[0, 1, 4]], joined(1.0, 1.5, 4.0).initial_poses, atol=1e-12)
+    with pytest.raises(OptionError, match="keep_every"):
+        joined(1.0, keep_every=0.0)
+
+
+def test_truth_is_interpolated_where_it_is_dense_and_nan_elsewhere():
+    # a quarter turn on the unit circle in one second, then silence
+    truth = Stream(np.array([0.0, 1.0, 9.0]), np.array([[1.0, 0, np.pi / 2], [0, 1, np.pi], [5, 5, 0]]))
+    poses = truth_at(np.array([-0.1, 0.0, 0.5, 1.0, 2.0, 9.0, 9.5]), truth, gap=1.0)
+    half = np.sqrt(0.5)
+    expected = [[1, 0, np.pi / 2], [half, half, 3 * np.pi / 4], [0, 1, np.pi], [5, 5, 0]]
+    np.testing.assert_allclose(poses[[1, 2, 3, 5]], expected)
+    assert np.isnan(poses[[0, 4, 6]]).all()
+
+
+def test_positions_as_truth_tell_no_heading():
+    poses = truth_at(np.array([0.5]), Stream(np.array([0.0, 1.0]), np.array([[0.0, 0], [2, 4]])), gap=1.0)
+    np.testing.assert_allclose(poses, [[1, 2, np.nan]])
+
+
+def test_truth_that_ends_early():
+    truth = Stream(np.array([0.0, 1.0, 2.0]), np.zeros((3, 3)) + [1, 2, 3])
+    log = joined(0.5, 1.5, 5.0, truth=truth, truth_gap=1.0)
+    assert log.covered.tolist() == [True, True, False]
+    assert "the truth covers 2 of 3 poses" in log.notes
+    np.testing.assert_allclose(log.initial_poses[0], [1, 2, 3])  # the known start
+    late = joined(4.0, 5.0, truth=truth)
+    assert late.true_poses is None and "the truth covers no pose" in late.notes
+
+
+def gapped(length):
+    times = np.array([0.0, 0.5, 1.0, 1.0 + length, 1.5 + length])
+    controls = np.array([[1.0, 0.0], [1.0, 0.5], [2.0, 0.0], [1.0, 0.0], [1.0, 0.0]])
+    return Stream(times, controls)
+
+
+def test_a_gap_in_the_odometry_is_bridged_with_grown_noise_and_a_warning():
+    odometry = gapped(5.0)
+    with pytest.warns(UserWarning, match="1 gap of 5.0 to 5.0 s in the odometry"):
+        log = join(odometry, seen(0.5, 4.0, 6.2), np.zeros(3))
+    np.testing.assert_allclose(log.controls[:, 0], [1, 2, 2, 1])
+    bridged = np.var(odometry.rows, axis=0)
+    np.testing.assert_allclose(log.control_variances, [[0, 0], bridged, bridged, [0, 0]])
+    quiet = MotionModel(0, 0, 0, 0, 1e-8)
+    _, covariance = log.motions(quiet)
+    # three seconds of a control that is off by its usual spread, all the time
+    assert covariance[0, 2, 2] == pytest.approx(9 * bridged[1], rel=1e-6)
+
+
+def test_too_long_a_gap_is_refused():
+    with pytest.raises(LogError, match=r"silent for 40\.0 s after t = 1\.000 s"):
+        join(gapped(40.0), seen(0.5, 41.2), np.zeros(2))
+    with pytest.warns(UserWarning, match="bridged"):
+        join(gapped(40.0), seen(0.5, 41.2), np.zeros(2), longest_gap=60.0)
+    # a gap that no motion of the log crosses does not matter
+    assert join(gapped(40.0), seen(0.5, 0.9), np.zeros(2)).num_poses == 2
+
+
+@pytest.mark.parametrize(
+    ("odometry", "sightings", "message"),
+    [
+        (DRIVE, seen(3.0, 2.0), r"times of the sightings run backwards in row 2"),
+        (Stream(DRIVE.times[::-1], DRIVE.rows), seen(1.0), "times of the odometry run backwards"),
+        (Stream(DRIVE.times[:1], DRIVE.rows[:1]), seen(0.0), "motion takes two"),
+        (DRIVE, seen(), "no landmark is seen"),
+        (DRIVE, seen(11.0), "no landmark is seen"),
+    ],
+)
+def test_data_that_make_no_log(odometry, sightings, message):
+    with pytest.raises(LogError, match=message):
+        join(odometry, sightings, np.zeros(len(sightings)))
