@@ -47,8 +47,10 @@ def test_lost_in_the_woods(shared_data: Find) -> None:
     assert np.std(wrong[:, 0]) > 3 * np.std(innovations(log)[:, 0])
 
 
-@pytest.mark.parametrize(("name", "poses", "sightings"), [("simulated_535", 536, 850), ("simulated_8240", 8241, 40519)])
-def test_huang(shared_data: Find, name: str, poses: int, sightings: int) -> None:
+@pytest.mark.parametrize(
+    ("name", "poses", "sightings", "turning"), [("simulated_535", 536, 850, 1.0), ("simulated_8240", 8241, 40519, 1.43)]
+)
+def test_huang(shared_data: Find, name: str, poses: int, sightings: int, turning: float) -> None:
     log = load(shared_data(name))
     assert (log.num_poses, len(log.steps)) == (poses, sightings)
     e = innovations(log)
@@ -57,11 +59,11 @@ def test_huang(shared_data: Find, name: str, poses: int, sightings: int) -> None
     # what parameters.txt calls variances are standard deviations
     np.testing.assert_allclose(np.std(e, axis=0) / scale, 1, atol=0.06)
     np.testing.assert_allclose(np.mean(e, axis=0) / scale, 0, atol=4 / np.sqrt(sightings))
-    # so are those of the motion, and the true poses follow from the robot turning first and then driving
+    # so are those of the motion (the large set's turn rates are noisier than it says), and the true poses follow from the robot turning first and then driving
     motions, covariances = log.motions()
     assert log.true_poses is not None
     off = between(motions, between(log.true_poses[:-1], log.true_poses[1:]))
-    np.testing.assert_allclose(np.std(off[:, 2]) / np.sqrt(covariances[:, 2, 2].mean()), 1, atol=0.06)
+    np.testing.assert_allclose(np.std(off[:, 2]) / np.sqrt(covariances[:, 2, 2].mean()), turning, atol=0.06)
     assert np.abs(np.mean(off[:, :2], axis=0)).max() < 2e-4
 
 
