@@ -59,7 +59,8 @@ def test_huang(shared_data: Find, name: str, poses: int, sightings: int, turning
     # what parameters.txt calls variances are standard deviations
     np.testing.assert_allclose(np.std(e, axis=0) / scale, 1, atol=0.06)
     np.testing.assert_allclose(np.mean(e, axis=0) / scale, 0, atol=4 / np.sqrt(sightings))
-    # so are those of the motion (the large set's turn rates are noisier than it says), and the true poses follow from the robot turning first and then driving
+    # so are those of the motion (the large set's turn rates are noisier than it says), and the true poses follow
+    # from the robot turning first and then driving
     motions, covariances = log.motions()
     assert log.true_poses is not None
     off = between(motions, between(log.true_poses[:-1], log.true_poses[1:]))
