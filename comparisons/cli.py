@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .cli_backends import backends
+from .cli_config import ConfigFile, apply_config, config_of
 from .cli_options import (
     GRAPH,
     OUTPUT,
@@ -35,7 +36,9 @@ from .cli_options import (
 from .cli_parse import numbers
 from .cli_particles import particles
 from .cli_simulate import simulate
+from .cli_study import study
 from .cli_support import DIFFERENT, INTERRUPTED, Output, examples, models, read_log, sentences
+from .cli_sweep import sweep
 
 if TYPE_CHECKING:
     from .estimator import EstimatorResult
@@ -75,10 +78,13 @@ def _app(
         "slam-compare run",
         "slam-compare run LOG --estimators graph,fastslam1 --particles 5000",
         "slam-compare run LOG --edges virtual --frame world --json -",
+        "slam-compare run --config results/latest/config.toml",
     )
 )
 def run(
+    ctx: typer.Context,
     log: LogFile = None,
+    config: ConfigFile = None,
     estimators: Annotated[
         str | None,
         typer.Option(
@@ -130,6 +136,7 @@ def run(
 ) -> None:  # fmt: skip
     """Run all estimators on one log: a table, a figure and the numbers as JSON."""
     with sentences():
+        from .config import RunConfig, sha256_of
         from .estimator import RunOptions
         from .results import RESULTS, check_can_make
         from .run import compare
@@ -137,20 +144,28 @@ def run(
 
         output = Output(json)
         check_can_make(RESULTS if out is None else out)
-        motion, sensor = models(nn, no, on, oo, range_rate, bearing_std, orientation_std)
+        told = config_of(ctx, config, log)
+        motion, sensor = apply_config(told, *models(nn, no, on, oo, range_rate, bearing_std, orientation_std))
         options = RunOptions(
             edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, initialize=initialize,
             particles=particles, seed=seed, resampling=resampling, association=association, motion=motion, sensor=sensor,
         )  # fmt: skip
         data, source = read_log(log, format, dimensions)
         names = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
+        # the whole path, so that a repeat from another folder writes the same
+        source = source.absolute()
+        effective = RunConfig(
+            log=None if log is None else source, log_sha256=sha256_of(source), format=format, dimensions=dimensions,
+            estimators=None if names is None else tuple(names), options=options,
+        )  # fmt: skip
         outcome = compare(data, names, options, source=source, progress=_progress(output))
-        files = outcome.save(out)
+        files = outcome.save(out, config=effective)
         output.console.print(comparison_table(outcome))
         output.say(*comparison_remarks(outcome))
         output.json(outcome.to_json(files))
         folder = files["figure"].parent
         output.say(f"Wrote {', '.join(path.name for path in files.values())} into {folder}{os.sep}")
+        output.say(f"Again, bit for bit: slam-compare run --config {files['config']}")
         output.say(
             "Next: slam-compare simulate my.npz --seed 7 && slam-compare run my.npz"
             if log is None
@@ -242,6 +257,24 @@ app.command(
         "slam-compare particles LOG --figure particles.png --json particles.json",
     )
 )(particles)
+
+
+app.command(
+    epilog=examples(
+        "slam-compare sweep examples/study.toml",
+        "slam-compare sweep study.toml --jobs 8",
+        "slam-compare sweep study.toml --dask tcp://head-node:8786",
+    )
+)(sweep)
+
+
+app.command(
+    epilog=examples(
+        "slam-compare study study.sqlite",
+        "slam-compare study show study.sqlite --baseline fastslam1 --figure study.pdf",
+        "slam-compare study study.sqlite --csv runs.csv --jsonl runs.jsonl",
+    )
+)(study)
 
 
 def main() -> None:
