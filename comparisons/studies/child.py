@@ -97,13 +97,13 @@ class Child:
         with suppress(ProcessLookupError):
             self._process.kill()
         self._process.wait()
+        self._errors.close()
 
     def close(self) -> None:
         """End it and give back its pipes."""
         self.kill()
         self._to.close()
         self._from.close()
-        self._errors.close()
 
     def _last_words(self) -> str:
         status = self._process.wait()

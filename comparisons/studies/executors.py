@@ -39,6 +39,8 @@ class Place:
         slots: how many tasks run at a time.
         ahead: how many more may wait there, so that no slot waits for the way of a task.
         name: for sentences: "2 local processes".
+        gave_up: exceptions of a task by which the executor says that it tried the task several times in vain.
+        lost: exceptions of a task by which it says that it is no longer there.
     """
 
     executor: Executor
@@ -46,6 +48,8 @@ class Place:
     slots: int
     ahead: int
     name: str
+    gave_up: tuple[type[BaseException], ...] = ()
+    lost: tuple[type[BaseException], ...] = ()
 
 
 class Crew:

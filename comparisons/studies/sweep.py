@@ -13,9 +13,10 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from graphslam import OptionError
+from graphslam import OptionError, SlamError
 
 from .database import StudyDatabase
+from .execute import sentence
 from .executors import Place, here, local_processes
 from .outcome import DONE, ERROR, Outcome
 from .plan import Run, Study
@@ -77,10 +78,12 @@ def sweep(
     Raises:
         FormatError: the database is in use, no study's, damaged, or cannot be written.
         OptionError: the cluster cannot be reached, or jobs and dask are both given.
+        SlamError: the cluster is gone before the study's end; finished runs are written.
     """
     if dask is not None and jobs is not None:
         raise OptionError("give --jobs for processes of this machine or --dask for a cluster, not both")
-    with StudyDatabase.writing(study.database) as database:
+    # the place first: a cluster that does not answer leaves no database behind
+    with _place(jobs, dask) as place, StudyDatabase.writing(study.database) as database:
         database.plan(study)
         if retry:
             database.forget_failures()
@@ -92,7 +95,7 @@ def sweep(
         if progress is not None:
             progress(before, len(study.runs), None, None)
         if missing:
-            with _place(jobs, dask) as place, _ctrl_c() as events:
+            with _ctrl_c() as events:
                 for found in _outcomes(place, missing, study.time_limit, events):
                     if found is None:
                         interrupted = True
@@ -133,7 +136,7 @@ def _outcomes(place: Place, runs: Sequence[Run], limit: float, events: Events) -
         for future in happened:
             if future is not None:
                 batch = pending.pop(future)
-                outcomes = _result(future, batch)
+                outcomes = _result(place, future, batch)
                 yield from zip(batch, outcomes, strict=False)
                 if left := batch[len(outcomes) :]:
                     waiting.appendleft(left)
@@ -142,14 +145,16 @@ def _outcomes(place: Place, runs: Sequence[Run], limit: float, events: Events) -
             return
 
 
-def _result(future: Future[Any], batch: Sequence[Run]) -> list[Outcome]:
+def _result(place: Place, future: Future[Any], batch: Sequence[Run]) -> list[Outcome]:
     try:
         outcomes: list[Outcome] = future.result()
-    except Exception as error:
-        if type(error).__name__ != "KilledWorker":
-            raise
-        # Dask gives up on a task when several workers have died over it; the rest of the batch gets its own chance
-        return [Outcome(key=batch[0].key, status=ERROR, error=f"several workers of the cluster died over it: {error}")]
+    except place.gave_up as error:
+        # the rest of the batch gets its own chance
+        return [Outcome(key=batch[0].key, status=ERROR, error=f"given up by {place.name}: {sentence(error)}")]
+    except place.lost as error:
+        raise SlamError(
+            f"{place.name} is gone ({type(error).__name__}); finished runs are kept, and the same command goes on"
+        ) from None
     return outcomes
 
 
