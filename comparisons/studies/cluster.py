@@ -47,9 +47,12 @@ def dask_cluster(address: str) -> Iterator[Place]:
     """
     check_answers(address)
     try:
-        from distributed import Client, CommClosedError, KilledWorker
-    except ImportError:
+        from distributed import Client
+    except ModuleNotFoundError:
         raise OptionError("--dask needs Dask; install it with: pip install 'virtual-motion-slam[cluster]'") from None
+    from distributed.comm import CommClosedError
+    from distributed.scheduler import KilledWorker
+
     # what happens to the cluster is told in a sentence of ours, not in Dask's log on the user's terminal
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     _check_handshake(address)
