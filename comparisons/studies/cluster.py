@@ -53,8 +53,10 @@ def dask_cluster(address: str) -> Iterator[Place]:
     from distributed.comm import CommClosedError
     from distributed.scheduler import KilledWorker
 
-    # what happens to the cluster is told in a sentence of ours, not in Dask's log on the user's terminal
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    # what happens to the cluster is told in a sentence of ours, not in Dask's log on the user's terminal; importing
+    # Dask has given a level to each of its loggers
+    for name in [name for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     _check_handshake(address)
     client = Client(address, timeout=PATIENCE, set_as_default=False)
     with client:

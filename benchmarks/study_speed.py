@@ -1,0 +1,80 @@
+"""What a study costs beside its estimators, and what more processes bring.
+
+    python -m benchmarks.study_speed [--dask tcp://host:8786] [--repeats 3]
+
+Overhead: 2,000 short runs in one process; the wall time without the start of the process, less the estimators' own
+``seconds``, for each run. It holds simulating or reading logs, building graphs, measuring errors, the way to the process and
+back, and the row on the disk. Speed-up: 96 longer runs with one process, with two, and on the cluster if there is one; the
+time from the first row to the last. All are repeated in turn and the best is taken, because other work on the machine only
+ever makes them slower.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import time
+from pathlib import Path
+
+from comparisons.studies.database import StudyDatabase
+from comparisons.studies.plan import read_study
+from comparisons.studies.sweep import sweep
+
+SHORT = """\
+seeds = 500
+estimators = ["dead-reckoning", "graph", "mcl", "fastslam1"]
+[simulate]
+world = "book"
+[options]
+particles = 100
+"""
+LONG = """\
+seeds = 96
+estimators = ["fastslam1"]
+[simulate]
+world = "book"
+[options]
+particles = 30000
+"""
+
+
+def measure(text: str, **where: object) -> tuple[float, float, int]:
+    """Seconds from the first row to the last, the estimators' own seconds in these rows, and how many they are."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "study.toml"
+        path.write_text(text, encoding="utf-8")
+        study = read_study(path)
+        times: list[float] = []
+        sweep(study, progress=lambda *_: times.append(time.perf_counter()), **where)  # type: ignore[arg-type]
+        with StudyDatabase.reading(study.database) as database:
+            own = sum(row["seconds"] for row in database.rows()[1:])
+    # the first call comes before any run, the second with the first row
+    return times[-1] - times[1], own, len(times) - 2
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--dask", help="the address of a scheduler with two workers of one thread")
+    parser.add_argument("--repeats", type=int, default=3)
+    options = parser.parse_args()
+    places: dict[str, dict[str, object]] = {"one process": {"jobs": 1}, "two processes": {"jobs": 2}}
+    if options.dask:
+        places["cluster"] = {"dask": options.dask}
+    print(f"load before: {os.getloadavg()[0]:.1f}")
+    overheads, seconds = [], {place: [] for place in places}
+    for _ in range(options.repeats):
+        wall, own, count = measure(SHORT, jobs=1)
+        overheads.append(1e3 * (wall - own) / count)
+        for place, where in places.items():
+            seconds[place].append(measure(LONG, **where)[0])
+    print(f"overhead of {count} short runs: {min(overheads):.2f} ms per run (all: {[round(o, 2) for o in overheads]})")
+    for place, found in seconds.items():
+        ratio = min(seconds["one process"]) / min(found)
+        print(f"{place}: {min(found):.2f} s, {ratio:.2f} x (all: {[round(s, 2) for s in found]})")
+    print(f"load after: {os.getloadavg()[0]:.1f}")
+
+
+if __name__ == "__main__":
+    main()
