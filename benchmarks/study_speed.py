@@ -4,7 +4,7 @@
 
 Overhead: 2,000 short runs in one process; the wall time without the start of the process, less the estimators' own
 ``seconds``, for each run. It holds simulating or reading logs, building graphs, measuring errors, the way to the process and
-back, and the row on the disk. Speed-up: 96 longer runs with one process, with two, and on the cluster if there is one; the
+back, and the row on the disk. Speed-up: 64 longer runs with one process, with two, and on the cluster if there is one; the
 time from the first row to the last. All are repeated in turn and the best is taken, because other work on the machine only
 ever makes them slower.
 """
@@ -30,12 +30,12 @@ world = "book"
 particles = 100
 """
 LONG = """\
-seeds = 96
+seeds = 64
 estimators = ["fastslam1"]
 [simulate]
 world = "book"
 [options]
-particles = 30000
+particles = 20000
 """
 
 

@@ -104,6 +104,16 @@ def test_the_example_is_a_study() -> None:
     assert len(study.runs) == 2 * 10 * 6
 
 
+def test_the_study_file_of_the_documentation_is_one(folder: Path) -> None:
+    text = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
+    for name in ("mine/a.npz", "other/log.txt"):
+        (folder / name).parent.mkdir()
+        (folder / name).touch()
+    runs = study_of(folder, text)
+    # two files and two worlds, 20 seeds; 4 combinations for the graph, 2 for the filter, which has no weight of pairs
+    assert len(runs) == 4 * 20 * (4 + 2)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
