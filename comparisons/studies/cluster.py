@@ -60,7 +60,7 @@ def dask_cluster(address: str) -> Iterator[Place]:
     _check_handshake(address)
     client = Client(address, timeout=PATIENCE, set_as_default=False)
     with client:
-        slots = sum(worker["nthreads"] for worker in client.scheduler_info(n_workers=-1)["workers"].values())
+        slots = sum(client.nthreads().values())
         if slots == 0:
             raise OptionError(f"the cluster at {address} has no workers; start some with: dask worker {address}")
         _check_versions(client, address)

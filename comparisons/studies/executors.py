@@ -28,6 +28,9 @@ from .plan import Run
 #: (batch, limit of each run [s]) -> the outcomes of its first runs, one at least
 Task = Callable[[Sequence[Run], float], list[Outcome]]
 
+#: compiling an estimator's kernels may take so long whatever the limit of a run [s]
+COMPILING = 600.0
+
 
 @dataclass(frozen=True)
 class Place:
@@ -78,7 +81,7 @@ class Crew:
         try:
             child = self._child()
             if run.estimator not in child.warmed:
-                child.call(warm, run.estimator)
+                child.call(warm, run.estimator, limit=max(limit, COMPILING))
                 child.warmed.add(run.estimator)
             begin = time.perf_counter()
             outcome: Outcome = child.call(execute, run, limit=limit)

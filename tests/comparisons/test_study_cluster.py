@@ -92,4 +92,4 @@ def _workers(address: str) -> int:
     from distributed import Client
 
     with Client(address, timeout=10, set_as_default=False) as client:
-        return len(client.scheduler_info(n_workers=-1)["workers"])
+        return len(client.nthreads())
