@@ -43,13 +43,16 @@ class Child:
 
     def __init__(self) -> None:
         path = os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)
+        # Dask has its workers give freed memory back at once: arrays of thousands of particles then fault in anew at
+        # every step, and runs take half as long again
+        inherited = {name: value for name, value in os.environ.items() if name != "MALLOC_TRIM_THRESHOLD_"}
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  # read when the child has died
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "comparisons.studies.child"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,
-            env={**os.environ, **ONE_THREAD, "PYTHONPATH": path},
+            env={**inherited, **ONE_THREAD, "PYTHONPATH": path},
             # Ctrl-C on the terminal is for the parent alone
             start_new_session=True,
         )
