@@ -9,11 +9,12 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from .cli_backends import backends
+from .cli_config import ConfigFile, config_of
 from .cli_datasets import datasets
 from .cli_options import (
     GRAPH,
@@ -45,7 +46,9 @@ from .cli_options import (
 from .cli_parse import numbers
 from .cli_particles import particles
 from .cli_simulate import simulate
+from .cli_study import study
 from .cli_support import DIFFERENT, INTERRUPTED, Output, examples, models, read_log, sentences
+from .cli_sweep import sweep
 
 if TYPE_CHECKING:
     from .estimator import EstimatorResult
@@ -85,10 +88,13 @@ def _app(
         "slam-compare run",
         "slam-compare run LOG --estimators graph,fastslam1 --particles 5000",
         "slam-compare run LOG --edges virtual --frame world --json -",
+        "slam-compare run --config results/latest/config.toml",
     )
 )
 def run(
+    ctx: typer.Context,
     log: LogFile = None,
+    config: ConfigFile = None,
     estimators: Annotated[
         str | None,
         typer.Option(
@@ -159,16 +165,17 @@ def run(
 ) -> None:  # fmt: skip
     """Run all estimators on one log: a table, a figure and the numbers as JSON."""
     with sentences():
+        from .config import RunConfig, sha256_of
         from .estimator import RunOptions
         from .results import RESULTS, check_can_make
-        from .run import compare
+        from .run import compare, with_models
         from .tables import comparison_remarks, comparison_table
 
         output = Output(json)
         check_can_make(RESULTS if out is None else out)
-        data, source = read_log(
-            log, format, dimensions, robot=robot, keep_every=keep_every, stride=stride, max_range=max_range
-        )
+        config_of(ctx, config, log)
+        reading: dict[str, Any] = {"robot": robot, "keep_every": keep_every, "stride": stride, "max_range": max_range}
+        data, source = read_log(log, format, dimensions, **reading)
         motion, sensor = models(
             data, nn=nn, no=no, on=on, oo=oo, sigma_v=sigma_v, sigma_omega=sigma_omega, epsilon=epsilon,
             range_rate=range_rate, range_std=range_std, bearing_std=bearing_std, orientation_std=orientation_std,
@@ -179,13 +186,20 @@ def run(
             particles=particles, seed=seed, resampling=resampling, association=association, motion=motion, sensor=sensor,
         )  # fmt: skip
         names = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
+        # the whole path, so that a repeat from another folder writes the same
+        source = source.absolute()
+        effective = RunConfig(
+            log=None if log is None else source, log_sha256=sha256_of(source), format=format, dimensions=dimensions,
+            estimators=None if names is None else tuple(names), options=with_models(options, data), **reading,
+        )  # fmt: skip
         outcome = compare(data, names, options, source=source, progress=_progress(output))
-        files = outcome.save(out)
+        files = outcome.save(out, config=effective)
         output.console.print(comparison_table(outcome))
         output.say(*comparison_remarks(outcome))
         output.json(outcome.to_json(files))
         folder = files["figure"].parent
         output.say(f"Wrote {', '.join(path.name for path in files.values())} into {folder}{os.sep}")
+        output.say(f"Again, bit for bit: slam-compare run --config {files['config']}")
         output.say(
             "Next: slam-compare simulate my.npz --seed 7 && slam-compare run my.npz"
             if log is None
@@ -299,6 +313,24 @@ app.command(
 
 
 app.command(epilog=examples("slam-compare datasets", "SLAM_DATA=~/data slam-compare datasets --json -"))(datasets)
+
+
+app.command(
+    epilog=examples(
+        "slam-compare sweep examples/study.toml",
+        "slam-compare sweep study.toml --jobs 8",
+        "slam-compare sweep study.toml --dask tcp://head-node:8786",
+    )
+)(sweep)
+
+
+app.command(
+    epilog=examples(
+        "slam-compare study study.sqlite",
+        "slam-compare study show study.sqlite --baseline fastslam1 --figure study.pdf",
+        "slam-compare study study.sqlite --csv runs.csv --jsonl runs.jsonl",
+    )
+)(study)
 
 
 def main() -> None:

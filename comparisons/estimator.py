@@ -117,11 +117,13 @@ class Estimator:
 
     Attributes:
         run: the function; raises `graphslam.SlamError` where it cannot run on this log.
+        uses: the fields of `RunOptions` that make a difference to it, beside the models and the seed; None for all.
         seconds_per_iteration: a forecast for estimators that are slow on large logs, or None.
     """
 
     run: Callable[[Log, RunOptions], EstimatorResult]
     seconds_per_iteration: Callable[[Log], float] | None = None
+    uses: tuple[str, ...] | None = None
 
     def too_slow(self, log: Log) -> str | None:
         """Why the estimator should be left out unless asked for by name, or None."""

@@ -178,16 +178,19 @@ def _isam2_seconds(log: Log) -> float:
     return 1e-3 * log.num_poses + _gtsam_seconds(log)
 
 
+_OF_GRAPHS = ("edges", "frame", "weight", "motion_weight", "robust", "initialize")
+_OF_FILTERS = ("particles", "resampling")
+
 #: the estimators by name, in the order in which they run and are shown
 ESTIMATORS: dict[str, Estimator] = {
-    "dead-reckoning": Estimator(dead_reckoning),
-    "textbook": Estimator(textbook_estimator, _textbook_seconds),
-    "graph": Estimator(graph_estimator),
-    "gtsam": Estimator(gtsam_estimator, _gtsam_seconds),
-    "isam2": Estimator(isam2, _isam2_seconds),
-    "mcl": Estimator(mcl),
-    "fastslam1": Estimator(fastslam1),
-    "fastslam2": Estimator(fastslam2),
+    "dead-reckoning": Estimator(dead_reckoning, uses=()),
+    "textbook": Estimator(textbook_estimator, _textbook_seconds, uses=("edges",)),
+    "graph": Estimator(graph_estimator, uses=_OF_GRAPHS),
+    "gtsam": Estimator(gtsam_estimator, _gtsam_seconds, uses=_OF_GRAPHS),
+    "isam2": Estimator(isam2, _isam2_seconds, uses=tuple(name for name in _OF_GRAPHS if name != "initialize")),
+    "mcl": Estimator(mcl, uses=_OF_FILTERS),
+    "fastslam1": Estimator(fastslam1, uses=(*_OF_FILTERS, "association")),
+    "fastslam2": Estimator(fastslam2, uses=(*_OF_FILTERS, "association")),
 }
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from .estimator import EstimatorResult, RunOptions
 from .estimators import ESTIMATORS
 from .metrics import Metrics, evaluate
 from .results import fill_whole, jsonable, new_directory, point_latest, write_json
+
+if TYPE_CHECKING:
+    from .config import RunConfig
 
 
 @dataclass(frozen=True)
@@ -114,14 +117,15 @@ class Comparison:
         }
         return jsonable(payload)
 
-    def save(self, directory: Path | None = None) -> dict[str, Path]:
-        """Write figure (PNG, PDF) and JSON into a folder, all or nothing.
+    def save(self, directory: Path | None = None, *, config: RunConfig | None = None) -> dict[str, Path]:
+        """Write figure (PNG, PDF), JSON and, if given, the configuration into a folder, all or nothing.
 
         Args:
             directory: made if need be; default: a new ``results/<time>/``, to which ``results/latest`` then points.
+            config: what the run was told, for ``slam-compare run --config``.
 
         Returns:
-            {"json": path, "figure": path, "figure_pdf": path}.
+            {"json": path, "figure": path, "figure_pdf": path}, and "config" where it was given.
 
         Raises:
             FormatError: the folder cannot be made or written.
@@ -131,10 +135,14 @@ class Comparison:
         timed = directory is None
         directory = new_directory() if directory is None else directory
         names = {"json": "comparison.json", "figure": "comparison.png", "figure_pdf": "comparison.pdf"}
+        if config is not None:
+            names["config"] = "config.toml"
         files = {kind: directory / name for kind, name in names.items()}
         with fill_whole(directory, for_this_only=timed) as folder:
             save_figure(comparison_figure(self), [folder / names["figure"], folder / names["figure_pdf"]])
             write_json(self.to_json(files), folder / names["json"])
+            if config is not None:
+                (folder / names["config"]).write_text(config.to_toml(), encoding="utf-8")
         if timed:
             point_latest(directory)
         return files

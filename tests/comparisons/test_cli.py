@@ -210,7 +210,7 @@ def test_run_leaves_a_figure_and_json(invoke: Invoke, log_file: Path, tmp_path: 
     result = invoke("run", log_file, "--particles", 50)
     assert result.exit_code == 0, result.output
     (folder,) = (p for p in (tmp_path / "results").iterdir() if not p.is_symlink())
-    names = ["comparison.json", "comparison.pdf", "comparison.png"]
+    names = ["comparison.json", "comparison.pdf", "comparison.png", "config.toml"]
     assert sorted(p.name for p in folder.iterdir()) == names
     assert (tmp_path / "results" / "latest").resolve() == folder.resolve()
     for word in (

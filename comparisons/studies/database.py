@@ -1,0 +1,191 @@
+"""The SQLite file of a study: the runs that are planned, and one row for each that has ended.
+
+A row is one transaction, on the disk when `StudyDatabase.add` returns (``synchronous=FULL``), so neither a killed process nor
+a lost machine takes a row back, and SQLite's journal undoes what was half written. The journal is the write-ahead log:
+one flush for a row instead of the rollback journal's three, and ``slam-compare study`` can read while a sweep writes. It
+wants a file system with shared memory (a local disk); when a study ends, one plain file is left.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+from graphslam import FormatError
+from graphslam.files import check_file
+
+from ..config import versions
+from .lock import only_one
+from .outcome import DONE, Outcome
+from .plan import Run, Study
+
+#: "SLAM" in ASCII, in the head of the file: SQLite's place for saying whose database it is
+APPLICATION = 0x534C414D
+VERSION = 1
+
+_TYPES = {"int | None": "INTEGER", "bool | None": "INTEGER", "float | None": "REAL"}
+_FIGURES = [(f.name, _TYPES.get(str(f.type), "TEXT")) for f in fields(Outcome) if f.name != "key"]
+#: the columns of the table ``runs``
+COLUMNS = ("key", "log", "source", "seed", "estimator", "method", "options", *(name for name, _ in _FIGURES))
+_SCHEMA = f"""
+BEGIN;
+CREATE TABLE about (name TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE planned (key TEXT PRIMARY KEY, position INTEGER NOT NULL);
+CREATE TABLE runs (
+    key TEXT PRIMARY KEY, log TEXT NOT NULL, source TEXT NOT NULL, seed INTEGER NOT NULL, estimator TEXT NOT NULL,
+    method TEXT NOT NULL, options TEXT NOT NULL, {", ".join(f"{name} {kind}" for name, kind in _FIGURES)});
+PRAGMA application_id = {APPLICATION};
+PRAGMA user_version = {VERSION};
+COMMIT;
+"""
+
+
+class StudyDatabase:
+    """An open database; get one from `writing` or `reading`."""
+
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+        self.path, self._connection = path, connection
+
+    @classmethod
+    @contextmanager
+    def writing(cls, path: Path) -> Iterator[StudyDatabase]:
+        """Open the database for a sweep, alone; make it if there is none.
+
+        Raises:
+            FormatError: another sweep has it, it is something else, damaged, or cannot be written.
+        """
+        if path.is_dir():
+            raise FormatError(path, None, "this is a folder; give the name of a database file")
+        if not path.parent.is_dir():
+            raise FormatError(path, None, f"cannot write into {path.parent}: there is no such folder")
+        with only_one(path), _connected(path, "rwc") as connection:
+            database = cls(path, connection)
+            if connection.execute("SELECT count(*) FROM sqlite_master").fetchone() == (0,):
+                connection.executescript(_SCHEMA)
+            database._check()
+            (found,) = connection.execute("PRAGMA quick_check").fetchone()
+            if found != "ok":
+                raise FormatError(path, None, f"the database is damaged ({found}); name another one in the study file")
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.execute("PRAGMA synchronous = FULL")
+            yield database
+            with suppress(sqlite3.OperationalError):
+                # back to one plain file that can be sent to somebody, unless somebody is reading it now
+                connection.execute("PRAGMA journal_mode = DELETE")
+
+    @classmethod
+    @contextmanager
+    def reading(cls, path: Path) -> Iterator[StudyDatabase]:
+        """Open the database to look at it, also while a sweep writes.
+
+        Raises:
+            FormatError: there is no such file, or it is something else, or damaged.
+        """
+        check_file(path)
+        with _connected(path, "rw") as connection:
+            database = cls(path, connection)
+            database._check()
+            yield database
+
+    def _check(self) -> None:
+        (application,) = self._connection.execute("PRAGMA application_id").fetchone()
+        (version,) = self._connection.execute("PRAGMA user_version").fetchone()
+        if application != APPLICATION:
+            raise FormatError(self.path, None, "this SQLite file is no study of slam-compare; name another one")
+        if version != VERSION:
+            raise FormatError(self.path, None, f"a study of version {version}; this program reads version {VERSION}")
+
+    def plan(self, study: Study) -> None:
+        """Note what the study consists of now; rows of runs that it no longer has stay, but are not shown."""
+        about = {"study": str(study.path.absolute()), "text": study.text, "versions": ", ".join(versions())}
+        with self._transaction():
+            self._connection.execute("DELETE FROM planned")
+            self._connection.executemany(
+                "INSERT INTO planned VALUES (?, ?)", [(run.key, position) for position, run in enumerate(study.runs)]
+            )
+            self._connection.executemany("INSERT OR REPLACE INTO about VALUES (?, ?)", about.items())
+
+    def about(self) -> dict[str, str]:
+        """The study file's path and text, and the versions that wrote the rows last."""
+        return dict(self._connection.execute("SELECT name, value FROM about"))
+
+    def keys(self) -> set[str]:
+        """The keys of all runs that have a row."""
+        return {key for (key,) in self._connection.execute("SELECT key FROM runs")}
+
+    def add(self, run: Run, outcome: Outcome) -> None:
+        """Write the row of a run, in a transaction of its own.
+
+        Raises:
+            sqlite3.IntegrityError: the run has a row already.
+        """
+        description = {
+            "log": run.log, "source": json.dumps(dict(run.source)), "seed": run.seed, "estimator": run.estimator,
+            "method": run.method, "options": json.dumps(dict(run.options)),
+        }  # fmt: skip
+        row = description | asdict(outcome)
+        marks = ", ".join(f":{name}" for name in COLUMNS)
+        with self._transaction():
+            self._connection.execute(f"INSERT INTO runs ({', '.join(COLUMNS)}) VALUES ({marks})", row)
+
+    def forget_failures(self) -> int:
+        """Remove the rows of planned runs that did not end well, so that they run again; how many there were."""
+        with self._transaction():
+            found = self._connection.execute(
+                "DELETE FROM runs WHERE status != ? AND key IN (SELECT key FROM planned)", (DONE,)
+            )
+        return found.rowcount
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of the planned runs in the order of the study, as {column: value} with options and source as data."""
+        names = ", ".join(f"runs.{name}" for name in COLUMNS)
+        found = self._connection.execute(
+            f"SELECT {names} FROM runs JOIN planned ON planned.key = runs.key ORDER BY planned.position"
+        )
+        return list(map(_row, found))
+
+    def counts(self) -> tuple[int, int]:
+        """How many runs are planned, and how many rows there are of runs that no longer are."""
+        (planned,) = self._connection.execute("SELECT count(*) FROM planned").fetchone()
+        (others,) = self._connection.execute(
+            "SELECT count(*) FROM runs WHERE key NOT IN (SELECT key FROM planned)"
+        ).fetchone()
+        return planned, others
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        self._connection.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+        except BaseException:
+            self._connection.execute("ROLLBACK")
+            raise
+        self._connection.execute("COMMIT")
+
+
+def _row(values: Iterable[Any]) -> dict[str, Any]:
+    row = dict(zip(COLUMNS, values, strict=True))
+    row["converged"] = None if row["converged"] is None else bool(row["converged"])
+    return row | {"source": json.loads(row["source"]), "options": json.loads(row["options"])}
+
+
+@contextmanager
+def _connected(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
+    """A connection whose troubles with the file become sentences."""
+    connection = None
+    try:
+        uri = f"{path.absolute().as_uri()}?mode={mode}"
+        connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=30)
+        yield connection
+    except sqlite3.IntegrityError:
+        raise
+    except sqlite3.DatabaseError as error:
+        raise FormatError(path, None, f"SQLite says: {error}; rows written before are kept") from None
+    finally:
+        if connection is not None:
+            connection.close()

@@ -1,0 +1,130 @@
+"""Configuration files of ``run``: what beats what, and that a saved one repeats its run bit for bit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from comparisons.cli import app
+from comparisons.config import RunConfig, read_config, run_options
+from comparisons.estimator import RunOptions
+from graphslam import FormatError, MotionModel, SensorModel, save, simulate
+
+Invoke = Callable[..., Result]
+
+
+@pytest.fixture
+def invoke(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Invoke:
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture
+def log_file(tmp_path: Path) -> Path:
+    path = tmp_path / "log.npz"
+    save(simulate(seed=2, steps=24, clean=True), path)
+    return path
+
+
+def without_times(path: Path) -> dict[str, Any]:
+    """The JSON of a run but its times, among them the folder, which is named by the time."""
+    payload = json.loads(path.read_text())
+    del payload["files"]
+    for entry in payload["estimators"]:
+        assert entry.pop("seconds") >= 0
+    return payload
+
+
+def test_a_configuration_survives_being_written(tmp_path: Path) -> None:
+    options = RunOptions(
+        edges="virtual", frame="world", weight="tempered", motion_weight=0.1 + 0.2, particles=7, seed=3,
+        motion=MotionModel(nn=0.3, epsilon=1e-5), sensor=SensorModel(range_rate=1 / 3),
+    )  # fmt: skip
+    config = RunConfig(log=tmp_path / "x.npz", log_sha256="ab", dimensions=2, estimators=("graph",), options=options)
+    (tmp_path / "c.toml").write_text(config.to_toml())
+    flat = read_config(tmp_path / "c.toml")
+    assert run_options(flat) == options
+    assert (flat["log"], flat["log_sha256"], flat["dimensions"]) == (tmp_path / "x.npz", "ab", 2)
+    assert flat["estimators"] == ["graph"]
+    assert "format" not in flat
+
+
+def test_a_relative_log_starts_from_the_folder_of_the_file(tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_text('log = "data/x.npz"')
+    assert read_config(tmp_path / "c.toml")["log"] == tmp_path / "data" / "x.npz"
+
+
+def test_a_saved_configuration_repeats_its_run(invoke: Invoke, log_file: Path, tmp_path: Path) -> None:
+    told = ["--particles", 60, "--seed", 5, "--nn", 0.21, "--weight", "tempered", "--initialize", "given"]
+    first = invoke("run", "log.npz", *told)
+    assert first.exit_code == 0, first.output
+    (folder,) = (p for p in (tmp_path / "results").iterdir() if not p.is_symlink())
+    assert f"slam-compare run --config {Path('results') / folder.name / 'config.toml'}" in first.stdout
+    assert invoke("run", "--config", folder / "config.toml", "--out", "again").exit_code == 0
+    assert without_times(folder / "comparison.json") == without_times(Path("again/comparison.json"))
+    assert (folder / "config.toml").read_text() == Path("again/config.toml").read_text()
+
+
+def test_options_beat_the_file_which_beats_the_defaults(invoke: Invoke, log_file: Path) -> None:
+    Path("c.toml").write_text(
+        'log = "log.npz"\nestimators = ["fastslam1", "graph"]\nparticles = 40\nseed = 9\nframe = "world"\n'
+        "[motion]\nepsilon = 1e-3\n"
+    )
+    result = invoke("run", "--config", "c.toml", "--seed", 4, "--out", "o", "--json", "-")
+    assert result.exit_code == 0, result.output
+    graph, filter_ = json.loads(result.stdout)["estimators"]
+    assert filter_["options"]["particles"] == 40
+    assert filter_["options"]["seed"] == 4
+    assert filter_["options"]["resampling"] == "systematic"
+    assert graph["options"]["frame"] == "world"
+    assert read_config(Path("o/config.toml"))["motion.epsilon"] == 1e-3
+    result = invoke("run", "--config", "c.toml", "--estimators", "dead-reckoning", "--out", "o", "--json", "-")
+    assert [entry["name"] for entry in json.loads(result.stdout)["estimators"]] == ["dead-reckoning"]
+
+
+def test_a_log_that_has_changed_is_not_taken_for_the_same(invoke: Invoke, log_file: Path) -> None:
+    assert invoke("run", "log.npz", "--estimators", "graph", "--out", "o").exit_code == 0
+    save(simulate(seed=3, steps=24, clean=True), log_file)
+    result = invoke("run", "--config", "o/config.toml", "--out", "o2")
+    assert result.exit_code == 2
+    assert "has changed" in result.stderr
+    assert "log_sha256" in result.stderr
+    assert not Path("o2").exists()
+    # another log, named by an option, is another run
+    save(simulate(seed=4, steps=24, clean=True), Path("other.npz"))
+    assert invoke("run", "other.npz", "--config", "o/config.toml", "--out", "o3").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("\nestimater = ['graph']\n", [":2:", "'estimater'", "'estimators'"]),
+        ("estimators = ['grap']\n", [":1:", "'graph'"]),
+        ("particles = 'many'\n", [":1:", "whole number"]),
+        ("\nparticles = 0\n", [":2:", "at least 1"]),
+        ("[sensor]\nbearing = 1\n", [":2:", "[sensor]", "'bearing_std'"]),
+        ("weight = 'triples'\n", [":1:", "pairs"]),
+        ("out = 'x'\n", ["unknown key 'out'"]),
+        ("a\n", [":1:", "TOML"]),
+    ],
+)
+def test_wrong_files_are_told_in_a_sentence(invoke: Invoke, content: str, words: list[str]) -> None:
+    Path("c.toml").write_text(content)
+    result = invoke("run", "--config", "c.toml")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: c.toml")
+    assert result.stderr.count("\n") == 1
+    for word in words:
+        assert word in result.stderr
+    assert not Path("results").exists()
+
+
+def test_no_file(invoke: Invoke) -> None:
+    assert "no such file" in invoke("run", "--config", "nowhere.toml").stderr
+    with pytest.raises(FormatError):
+        read_config(Path("nowhere.toml"))

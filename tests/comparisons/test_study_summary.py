@@ -1,0 +1,135 @@
+"""Medians, bootstrap intervals and paired differences, on rows whose figures are known."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from comparisons.plots import save_figure
+from comparisons.studies.bootstrap import median_of
+from comparisons.studies.database import COLUMNS
+from comparisons.studies.export import write_csv, write_json_lines
+from comparisons.studies.figure import study_figure
+from comparisons.studies.summary import ALL, METRICS, summarise
+from graphslam import OptionError
+
+
+def row(
+    method: str, seed: int, ate: float | None, *, log: str = "w", file: bool = False, **rest: Any
+) -> dict[str, Any]:
+    plain: dict[str, Any] = dict.fromkeys(COLUMNS)
+    plain |= {
+        "key": f"{log}{method}{seed}", "log": log, "seed": seed, "estimator": method.split()[0], "method": method,
+        "source": {"file": log} if file else {"simulate": {}}, "options": {}, "status": "done", "ate_m": ate,
+    }  # fmt: skip
+    return plain | rest
+
+
+def test_the_median_and_an_interval_that_covers_it() -> None:
+    found = median_of([3.0, 1.0, 2.0], [0, 1, 2])
+    assert found is not None
+    assert (found.median, found.count, found.low, found.high) == (2.0, 3, 1.0, 3.0)
+    alone = median_of([3.0, 5.0], ["a", "a"])
+    assert alone is not None
+    assert (alone.median, alone.low, alone.high) == (4.0, None, None)
+    assert median_of([], []) is None
+
+
+def test_the_interval_covers_the_true_median_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(0)
+    covered = 0
+    for _ in range(300):
+        found = median_of(list(rng.standard_normal(41)), range(41))
+        assert found is not None and found.low is not None and found.high is not None
+        covered += found.low <= 0.0 <= found.high
+    # 95 % of 300 is 285; three standard deviations of a binomial are 11.3
+    assert 274 <= covered <= 296
+
+
+def test_values_of_one_unit_do_not_pass_for_independent_ones() -> None:
+    rng = np.random.default_rng(1)
+    per_log = rng.standard_normal(12)
+    values = list(np.repeat(per_log, 30) + 0.01 * rng.standard_normal(360))
+    together = median_of(values, list(np.repeat(np.arange(12), 30)))
+    apart = median_of(values, range(360))
+    assert together is not None and apart is not None
+    assert together.median == apart.median
+    assert together.high - together.low > 3 * (apart.high - apart.low)  # type: ignore[operator]
+
+
+def test_differences_are_of_the_same_log_and_seed() -> None:
+    # the noise of the seeds is large and common; the difference is a tenth of it, and exact
+    rows = [row("graph", s, float(s)) for s in range(9)] + [row("fastslam1 particles=9", s, s + 0.5) for s in range(9)]
+    summary = summarise(rows, planned=20)
+    assert (summary.planned, summary.done, summary.baseline) == (20, 18, "graph")
+    (gap,) = summary.differences
+    found = gap.figures["ate_m"]
+    assert found is not None
+    assert (gap.method, found.median, found.low, found.high, found.count) == ("fastslam1 particles=9", 0.5, 0.5, 0.5, 9)
+    assert gap.lower["ate_m"] == 0
+    (turned,) = summarise(rows, 20, baseline="fastslam1 particles=9").differences
+    assert turned.figures["ate_m"].median == -0.5  # type: ignore[union-attr]
+    assert turned.lower["ate_m"] == 9
+
+
+def test_failures_count_and_leave_their_pair_out() -> None:
+    rows = [row("graph", s, 1.0, converged=s > 0) for s in range(4)]
+    rows += [row("gtsam", s, 2.0) for s in range(2)]
+    rows += [row("gtsam", 2, None, status="error", error="no"), row("gtsam", 3, None, status="timeout", error="late")]
+    summary = summarise(rows, 8)
+    graph, gtsam = summary.methods
+    assert (graph.runs, graph.failed, graph.converged) == (4, 0, 0.75)
+    assert (gtsam.runs, gtsam.failed, gtsam.timeouts, gtsam.converged) == (4, 1, 1, None)
+    assert summary.differences[0].figures["ate_m"].count == 2  # type: ignore[union-attr]
+    assert summary.differences[0].figures["rpe_m"] is None
+    assert summary.errors == {"no": 1, "late": 1}
+
+
+def test_several_logs_are_also_summarised_together() -> None:
+    rows = [row("graph", s, value, log=log, file=True) for log, value in (("a", 1.0), ("b", 3.0)) for s in range(3)]
+    summary = summarise(rows, 6)
+    assert [(line.log, line.figures["ate_m"].median) for line in summary.methods] == [  # type: ignore[union-attr]
+        ("a", 1.0), ("b", 3.0), (ALL, 2.0),
+    ]  # fmt: skip
+    # two files are two units, whatever the number of seeds
+    everything = summary.methods[-1].figures["ate_m"]
+    assert everything is not None
+    assert (everything.low, everything.high) == (1.0, 3.0)
+
+
+def test_an_unknown_baseline_and_no_rows() -> None:
+    with pytest.raises(OptionError, match="did you mean 'graph'"):
+        summarise([row("graph", 0, 1.0)], 1, baseline="grph")
+    empty = summarise([], 5)
+    assert (empty.done, empty.methods, empty.differences, empty.baseline) == (0, (), (), None)
+
+
+def test_export_keeps_every_digit(tmp_path: Path) -> None:
+    rows = [row("graph", 0, 0.1 + 0.2, log='a, "b"', converged=True), row("graph", 1, None)]
+    write_csv(rows, tmp_path / "r.csv")
+    with (tmp_path / "r.csv").open(newline="") as stream:
+        read = list(csv.DictReader(stream))
+    assert list(read[0]) == list(COLUMNS)
+    assert (float(read[0]["ate_m"]), read[0]["log"], read[1]["ate_m"]) == (0.30000000000000004, 'a, "b"', "")
+    assert json.loads(read[0]["source"]) == {"simulate": {}}
+    write_json_lines(rows, tmp_path / "r.jsonl")
+    assert [json.loads(line) for line in (tmp_path / "r.jsonl").read_text().splitlines()] == rows
+
+
+def test_the_figure_draws_every_method_once(tmp_path: Path) -> None:
+    rows = [row(name, s, s + k, log=log) for log in "ab" for k, name in enumerate(("graph", "mcl")) for s in range(5)]
+    figure = study_figure(summarise(rows, 20), "ate_m")
+    assert len(figure.axes) == 4
+    left, right = figure.axes[:2]
+    assert [label.get_text() for label in left.get_yticklabels()] == ["graph", "mcl"]
+    # a point and a bar for each method; on the right for one method, and the line at zero
+    assert (len(left.lines), len(right.lines)) == (4, 3)
+    assert [line.get_xdata()[0] for line in left.lines if line.get_marker() == "o"] == [2.0, 3.0]  # type: ignore[index]
+    assert METRICS["ate_m"] in figure.axes[2].get_xlabel()
+    save_figure(figure, [tmp_path / "f.svg"])
+    assert (tmp_path / "f.svg").stat().st_size > 0
