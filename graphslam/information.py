@@ -71,6 +71,11 @@ class BlockSystem:
     def _factor(self) -> Factor:
         return Factor(self.symbolic)
 
+    @cached_property
+    def diagonal_slots(self) -> np.ndarray:
+        """The slots of the diagonal blocks, (n,)."""
+        return self.indptr[1:] - 1
+
     def factorize(self, damping: float = 0.0) -> Factor:
         """Omega + damping diag(Omega) = L L', in memory that the next call reuses.
 
@@ -82,7 +87,7 @@ class BlockSystem:
     def hold(self, nodes: np.ndarray) -> None:
         """Take nodes out of the system: their rows and columns become those of the identity, their xi zero."""
         self.values[self._slots_in_rows_and_columns(nodes)] = 0.0
-        self.values[self.indptr[nodes + 1] - 1] = np.eye(3)
+        self.values[self.diagonal_slots[nodes]] = np.eye(3)
         self.xi[nodes] = 0.0
 
     def _slots_in_rows_and_columns(self, nodes: np.ndarray) -> np.ndarray:
@@ -101,7 +106,7 @@ class BlockSystem:
 
     def diagonal(self) -> Array:
         """The scalar diagonal of Omega, (n, 3)."""
-        return np.diagonal(self.values[self.indptr[1:] - 1], axis1=1, axis2=2)
+        return np.diagonal(self.values[self.diagonal_slots], axis1=1, axis2=2)
 
     def slots(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """The slots of blocks (row, column), row <= column, which must be in the pattern; shapes (E,)."""
@@ -111,10 +116,12 @@ class BlockSystem:
         """The slots of (first, first), (second, second) and the pair for each edge; looked up once per family."""
         # the family is kept with its slots, so that its id cannot pass to another object
         if id(edges) not in self._slots:
-            low, high = np.minimum(edges.first, edges.second), np.maximum(edges.first, edges.second)
-            diagonal = self.indptr[1:] - 1
-            self._slots[id(edges)] = (edges, (diagonal[edges.first], diagonal[edges.second], self.slots(low, high)))
+            self._slots[id(edges)] = (edges, self.edge_slots(edges))
         return self._slots[id(edges)][1]
+
+    def edge_slots(self, edges: BinaryEdges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same for edges that are not kept, such as the relations of a start."""
+        return _edge_slots(self.indptr, self.indices, edges.first, edges.second)  # type: ignore[no-any-return]
 
     def to_sparse(self) -> sp.csc_matrix:
         """Omega whole, both triangles, as a SciPy matrix (3n, 3n)."""
@@ -170,3 +177,9 @@ def _slots(indptr, indices, rows, columns):  # type: ignore[no-untyped-def]
         low, high = indptr[columns[k]], indptr[columns[k] + 1]
         slots[k] = low + np.searchsorted(indices[low:high], rows[k])
     return slots
+
+
+@njit(cache=True)
+def _edge_slots(indptr, indices, first, second):  # type: ignore[no-untyped-def]
+    at_first, at_second = indptr[first + 1] - 1, indptr[second + 1] - 1
+    return at_first, at_second, _slots(indptr, indices, np.minimum(first, second), np.maximum(first, second))

@@ -20,6 +20,7 @@ from numba import njit
 from ..models import SensorModel
 from ..se2 import Array, rotation, wrap
 from .base import BlockSystem, Linearization, Relations
+from .relative_pose import turned
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,9 +130,7 @@ class RelativePointEdges:
 
     def positions(self, state: Array) -> Relations | None:
         """See `EdgeFamily.positions`."""
-        turn = rotation(state[self.first, 2])
-        offset = np.einsum("eij,ej->ei", turn, self.measured)
-        return Relations(self.first, self.second, offset, turn @ self.information @ np.swapaxes(turn, 1, 2))
+        return Relations(self.first, self.second, *turned(state, self.first, self.measured, self.information))
 
     def cost(self, state: Array, reference: Array) -> float:
         """See `EdgeFamily.cost`."""
