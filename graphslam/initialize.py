@@ -57,7 +57,9 @@ def rotation_first(graph: Graph) -> Array:
         raise GraphError(
             f"initialize='rotation-first' needs edges that tie the headings; {graph.names(loose)} have none"
         )
-    unit += _solved(graph, system, np.union1d(held, np.flatnonzero(~tied)))
+    # what no heading edge touches has no entries yet
+    system.values[system.diagonal_slots[~tied], :2, :2] = np.eye(2)
+    unit += _solved(graph, system, held)
     moved = tied & unit.any(axis=1)
     moved[held] = False
     state[moved, 2] = np.arctan2(unit[moved, 1], unit[moved, 0])
@@ -171,8 +173,7 @@ def _ends(system: BlockSystem, family: EdgeFamily, relations: Relations) -> tupl
 def _solved(graph: Graph, system: BlockSystem, held: np.ndarray) -> Array:
     """The correction (n, 2) of the first two coordinates, held nodes at rest."""
     system.values[system.diagonal_slots, 2, 2] = 1.0
-    if len(held):
-        system.hold(held)
+    system.hold(held)
     try:
         return system.factorize().solve(system.xi)[:, :2]
     except SingularPivot as error:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 
 from .cholesky import Factor, SingularPivot
 from .diagnosis import undetermined
@@ -54,8 +55,7 @@ class _Run:
         else:
             self.state = self.mixing.next(self.state, delta)
         self.costs.append(cost)
-        # not np.linalg.norm: beyond 10^4 numbers BLAS wakes its threads, which costs more than the factorisation
-        self.step_norms.append(float(np.sqrt(np.sum(delta * delta))))
+        self.step_norms.append(_inner(delta, delta) ** 0.5)
         if self.callback is not None:
             self.callback(Iteration(len(self.step_norms), self.state.copy(), cost, self.step_norms[-1]))
         return self.step_norms[-1]
@@ -225,7 +225,7 @@ def _gauss_newton(graph: Graph, run: _Run, tolerance: float, max_iterations: int
         delta = _factorize(graph, run.state).solve(system.xi)
         # what the quadratic model promises: J falls by Delta' Omega Delta = xi' Delta
         run.step(cost, delta)
-        if run.finished(tolerance, promised=float(np.sum(system.xi * delta))):
+        if run.finished(tolerance, promised=_inner(system.xi, delta)):
             return
 
 
@@ -265,3 +265,13 @@ def _levenberg_marquardt(graph: Graph, run: _Run, tolerance: float, max_iteratio
         # a short step means something only when damping does not shorten it
         if damping < 1e-6 and run.finished(tolerance, promised):
             return
+
+
+@njit(cache=True)
+def _inner(a: Array, b: Array) -> float:
+    # not np.vdot: beyond 10^4 numbers BLAS wakes its threads, which costs more than a factorisation
+    total = 0.0
+    for k in range(len(a)):
+        for c in range(3):
+            total += a[k, c] * b[k, c]
+    return total
