@@ -112,7 +112,7 @@ class BlockSystem:
 
     def edge_slots(self, edges: BinaryEdges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same for edges that are not kept, such as the relations of a start."""
-        return _edge_slots(self.indptr, self.indices, edges.first, edges.second)  # type: ignore[no-any-return]
+        return _edge_slots(self.indptr, self.indices, edges.first, edges.second)
 
     def to_sparse(self) -> sp.csc_matrix:
         """Omega whole, both triangles, as a SciPy matrix (3n, 3n)."""

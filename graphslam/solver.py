@@ -23,6 +23,9 @@ INITIALIZE = ("given", "dead-reckoning", "rotation-first", "auto")
 #: the starts that "auto" tries, in turn
 AUTO = ("virtual-motion", "rotation-first", "given")
 
+#: a step that lowers J by less than this many times the cost tolerance is followed by one with the same factor
+CONFIRMED = 1e3
+
 
 @dataclass(frozen=True)
 class Iteration:
@@ -218,15 +221,22 @@ def _best_run(graph: Graph, run_from: Callable[[Array, str], _Run], method: str)
 
 def _gauss_newton(graph: Graph, run: _Run, tolerance: float, max_iterations: int) -> None:
     run.reason = f"max_iterations = {max_iterations} reached"
+    factor: Factor | None = None
     for _ in range(max_iterations):
         system, cost = graph.linearize(run.state)
         if run.diverged(cost) or run.settled(cost):
             return
-        delta = _factorize(graph, run.state).solve(system.xi)
+        if factor is None:
+            factor = _factorize(graph, run.state)
+        delta = factor.solve(system.xi)
         # what the quadratic model promises: J falls by Delta' Omega Delta = xi' Delta
+        promised = _inner(system.xi, delta)
         run.step(cost, delta)
-        if run.finished(tolerance, promised=_inner(system.xi, delta)):
+        if run.finished(tolerance, promised):
             return
+        # After a step this short Omega is all but the same, and the next one only has to confirm that it ends here.
+        if promised > CONFIRMED * run.cost_tolerance * cost:
+            factor = None
 
 
 def _factorize(graph: Graph, state: Array, damping: float = 0.0) -> Factor:
