@@ -19,8 +19,6 @@ from .cholesky import Factor, Symbolic, analyze
 from .edges.base import BinaryEdges
 from .se2 import Array
 
-_IDENTITY = np.eye(3)
-
 
 @dataclass(frozen=True, eq=False)
 class BlockSystem:
@@ -86,9 +84,11 @@ class BlockSystem:
         key = tuple(nodes.tolist())
         if key not in self._held:
             self._held[key] = _slots_in_rows_and_columns(self.indptr, self.indices, nodes)
-        self.values[self._held[key]] = 0.0
-        self.values[self.diagonal_slots[nodes]] = _IDENTITY
-        self.xi[nodes] = 0.0
+        _hold(self.values, self.xi, self._held[key], nodes, self.diagonal_slots)
+
+    def rest(self, nodes: np.ndarray, coordinate: int) -> None:
+        """Keep coordinates that no edge touches, ``coordinate`` and those behind it, where they are."""
+        _rest(self.values, self.diagonal_slots, nodes, coordinate)
 
     def clear(self) -> None:
         """Set Omega and xi to zero, keeping the pattern."""
@@ -191,6 +191,22 @@ def _slots_in_rows_and_columns(indptr, indices, nodes):  # type: ignore[no-untyp
             if held[j] or held[indices[k]]:
                 found.append(k)
     return np.array(found)
+
+
+@njit(cache=True)
+def _hold(values, xi, slots, nodes, diagonal):  # type: ignore[no-untyped-def]
+    for k in slots:
+        values[k] = 0.0
+    for node in nodes:
+        xi[node] = 0.0
+    _rest(values, diagonal, nodes, 0)
+
+
+@njit(cache=True)
+def _rest(values, diagonal, nodes, coordinate):  # type: ignore[no-untyped-def]
+    for node in nodes:
+        for c in range(coordinate, 3):
+            values[diagonal[node], c, c] = 1.0
 
 
 @njit(cache=True)

@@ -57,12 +57,11 @@ def rotation_first(graph: Graph) -> Array:
         raise GraphError(
             f"initialize='rotation-first' needs edges that tie the headings; {graph.names(loose)} have none"
         )
-    # what no heading edge touches has no entries yet
-    system.values[system.diagonal_slots[~tied], :2, :2] = np.eye(2)
+    system.rest(np.flatnonzero(~tied), 0)
     unit += _solved(graph, system, held)
-    moved = tied & unit.any(axis=1)
-    moved[held] = False
-    state[moved, 2] = np.arctan2(unit[moved, 1], unit[moved, 0])
+    # a held heading keeps its own value, its turns included
+    tied[held] = False
+    _turn(state, unit, tied)
 
     system.clear()
     position = np.zeros((graph.num_nodes, 2))
@@ -146,20 +145,15 @@ def place_landmarks(graph: Graph, poses: Array) -> Array:
     return state
 
 
-def _held_values(graph: Graph) -> Array:
-    values = graph.initial.copy()
-    for family in graph.families:
-        if isinstance(family, AnchorEdges):
-            values[family.nodes] = family.values
-    return values
-
-
 def _held(graph: Graph, state: Array) -> np.ndarray:
     """The nodes that a start leaves where they are; anchored ones are put where their anchor is."""
-    anchored = [family.nodes for family in graph.families if isinstance(family, AnchorEdges)]
-    held = np.unique(np.concatenate([graph.fixed, *anchored]))
-    state[held] = _held_values(graph)[held]
-    return held if len(held) else np.zeros(1, dtype=np.int64)
+    held = [graph.fixed]
+    for family in graph.families:
+        if isinstance(family, AnchorEdges):
+            state[family.nodes] = family.values
+            held.append(family.nodes)
+    nodes = np.concatenate(held)
+    return nodes if len(nodes) else np.zeros(1, dtype=np.int64)
 
 
 def _ends(system: BlockSystem, family: EdgeFamily, relations: Relations) -> tuple[Array, ...]:
@@ -172,7 +166,7 @@ def _ends(system: BlockSystem, family: EdgeFamily, relations: Relations) -> tupl
 
 def _solved(graph: Graph, system: BlockSystem, held: np.ndarray) -> Array:
     """The correction (n, 2) of the first two coordinates, held nodes at rest."""
-    system.values[system.diagonal_slots, 2, 2] = 1.0
+    system.rest(np.arange(graph.num_nodes), 2)
     system.hold(held)
     try:
         return system.factorize().solve(system.xi)[:, :2]
@@ -219,3 +213,11 @@ def _add_positions(first, second, at_first, at_second, at_pair, offset, informat
             g = W[row, 0] * ex + W[row, 1] * ey
             xi[i, row] -= g
             xi[j, row] += g
+
+
+@njit(cache=True)
+def _turn(state, unit, moved):  # type: ignore[no-untyped-def]
+    """Headings of the vectors (n, 2) of the nodes that moved, those without direction left out."""
+    for k in np.flatnonzero(moved):
+        if unit[k, 0] != 0 or unit[k, 1] != 0:
+            state[k, 2] = np.arctan2(unit[k, 1], unit[k, 0])
