@@ -322,7 +322,7 @@ class Graph:
         for family in self.families:
             total += family.accumulate(state, reference, self.system)
         if len(self.landmark_ids) and self.landmark_dimension == 2:
-            self.system.values[self.system.indptr[1 + len(self.steps) :] - 1, 2, 2] = 1.0
+            self.system.rest(np.arange(len(self.steps), self.num_nodes), 2)
         if len(self.fixed):
             self.system.hold(self.fixed)
         return self.system, total

@@ -42,13 +42,8 @@ class BlockSystem:
         """The empty system of nodes tied in groups, each given as (starts (G+1,), nodes), nodes not decreasing."""
         parts = list(cliques)
         nodes = np.concatenate([np.zeros(0, dtype=np.int64)] + [nodes for _, nodes in parts])
-        sizes = np.concatenate([np.zeros(0, dtype=np.int64)] + [np.diff(starts) for starts, _ in parts])
-        starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-        order = np.argsort(nodes, kind="stable")
-        group = np.repeat(np.arange(len(sizes)), sizes)
-        by_node = np.searchsorted(nodes[order], np.arange(num_nodes + 1))
-        indptr = _count(num_nodes, starts, nodes, order, group, by_node)
-        indices = _fill(num_nodes, starts, nodes, order, group, by_node, indptr)
+        sizes = np.concatenate([np.zeros(0, dtype=np.int64)] + [starts[1:] - starts[:-1] for starts, _ in parts])
+        indptr, indices = _pattern(num_nodes, sizes, nodes)
         return cls(
             indptr,
             indices,
@@ -71,6 +66,11 @@ class BlockSystem:
     def _factor(self) -> Factor:
         return Factor(self.symbolic)
 
+    @cached_property
+    def diagonal_slots(self) -> np.ndarray:
+        """The slots of the diagonal blocks, (n,)."""
+        return self.indptr[1:] - 1
+
     def factorize(self, damping: float = 0.0) -> Factor:
         """Omega + damping diag(Omega) = L L', in memory that the next call reuses.
 
@@ -81,18 +81,14 @@ class BlockSystem:
 
     def hold(self, nodes: np.ndarray) -> None:
         """Take nodes out of the system: their rows and columns become those of the identity, their xi zero."""
-        self.values[self._slots_in_rows_and_columns(nodes)] = 0.0
-        self.values[self.indptr[nodes + 1] - 1] = np.eye(3)
-        self.xi[nodes] = 0.0
-
-    def _slots_in_rows_and_columns(self, nodes: np.ndarray) -> np.ndarray:
         key = tuple(nodes.tolist())
         if key not in self._held:
-            held = np.zeros(self.num_nodes, dtype=bool)
-            held[nodes] = True
-            column = np.repeat(np.arange(self.num_nodes), np.diff(self.indptr))
-            self._held[key] = np.flatnonzero(held[self.indices] | held[column])
-        return self._held[key]
+            self._held[key] = _slots_in_rows_and_columns(self.indptr, self.indices, nodes)
+        _hold(self.values, self.xi, self._held[key], nodes, self.diagonal_slots)
+
+    def rest(self, nodes: np.ndarray, coordinate: int) -> None:
+        """Keep coordinates that no edge touches, ``coordinate`` and those behind it, where they are."""
+        _rest(self.values, self.diagonal_slots, nodes, coordinate)
 
     def clear(self) -> None:
         """Set Omega and xi to zero, keeping the pattern."""
@@ -101,7 +97,7 @@ class BlockSystem:
 
     def diagonal(self) -> Array:
         """The scalar diagonal of Omega, (n, 3)."""
-        return np.diagonal(self.values[self.indptr[1:] - 1], axis1=1, axis2=2)
+        return np.diagonal(self.values[self.diagonal_slots], axis1=1, axis2=2)
 
     def slots(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """The slots of blocks (row, column), row <= column, which must be in the pattern; shapes (E,)."""
@@ -111,10 +107,12 @@ class BlockSystem:
         """The slots of (first, first), (second, second) and the pair for each edge; looked up once per family."""
         # the family is kept with its slots, so that its id cannot pass to another object
         if id(edges) not in self._slots:
-            low, high = np.minimum(edges.first, edges.second), np.maximum(edges.first, edges.second)
-            diagonal = self.indptr[1:] - 1
-            self._slots[id(edges)] = (edges, (diagonal[edges.first], diagonal[edges.second], self.slots(low, high)))
+            self._slots[id(edges)] = (edges, self.edge_slots(edges))
         return self._slots[id(edges)][1]
+
+    def edge_slots(self, edges: BinaryEdges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same for edges that are not kept, such as the relations of a start."""
+        return _edge_slots(self.indptr, self.indices, edges.first, edges.second)
 
     def to_sparse(self) -> sp.csc_matrix:
         """Omega whole, both triangles, as a SciPy matrix (3n, 3n)."""
@@ -128,39 +126,87 @@ class BlockSystem:
 
 
 @njit(cache=True)
-def _count(num_nodes, starts, nodes, order, group, by_node):  # type: ignore[no-untyped-def]
-    indptr = np.zeros(num_nodes + 1, dtype=np.int64)
+def _pattern(num_nodes, sizes, nodes):  # type: ignore[no-untyped-def]
+    """Column pointers and rows of the upper triangle for groups of given sizes, whose nodes follow each other."""
+    # where each node occurs, and where the group of each occurrence begins
+    begin = np.empty(len(nodes), dtype=np.int64)
+    at = 0
+    for size in sizes:
+        begin[at : at + size] = at
+        at += size
+    by_node, occurrence = _sorted_by(num_nodes, nodes)
+    # the neighbours below each node in any order, ...
     mark = np.full(num_nodes, -1, dtype=np.int64)
+    count = np.zeros(num_nodes, dtype=np.int64)
+    for fill in (False, True):
+        if fill:
+            low, high = np.empty(count.sum(), dtype=np.int64), np.empty(count.sum(), dtype=np.int64)
+            mark[:] = -1
+        found = 0
+        for j in range(num_nodes):
+            mark[j] = j
+            for here in occurrence[by_node[j] : by_node[j + 1]]:
+                for p in range(begin[here], here):
+                    i = nodes[p]
+                    if mark[i] != j:
+                        mark[i] = j
+                        if fill:
+                            low[found], high[found] = i, j
+                        else:
+                            count[j] += 1
+                        found += 1
+    # ... and a stable sort by the neighbour, then by the node, brings them into columns with increasing rows
+    _, by_low = _sorted_by(num_nodes, low)
+    start, by_high = _sorted_by(num_nodes, high[by_low])
+    indptr = start + np.arange(num_nodes + 1)
+    indices = np.empty(indptr[num_nodes], dtype=np.int64)
     for j in range(num_nodes):
-        found = 1
-        mark[j] = j
-        for k in range(by_node[j], by_node[j + 1]):
-            here = order[k]
-            for p in range(starts[group[here]], here):
-                if mark[nodes[p]] != j:
-                    mark[nodes[p]] = j
-                    found += 1
-        indptr[j + 1] = indptr[j] + found
-    return indptr
+        for k in range(start[j], start[j + 1]):
+            indices[k + j] = low[by_low[by_high[k]]]
+        indices[indptr[j + 1] - 1] = j
+    return indptr, indices
 
 
 @njit(cache=True)
-def _fill(num_nodes, starts, nodes, order, group, by_node, indptr):  # type: ignore[no-untyped-def]
-    indices = np.empty(indptr[num_nodes], dtype=np.int64)
-    mark = np.full(num_nodes, -1, dtype=np.int64)
-    for j in range(num_nodes):
-        at = indptr[j]
-        mark[j] = j
-        for k in range(by_node[j], by_node[j + 1]):
-            here = order[k]
-            for p in range(starts[group[here]], here):
-                if mark[nodes[p]] != j:
-                    mark[nodes[p]] = j
-                    indices[at] = nodes[p]
-                    at += 1
-        indices[at] = j
-        indices[indptr[j] : at].sort()
-    return indices
+def _sorted_by(num_keys, keys):  # type: ignore[no-untyped-def]
+    """Counting sort, stable: where each key's places start (num_keys + 1,), and the places key by key."""
+    start = np.zeros(num_keys + 1, dtype=np.int64)
+    for key in keys:
+        start[key + 1] += 1
+    start = np.cumsum(start)
+    free, places = start[:-1].copy(), np.empty(len(keys), dtype=np.int64)
+    for place, key in enumerate(keys):
+        places[free[key]] = place
+        free[key] += 1
+    return start, places
+
+
+@njit(cache=True)
+def _slots_in_rows_and_columns(indptr, indices, nodes):  # type: ignore[no-untyped-def]
+    held = np.zeros(len(indptr) - 1, dtype=np.bool_)
+    held[nodes] = True
+    found = []
+    for j in range(len(held)):
+        for k in range(indptr[j], indptr[j + 1]):
+            if held[j] or held[indices[k]]:
+                found.append(k)
+    return np.array(found)
+
+
+@njit(cache=True)
+def _hold(values, xi, slots, nodes, diagonal):  # type: ignore[no-untyped-def]
+    for k in slots:
+        values[k] = 0.0
+    for node in nodes:
+        xi[node] = 0.0
+    _rest(values, diagonal, nodes, 0)
+
+
+@njit(cache=True)
+def _rest(values, diagonal, nodes, coordinate):  # type: ignore[no-untyped-def]
+    for node in nodes:
+        for c in range(coordinate, 3):
+            values[diagonal[node], c, c] = 1.0
 
 
 @njit(cache=True)
@@ -170,3 +216,9 @@ def _slots(indptr, indices, rows, columns):  # type: ignore[no-untyped-def]
         low, high = indptr[columns[k]], indptr[columns[k] + 1]
         slots[k] = low + np.searchsorted(indices[low:high], rows[k])
     return slots
+
+
+@njit(cache=True)
+def _edge_slots(indptr, indices, first, second):  # type: ignore[no-untyped-def]
+    at_first, at_second = indptr[first + 1] - 1, indptr[second + 1] - 1
+    return at_first, at_second, _slots(indptr, indices, np.minimum(first, second), np.maximum(first, second))

@@ -12,6 +12,7 @@ and its use in pose graph optimization*, ICRA 2015 (there called chordal relaxat
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from numba import njit
@@ -26,10 +27,11 @@ from .edges import (
     RelativePoseEdges,
     VirtualMotionEdges,
 )
+from .edges.base import BinaryEdges, Relations
 from .errors import GraphError
 from .graph import Graph
 from .information import BlockSystem
-from .se2 import Array, compose, rotation, wrap
+from .se2 import Array, compose, wrap
 
 
 def rotation_first(graph: Graph) -> Array:
@@ -43,37 +45,32 @@ def rotation_first(graph: Graph) -> Array:
     system = graph.system
     system.clear()
     tied = np.zeros(graph.num_nodes, dtype=bool)
-    unit = np.column_stack([np.cos(state[:, 2]), np.sin(state[:, 2])])
+    # linear, so it does not matter where the others start
+    unit = np.zeros((graph.num_nodes, 2))
+    unit[held, 0], unit[held, 1] = np.cos(state[held, 2]), np.sin(state[held, 2])
     for family in graph.families:
         relative = family.headings()
-        if relative is None:
-            continue
-        turn = rotation(relative.value)
-        weight = relative.information[:, None, None] * np.eye(2)
-        e = np.einsum("eij,ej->ei", turn, unit[relative.first]) - unit[relative.second]
-        _add(system, relative.first, relative.second, turn, weight, e)
-        tied[relative.first] = tied[relative.second] = True
+        if relative is not None:
+            _add_headings(*_ends(system, family, relative), unit, system.values, system.xi)
+            tied[relative.first] = tied[relative.second] = True
     if not np.all(tied[: len(graph.steps)]):
         loose = np.flatnonzero(~tied[: len(graph.steps)])
         raise GraphError(
             f"initialize='rotation-first' needs edges that tie the headings; {graph.names(loose)} have none"
         )
-    unit += _solved(graph, system, np.union1d(held, np.flatnonzero(~tied)))
-    moved = tied & (np.abs(unit).max(axis=1) > 0)
-    state[moved, 2] = np.arctan2(unit[moved, 1], unit[moved, 0])
+    system.rest(np.flatnonzero(~tied), 0)
+    unit += _solved(graph, system, held)
     # a held heading keeps its own value, its turns included
-    state[held, 2] = _held_values(graph)[held, 2]
+    tied[held] = False
+    _turn(state, unit, tied)
 
     system.clear()
     position = np.zeros((graph.num_nodes, 2))
     position[held] = state[held, :2]
     for family in graph.families:
         offset = family.positions(state)
-        if offset is None:
-            continue
-        e = position[offset.first] + offset.value - position[offset.second]
-        straight = np.broadcast_to(np.eye(2), (len(e), 2, 2))
-        _add(system, offset.first, offset.second, straight, offset.information, e)
+        if offset is not None:
+            _add_positions(*_ends(system, family, offset), position, system.values, system.xi)
     state[:, :2] = position + _solved(graph, system, held)
     return state
 
@@ -170,34 +167,29 @@ def place_landmarks(graph: Graph, poses: Array) -> Array:
     return state
 
 
-def _held_values(graph: Graph) -> Array:
-    values = graph.initial.copy()
-    for family in graph.families:
-        if isinstance(family, AnchorEdges):
-            values[family.nodes] = family.values
-    return values
-
-
 def _held(graph: Graph, state: Array) -> np.ndarray:
     """The nodes that a start leaves where they are; anchored ones are put where their anchor is."""
-    anchored = [family.nodes for family in graph.families if isinstance(family, AnchorEdges)]
-    held = np.unique(np.concatenate([graph.fixed, *anchored]))
-    state[held] = _held_values(graph)[held]
-    return held if len(held) else np.zeros(1, dtype=np.int64)
+    held = [graph.fixed]
+    for family in graph.families:
+        if isinstance(family, AnchorEdges):
+            state[family.nodes] = family.values
+            held.append(family.nodes)
+    nodes = np.concatenate(held)
+    return nodes if len(nodes) else np.zeros(1, dtype=np.int64)
 
 
-def _add(system: BlockSystem, first: np.ndarray, second: np.ndarray, G: Array, W: Array, e: Array) -> None:
-    """Add edges with residual e = G u_first - u_second, in the first two coordinates of their nodes."""
-    diagonal = system.indptr[1:] - 1
-    pair = system.slots(np.minimum(first, second), np.maximum(first, second))
-    _accumulate(first, second, diagonal[first], diagonal[second], pair, G, W, e, system.values, system.xi)
+def _ends(system: BlockSystem, family: EdgeFamily, relations: Relations) -> tuple[Array, ...]:
+    """The relations' nodes, slots, values and information: what the kernels below begin with."""
+    # a family's relations are mostly its edges, whose slots serve the iteration, too
+    same = getattr(family, "first", None) is relations.first
+    slots = system.slots_of(cast(BinaryEdges, family)) if same else system.edge_slots(relations)
+    return (relations.first, relations.second, *slots, relations.value, relations.information)
 
 
 def _solved(graph: Graph, system: BlockSystem, held: np.ndarray) -> Array:
     """The correction (n, 2) of the first two coordinates, held nodes at rest."""
-    system.values[system.indptr[1:] - 1, 2, 2] = 1.0
-    if len(held):
-        system.hold(held)
+    system.rest(np.arange(graph.num_nodes), 2)
+    system.hold(held)
     try:
         return system.factorize().solve(system.xi)[:, :2]
     except SingularPivot as error:
@@ -207,35 +199,47 @@ def _solved(graph: Graph, system: BlockSystem, held: np.ndarray) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def _accumulate(first, second, at_first, at_second, at_pair, G, W, e, values, xi):  # type: ignore[no-untyped-def]
+def _add_headings(first, second, at_first, at_second, at_pair, turn, information, unit, values, xi):  # type: ignore[no-untyped-def]
+    """Add edges with residual e = R(turn) r_first - r_second in the first two coordinates of their nodes."""
     for k in range(len(first)):
-        i, j = first[k], second[k]
-        w00, w01, w11 = W[k, 0, 0], W[k, 0, 1], W[k, 1, 1]
-        # W G and G' W G
-        p00, p01 = w00 * G[k, 0, 0] + w01 * G[k, 1, 0], w00 * G[k, 0, 1] + w01 * G[k, 1, 1]
-        p10, p11 = w01 * G[k, 0, 0] + w11 * G[k, 1, 0], w01 * G[k, 0, 1] + w11 * G[k, 1, 1]
-        g0, g1 = w00 * e[k, 0] + w01 * e[k, 1], w01 * e[k, 0] + w11 * e[k, 1]
-        V = values[at_first[k]]
-        V[0, 0] += G[k, 0, 0] * p00 + G[k, 1, 0] * p10
-        V[0, 1] += G[k, 0, 0] * p01 + G[k, 1, 0] * p11
-        V[1, 0] += G[k, 0, 1] * p00 + G[k, 1, 1] * p10
-        V[1, 1] += G[k, 0, 1] * p01 + G[k, 1, 1] * p11
-        V = values[at_second[k]]
-        V[0, 0] += w00
-        V[0, 1] += w01
-        V[1, 0] += w01
-        V[1, 1] += w11
-        V = values[at_pair[k]]
-        # row first, column second: -G' W = -(W G)'
-        V[0, 0] -= p00
-        V[1, 1] -= p11
-        if i < j:
-            V[0, 1] -= p10
-            V[1, 0] -= p01
-        else:
-            V[0, 1] -= p01
-            V[1, 0] -= p10
-        xi[i, 0] -= G[k, 0, 0] * g0 + G[k, 1, 0] * g1
-        xi[i, 1] -= G[k, 0, 1] * g0 + G[k, 1, 1] * g1
-        xi[j, 0] += g0
-        xi[j, 1] += g1
+        i, j, w = first[k], second[k], information[k]
+        c, s = w * np.cos(turn[k]), w * np.sin(turn[k])
+        for at in (at_first[k], at_second[k]):
+            values[at, 0, 0] += w
+            values[at, 1, 1] += w
+        # the block of first and second is -w R', above the diagonal perhaps transposed
+        V, q = values[at_pair[k]], s if i < j else -s
+        V[0, 0] -= c
+        V[0, 1] -= q
+        V[1, 0] += q
+        V[1, 1] -= c
+        a, b = unit[i], unit[j]
+        xi[i, 0] += c * b[0] + s * b[1] - w * a[0]
+        xi[i, 1] += c * b[1] - s * b[0] - w * a[1]
+        xi[j, 0] += c * a[0] - s * a[1] - w * b[0]
+        xi[j, 1] += s * a[0] + c * a[1] - w * b[1]
+
+
+@njit(cache=True, error_model="numpy")
+def _add_positions(first, second, at_first, at_second, at_pair, offset, information, position, values, xi):  # type: ignore[no-untyped-def]
+    """Add edges with residual e = p_first + offset - p_second in the first two coordinates of their nodes."""
+    for k in range(len(first)):
+        i, j, W = first[k], second[k], information[k]
+        ex = position[i, 0] + offset[k, 0] - position[j, 0]
+        ey = position[i, 1] + offset[k, 1] - position[j, 1]
+        for row in range(2):
+            for column in range(2):
+                values[at_first[k], row, column] += W[row, column]
+                values[at_second[k], row, column] += W[row, column]
+                values[at_pair[k], row, column] -= W[row, column]
+            g = W[row, 0] * ex + W[row, 1] * ey
+            xi[i, row] -= g
+            xi[j, row] += g
+
+
+@njit(cache=True)
+def _turn(state, unit, moved):  # type: ignore[no-untyped-def]
+    """Headings of the vectors (n, 2) of the nodes that moved, those without direction left out."""
+    for k in np.flatnonzero(moved):
+        if unit[k, 0] != 0 or unit[k, 1] != 0:
+            state[k, 2] = np.arctan2(unit[k, 1], unit[k, 0])

@@ -22,6 +22,7 @@ from ..models import SensorModel
 from ..robust import Kernel, code_and_width, loss, weight
 from ..se2 import Array, rotation, wrap
 from .base import BlockSystem, Linearization, Relations
+from .relative_pose import turned
 from .sightings import trusted
 
 
@@ -157,9 +158,7 @@ class RelativePointEdges:
 
     def positions(self, state: Array) -> Relations | None:
         """See `EdgeFamily.positions`."""
-        turn = rotation(state[self.first, 2])
-        offset = np.einsum("eij,ej->ei", turn, self.measured)
-        return Relations(self.first, self.second, offset, turn @ self.information @ np.swapaxes(turn, 1, 2))
+        return Relations(self.first, self.second, *turned(state, self.first, self.measured, self.information))
 
     def cost(self, state: Array, reference: Array) -> float:
         """See `EdgeFamily.cost`."""

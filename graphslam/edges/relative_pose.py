@@ -78,9 +78,7 @@ class RelativePoseEdges:
 
     def positions(self, state: Array) -> Relations | None:
         """See `EdgeFamily.positions`."""
-        turn = rotation(state[self.first, 2])
-        offset = np.einsum("eij,ej->ei", turn, self.measured[:, :2])
-        return Relations(self.first, self.second, offset, turn @ self.information[:, :2, :2] @ np.swapaxes(turn, 1, 2))
+        return Relations(self.first, self.second, *turned(state, self.first, self.measured, self.information))
 
     def cost(self, state: Array, reference: Array) -> float:
         """See `EdgeFamily.cost`."""
@@ -101,6 +99,24 @@ class RelativePoseEdges:
 @njit(cache=True)
 def _wrap(angle):  # type: ignore[no-untyped-def]
     return angle - 2 * np.pi * np.floor((angle + np.pi) / (2 * np.pi))
+
+
+@njit(cache=True, error_model="numpy")
+def turned(state, first, measured, information):  # type: ignore[no-untyped-def]
+    """The measured positions (E, 2) and their information (E, 2, 2), turned from the frame of ``first`` to the world's.
+
+    ``measured`` (E, 2 or 3) and ``information`` (E, 2 or 3, 2 or 3) may hold the heading, too, last.
+    """
+    offset, omega = np.empty((len(first), 2)), np.empty((len(first), 2, 2))
+    for k in range(len(first)):
+        theta, z, W = state[first[k], 2], measured[k], information[k]
+        c, s = np.cos(theta), np.sin(theta)
+        offset[k, 0], offset[k, 1] = c * z[0] - s * z[1], s * z[0] + c * z[1]
+        a, b, d = W[0, 0], W[0, 1], W[1, 1]
+        omega[k, 0, 0] = c * c * a - 2 * c * s * b + s * s * d
+        omega[k, 1, 1] = s * s * a + 2 * c * s * b + c * c * d
+        omega[k, 0, 1] = omega[k, 1, 0] = c * s * (a - d) + (c * c - s * s) * b
+    return offset, omega
 
 
 @njit(cache=True)
