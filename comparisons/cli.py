@@ -15,6 +15,7 @@ import typer
 
 from .cli_backends import backends
 from .cli_config import ConfigFile, config_of
+from .cli_consistency import consistency
 from .cli_datasets import datasets
 from .cli_options import (
     GRAPH,
@@ -313,6 +314,15 @@ app.command(
 
 
 app.command(epilog=examples("slam-compare datasets", "SLAM_DATA=~/data slam-compare datasets --json -"))(datasets)
+
+
+app.command(
+    epilog=examples(
+        "slam-compare consistency",
+        "slam-compare consistency --noise 1 --figure anees.png --json anees.json",
+        "slam-compare consistency --estimators 'landmark nodes,fastslam2' --logs 50",
+    )
+)(consistency)
 
 
 app.command(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -71,6 +71,16 @@ class Output:
         elif self._file is not None:
             write_json(payload, self._file)
             self.say(f"Wrote {self._file}.")
+
+    @contextmanager
+    def bar(self, what: str, total: int) -> Iterator[Callable[[], None]]:
+        """A bar with the time left on standard error, where that is a terminal; yields what to call at each step."""
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=self._errors, transient=True, disable=not self._errors.is_terminal) as progress:
+            task = progress.add_task(what, total=total)
+            yield lambda: progress.update(task, advance=1)
 
     def progress(self, sentence: str) -> None:
         """A line on standard error, for somebody who watches."""

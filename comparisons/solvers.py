@@ -183,7 +183,7 @@ def compare_solvers(
     results: list[VariantResult] = []
     skipped: list[SkippedVariant] = []
     work = partial(_solve_both, log=log, motion=motion, sensor=sensor)
-    with _mapping(jobs) as run:
+    with mapping(jobs) as run:
         for outcome in run(work, list(variants(log, motion_weights, edges, kernels))):
             if isinstance(outcome, SkippedVariant):
                 skipped.append(outcome)
@@ -197,7 +197,7 @@ def compare_solvers(
 
 
 @contextmanager
-def _mapping(jobs: int) -> Iterator[Callable[..., Iterable[Any]]]:
+def mapping(jobs: int) -> Iterator[Callable[..., Iterable[Any]]]:
     """``map``, or the same over so many processes, which end with the block, however it ends."""
     if jobs == 1:
         yield map

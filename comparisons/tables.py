@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+import numpy as np
 from rich import box
 from rich.table import Table
 from rich.text import Text
@@ -14,6 +15,7 @@ from .run import Comparison
 from .solvers import SkippedVariant, SolverComparison, VariantResult
 
 if TYPE_CHECKING:
+    from .consistency import ConsistencyStudy
     from .particles import ParticleStudy
 
 NOTHING = "–"
@@ -151,6 +153,43 @@ def particles_table(outcome: ParticleStudy) -> Table:
             seconds(row["seconds"]),
         )
     return table
+
+
+def consistency_table(outcome: ConsistencyStudy) -> Table:
+    """A row per estimator: joint ANEES with its band, and how its steps fare."""
+    table = lean_table(
+        f"{outcome.logs} simulated logs of {outcome.steps} motions, {outcome.dimensions}-D sensor, "
+        f"{outcome.noise:g} times the book's noise: ANEES / degrees of freedom, 1 is the truth"
+    )
+    table.add_column("estimator", no_wrap=True)
+    for heading in ("logs", "joint", "95 % band", "inside", "per step\nmedian", "worst", "95 % band", "steps\ninside"):
+        table.add_column(Text(heading), justify="right", no_wrap=True)
+    for r in outcome.results:
+        joint = [number(r.anees), _band(r.joint_band), "yes" if r.consistent else "no"]
+        table.add_row(
+            r.name, str(r.logs), *(joint if r.anees is not None else [NOTHING] * 3),
+            number(float(np.median(r.steps))), number(float(np.max(r.steps))), _band(r.step_band), f"{r.steps_inside:.0%}",
+        )  # fmt: skip
+    return table
+
+
+def consistency_remarks(outcome: ConsistencyStudy) -> list[str]:
+    """What a reader of the table should know."""
+    remarks = [
+        f"{r.name} failed on {r.failed} of {outcome.logs} logs, which count in no figure"
+        for r in outcome.results
+        if r.failed
+    ]
+    if any(r.name == "pairs" for r in outcome.results):
+        half = outcome.sightings_per_landmark / 2
+        remarks.append(
+            f"pairs counts every sighting about K/2 times: {half:.1f} on these logs, with K sightings per landmark"
+        )
+    return remarks
+
+
+def _band(limits: tuple[float, float]) -> str:
+    return f"{limits[0]:.3f} to {limits[1]:.3f}"
 
 
 def datasets_remarks(outcome: Survey) -> list[str]:

@@ -1,0 +1,111 @@
+"""The chi-square machinery on Gaussians that are known, and the verdict on the weights."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from comparisons.consistency import Consistency, band, joint_nees, models, pose_nees, study
+from comparisons.consistency_figure import consistency_figure
+from graphslam import Graph, MotionModel, OptionError, SensorModel, simulate, solve
+from graphslam.se2 import wrap
+
+
+@pytest.fixture(scope="module")
+def outcome():
+    return study(logs=30, steps=40, seed=3)
+
+
+def test_the_band_holds_95_of_100_studies():
+    rng = np.random.default_rng(0)
+    low, high = band(3 * 40)
+    inside = [low <= np.mean(rng.chisquare(3, 40)) / 3 <= high for _ in range(4000)]
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.015)
+    assert chi2.cdf(low * 120, 120) == pytest.approx(0.025)
+
+
+def test_nees_of_gaussians_is_one_and_shows_a_wrong_covariance():
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(5, 3, 3))
+    covariance = root @ np.swapaxes(root, 1, 2)
+    errors = np.einsum("tij,ntj->nti", root, rng.normal(size=(4000, 5, 3)))
+    nees = np.array([pose_nees(e, covariance) for e in errors])
+    assert nees.mean() == pytest.approx(1.0, abs=0.03)
+    assert np.mean([pose_nees(e, covariance / 4) for e in errors]) == pytest.approx(4.0, abs=0.12)
+
+
+def test_joint_nees_is_that_of_the_dense_covariance():
+    """With the whole covariance of the poses, landmarks marginalised out by inverting everything."""
+    motion, sensor = models(0.1)
+    log = simulate(seed=5, steps=15, clean=True, motion=motion, sensor=sensor)
+    for options in ({"edges": "landmark+motion"}, {"weight": "marginal"}):
+        graph = Graph.from_log(log, motion=motion, sensor=sensor, **options)
+        solution = solve(graph, initialize="auto")
+        omega = graph.linearize(solution.state)[0].to_sparse().toarray()
+        # the first pose is known: its rows and columns go, and then the others' covariance is a block of the inverse
+        covariance = np.linalg.inv(omega[3:, 3:])[:45, :45]
+        e = solution.poses - log.true_poses
+        e[:, 2] = wrap(e[:, 2])
+        expected = e[1:].ravel() @ np.linalg.solve(covariance, e[1:].ravel()) / 45
+        assert joint_nees(solution, graph, log.true_poses) == pytest.approx(expected, rel=1e-5)
+
+
+def test_exact_variants_tell_the_truth_and_pairs_do_not(outcome):
+    of = {r.name: r for r in outcome.results}
+    for name in ("landmark nodes", "marginal"):
+        assert of[name].consistent, (of[name].anees, of[name].joint_band)
+        assert of[name].steps_inside > 0.8
+    assert of["tempered"].anees == pytest.approx(1, abs=0.1)
+    assert of["pairs"].anees > 3 and not of["pairs"].consistent
+    assert all(r.failed == 0 for r in outcome.results)
+
+
+def test_noise_scales_all_standard_deviations():
+    motion, sensor = models(0.5)
+    u, z = np.array([0.3, 0.2]), np.array([2.0, 0.1, 0.2])
+    full = MotionModel().covariance(np.zeros(3), u, 2.0)
+    np.testing.assert_allclose(motion.covariance(np.zeros(3), u, 2.0), full / 4)
+    np.testing.assert_allclose(sensor.Q(z), SensorModel().Q(z) / 4)
+
+
+def test_json_and_figure(outcome, tmp_path):
+    data = json.loads(json.dumps(outcome.to_json()))
+    assert [row["name"] for row in data["estimators"]] == ["landmark nodes", "marginal", "tempered", "pairs"]
+    assert len(data["estimators"][0]["anees_per_step"]) == 40
+    consistency_figure(outcome).savefig(tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").stat().st_size > 10_000
+
+
+def test_a_filter_and_two_jobs():
+    alone, together = (
+        study(logs=4, steps=12, estimators=["landmark nodes", "fastslam2"], jobs=jobs) for jobs in (1, 2)
+    )
+    for a, b in zip(alone.results, together.results):
+        np.testing.assert_array_equal(a.per_step, b.per_step)
+    assert alone.results[1].anees is None and alone.results[1].consistent is None
+
+
+def test_failures_are_counted_and_left_out():
+    per_step = np.ones((3, 5))
+    per_step[1] = np.nan
+    result = Consistency("x", per_step, np.array([1.0, np.nan, 1.2]))
+    assert (result.logs, result.failed) == (2, 1)
+    assert result.anees == pytest.approx(1.1)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"logs": 0}, "logs must be at least 1"),
+        ({"noise": -1.0}, "noise must be a positive"),
+        ({"noise": float("nan")}, "noise must be a positive"),
+        ({"dimensions": 4}, "dimensions must be 2 or 3"),
+        ({"estimators": ["kalman"]}, "estimators must be one of"),
+        ({"estimators": []}, "name at least one"),
+        ({"jobs": 0}, "jobs must be at least 1"),
+    ],
+)
+def test_impossible_options(options, message):
+    with pytest.raises(OptionError, match=message):
+        study(**options)
