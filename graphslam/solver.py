@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from .cholesky import Factor, SingularPivot
+from .coarsening import coarse, filled
 from .diagnosis import undetermined
 from .errors import GraphError, OptionError, check_choice, check_positive
 from .fixed_point import AndersonMixing
@@ -20,6 +21,8 @@ from .solution import Solution, make_solution
 
 METHODS = ("gauss-newton", "levenberg-marquardt")
 INITIALIZE = ("given", "dead-reckoning", "rotation-first", "auto")
+#: drives of more poses are straightened on every so manieth first, again and again
+LONG, EVERY = 5_000, 8
 #: the starts that "auto" tries, in turn
 AUTO = ("virtual-motion", "rotation-first", "given")
 
@@ -168,6 +171,10 @@ def virtual_motion_first(graph: Graph) -> Array:
     easier = without_landmarks(graph)
     if easier is None:
         raise GraphError("there are no sightings of landmark nodes to make virtual-motion edges of")
+    if len(graph.steps) > LONG and (seen_from_afar := coarse(graph, EVERY)) is not None:
+        smaller, nodes = seen_from_afar
+        poses = virtual_motion_first(smaller)[: len(smaller.steps)]
+        easier = easier.with_initial(filled(graph, nodes[: len(poses)], poses))
     # a start needs no digits
     return place_landmarks(graph, solve(easier, tolerance=1e-3 * len(graph.steps) ** 0.5).state)
 
