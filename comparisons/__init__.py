@@ -1,5 +1,70 @@
 """Several estimators on one log: metrics, tables, figures and the command line ``slam-compare``.
 
-Nothing is imported here, so that ``slam-compare --help`` answers at once; take names from the modules, for example
-``from comparisons.run import compare``.
+Everything that a verb of ``slam-compare`` does is a function here, which returns an object with its figures:
+
+    import comparisons
+
+    comparison = comparisons.run("my.npz", ["graph", "fastslam1"], particles=5000)
+    comparison.table["graph"].ate_m
+    comparison.figure()
+    comparison.save("out")
+
+Names are found when they are first used, so that ``slam-compare --help`` answers at once.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .api import run
+    from .backends import compare_backends
+    from .comparison import Comparison
+    from .consistency import study_consistency
+    from .datasets import survey
+    from .estimator import RunOptions
+    from .particles import study_particles
+    from .solvers import compare_solvers
+    from .studies.plan import read_study
+    from .studies.summary import summarise
+    from .studies.sweep import sweep
+
+#: name, and the module that has it
+_HOMES = {
+    "run": "api",
+    "Comparison": "comparison",
+    "RunOptions": "estimator",
+    "compare_solvers": "solvers",
+    "compare_backends": "backends",
+    "study_particles": "particles",
+    "study_consistency": "consistency",
+    "survey": "datasets",
+    "read_study": "studies.plan",
+    "sweep": "studies.sweep",
+    "summarise": "studies.summary",
+}
+
+__all__ = [
+    "Comparison",
+    "RunOptions",
+    "compare_backends",
+    "compare_solvers",
+    "read_study",
+    "run",
+    "study_consistency",
+    "study_particles",
+    "summarise",
+    "survey",
+    "sweep",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{_HOMES[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

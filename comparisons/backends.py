@@ -8,13 +8,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from graphslam import Graph, GraphError, OptionError, solve
 from graphslam.errors import check_choice
 from graphslam.solver import INITIALIZE
 
 from .peers import PEERS, PeerRun
+from .shown import Shown
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.table import Table
 
 #: the names of the backends, ours first
 BACKENDS = ("graphslam", *PEERS)
@@ -48,7 +53,7 @@ class BackendRow:
 
 
 @dataclass(frozen=True)
-class BackendComparison:
+class BackendComparison(Shown):
     """The outcome of `compare_backends`."""
 
     rows: tuple[BackendRow, ...]
@@ -78,6 +83,18 @@ class BackendComparison:
         rows = [{k: v for k, v in vars(row).items() if k != "trace"} | {"ratio": self.ratio(row)} for row in self.rows]
         names = dict.fromkeys(row.backend for row in self.rows if row.backend != "graphslam")
         return {"rows": rows, "geometric_means": {name: self.geometric_mean(name) for name in names}}
+
+    def figure(self) -> Figure:
+        """Cost over time; see `backend_report.backends_figure`."""
+        from .backend_report import backends_figure
+
+        return backends_figure(self)
+
+    def shown(self) -> tuple[list[Table], list[str]]:
+        """See `Shown`."""
+        from .backend_report import backends_remarks, backends_table
+
+        return [backends_table(self)], backends_remarks(self)
 
 
 def compare_backends(

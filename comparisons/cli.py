@@ -24,6 +24,7 @@ from .cli_options import (
     BearingStd,
     Dimensions,
     Epsilon,
+    FigureFormats,
     JsonFile,
     KeepEvery,
     LogFile,
@@ -44,7 +45,7 @@ from .cli_options import (
     SigmaV,
     Stride,
 )
-from .cli_parse import numbers
+from .cli_parse import figure_formats, numbers
 from .cli_particles import particles
 from .cli_simulate import simulate
 from .cli_study import study
@@ -52,8 +53,8 @@ from .cli_support import DIFFERENT, INTERRUPTED, Output, examples, models, read_
 from .cli_sweep import sweep
 
 if TYPE_CHECKING:
+    from .comparison import Progress, Skipped
     from .estimator import EstimatorResult
-    from .run import Progress, Skipped
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -159,21 +160,23 @@ def run(
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="Folder for figure and JSON.", show_default="results/<time>", rich_help_panel=OUTPUT
+            metavar="DIR", help="Folder for the results.", show_default="results/<time>", rich_help_panel=OUTPUT
         ),
     ] = None,
+    figures: FigureFormats = "png,pdf",
     json: JsonFile = None,
 ) -> None:  # fmt: skip
     """Run all estimators on one log: a table, a figure and the numbers as JSON."""
     with sentences():
+        from .comparison import compare, with_models
         from .config import RunConfig, sha256_of
         from .estimator import RunOptions
         from .results import RESULTS, check_can_make
-        from .run import compare, with_models
         from .tables import comparison_remarks, comparison_table
 
         output = Output(json)
         check_can_make(RESULTS if out is None else out)
+        formats = figure_formats(figures)
         config_of(ctx, config, log)
         reading: dict[str, Any] = {"robot": robot, "keep_every": keep_every, "stride": stride, "max_range": max_range}
         data, source = read_log(log, format, dimensions, **reading)
@@ -194,12 +197,14 @@ def run(
             estimators=None if names is None else tuple(names), options=with_models(options, data), **reading,
         )  # fmt: skip
         outcome = compare(data, names, options, source=source, progress=_progress(output))
-        files = outcome.save(out, config=effective)
-        output.console.print(comparison_table(outcome))
+        files = outcome.save(out, formats=formats, config=effective)
+        output.console.print(comparison_table(outcome.table))
         output.say(*comparison_remarks(outcome))
         output.json(outcome.to_json(files))
-        folder = files["figure"].parent
-        output.say(f"Wrote {', '.join(path.name for path in files.values())} into {folder}{os.sep}")
+        folder = files["json"].parent
+        exchanged = ["trajectories (*.tum)", "maps (*-map.csv)"] + ["graph.g2o"] * ("graph.g2o" in files)
+        named = [path.name for kind, path in files.items() if not kind.endswith((".tum", ".csv", ".g2o"))]
+        output.say(f"Wrote {', '.join([*named, *exchanged])} into {folder}{os.sep}")
         output.say(f"Again, bit for bit: slam-compare run --config {files['config']}")
         output.say(
             "Next: slam-compare simulate my.npz --seed 7 && slam-compare run my.npz"

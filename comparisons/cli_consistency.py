@@ -35,7 +35,7 @@ def consistency(
 ) -> None:
     """Average normalised errors (ANEES) over many simulated logs, for each estimator and weight, with the 95 % band."""
     with sentences():
-        from .consistency import study
+        from .consistency import study_consistency
         from .plots import save_figure
         from .results import check_can_write
         from .tables import consistency_remarks, consistency_table
@@ -45,7 +45,7 @@ def consistency(
             check_can_write(figure)
         names = [name.strip() for name in estimators.split(",") if name.strip()]
         with output.bar("logs", logs) as advance:
-            outcome = study(
+            outcome = study_consistency(
                 logs=logs, noise=noise, steps=steps, dimensions=dimensions, estimators=names, seed=seed,
                 jobs=jobs or min(os.cpu_count() or 1, 8), progress=lambda _: advance(),
             )  # fmt: skip

@@ -52,6 +52,9 @@ JsonFile = Annotated[
         rich_help_panel=OUTPUT,
     ),
 ]
+FigureFormats = Annotated[
+    str, typer.Option("--figures", metavar="FORMAT,...", help="Of the figure: png, pdf, svg.", rich_help_panel=OUTPUT)
+]
 Resampling = Annotated[
     str, typer.Option(help="Of the particle filters: systematic, stratified, residual or multinomial.")
 ]

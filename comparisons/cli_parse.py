@@ -50,6 +50,22 @@ def numbers(option: str, text: str, count: int | None = None) -> tuple[float, ..
     return values
 
 
+def figure_formats(text: str) -> tuple[str, ...]:
+    """The formats of 'png,pdf'.
+
+    Raises:
+        OptionError: there is no such format.
+    """
+    from graphslam.errors import check_choice
+
+    from .comparison import FIGURE_FORMATS
+
+    formats = tuple(dict.fromkeys(word.strip().lower() for word in text.split(",") if word.strip()))
+    for kind in formats:
+        check_choice("--figures", kind, FIGURE_FORMATS)
+    return formats
+
+
 def points(option: str, text: str) -> list[tuple[float, ...]]:
     """The points of 'x,y x,y ...'.
 

@@ -72,7 +72,7 @@ def particles(
     with sentences():
         from graphslam import OptionError
 
-        from .particles import particles_figure, study
+        from .particles import particles_figure, study_particles
         from .plots import save_figure
         from .results import check_can_write
         from .tables import particles_table
@@ -89,7 +89,7 @@ def particles(
             range_rate=range_rate, range_std=range_std, bearing_std=bearing_std, orientation_std=orientation_std,
             sensor_offset=sensor_offset,
         )  # fmt: skip
-        outcome = study(
+        outcome = study_particles(
             data, filters=[name.strip() for name in filters.split(",") if name.strip()],
             particles=[int(count) for count in counts], seeds=seeds, motion=motion, sensor=sensor,
             resampling=resampling, association=association,

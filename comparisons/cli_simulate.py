@@ -84,8 +84,8 @@ def simulate(
         import graphslam
         from graphslam.errors import check_choice
 
+        from .comparison import describe
         from .results import check_can_write
-        from .run import describe
 
         output = Output(json)
         check_can_write(out)

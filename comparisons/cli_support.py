@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Any
 import typer
 from rich.console import Console
 
+from .shown import WIDTH
+
 if TYPE_CHECKING:
     from graphslam import Log, MotionModel, SensorModel
 
 #: exit statuses
 DIFFERENT, WRONG_INPUT, INTERRUPTED = 1, 2, 130
-
-#: the width of tables that are not written to a terminal
-WIDTH = 140
 
 
 @contextmanager

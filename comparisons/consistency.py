@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse.linalg as spla
@@ -27,7 +27,12 @@ from graphslam.errors import check_choice, check_positive
 from graphslam.se2 import Array, wrap
 
 from .results import jsonable
+from .shown import Shown
 from .solvers import mapping
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.table import Table
 
 #: what can be judged: options of the graph, or a filter
 GRAPHS: dict[str, dict[str, Any]] = {
@@ -102,8 +107,8 @@ class Consistency:
 
 
 @dataclass(frozen=True, eq=False)
-class ConsistencyStudy:
-    """The outcome of `study`: what was simulated, and every estimator's NEES."""
+class ConsistencyStudy(Shown):
+    """The outcome of `study_consistency`: what was simulated, and every estimator's NEES."""
 
     logs: int
     noise: float
@@ -126,8 +131,20 @@ class ConsistencyStudy:
         ]  # fmt: skip
         return jsonable(told | {"estimators": results})
 
+    def figure(self) -> Figure:
+        """ANEES over the steps; see `consistency_figure.consistency_figure`."""
+        from .consistency_figure import consistency_figure
 
-def study(
+        return consistency_figure(self)
+
+    def shown(self) -> tuple[list[Table], list[str]]:
+        """See `Shown`."""
+        from .tables import consistency_remarks, consistency_table
+
+        return [consistency_table(self)], consistency_remarks(self)
+
+
+def study_consistency(
     *,
     logs: int = 200,
     noise: float = 0.1,

@@ -1,6 +1,6 @@
 """How many particles are enough? Error, effective sample size, ancestors and time over their number, many seeds.
 
-Pure functions: `study` -> `ParticleStudy`, which makes rows, bands and JSON; `particles_figure` draws it. The verb
+Pure functions: `study_particles` -> `ParticleStudy`, which makes rows, bands and JSON; `particles_figure` draws it. The verb
 ``slam-compare particles`` only calls them.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,6 +22,10 @@ from graphslam.se2 import Array
 
 from .metrics import ate, evaluate
 from .plots import paper_figure, style_of
+from .shown import Shown
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 FILTERS: dict[str, type[ParticleFilter]] = {
     "mcl": MonteCarloLocalization,
@@ -70,7 +74,7 @@ class ParticleRun:
 
 
 @dataclass(frozen=True, eq=False)
-class ParticleStudy:
+class ParticleStudy(Shown):
     """All runs of a study, and the name of the log."""
 
     log: str
@@ -116,12 +120,22 @@ class ParticleStudy:
             bands.append(band)
         return {"log": self.log, "runs": [asdict(run) for run in self.runs], "bands": bands}
 
+    def figure(self) -> Figure:
+        """Figures over the number of particles; see `particles_figure`."""
+        return particles_figure(self)
+
+    def shown(self) -> tuple[list[Table], list[str]]:
+        """See `Shown`."""
+        from .tables import particles_table
+
+        return [particles_table(self)], []
+
     def _medians(self, name: str, figure: str) -> tuple[list[int], list[float]]:
         numbers, quartiles = self.bands(name, figure)
         return numbers.tolist(), quartiles[1].tolist() if len(numbers) else []
 
 
-def study(
+def study_particles(
     log: Log,
     *,
     filters: Sequence[str] = ("fastslam1", "fastslam2"),

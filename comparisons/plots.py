@@ -7,9 +7,11 @@ marker and its own lightness, so that the figure survives a grey print.
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.resources import as_file, files
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +29,9 @@ from matplotlib.ticker import MaxNLocator
 from graphslam import Log, SensorModel
 from graphslam.se2 import Array, compose, inverse, transform
 
+from .comparison import Comparison
 from .estimator import EstimatorResult
 from .metrics import align, position_errors
-from .run import Comparison
 
 DRIFTING = "dead-reckoning"
 
@@ -102,6 +104,14 @@ def save_figure(figure: Figure, paths: Sequence[Path]) -> None:
         for target in paths:
             metadata = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(target.suffix, {})
             figure.savefig(target, metadata=metadata)
+
+
+def png_as_html(figure: Figure) -> str:
+    """A figure as an image that is part of the page."""
+    stream = BytesIO()
+    with _paper_style():
+        figure.savefig(stream, format="png")
+    return f'<img alt="figure" src="data:image/png;base64,{b64encode(stream.getvalue()).decode()}">'
 
 
 def style_of(name: str, steps: int) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,6 +32,10 @@ from graphslam.se2 import wrap
 from graphslam.solver import starting_state
 
 from .results import jsonable
+from .shown import Shown
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 #: what two solvers may differ by: any x, y [m] or heading [rad], and J relative to itself
 POSE_TOLERANCE, COST_TOLERANCE = 1e-6, 1e-9
@@ -112,7 +116,7 @@ class SkippedVariant:
 
 
 @dataclass(frozen=True)
-class SolverComparison:
+class SolverComparison(Shown):
     """The outcome of `compare_solvers`."""
 
     variants: tuple[VariantResult, ...]
@@ -127,6 +131,12 @@ class SolverComparison:
         """The comparison as plain data: {"variants": [...], "skipped": [{"name", "reason"}]}."""
         variants = [vars(v) | {"agree": v.problem is None} for v in self.variants]
         return jsonable({"variants": variants, "skipped": [vars(s) for s in self.skipped]})
+
+    def shown(self) -> tuple[list[Table], list[str]]:
+        """See `Shown`."""
+        from .tables import solvers_remarks, solvers_table
+
+        return [solvers_table(self, "hand-written solver against GTSAM")], solvers_remarks(self)
 
 
 def variants(

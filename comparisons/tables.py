@@ -10,8 +10,8 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from .comparison import Comparison, ResultTable
 from .datasets import DATA_SETS, Survey
-from .run import Comparison
 from .solvers import SkippedVariant, SolverComparison, VariantResult
 
 if TYPE_CHECKING:
@@ -54,18 +54,15 @@ def lean_table(title: str) -> Table:
     )  # fmt: skip
 
 
-def comparison_table(comparison: Comparison) -> Table:
+def comparison_table(results: ResultTable) -> Table:
     """The rows of a comparison, one per estimator."""
-    log = comparison.log
-    table = lean_table(
-        f"{log.name}: {log.num_poses} poses, {len(log.steps)} sightings of {len(log.landmark_ids)} landmarks"
-    )
+    table = lean_table(results.title)
     table.add_column("estimator", no_wrap=True)
     headings = ("con-\nverged", "iter-\nations", "time", "cost J", "ATE\n[m]", "RPE\n[m]", "RPE\n[rad]", "map\n[m]")
     for heading in headings:
         # as Text: rich would take [m] for markup
         table.add_column(Text(heading), justify="right", no_wrap=True)
-    for row in comparison.table():
+    for row in results:
         if row.skipped is not None:
             table.add_row(Text(row.name, style="dim"), *[Text(NOTHING, style="dim")] * len(headings))
             continue

@@ -1,6 +1,7 @@
 """The Python examples of the documentation run."""
 
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,11 @@ BLOCKS = [
 
 
 @pytest.mark.parametrize(("page", "number", "block"), BLOCKS, ids=[f"{page}-{number}" for page, number, _ in BLOCKS])
-def test_examples(page, number, block, capsys):
+def test_examples(page, number, block, capsys, tmp_path, monkeypatch):
+    # what examples read is beside them, what they write is nobody else's
+    for folder in ("docs", "examples"):
+        shutil.copytree(DOCS.parent / folder, tmp_path / folder)
+    monkeypatch.chdir(tmp_path)
     exec(compile(block, f"{page}, example {number}", "exec"), {})
     assert capsys.readouterr().out
 

@@ -13,10 +13,10 @@ from typing import Any
 
 from graphslam import Log, LogError, SlamError, load, simulate
 
+from ..comparison import compare
 from ..config import run_options, sha256_of
 from ..estimator import RunOptions
 from ..estimators import ESTIMATORS
-from ..run import compare
 from .outcome import ERROR, Outcome
 from .plan import Run
 
@@ -77,7 +77,7 @@ def _log(source: str, name: str, seed: int | None) -> Log:
 def _execute(run: Run) -> dict[str, Any]:
     options = run_options({**run.options, "seed": run.seed})
     comparison = compare(log_of(run), [run.estimator], options)
-    (row,) = comparison.table()
+    (row,) = comparison.table
     digest = hashlib.sha256(comparison.results[0].poses.tobytes()).hexdigest()[:16]
     return {
         "converged": row.converged,

@@ -27,7 +27,7 @@ class Outcome:
         key: of the run, see `plan.Run.key`.
         status: `DONE`, `ERROR` or `TIMEOUT`.
         error: one sentence where the status is not `DONE`.
-        converged, iterations, cost: as `comparisons.run.Row` has them.
+        converged, iterations, cost: as `comparisons.comparison.Row` has them.
         ate_m, rpe_m, rpe_rad, landmark_rmse_m: errors against the truth, see `comparisons.metrics`.
         seconds: the estimation alone.
         total_seconds: the whole run, with reading the log, setting up and measuring.

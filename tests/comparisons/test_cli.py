@@ -211,7 +211,9 @@ def test_run_leaves_a_figure_and_json(invoke: Invoke, log_file: Path, tmp_path: 
     assert result.exit_code == 0, result.output
     (folder,) = (p for p in (tmp_path / "results").iterdir() if not p.is_symlink())
     names = ["comparison.json", "comparison.pdf", "comparison.png", "config.toml"]
-    assert sorted(p.name for p in folder.iterdir()) == names
+    written = sorted(p.name for p in folder.iterdir())
+    assert [name for name in written if not name.endswith((".tum", ".csv"))] == [*names, "graph.g2o"]
+    assert {"truth.tum", "graph.tum", "graph-map.csv", "gtsam.tum"} < set(written)
     assert (tmp_path / "results" / "latest").resolve() == folder.resolve()
     for word in (
         *names,
@@ -306,7 +308,7 @@ def test_an_interrupted_run_says_so(invoke: Invoke, log_file: Path, monkeypatch:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("comparisons.run.compare", interrupted)
+    monkeypatch.setattr("comparisons.comparison.compare", interrupted)
     result = invoke("run", log_file)
     assert result.exit_code == 130
     assert result.stderr == "interrupted\n"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from comparisons.consistency import Consistency, band, joint_nees, models, pose_nees, study
+from comparisons.consistency import Consistency, band, joint_nees, models, pose_nees, study_consistency
 from comparisons.consistency_figure import consistency_figure
 from graphslam import Graph, MotionModel, OptionError, SensorModel, simulate, solve
 from graphslam.se2 import wrap
@@ -14,7 +14,7 @@ from graphslam.se2 import wrap
 
 @pytest.fixture(scope="module")
 def outcome():
-    return study(logs=30, steps=40, seed=3)
+    return study_consistency(logs=30, steps=40, seed=3)
 
 
 def test_the_band_holds_95_of_100_studies():
@@ -79,7 +79,7 @@ def test_json_and_figure(outcome, tmp_path):
 
 def test_a_filter_and_two_jobs():
     alone, together = (
-        study(logs=4, steps=12, estimators=["landmark nodes", "fastslam2"], jobs=jobs) for jobs in (1, 2)
+        study_consistency(logs=4, steps=12, estimators=["landmark nodes", "fastslam2"], jobs=jobs) for jobs in (1, 2)
     )
     for a, b in zip(alone.results, together.results):
         np.testing.assert_array_equal(a.per_step, b.per_step)
@@ -108,4 +108,4 @@ def test_failures_are_counted_and_left_out():
 )
 def test_impossible_options(options, message):
     with pytest.raises(OptionError, match=message):
-        study(**options)
+        study_consistency(**options)

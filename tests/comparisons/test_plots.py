@@ -12,9 +12,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from comparisons import plots
+from comparisons.comparison import Comparison, compare
 from comparisons.estimator import EstimatorResult, RunOptions
 from comparisons.plots import comparison_figure, save_figure
-from comparisons.run import Comparison, compare
 from graphslam import Log, simulate
 from graphslam.se2 import compose
 

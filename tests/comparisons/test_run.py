@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons import estimators, run
+from comparisons import comparison as comparison_module
+from comparisons import estimators
+from comparisons.comparison import Comparison, Skipped, compare
 from comparisons.estimator import Estimator, EstimatorResult, RunOptions
 from comparisons.metrics import ate
-from comparisons.run import Comparison, Skipped, compare
 from graphslam import GraphError, Log, OptionError, simulate
 from graphslam.se2 import wrap
 
@@ -34,13 +35,13 @@ def made_up(name: str, poses: np.ndarray, **rest: object) -> EstimatorResult:
 
 
 def registered(monkeypatch: pytest.MonkeyPatch, name: str, function: object, **rest: object) -> None:
-    monkeypatch.setitem(run.ESTIMATORS, name, Estimator(function, **rest))  # type: ignore[arg-type]
+    monkeypatch.setitem(comparison_module.ESTIMATORS, name, Estimator(function, **rest))  # type: ignore[arg-type]
 
 
 def test_all_estimators_run_on_a_full_log(comparison: Comparison, log: Log) -> None:
     assert [r.name for r in comparison.results] == list(estimators.ESTIMATORS)
     assert comparison.skipped == ()
-    rows = {row.name: row for row in comparison.table()}
+    rows = {row.name: row for row in comparison.table}
     assert rows["graph"].ate_m == ate(log.true_poses, comparison["graph"].poses)  # type: ignore[arg-type]
     assert rows["mcl"].landmark_rmse_m is None
     assert rows["graph"].landmark_rmse_m is not None
@@ -76,9 +77,9 @@ def test_poses_outside_the_graph_do_not_count(log: Log) -> None:
 def test_those_that_cannot_run_are_rows_with_their_reason(log: Log) -> None:
     outcome = compare(log.replace(true_landmarks=None), options=RunOptions(particles=50))
     assert [entry.name for entry in outcome.skipped] == ["mcl"]
-    row = next(row for row in outcome.table() if row.name == "mcl")
+    row = next(row for row in outcome.table if row.name == "mcl")
     assert "map" in str(row.skipped)
-    assert [row.name for row in outcome.table()] == list(estimators.ESTIMATORS)
+    assert [row.name for row in outcome.table] == list(estimators.ESTIMATORS)
     entry = next(e for e in outcome.to_json()["estimators"] if e["name"] == "mcl")
     assert entry.keys() >= PROMISED
     assert entry["poses"] is None

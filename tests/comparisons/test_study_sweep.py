@@ -80,12 +80,12 @@ def test_one_row_for_each_run(make: Callable[..., Study]) -> None:
 
 
 def test_the_row_is_what_a_run_by_hand_gives(make: Callable[..., Study]) -> None:
-    from comparisons.run import compare
+    from comparisons.comparison import compare
 
     study = make(SMALL)
     sweep(study, jobs=0)
     row = next(row for row in rows(study.database) if row["estimator"] == "fastslam1" and row["seed"] == 1)
-    by_hand = compare(simulate(steps=12, seed=1), ["fastslam1"], RunOptions(particles=20, seed=1)).table()[0]
+    by_hand = compare(simulate(steps=12, seed=1), ["fastslam1"], RunOptions(particles=20, seed=1)).table[0]
     for figure in ("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m"):
         assert row[figure] == getattr(by_hand, figure)
 

@@ -7,8 +7,8 @@ import pytest
 from rich.console import Console
 
 from comparisons import tables
+from comparisons.comparison import Comparison, Skipped
 from comparisons.estimator import EstimatorResult
-from comparisons.run import Comparison, Skipped
 from comparisons.solvers import SkippedVariant, SolverComparison, VariantResult
 from graphslam import Log, simulate
 
@@ -45,7 +45,7 @@ def test_table_keeps_its_units_and_dashes(log: Log) -> None:
     outcome = Comparison(
         log, (result(log, "graph", converged=True, iterations=7, cost=12.5),), (Skipped("mcl", "no map"),)
     )
-    text = shown(tables.comparison_table(outcome))
+    text = shown(tables.comparison_table(outcome.table))
     for word in ("ATE", "[m]", "[rad]", "graph", "yes", " 7 ", "12.3 ms", "12.500", "mcl"):
         assert word in text
     (row,) = [line for line in text.splitlines() if "mcl" in line]
@@ -55,7 +55,7 @@ def test_table_keeps_its_units_and_dashes(log: Log) -> None:
 def test_the_table_fits_into_80_characters(log: Log) -> None:
     row = result(log, "dead-reckoning", converged=True, iterations=100, cost=12345.6789)
     console = Console(file=io.StringIO(), width=80)
-    console.print(tables.comparison_table(Comparison(log, (row,))))
+    console.print(tables.comparison_table(Comparison(log, (row,)).table))
     assert "dead-reckoning     yes     100  12.3 ms  12345.679" in console.file.getvalue()  # type: ignore[attr-defined]
 
 

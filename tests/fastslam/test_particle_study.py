@@ -7,13 +7,15 @@ import json
 import numpy as np
 import pytest
 
-from comparisons.particles import FIGURES, particles_figure, study
+from comparisons.particles import FIGURES, particles_figure, study_particles
 from graphslam import LogError, OptionError, simulate
 
 
 def test_rows_bands_and_json() -> None:
     log, seen = simulate(seed=1, steps=20), []
-    outcome = study(log, filters=("mcl", "fastslam1", "fastslam2"), particles=(10, 100), seeds=3, progress=seen.append)
+    outcome = study_particles(
+        log, filters=("mcl", "fastslam1", "fastslam2"), particles=(10, 100), seeds=3, progress=seen.append
+    )
     assert seen == list(outcome.runs)
     assert len(outcome.runs) == 3 * 2 * 3
     assert [(row["name"], row["particles"]) for row in outcome.rows()] == [
@@ -34,7 +36,7 @@ def test_rows_bands_and_json() -> None:
 
 
 def test_figure(tmp_path) -> None:
-    outcome = study(simulate(seed=1, steps=10), particles=(10, 20), seeds=2)
+    outcome = study_particles(simulate(seed=1, steps=10), particles=(10, 20), seeds=2)
     figure = particles_figure(outcome)
     shown = [axes for axes in figure.axes if axes.get_visible()]
     assert [axes.get_title(loc="left") for axes in shown] == list(FIGURES.values())
@@ -43,10 +45,10 @@ def test_figure(tmp_path) -> None:
 
 def test_without_truth_and_without_names() -> None:
     log = simulate(seed=1, steps=10)
-    blind = study(log.replace(true_poses=None, true_landmarks=None), particles=(10,), seeds=1)
+    blind = study_particles(log.replace(true_poses=None, true_landmarks=None), particles=(10,), seeds=1)
     assert [row["ate_m"] for row in blind.rows()] == [None, None]
     assert len([axes for axes in particles_figure(blind).axes if axes.get_visible()]) == 3
-    unnamed = study(log, filters=("fastslam2",), particles=(10,), seeds=1, association="maximum-likelihood")
+    unnamed = study_particles(log, filters=("fastslam2",), particles=(10,), seeds=1, association="maximum-likelihood")
     assert unnamed.runs[0].ate_m is not None
     assert unnamed.runs[0].landmark_rmse_m is None
 
@@ -54,11 +56,11 @@ def test_without_truth_and_without_names() -> None:
 def test_bad_input() -> None:
     log = simulate(seed=1, steps=5)
     with pytest.raises(OptionError, match="filters must be one of mcl"):
-        study(log, filters=("graph",))
+        study_particles(log, filters=("graph",))
     with pytest.raises(OptionError, match="seeds must be at least 1"):
-        study(log, seeds=0)
+        study_particles(log, seeds=0)
     with pytest.raises(OptionError, match="at least one filter"):
-        study(log, particles=())
+        study_particles(log, particles=())
     poses_only = log.replace(dt=None, controls=None)
     with pytest.raises(LogError, match="no controls"):
-        study(poses_only)
+        study_particles(poses_only)

@@ -6,21 +6,31 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from graphslam import GraphError, Log, MotionModel, OptionError, SensorModel, SlamError
+from graphslam.errors import check_choice
 from graphslam.se2 import wrap
 
 from .estimator import EstimatorResult, RunOptions
 from .estimators import ESTIMATORS
 from .metrics import Metrics, evaluate
 from .results import fill_whole, jsonable, new_directory, point_latest, write_json
+from .shown import Shown
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.table import Table
+
     from .config import RunConfig
+
+
+#: the formats that figures can be written in; a run writes the first two unless told otherwise
+FIGURE_FORMATS = ("png", "pdf", "svg")
 
 
 @dataclass(frozen=True)
@@ -47,21 +57,49 @@ class Row:
     skipped: str | None = None
 
 
+@dataclass(frozen=True)
+class ResultTable(Shown, Sequence[Row]):
+    """The rows of a comparison under their title; indexed by number or by the name of the estimator."""
+
+    title: str
+    rows: tuple[Row, ...]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @overload
+    def __getitem__(self, index: int | str) -> Row: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Row, ...]: ...
+    def __getitem__(self, index: int | str | slice) -> Row | tuple[Row, ...]:
+        if isinstance(index, str):
+            return {row.name: row for row in self.rows}[index]
+        return self.rows[index]
+
+    def shown(self) -> tuple[list[Table], list[str]]:
+        """See `Shown`."""
+        from .tables import comparison_table
+
+        return [comparison_table(self)], []
+
+
 @dataclass(frozen=True, eq=False)
-class Comparison:
-    """What several estimators made of one log.
+class Comparison(Shown):
+    """What several estimators made of one log. A notebook shows table, remarks and figure.
 
     Attributes:
         log: what they were given.
         results: what came out, in the order of the estimators.
         skipped: the estimators of the default list that cannot run on this log.
         source: the file of the log, where there is one.
+        options: what the estimators were told, noise models filled in.
     """
 
     log: Log
     results: tuple[EstimatorResult, ...]
     skipped: tuple[Skipped, ...] = ()
     source: Path | None = None
+    options: RunOptions | None = None
 
     @cached_property
     def metrics(self) -> dict[str, Metrics]:
@@ -83,12 +121,33 @@ class Comparison:
     def __contains__(self, name: object) -> bool:
         return any(result.name == name for result in self.results)
 
-    def table(self) -> list[Row]:
-        """The rows of the table, results and skipped estimators in the order of the registry."""
+    @cached_property
+    def table(self) -> ResultTable:
+        """The figures as a table, results and skipped estimators in the order of the registry."""
         rows = [_row(result, self.metrics[result.name]) for result in self.results]
         rows += [Row(name=entry.name, skipped=entry.reason) for entry in self.skipped]
         order = list(ESTIMATORS)
-        return sorted(rows, key=lambda row: order.index(row.name) if row.name in order else len(order))
+        rows.sort(key=lambda row: order.index(row.name) if row.name in order else len(order))
+        log = self.log
+        title = f"{log.name}: {log.num_poses} poses, {len(log.steps)} sightings of {len(log.landmark_ids)} landmarks"
+        return ResultTable(title, tuple(rows))
+
+    def figure(self) -> Figure:
+        """Paths and map on the left, errors (or convergence) on the right; see `plots.comparison_figure`."""
+        from .plots import comparison_figure  # matplotlib, only where a figure is wanted
+
+        return comparison_figure(self)
+
+    def shown(self) -> tuple[list[Table], list[str]]:
+        """See `Shown`."""
+        from .tables import comparison_remarks, comparison_table
+
+        return [comparison_table(self.table)], comparison_remarks(self)
+
+    def _repr_html_(self) -> str:
+        from .plots import png_as_html
+
+        return super()._repr_html_() + png_as_html(self.figure())
 
     def difference(self, first: str = "graph", second: str = "gtsam") -> float | None:
         """The largest difference of two results in any x, y [m] or heading [rad] that both estimated, or None."""
@@ -112,34 +171,54 @@ class Comparison:
         by_name |= {entry.name: _skipped_json(entry) for entry in self.skipped}
         payload = {
             "log": describe(self.log, self.source),
-            "estimators": [by_name[row.name] for row in self.table()],
+            "estimators": [by_name[row.name] for row in self.table],
             "files": {kind: str(path) for kind, path in (files or {}).items()},
         }
         return jsonable(payload)
 
-    def save(self, directory: Path | None = None, *, config: RunConfig | None = None) -> dict[str, Path]:
-        """Write figure (PNG, PDF), JSON and, if given, the configuration into a folder, all or nothing.
+    def save(
+        self, directory: str | PathLike[str] | None = None, *, formats: Sequence[str] = FIGURE_FORMATS[:2],
+        config: RunConfig | None = None,
+    ) -> dict[str, Path]:  # fmt: skip
+        """Write everything into a folder, all or nothing.
+
+        comparison.json (docs/json.md), the figure, trajectories NAME.tum and maps NAME-map.csv (see `exchange`), the
+        graph as graph.g2o where pose-graph files can hold it, and, if given, the configuration.
 
         Args:
             directory: made if need be; default: a new ``results/<time>/``, to which ``results/latest`` then points.
+            formats: of the figure, from `FIGURE_FORMATS`.
             config: what the run was told, for ``slam-compare run --config``.
 
         Returns:
-            {"json": path, "figure": path, "figure_pdf": path}, and "config" where it was given.
+            {"json": path, "figure": path, ...}: "figure" in the first format, "figure_pdf" and so on in the others,
+            "config" where it was given, and the other files by their names.
 
         Raises:
+            OptionError: a format is unknown.
             FormatError: the folder cannot be made or written.
         """
-        from .plots import comparison_figure, save_figure  # matplotlib, only where a figure is wanted
+        from .exchange import texts, write_pose_graph
+        from .plots import save_figure  # matplotlib, only where a figure is wanted
 
+        formats = tuple(dict.fromkeys(formats))
+        for kind in formats:
+            check_choice("the format of a figure", kind, FIGURE_FORMATS)
         timed = directory is None
-        directory = new_directory() if directory is None else directory
-        names = {"json": "comparison.json", "figure": "comparison.png", "figure_pdf": "comparison.pdf"}
+        directory = new_directory() if directory is None else Path(directory)
+        names = {"json": "comparison.json"}
+        names |= {f"figure_{kind}" if i else "figure": f"comparison.{kind}" for i, kind in enumerate(formats)}
         if config is not None:
             names["config"] = "config.toml"
-        files = {kind: directory / name for kind, name in names.items()}
         with fill_whole(directory, for_this_only=timed) as folder:
-            save_figure(comparison_figure(self), [folder / names["figure"], folder / names["figure_pdf"]])
+            for name, text in texts(self):
+                (folder / name).write_text(text, encoding="utf-8")
+                names[name] = name
+            if write_pose_graph(self, folder / "graph.g2o") is None:
+                names["graph.g2o"] = "graph.g2o"
+            files = {kind: directory / name for kind, name in names.items()}
+            if formats:
+                save_figure(self.figure(), [folder / f"comparison.{kind}" for kind in formats])
             write_json(self.to_json(files), folder / names["json"])
             if config is not None:
                 (folder / names["config"]).write_text(config.to_toml(), encoding="utf-8")
@@ -191,7 +270,7 @@ def compare(
             results.append(outcome)
         if progress is not None:
             progress(name, outcome)
-    return Comparison(log, tuple(results), tuple(skipped), source)
+    return Comparison(log, tuple(results), tuple(skipped), source, options)
 
 
 def with_models(options: RunOptions, log: Log) -> RunOptions:

@@ -1,0 +1,109 @@
+"""Trajectories and maps in files that other programs read.
+
+Trajectories are in the text format of the TUM RGB-D benchmark, a pose a line,
+
+    timestamp x y z qx qy qz qw        [s, m, quaternion]; here z = qx = qy = 0, qz = sin(theta / 2), qw = cos(theta / 2)
+
+maps are tables with commas. Both have numbers at full precision: read again they are the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from graphslam import GraphError, Log
+from graphslam.relative import relative_graph
+from graphslam.se2 import Array, wrap
+
+if TYPE_CHECKING:
+    from .comparison import Comparison
+
+#: a graph with more edges than this is not listed one by one
+MOST_EDGES = 200_000
+
+MAP_COLUMNS = "id,x,y,heading,var_x,cov_xy,var_y,cov_x_heading,cov_y_heading,var_heading"
+
+
+def times_of(log: Log) -> Array:
+    """The time of each pose [s], (T+1,); the number of its step where the log has no times."""
+    return np.arange(log.num_poses, dtype=float) if log.times is None else log.times
+
+
+def tum_text(times: Array, poses: Array) -> str:
+    """Poses (n, 3) at times (n,) as TUM text. An unknown heading (NaN) is written as 0, and said at the top."""
+    heading = wrap(poses[:, 2])
+    lines = ["# timestamp x y z qx qy qz qw"]
+    if np.isnan(heading).any():
+        lines.append("# headings are unknown and written as 0")
+        heading = np.nan_to_num(heading, nan=0.0)
+    zero = np.zeros(len(poses))
+    quaternion = [zero, zero, zero, np.sin(heading / 2), np.cos(heading / 2)]
+    rows = np.column_stack([times, poses[:, 0], poses[:, 1], *quaternion])
+    lines += [" ".join(map(repr, row)) for row in rows.tolist()]
+    return "\n".join(lines) + "\n"
+
+
+def map_text(landmarks: Mapping[int, Array], covariances: Mapping[int, Array]) -> str:
+    """A map {id: (2,) or (3,)} with covariances {id: (n, n)} as a table; what is not known stays empty."""
+    lines = [MAP_COLUMNS]
+    for j in sorted(landmarks):
+        mean = np.asarray(landmarks[j], dtype=float).tolist()
+        cells: list[float | None] = [*mean, *[None] * (3 - len(mean))]
+        C = covariances.get(j)
+        if C is None:
+            cells += [None] * 6
+        else:
+            cells += [C[0, 0], C[0, 1], C[1, 1]]
+            cells += [C[0, 2], C[1, 2], C[2, 2]] if len(C) == 3 else [None] * 3
+        lines.append(",".join([str(j), *("" if c is None or np.isnan(c) else repr(float(c)) for c in cells)]))
+    return "\n".join(lines) + "\n"
+
+
+def texts(comparison: Comparison) -> Iterator[tuple[str, str]]:
+    """(file name, contents) of every trajectory and map: NAME.tum with the estimated poses, NAME-map.csv, and the truth's."""
+    log = comparison.log
+    times = times_of(log)
+    if log.true_poses is not None:
+        yield "truth.tum", tum_text(times[log.covered], log.true_poses[log.covered])
+    if log.true_landmarks:
+        yield "truth-map.csv", map_text(log.true_landmarks, {})
+    for result in comparison.results:
+        yield f"{result.name}.tum", tum_text(times[result.estimated], result.poses[result.estimated])
+        if result.landmarks:
+            yield f"{result.name}-map.csv", map_text(result.landmarks, result.landmark_covariances)
+
+
+def write_pose_graph(comparison: Comparison, path: Path) -> str | None:
+    """Write the graph of ``graph`` as g2o, with its solution as initial values, see `graphslam.relative`.
+
+    Returns:
+        None, or why there is no such file.
+
+    Raises:
+        FormatError: the place cannot be written.
+    """
+    from .estimators import make_graph
+
+    if comparison.options is None or "graph" not in comparison:
+        return "the estimator graph did not run"
+    graph = make_graph(comparison.log, comparison.options)
+    if graph.num_edges > MOST_EDGES:
+        return f"the graph has {graph.num_edges} edges, more than {MOST_EDGES}"
+    try:
+        relative = relative_graph(graph)
+    except GraphError as error:
+        return str(error)
+    # pose and landmark nodes at the solution; headings of landmarks only where they have one
+    result = comparison["graph"]
+    initial = relative.initial.copy()
+    initial[: len(graph.steps)] = result.poses[graph.steps]
+    for k, j in enumerate(graph.landmark_ids.tolist(), start=len(graph.steps)):
+        mean = result.landmarks[j]
+        initial[k, : len(mean)] = mean
+    replace(relative, initial=initial).save_g2o(path)
+    return None

@@ -1,0 +1,88 @@
+"""docs/schema.json holds for what the verbs write, refuses what it should, and docs/json.md names every field of it."""
+
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+from typer.testing import CliRunner
+
+from comparisons.cli import app
+
+DOCS = Path(__file__).parents[2] / "docs"
+SCHEMA = json.loads((DOCS / "schema.json").read_text(encoding="utf-8"))
+
+
+def valid(verb, payload):
+    jsonschema.validate(payload, {"$ref": f"#/$defs/{verb}"} | SCHEMA)
+
+
+@pytest.fixture
+def write(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        result = CliRunner().invoke(app, [*map(str, arguments), "--json", "out.json"])
+        assert result.exit_code == 0, result.output
+        return json.loads(Path("out.json").read_text())
+
+    return run
+
+
+STUDY = """seeds = 2
+estimators = ["graph", "fastslam1"]
+[simulate]
+steps = 15
+[options]
+particles = 10
+"""
+
+
+def test_every_verb_writes_what_the_schema_says(write):
+    valid("simulate", write("simulate", "log.npz", "--steps", 15, "--seed", 3))
+    found = write("run", "log.npz", "--particles", 20, "--out", "out")
+    valid("run", found)
+    assert json.loads(Path("out/comparison.json").read_text()) == found
+    valid("solvers", write("solvers", "log.npz", "--edges", "virtual+motion", "--motion-weights", 1, "--jobs", 1))
+    valid("backends", write("backends", "out/graph.g2o"))
+    valid("particles", write("particles", "log.npz", "--particles", "10,20", "--seeds", 2))
+    valid("consistency", write("consistency", "--logs", 2, "--steps", 15, "--jobs", 1))
+    valid("datasets", write("datasets", "--folder", "."))
+    Path("study.toml").write_text(STUDY)
+    valid("sweep", write("sweep", "study.toml", "--jobs", 0))
+    valid("study", write("study", "study.sqlite"))
+
+
+def test_logs_that_know_less_are_valid_too(write):
+    write("simulate", "log.npz", "--steps", 15, "--no-orientation")
+    valid("run", write("run", "log.npz", "--particles", 20, "--out", "out"))
+
+
+def test_the_schema_refuses_what_is_not_said(write):
+    write("simulate", "log.npz", "--steps", 15)
+    found = write("run", "log.npz", "--estimators", "graph", "--out", "out")
+    for broken in (
+        found | {"surprise": 1},
+        {k: v for k, v in found.items() if k != "log"},
+        found | {"estimators": [found["estimators"][0] | {"seconds": "fast"}]},
+        found | {"estimators": [found["estimators"][0] | {"poses": [[0.0, 0.0]]}]},
+    ):
+        with pytest.raises(jsonschema.ValidationError):
+            valid("run", broken)
+
+
+def test_the_page_names_every_field():
+    page = (DOCS / "json.md").read_text(encoding="utf-8")
+
+    def fields(node):
+        if isinstance(node, dict):
+            for key, value in node.items():
+                if key == "properties":
+                    yield from value
+                yield from fields(value)
+        elif isinstance(node, list):
+            for value in node:
+                yield from fields(value)
+
+    missing = {name for name in fields(SCHEMA["$defs"]) if f"`{name}`" not in page and f".{name}`" not in page}
+    assert not missing
