@@ -49,16 +49,17 @@ from .cli_parse import figure_formats, numbers
 from .cli_particles import particles
 from .cli_simulate import simulate
 from .cli_study import study
-from .cli_support import DIFFERENT, INTERRUPTED, Output, examples, models, read_log, sentences
+from .cli_support import DIFFERENT, INTERRUPTED, Advance, Output, examples, models, read_log, sentences
 from .cli_sweep import sweep
+from .cli_verb import verb
 
 if TYPE_CHECKING:
     from .comparison import Progress, Skipped
     from .estimator import EstimatorResult
+    from .solvers import SkippedVariant, VariantResult
 
 app = typer.Typer(
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
@@ -91,8 +92,9 @@ def _app(
         "slam-compare run LOG --estimators graph,fastslam1 --particles 5000",
         "slam-compare run LOG --edges virtual --frame world --json -",
         "slam-compare run --config results/latest/config.toml",
-    )
+    ),
 )
+@verb
 def run(
     ctx: typer.Context,
     log: LogFile = None,
@@ -171,6 +173,7 @@ def run(
         from .comparison import compare, with_models
         from .config import RunConfig, sha256_of
         from .estimator import RunOptions
+        from .estimators import ESTIMATORS
         from .results import RESULTS, check_can_make
         from .tables import comparison_remarks, comparison_table
 
@@ -196,7 +199,8 @@ def run(
             log=None if log is None else source, log_sha256=sha256_of(source), format=format, dimensions=dimensions,
             estimators=None if names is None else tuple(names), options=with_models(options, data), **reading,
         )  # fmt: skip
-        outcome = compare(data, names, options, source=source, progress=_progress(output))
+        with output.bar("estimators", len(names or ESTIMATORS)) as advance:
+            outcome = compare(data, names, options, source=source, progress=_progress(output, advance))
         files = outcome.save(out, formats=formats, config=effective)
         output.console.print(comparison_table(outcome.table))
         output.say(*comparison_remarks(outcome))
@@ -204,22 +208,26 @@ def run(
         folder = files["json"].parent
         exchanged = ["trajectories (*.tum)", "maps (*-map.csv)"] + ["graph.g2o"] * ("graph.g2o" in files)
         named = [path.name for kind, path in files.items() if not kind.endswith((".tum", ".csv", ".g2o"))]
-        output.say(f"Wrote {', '.join([*named, *exchanged])} into {folder}{os.sep}")
-        output.say(f"Again, bit for bit: slam-compare run --config {files['config']}")
-        output.say(
+        output.hint(f"Wrote {', '.join([*named, *exchanged])} into {folder}{os.sep}")
+        output.hint(f"Again, bit for bit: slam-compare run --config {files['config']}")
+        output.hint(
             "Next: slam-compare simulate my.npz --seed 7 && slam-compare run my.npz"
             if log is None
             else f"Next: slam-compare solvers {log} checks the solver against GTSAM in every variant"
         )
 
 
-def _progress(output: Output) -> Progress:
+def _progress(output: Output, advance: Advance) -> Progress:
     def report(name: str, outcome: EstimatorResult | Skipped | None) -> None:
         from .estimator import EstimatorResult
         from .tables import seconds
 
+        if outcome is None:
+            advance(0, name)
+            return
+        advance(1, name)
         if isinstance(outcome, EstimatorResult):
-            output.progress(f"{name}: {seconds(outcome.seconds)}")
+            output.detail(f"{name}: {seconds(outcome.seconds)}" + (f", {outcome.reason}" if outcome.reason else ""))
 
     return report
 
@@ -229,8 +237,9 @@ def _progress(output: Output) -> Progress:
         "slam-compare solvers",
         "slam-compare solvers LOG --motion-weights 1,10,100 --json differences.json",
         "slam-compare solvers LOG --kernels none,huber,cauchy",
-    )
+    ),
 )
+@verb
 def solvers(
     log: LogFile = None,
     format: LogFormat = None,
@@ -269,7 +278,7 @@ def solvers(
     with sentences():
         from graphslam.graph import EDGES
 
-        from .solvers import compare_solvers
+        from .solvers import compare_solvers, variants
         from .tables import solvers_remarks, solvers_table, variant_line
 
         output = Output(json)
@@ -281,12 +290,17 @@ def solvers(
             range_rate=range_rate, range_std=range_std, bearing_std=bearing_std, orientation_std=orientation_std,
             sensor_offset=sensor_offset,
         )  # fmt: skip
-        outcome = compare_solvers(
-            data, motion=motion, sensor=sensor, motion_weights=weights, edges=kinds,
-            kernels=tuple(name.strip() for name in kernels.split(",")),
-            jobs=jobs or min(os.cpu_count() or 1, 8),
-            progress=lambda variant: output.progress(variant_line(variant)),
-        )  # fmt: skip
+        robust = tuple(name.strip() for name in kernels.split(","))
+        with output.bar("variants", sum(1 for _ in variants(data, weights, kinds, robust))) as advance:
+
+            def told(variant: VariantResult | SkippedVariant) -> None:
+                advance(1, variant.name)
+                output.detail(variant_line(variant))
+
+            outcome = compare_solvers(
+                data, motion=motion, sensor=sensor, motion_weights=weights, edges=kinds, kernels=robust,
+                jobs=jobs or min(os.cpu_count() or 1, 8), progress=told,
+            )  # fmt: skip
         output.console.print(solvers_table(outcome, f"{data.name}: hand-written solver against GTSAM"))
         output.say(*solvers_remarks(outcome))
         if not outcome.problems:
@@ -301,24 +315,26 @@ app.command(
         "slam-compare simulate my.npz --seed 7",
         "slam-compare simulate room.npz --way-points '4,-3 4,3 -4,3' --landmarks 20",
         "slam-compare simulate clean.npz --clean --no-orientation",
-    )
-)(simulate)
+    ),
+)(verb(simulate))
 
 
 app.command(
-    epilog=examples("slam-compare backends M3500.g2o", "slam-compare backends *.g2o --figure cost.png --json rows.json")
-)(backends)
+    epilog=examples(
+        "slam-compare backends M3500.g2o", "slam-compare backends *.g2o --figure cost.png --json rows.json"
+    ),
+)(verb(backends))
 
 
 app.command(
     epilog=examples(
         "slam-compare particles --particles 10,100,1000 --seeds 5",
         "slam-compare particles LOG --figure particles.png --json particles.json",
-    )
-)(particles)
+    ),
+)(verb(particles))
 
 
-app.command(epilog=examples("slam-compare datasets", "SLAM_DATA=~/data slam-compare datasets --json -"))(datasets)
+app.command(epilog=examples("slam-compare datasets", "SLAM_DATA=~/data slam-compare datasets --json -"))(verb(datasets))
 
 
 app.command(
@@ -326,8 +342,8 @@ app.command(
         "slam-compare consistency",
         "slam-compare consistency --noise 1 --figure anees.png --json anees.json",
         "slam-compare consistency --estimators 'landmark nodes,fastslam2' --logs 50",
-    )
-)(consistency)
+    ),
+)(verb(consistency))
 
 
 app.command(
@@ -335,8 +351,8 @@ app.command(
         "slam-compare sweep examples/study.toml",
         "slam-compare sweep study.toml --jobs 8",
         "slam-compare sweep study.toml --dask tcp://head-node:8786",
-    )
-)(sweep)
+    ),
+)(verb(sweep))
 
 
 app.command(
@@ -344,8 +360,8 @@ app.command(
         "slam-compare study study.sqlite",
         "slam-compare study show study.sqlite --baseline fastslam1 --figure study.pdf",
         "slam-compare study study.sqlite --csv runs.csv --jsonl runs.jsonl",
-    )
-)(study)
+    ),
+)(verb(study))
 
 
 def main() -> None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .cli_options import OUTPUT, JsonFile
 from .cli_support import Output, sentences
+
+if TYPE_CHECKING:
+    from .backends import BackendRow
 
 
 def backends(
@@ -36,7 +39,7 @@ def backends(
     """Time this solver against GTSAM and g2o on pose graphs; chi2 of all by one evaluator."""
     with sentences():
         from .backend_report import backends_figure, backends_remarks, backends_table
-        from .backends import compare_backends
+        from .backends import BACKENDS, compare_backends
         from .plots import save_figure
         from .results import check_can_write
         from .tables import seconds
@@ -45,14 +48,19 @@ def backends(
         if figure is not None:
             check_can_write(figure)
         names = None if backends is None else [name.strip() for name in backends.split(",") if name.strip()]
-        outcome = compare_backends(
-            files, backends=names, initialize=initialize, same_start=same_start, repeat=repeat,
-            max_iterations=max_iterations, format=format,
-            progress=lambda row: output.progress(f"{Path(row.file).name} {row.backend}: {seconds(row.seconds)}"),
-        )  # fmt: skip
+        with output.bar("backends", len(files) * len(names or BACKENDS)) as advance:
+
+            def told(row: BackendRow) -> None:
+                advance(1, f"{Path(row.file).name} {row.backend}")
+                output.detail(f"{Path(row.file).name} {row.backend}: {seconds(row.seconds)}, {row.reason}")
+
+            outcome = compare_backends(
+                files, backends=names, initialize=initialize, same_start=same_start, repeat=repeat,
+                max_iterations=max_iterations, format=format, progress=told,
+            )  # fmt: skip
         output.console.print(backends_table(outcome))
         output.say(*backends_remarks(outcome))
         if figure is not None:
             save_figure(backends_figure(outcome), [figure])
-            output.say(f"Wrote {figure}.")
+            output.hint(f"Wrote {figure}.")
         output.json(outcome.to_json())

@@ -47,7 +47,7 @@ def consistency(
         with output.bar("logs", logs) as advance:
             outcome = study_consistency(
                 logs=logs, noise=noise, steps=steps, dimensions=dimensions, estimators=names, seed=seed,
-                jobs=jobs or min(os.cpu_count() or 1, 8), progress=lambda _: advance(),
+                jobs=jobs or min(os.cpu_count() or 1, 8), progress=lambda _: advance(1),
             )  # fmt: skip
         output.console.print(consistency_table(outcome))
         output.say(*consistency_remarks(outcome))
@@ -56,5 +56,5 @@ def consistency(
             from .consistency_figure import consistency_figure
 
             save_figure(consistency_figure(outcome), [figure])
-            output.say(f"Wrote {figure}.")
-        output.say("Next: slam-compare consistency --noise 0.5 shows what the curvature of the models does")
+            output.hint(f"Wrote {figure}.")
+        output.hint("Next: slam-compare consistency --noise 0.5 shows what the curvature of the models does")

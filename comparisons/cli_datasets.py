@@ -30,7 +30,13 @@ def datasets(
         output = Output(json)
         if folder is not None and not folder.is_dir():
             raise OptionError(f"--folder {folder}: there is no such folder")
-        outcome = survey(folder, progress=lambda path: output.progress(f"reading {path}"))
+        with output.bar("data sets", None) as advance:
+
+            def told(path: Path) -> None:
+                advance(1, path.name)
+                output.detail(f"reading {path}")
+
+            outcome = survey(folder, progress=told)
         output.say(*datasets_remarks(outcome))
         output.console.print(datasets_table(outcome))
         output.json(outcome.to_json())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -33,6 +33,9 @@ from .cli_options import (
 )
 from .cli_parse import numbers
 from .cli_support import Output, models, read_log, sentences
+
+if TYPE_CHECKING:
+    from .particles import ParticleRun
 
 
 def particles(
@@ -89,14 +92,19 @@ def particles(
             range_rate=range_rate, range_std=range_std, bearing_std=bearing_std, orientation_std=orientation_std,
             sensor_offset=sensor_offset,
         )  # fmt: skip
-        outcome = study_particles(
-            data, filters=[name.strip() for name in filters.split(",") if name.strip()],
-            particles=[int(count) for count in counts], seeds=seeds, motion=motion, sensor=sensor,
-            resampling=resampling, association=association,
-            progress=lambda run: output.progress(f"{run.name} N={run.particles} seed {run.seed}: {run.seconds:.2f} s"),
-        )  # fmt: skip
+        kinds = [name.strip() for name in filters.split(",") if name.strip()]
+        with output.bar("runs", len(kinds) * len(counts) * seeds) as advance:
+
+            def told(run: ParticleRun) -> None:
+                advance(1, f"{run.name} N={run.particles}")
+                output.detail(f"{run.name} N={run.particles} seed {run.seed}: {run.seconds:.2f} s")
+
+            outcome = study_particles(
+                data, filters=kinds, particles=[int(count) for count in counts], seeds=seeds, motion=motion,
+                sensor=sensor, resampling=resampling, association=association, progress=told,
+            )  # fmt: skip
         output.console.print(particles_table(outcome))
         if figure is not None:
             save_figure(particles_figure(outcome), [figure])
-            output.say(f"Wrote {figure}.")
+            output.hint(f"Wrote {figure}.")
         output.json(outcome.to_json())

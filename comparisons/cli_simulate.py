@@ -128,5 +128,5 @@ def simulate(
         graphslam.save(log if truth else log.replace(true_poses=None, true_landmarks=None), out, format=format)
         seen = len(log.landmark_ids)
         output.say(f"Wrote {out}: {log.num_poses} poses, {len(log.steps)} sightings of {seen} landmarks.")
-        output.say(f"Next: slam-compare run {out}")
+        output.hint(f"Next: slam-compare run {out}")
         output.json({"file": str(out), "log": describe(log, out)})

@@ -76,12 +76,12 @@ def study(
             write_json_lines(rows, jsonl)
             written.append(jsonl)
         if written:
-            output.say(f"Wrote {', '.join(map(str, written))}.")
+            output.hint(f"Wrote {', '.join(map(str, written))}.")
         output.json({"database": str(database.path), "study": about.get("study"), **summary.to_json()})
         if summary.done < summary.planned:
-            output.say(f"Next: slam-compare sweep {about.get('study')} (runs the other {planned - summary.done})")
+            output.hint(f"Next: slam-compare sweep {about.get('study')} (runs the other {planned - summary.done})")
         elif figure is None:
-            output.say(f"Next: slam-compare study {database.path} --figure study.png --csv runs.csv")
+            output.hint(f"Next: slam-compare study {database.path} --figure study.png --csv runs.csv")
 
 
 def _database(words: list[str]) -> Path:

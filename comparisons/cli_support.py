@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import sys
+import traceback
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import typer
 from rich.console import Console
 
+from .cli_verb import Verbosity
 from .shown import WIDTH
 
 if TYPE_CHECKING:
@@ -20,6 +22,13 @@ if TYPE_CHECKING:
 
 #: exit statuses
 DIFFERENT, WRONG_INPUT, INTERRUPTED = 1, 2, 130
+
+
+class Advance(Protocol):
+    """Moves a bar on by so many steps, and says what is being done and how many steps there will be."""
+
+    def __call__(self, steps: int, doing: str = "", total: int | None = None) -> None:
+        """Move the bar."""
 
 
 @contextmanager
@@ -35,6 +44,8 @@ def sentences() -> Iterator[None]:
 
         if not isinstance(error, SlamError):
             raise
+        if Verbosity.verbose:
+            traceback.print_exc()
         typer.echo(f"error: {error}", err=True)
         raise typer.Exit(WRONG_INPUT) from None
 
@@ -69,22 +80,47 @@ class Output:
             typer.echo(json_text(payload), nl=False)
         elif self._file is not None:
             write_json(payload, self._file)
-            self.say(f"Wrote {self._file}.")
+            self.hint(f"Wrote {self._file}.")
+
+    def hint(self, *sentences: str) -> None:
+        """Where files are and what comes next; not with --quiet."""
+        if not Verbosity.quiet:
+            self.say(*sentences)
+
+    def detail(self, sentence: str) -> None:
+        """A line on standard error about a step of the work, with --verbose."""
+        if Verbosity.verbose:
+            self._errors.print(sentence, style="dim", markup=False, soft_wrap=True)
 
     @contextmanager
-    def bar(self, what: str, total: int) -> Iterator[Callable[[], None]]:
-        """A bar with the time left on standard error, where that is a terminal; yields what to call at each step."""
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    def bar(self, what: str, total: int | None) -> Iterator[Advance]:
+        """A bar with the time left on standard error, where that is a terminal; yields what to call at each step.
 
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=self._errors, transient=True, disable=not self._errors.is_terminal) as progress:
+        ``total`` is None where nobody knows how many steps there will be. Not with --quiet.
+        """
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
+        columns = (
+            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"),
+            TimeRemainingColumn(),
+        )  # fmt: skip
+        hidden = Verbosity.quiet or not self._errors.is_terminal
+        with Progress(*columns, console=self._errors, transient=True, disable=hidden) as progress:
             task = progress.add_task(what, total=total)
-            yield lambda: progress.update(task, advance=1)
 
-    def progress(self, sentence: str) -> None:
-        """A line on standard error, for somebody who watches."""
-        if self._errors.is_terminal:
-            self._errors.print(sentence, style="dim", markup=False)
+            def advance(steps: int, doing: str = "", total: int | None = None) -> None:
+                progress.update(task, advance=steps, description=f"{what}: {doing}" if doing else what)
+                if total is not None:
+                    progress.update(task, total=total)
+
+            yield advance
 
 
 def read_log(

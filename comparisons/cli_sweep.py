@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .cli_options import JsonFile
-from .cli_support import DIFFERENT, INTERRUPTED, Output, sentences
+from .cli_support import DIFFERENT, INTERRUPTED, Advance, Output, sentences
 
 if TYPE_CHECKING:
     from .studies.sweep import Progress
@@ -41,8 +39,8 @@ def sweep(
 
         output = Output(json)
         plan = read_study(study)
-        with _bar() as progress:
-            outcome = execute(plan, jobs=jobs, dask=dask, retry=retry, progress=progress)
+        with output.bar("runs", None) as advance:
+            outcome = execute(plan, jobs=jobs, dask=dask, retry=retry, progress=_told(advance, output))
         rows = outcome.before + outcome.ran
         output.say(
             f"{outcome.database}: {rows} of {outcome.planned} runs, {outcome.ran} done now"
@@ -52,8 +50,8 @@ def sweep(
         if outcome.interrupted:
             output.say(f"Interrupted; finished runs are kept. To go on: {again}")
         elif outcome.failed:
-            output.say(f"To do the failed runs again: {again} --retry")
-        output.say(f"Next: slam-compare study {outcome.database}")
+            output.hint(f"To do the failed runs again: {again} --retry")
+        output.hint(f"Next: slam-compare study {outcome.database}")
         output.json({
             "study": str(study), "database": str(outcome.database), "planned": outcome.planned,
             "before": outcome.before, "ran": outcome.ran, "failed": outcome.failed, "missing": outcome.missing,
@@ -65,39 +63,23 @@ def sweep(
             raise typer.Exit(DIFFERENT)
 
 
-@contextmanager
-def _bar() -> Iterator[Progress]:
-    """A bar with the time left on standard error, where that is a terminal; nothing elsewhere."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
+def _told(advance: Advance, output: Output) -> Progress:
     from .studies.outcome import DONE, Outcome
     from .studies.plan import Run
 
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"),
-        TimeRemainingColumn(),
-    )  # fmt: skip
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("runs", total=None)
-        failed = 0
+    failed = 0
 
-        def report(done: int, planned: int, run: Run | None, outcome: Outcome | None) -> None:
-            nonlocal failed
-            if run is None or outcome is None:
-                # rows of earlier sweeps took no time of this one
-                bar.reset(task, total=planned - done, description="runs")
-                return
-            failed += outcome.status != DONE
-            words = f"runs, {failed} failed" if failed else "runs"
-            bar.update(task, advance=1, description=words)
+    def report(done: int, planned: int, run: Run | None, outcome: Outcome | None) -> None:
+        nonlocal failed
+        if run is None or outcome is None:
+            # rows of earlier sweeps took no time of this one
+            advance(0, total=planned - done)
+            return
+        failed += outcome.status != DONE
+        advance(1, f"{failed} failed" if failed else "")
+        output.detail(
+            f"{run.log} {run.method} seed {run.seed}: {outcome.status}"
+            + (f", {outcome.error}" if outcome.error else "")
+        )
 
-        yield report
+    return report

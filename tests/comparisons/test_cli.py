@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -398,3 +399,49 @@ def test_ctrl_c(tmp_path: Path) -> None:
     assert process.returncode in (130, -signal.SIGINT)
     assert (out, err) == ("", "interrupted\n")
     assert list(tmp_path.iterdir()) == []
+
+
+# -- what all verbs understand ---------------------------------------------------------------------------------------
+
+
+def test_quiet_leaves_the_result_alone(invoke: Invoke, log_file: Path) -> None:
+    said = invoke("run", log_file, *QUICK, "--out", "here")
+    quiet = invoke("run", log_file, *QUICK, "--out", "here", "--quiet")
+    assert "ATE" in quiet.stdout
+    for hint in ("Next:", "Wrote", "Again"):
+        assert hint in said.stdout
+        assert hint not in quiet.stdout
+    # nothing is left of it in the next run
+    assert "Next:" in invoke("run", log_file, *QUICK, "--out", "here").stdout
+
+
+def test_verbose_tells_each_step_and_where_errors_arise(invoke: Invoke, log_file: Path) -> None:
+    assert "step norm" in invoke("run", log_file, "-v", "--estimators", "graph", "--out", "here").stderr
+    assert "Traceback" in invoke("run", "nowhere", "-v").stderr
+    assert "Traceback" not in invoke("run", "nowhere").stderr
+
+
+def test_every_verb_is_quiet_and_verbose_on_demand(invoke: Invoke) -> None:
+    from comparisons.cli import app
+
+    for command in app.registered_commands:
+        assert command.callback is not None
+        text = invoke(command.name or command.callback.__name__, "--help").stdout
+        assert "--quiet" in text
+        assert "--verbose" in text
+
+
+def test_completion_knows_verbs() -> None:
+    env = os.environ | {"_SLAM_COMPARE_COMPLETE": "complete_bash", "COMP_WORDS": "slam-compare sol", "COMP_CWORD": "1"}
+    done = subprocess.run([sys.executable, "-m", "comparisons"], env=env, capture_output=True, text=True, timeout=60)
+    assert done.stdout.split() == ["solvers"]
+
+
+def test_no_color_is_honoured() -> None:
+    coloured = re.compile(r"\x1b\[[0-9;]*3[0-7]")
+    command = [sys.executable, "-m", "comparisons", "run", "--help"]
+    plain = {name: value for name, value in os.environ.items() if name != "NO_COLOR"}
+    plain |= {"FORCE_COLOR": "1", "TERM": "xterm"}
+    for env, expected in ((plain, True), (plain | {"NO_COLOR": "1"}, False)):
+        done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=60)
+        assert bool(coloured.search(done.stdout)) is expected
