@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from numbers import Integral, Real
 from typing import Any
 
 
@@ -48,8 +49,17 @@ def check_choice(option: str, value: str, allowed: tuple[str, ...]) -> None:
 def check_positive(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is a positive finite number."""
     for option, value in values.items():
-        if not 0 < value < float("inf"):
+        if not isinstance(value, Real) or not 0 < value < float("inf"):
             raise OptionError(f"{option} must be a positive number, not {value!r}")
+
+
+def check_count(**values: int) -> None:
+    """Raise `OptionError` unless every keyword's value is a whole number, 0 or above."""
+    for option, value in values.items():
+        if not isinstance(value, Integral) or isinstance(value, bool):
+            raise OptionError(f"{option} must be a whole number, not {value!r}")
+        if value < 0:
+            raise OptionError(f"{option} must not be negative, but is {value}")
 
 
 def listed(noun: str, numbers: list[int], most: int = 8) -> str:

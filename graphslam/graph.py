@@ -239,13 +239,21 @@ class Graph:
     def save_g2o(self, path: str | PathLike[str], state: Array | None = None) -> None:
         """Write the graph as a g2o file, with its initial values or those of a state (n, 3); whole or not at all.
 
-        An anchor becomes a FIX line. Motion edges in the body frame are relative-pose edges and can be written.
+        An anchor becomes a FIX line. Motion edges in the body frame are relative-pose edges and can be written; for
+        other graphs of logs see `graphslam.relative`. In g2o's files all nodes share one row of ids: landmarks with ids
+        that poses have get new ones above them.
 
         Raises:
             GraphError: the graph has edges that g2o has no line for.
+            OptionError: the state is no (n, 3) finite numbers.
             FormatError: the place cannot be written.
         """
-        state = self.initial if state is None else state
+        state = self.initial if state is None else np.asarray(state, dtype=float)
+        if state.shape != self.initial.shape or not np.isfinite(state).all():
+            raise OptionError(f"state must be finite numbers of shape {self.initial.shape}, not {state.shape}")
+        landmark_ids = self.landmark_ids
+        if len(np.intersect1d(self.pose_ids, landmark_ids)):
+            landmark_ids = int(self.pose_ids.max()) + 1 + np.arange(len(landmark_ids))
         num_poses = len(self.steps)
         poses, points, fixed = [], [], set(self.fixed.tolist())
         for family in self.families:
@@ -257,15 +265,16 @@ class Graph:
                 points.append(family)
             else:
                 raise GraphError(
-                    f"g2o has no line for {type(family).__name__} with state-dependent or angular residuals"
+                    f"g2o has no line for {type(family).__name__} with state-dependent or angular residuals; "
+                    "graphslam.relative.relative_graph makes relative poses of them where that is possible"
                 )
         none = [np.zeros((0, 2), dtype=np.int64)]
-        ids = np.concatenate([self.pose_ids, self.landmark_ids])
+        ids = np.concatenate([self.pose_ids, landmark_ids])
         write_g2o(
             PoseGraphFile(
                 pose_ids=self.pose_ids,
                 poses=state[:num_poses],
-                landmark_ids=self.landmark_ids,
+                landmark_ids=landmark_ids,
                 landmarks=state[num_poses:, :2],
                 fixed=[int(ids[k]) for k in sorted(fixed)],
                 pose_edges=np.concatenate(none + [ids[np.column_stack([f.first, f.second])] for f in poses]),

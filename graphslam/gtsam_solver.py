@@ -20,7 +20,7 @@ from .edges import (
     RelativePoseEdges,
     VirtualMotionEdges,
 )
-from .errors import GraphError, OptionError, check_choice, check_positive
+from .errors import GraphError, check_choice, check_count, check_positive
 from .factors import (
     AnchorFactor,
     InverseObservationFactor,
@@ -63,8 +63,7 @@ def solve_with_gtsam(
         OptionError: an option has an impossible value.
     """
     check_positive(tolerance=tolerance)
-    if max_iterations < 0:
-        raise OptionError(f"max_iterations must not be negative, but is {max_iterations}")
+    check_count(max_iterations=max_iterations)
     begin = time.perf_counter()
     try:
         if graph.frozen_information:

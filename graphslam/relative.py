@@ -29,8 +29,8 @@ from .se2 import Array, between, inverse, rotation
 def relative_graph(graph: Graph, state: Array | None = None) -> Graph:
     """The graph with every edge as a relative pose or relative point, for `Graph.save_g2o`.
 
-    Poses keep their ids. Landmarks get ids above those of the poses, because in such files all nodes share one row of
-    ids; those with a heading become poses. Robust kernels stay behind: the files have no place for them.
+    Poses keep their ids. Landmarks with a heading become poses, with ids above the others'. Robust kernels stay behind:
+    the files have no place for them.
 
     Args:
         graph: made by `Graph.from_log`, or a pose graph, which comes back as it is.
@@ -41,15 +41,13 @@ def relative_graph(graph: Graph, state: Array | None = None) -> Graph:
     """
     families = [_relative(family) for family in graph.families]
     initial = graph.initial if state is None else np.array(state, dtype=float)
-    if graph.log is None or not len(graph.landmark_ids):
+    if graph.log is None or graph.landmark_dimension == 2:
         return Graph(
             initial, tuple(families), graph.steps, graph.trajectory, graph.pose_ids, graph.landmark_ids,
             graph.landmark_dimension, graph.fixed,
         )  # fmt: skip
     above = int(graph.pose_ids.max()) + 1
     ids = above + np.arange(len(graph.landmark_ids))
-    if graph.landmark_dimension == 2:
-        return Graph(initial, tuple(families), graph.steps, graph.trajectory, graph.pose_ids, ids, 2, graph.fixed)
     every = np.arange(graph.num_nodes)
     return Graph(initial, tuple(families), every, initial, np.concatenate([graph.pose_ids, ids]), fixed=graph.fixed)
 

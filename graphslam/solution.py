@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from numbers import Integral
 
 import numpy as np
 
@@ -111,8 +112,8 @@ class Solution:
         return Uncertainty(self._solved_graph, self.state)
 
     def _node(self, step: int) -> int:
-        if not -len(self.poses) <= step < len(self.poses):
-            raise OptionError(f"step must lie between 0 and {len(self.poses) - 1}, not {step}")
+        if not isinstance(step, Integral) or not -len(self.poses) <= step < len(self.poses):
+            raise OptionError(f"step must be a whole number between 0 and {len(self.poses) - 1}, not {step!r}")
         if not self.estimated[step]:
             raise OptionError(f"pose {step} is not part of the graph, so it has no covariance")
         return int(np.searchsorted(self._solved_graph.steps, step % len(self.poses)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from numbers import Real
 
 import numpy as np
 from numba import njit
@@ -12,7 +13,7 @@ from numba import njit
 from .cholesky import Factor, SingularPivot
 from .coarsening import coarse, filled
 from .diagnosis import undetermined
-from .errors import GraphError, OptionError, check_choice, check_positive
+from .errors import GraphError, OptionError, check_choice, check_count, check_positive
 from .fixed_point import AndersonMixing
 from .graph import Graph
 from .initialize import dead_reckoning, place_landmarks, rotation_first, without_landmarks
@@ -48,6 +49,7 @@ class _Run:
     callback: Callable[[Iteration], None] | None
     cost_tolerance: float = 0.0
     costs: list[float] = field(default_factory=list)
+    promised: float = np.inf
     step_norms: list[float] = field(default_factory=list)
     converged: bool = False
     reason: str = ""
@@ -74,8 +76,12 @@ class _Run:
         return True
 
     def settled(self, cost: float) -> bool:
-        """Whether the last step changed the cost by less than the part of it that the caller cares about."""
-        if self.costs and abs(self.costs[-1] - cost) <= self.cost_tolerance * self.costs[-1] != 0:
+        """Whether the last step changed the cost by less than the part of it that the caller cares about.
+
+        It must not have promised much more: a step across a valley, from one side to the other, changes nothing, either.
+        """
+        enough = self.cost_tolerance * self.costs[-1] if self.costs else 0.0
+        if abs(self.promised) <= CONFIRMED * enough and abs(self.costs[-1] - cost) <= enough != 0:
             self.converged, self.reason = True, f"J changed by less than {self.cost_tolerance:g} of it"
         return self.converged
 
@@ -86,13 +92,14 @@ class _Run:
         longer shrinks is taken for the last, too, when it promises less than a rounding error of J. Mixed steps may grow
         for a while and shrink again: there it takes ten.
         """
+        self.promised = promised
         norm, window = self.step_norms[-1], 1 if self.mixing is None else 10
         before = self.step_norms[-1 - window : -1]
         if norm < tolerance:
             self.converged, self.reason = True, f"step norm {norm:.1e} below the tolerance {tolerance:g}"
-        elif promised <= self.cost_tolerance * self.costs[-1]:
+        elif abs(promised) <= self.cost_tolerance * self.costs[-1] != 0:
             self.converged, self.reason = True, f"the last step lowered J by less than {self.cost_tolerance:g} of it"
-        elif promised < 1e-15 * self.costs[-1] and len(before) == window and norm > 0.5 * min(before):
+        elif abs(promised) < 1e-15 * self.costs[-1] and len(before) == window and norm > 0.5 * min(before):
             self.converged, self.reason = True, f"step norm {norm:.1e} at its rounding floor: J can fall no further"
         return self.converged
 
@@ -132,10 +139,9 @@ def solve(
     check_choice("method", method, METHODS)
     check_choice("initialize", initialize, INITIALIZE)
     check_positive(tolerance=tolerance)
-    if not 0 <= cost_tolerance < 1:
+    if not isinstance(cost_tolerance, Real) or not 0 <= cost_tolerance < 1:
         raise OptionError(f"cost_tolerance must lie between 0 and 1, not {cost_tolerance!r}")
-    if max_iterations < 0:
-        raise OptionError(f"max_iterations must not be negative, but is {max_iterations}")
+    check_count(max_iterations=max_iterations)
     begin = time.perf_counter()
 
     def run_from(start: Array, search: str) -> _Run:
@@ -271,7 +277,7 @@ def _levenberg_marquardt(graph: Graph, run: _Run, tolerance: float, max_iteratio
             # the damped quadratic model promises that J falls by Delta'(xi + damping diag(Omega) Delta)
             promised = float(np.sum(delta * (system.xi + damping * system.diagonal() * delta)))
             # below the rounding error of J a comparison of costs says nothing
-            negligible = promised <= 1e-12 * cost
+            negligible = abs(promised) <= 1e-12 * cost
             if negligible or (np.isfinite(tried) and tried < cost):
                 break
             damping, growth = damping * growth, growth * 2

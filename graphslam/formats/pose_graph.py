@@ -10,7 +10,8 @@ iSAM                    ``ODOMETRY`` or ``EDGE2 i j x y theta`` + upper triangle
                         no vertices; a landmark may have the same number as a pose
 ======================  =================================================================================================
 
-``EDGE2`` is TORO's in a file that has ``VERTEX2`` lines, and iSAM's in any other, unless the format is named. All edges
+Every tag means what its own dialect says. Only ``EDGE2`` belongs to two: it is TORO's in a file that has ``VERTEX2`` lines,
+and iSAM's in any other, unless the format is named. All edges
 measure the second node in the frame of the first. The residual is g2o's, e = z^-1 (x_i^-1 x_j), and its information is
 turned here into the axes of the first pose, in which `RelativePoseEdges` has it. Lines that begin with # are comments.
 
@@ -69,17 +70,19 @@ class _Lines:
     pose_edges: list[tuple[int, int]] = field(default_factory=list)
     pose_numbers: list[list[float]] = field(default_factory=list)
     pose_lines: list[int] = field(default_factory=list)
+    pose_tags: list[str] = field(default_factory=list)
     point_edges: list[tuple[int, int]] = field(default_factory=list)
     point_numbers: list[list[float]] = field(default_factory=list)
     point_lines: list[int] = field(default_factory=list)
+    point_tags: list[str] = field(default_factory=list)
     unknown: Counter[str] = field(default_factory=Counter)
 
-    def vertex(self, line: int, ids: list[int], numbers: list[float]) -> None:
+    def vertex(self, line: int, tag: str, ids: list[int], numbers: list[float]) -> None:  # noqa: ARG002
         if ids[0] in self.poses or ids[0] in self.landmarks:
             raise FormatError(self.path, line, f"vertex {ids[0]} is given a second time; remove one of the two")
         (self.poses if len(numbers) == 3 else self.landmarks)[ids[0]] = numbers
 
-    def edge(self, line: int, ids: list[int], numbers: list[float]) -> None:
+    def edge(self, line: int, tag: str, ids: list[int], numbers: list[float]) -> None:
         if len(numbers) == 9:
             if ids[0] == ids[1]:
                 raise FormatError(
@@ -88,14 +91,16 @@ class _Lines:
             self.pose_edges.append((ids[0], ids[1]))
             self.pose_numbers.append(numbers)
             self.pose_lines.append(line)
+            self.pose_tags.append(tag)
         else:
             self.point_edges.append((ids[0], ids[1]))
             self.point_numbers.append(numbers)
             self.point_lines.append(line)
+            self.point_tags.append(tag)
 
 
 #: tag -> ids, numbers, what takes them, form of the line
-_TAGS: dict[str, tuple[int, int, Callable[[_Lines, int, list[int], list[float]], None], str]] = {
+_TAGS: dict[str, tuple[int, int, Callable[[_Lines, int, str, list[int], list[float]], None], str]] = {
     "VERTEX_SE2": (1, 3, _Lines.vertex, "id x y theta"),
     "VERTEX2": (1, 3, _Lines.vertex, "id x y theta"),
     "VERTEX_XY": (1, 2, _Lines.vertex, "id x y"),
@@ -105,6 +110,8 @@ _TAGS: dict[str, tuple[int, int, Callable[[_Lines, int, list[int], list[float]],
     "EDGE_SE2_XY": (2, 5, _Lines.edge, "i j x y and 3 of the information"),
     "LANDMARK": (2, 5, _Lines.edge, "i j x y and 3 of the square-root information"),
 }
+#: which dialect an edge's tag belongs to; EDGE2 is TORO's or iSAM's
+_DIALECT_OF = {"EDGE_SE2": "g2o", "EDGE_SE2_XY": "g2o", "ODOMETRY": "isam", "LANDMARK": "isam"}
 
 
 def read_pose_graph(path: Path, dialect: str | None = None, unknown: str = "error") -> PoseGraphFile:
@@ -112,7 +119,7 @@ def read_pose_graph(path: Path, dialect: str | None = None, unknown: str = "erro
 
     Args:
         path: the file.
-        dialect: "g2o", "toro" or "isam"; decides what an EDGE2 line means.
+        dialect: "g2o", "toro" or "isam"; decides what an EDGE2 line means. (In g2o's there is none: it is TORO's then.)
         unknown: "error" refuses tags that no dialect knows, "skip" leaves them out with a warning that counts them.
 
     Raises:
@@ -125,10 +132,10 @@ def read_pose_graph(path: Path, dialect: str | None = None, unknown: str = "erro
     check_file(path)
     lines, tags = _Lines(path), Counter[str]()
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise FormatError(path, None, "not a text file (it has bytes that are not UTF-8)") from None
-    for number, content in enumerate(text.splitlines(), start=1):
+    for number, content in enumerate(text.split("\n"), start=1):
         words = content.split()
         if not words or words[0].startswith("#"):
             continue
@@ -140,14 +147,21 @@ def read_pose_graph(path: Path, dialect: str | None = None, unknown: str = "erro
     if not lines.pose_edges and not lines.point_edges:
         raise FormatError(path, None, "no edges: a graph has at least one line like 'EDGE_SE2 i j x y theta ...'")
     if dialect is None:
-        is_isam = "LANDMARK" in tags or "ODOMETRY" in tags or ("EDGE2" in tags and "VERTEX2" not in tags)
-        dialect = "isam" if is_isam else "toro" if "EDGE2" in tags else "g2o"
-    return _assemble(lines, dialect)
+        isam = "LANDMARK" in tags or "ODOMETRY" in tags
+        if "EDGE2" in tags and "VERTEX2" in tags and isam:
+            raise FormatError(
+                path, None, "EDGE2 is TORO's beside VERTEX2 and iSAM's beside ODOMETRY or LANDMARK, and here are both; name "
+                "the format that is meant, toro or isam"
+            )  # fmt: skip
+        dialect = "toro" if "VERTEX2" in tags else "isam"
+    return _assemble(lines, "isam" if dialect == "isam" else "toro")
 
 
 def _take(lines: _Lines, number: int, words: list[str], unknown: str) -> None:
     path, tag = lines.path, words[0]
     if tag == "FIX":
+        if len(words) == 1:
+            raise FormatError(path, number, "expected 'FIX id ...', at least one id")
         for word in words[1:]:
             lines.fixed.setdefault(_whole(path, number, word), number)
         return
@@ -162,6 +176,10 @@ def _take(lines: _Lines, number: int, words: list[str], unknown: str) -> None:
     ids, numbers, take, form = _TAGS[tag]
     if len(words) != 1 + ids + numbers:
         raise FormatError(path, number, f"expected '{tag} {form}', {1 + ids + numbers} columns, found {len(words)}")
+    wrong = next((word for word in words[1:] if "_" in word), None)
+    if wrong is not None:
+        # Python reads 1_0 as 10, nobody else does
+        raise FormatError(path, number, f"expected a number, found {wrong!r}")
     try:
         values = [float(word) for word in words[1 + ids :]]
     except ValueError:
@@ -169,7 +187,7 @@ def _take(lines: _Lines, number: int, words: list[str], unknown: str) -> None:
         raise FormatError(path, number, f"expected a number, found {wrong!r}") from None
     if not all(map(math.isfinite, values)):
         raise FormatError(path, number, "only finite numbers make sense here, found nan or inf")
-    take(lines, number, [_whole(path, number, word) for word in words[1 : 1 + ids]], values)
+    take(lines, number, tag, [_whole(path, number, word) for word in words[1 : 1 + ids]], values)
 
 
 def _is_number(word: str) -> bool:
@@ -182,21 +200,31 @@ def _is_number(word: str) -> bool:
 
 def _whole(path: Path, line: int, word: str) -> int:
     try:
-        return int(word)
+        value = int(word)
     except ValueError:
         raise FormatError(path, line, f"a node's id should be a whole number, not {word!r}") from None
+    if not -(2**63) <= value < 2**63:
+        raise FormatError(path, line, f"a node's id should be a whole number of at most 64 bits, not {word!r}")
+    return value
 
 
-def _assemble(lines: _Lines, dialect: str) -> PoseGraphFile:
+def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
     path = lines.path
     pose_edges = np.array(lines.pose_edges, dtype=np.int64).reshape(-1, 2)
     point_edges = np.array(lines.point_edges, dtype=np.int64).reshape(-1, 2)
     pose_numbers = np.array(lines.pose_numbers).reshape(-1, 9)
     point_numbers = np.array(lines.point_numbers).reshape(-1, 5)
-    information = _information(pose_numbers[:, 3:], dialect)
-    point_information = _information(point_numbers[:, 2:], dialect)
+    information = _information(pose_numbers[:, 3:], lines.pose_tags, edge2)
+    point_information = _information(point_numbers[:, 2:], lines.point_tags, edge2)
     for matrices, where in ((information, lines.pose_lines), (point_information, lines.point_lines)):
         if len(matrices):
+            beyond = ~np.isfinite(matrices).all(axis=(1, 2))
+            if np.any(beyond):
+                raise FormatError(
+                    path,
+                    where[int(np.argmax(beyond))],
+                    "the square-root information is so large that its square overflows",
+                )
             smallest = np.linalg.eigvalsh(matrices)[:, 0]
             bad = smallest < -1e-9 * np.abs(matrices).max(axis=(1, 2))
             if np.any(bad):
@@ -252,18 +280,25 @@ def _assemble(lines: _Lines, dialect: str) -> PoseGraphFile:
     )
 
 
-def _information(entries: Array, dialect: str) -> Array:
-    """The symmetric matrices (E, d, d) of their entries (E, 6 or 3) in the order of a dialect."""
+def _information(entries: Array, tags: list[str], edge2: str) -> Array:
+    """The symmetric matrices (E, d, d) of their entries (E, 6 or 3) in the order of each tag's dialect."""
     d = 3 if entries.shape[1] == 6 else 2
-    rows, columns = np.triu_indices(d)
-    if dialect == "toro" and d == 3:
-        rows, columns = np.array([0, 0, 1, 2, 0, 1]), np.array([0, 1, 1, 2, 2, 2])
-    matrices = np.zeros((len(entries), d, d))
-    matrices[:, rows, columns] = entries
-    if dialect == "isam":
-        return np.swapaxes(matrices, 1, 2) @ matrices
-    matrices[:, columns, rows] = entries
-    return matrices
+    dialects = np.array([_DIALECT_OF.get(tag, edge2) for tag in tags], dtype="U4")
+    found = np.zeros((len(entries), d, d))
+    for dialect in np.unique(dialects).tolist():
+        those = dialects == dialect
+        rows, columns = np.triu_indices(d)
+        if dialect == "toro":
+            rows, columns = np.array([0, 0, 1, 2, 0, 1]), np.array([0, 1, 1, 2, 2, 2])
+        matrices = np.zeros((int(those.sum()), d, d))
+        matrices[:, rows, columns] = entries[those]
+        if dialect == "isam":
+            with np.errstate(over="ignore", invalid="ignore"):
+                matrices = np.swapaxes(matrices, 1, 2) @ matrices
+        else:
+            matrices[:, columns, rows] = entries[those]
+        found[those] = matrices
+    return found
 
 
 def _laid_out(

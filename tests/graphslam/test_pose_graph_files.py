@@ -216,3 +216,73 @@ def test_unknown_tags_are_counted_on_request(tmp_path):
 def test_information_of_rank_two_is_allowed(tmp_path):
     text = SQUARE.replace("1 2 1 0 1.57 10 0 0 10 0 10", "1 2 1 0 1.57 10 0 0 10 0 0")
     assert solve(Graph.from_g2o(written(tmp_path, text))).converged
+
+
+# -- dialects side by side, and what cannot be told apart -------------------------------------------------------------
+
+
+def test_every_tag_means_what_its_own_dialect_says(tmp_path):
+    """A file with g2o's and iSAM's edges: plain information for the one, square roots for the other."""
+    text = (
+        "EDGE_SE2 0 1 1 0 0 4 0 0 4 0 4\n"
+        "ODOMETRY 1 2 1 0 0 4 0 0 4 0 4\n"
+        "LANDMARK 2 9 1 1 3 0 3\n"
+        "EDGE_SE2_XY 1 9 2 1 3 0 3\n"
+    )  # fmt: skip
+    for named in (None, "g2o", "toro", "isam"):
+        data = read_pose_graph(written(tmp_path, text), named)
+        np.testing.assert_allclose(data.pose_information[0], 4 * np.eye(3))
+        np.testing.assert_allclose(data.pose_information[1], 16 * np.eye(3))
+        np.testing.assert_allclose(data.point_information, [9 * np.eye(2), 3 * np.eye(2)])
+    entries = "EDGE_SE2 0 1 1 0 0 10 1 2 20 3 30\n"
+    np.testing.assert_allclose(
+        read_pose_graph(written(tmp_path, entries), "toro").pose_information,
+        [[[10, 1, 2], [1, 20, 3], [2, 3, 30]]],
+    )
+
+
+def test_an_edge2_that_could_be_either_is_refused(tmp_path):
+    text = "VERTEX2 0 0 0 0\nVERTEX2 1 1 0 0\nEDGE2 0 1 1 0 0 1 0 1 1 0 0\nODOMETRY 0 1 1 0 0 1 0 0 1 0 1\n"
+    with pytest.raises(FormatError, match="name the format"):
+        read_pose_graph(written(tmp_path, text))
+    assert len(read_pose_graph(written(tmp_path, text), "toro").pose_edges) == 2
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("EDGE_SE2 0 9223372036854775808 1 0 0 1 0 0 1 0 1", r":4: .*64 bits"),
+        ("EDGE_SE2 0 1_0 1 0 0 1 0 0 1 0 1", ":4: "),
+        ("EDGE_SE2 0 1 1_0 0 0 1 0 0 1 0 1", ":4: expected a number"),
+        ("ODOMETRY 0 1 1 0 0 1e200 0 0 1 0 1", ":4: .*overflows"),
+        ("FIX", ":4: expected 'FIX id"),
+    ],
+)
+def test_numbers_out_of_range_are_named(tmp_path, line, message):
+    text = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n" + line + "\n"
+    with pytest.raises(FormatError, match=message):
+        read_pose_graph(written(tmp_path, text))
+
+
+def test_a_byte_order_mark_and_windows_line_ends_are_no_tags(tmp_path):
+    path = tmp_path / "graph.g2o"
+    path.write_bytes(b"\xef\xbb\xbf" + SQUARE.replace("\n", "\r\n").encode())
+    np.testing.assert_array_equal(Graph.from_g2o(path).initial, Graph.from_g2o(written(tmp_path, SQUARE)).initial)
+
+
+def test_landmarks_with_the_numbers_of_poses_are_written_under_new_ones(tmp_path):
+    text = "ODOMETRY 0 1 1 0 0 1 0 0 1 0 1\nLANDMARK 0 0 1 1 1 0 1\nLANDMARK 1 0 0 1 1 0 1\nLANDMARK 1 5 2 0 1 0 1\n"
+    graph = Graph.from_g2o(written(tmp_path, text))
+    graph.save_g2o(tmp_path / "again.g2o")
+    again = Graph.from_g2o(tmp_path / "again.g2o")
+    assert again.landmark_ids.tolist() == [2, 3]
+    np.testing.assert_array_equal(again.initial, graph.initial)
+    assert again.cost(again.initial + 0.1) == pytest.approx(graph.cost(graph.initial + 0.1))
+
+
+def test_a_state_that_is_none_is_not_written(tmp_path):
+    graph = Graph.from_g2o(written(tmp_path, SQUARE))
+    for state in (graph.initial[:-1], np.full_like(graph.initial, np.nan)):
+        with pytest.raises(OptionError, match="state must be"):
+            graph.save_g2o(tmp_path / "bad.g2o", state)
+    assert not (tmp_path / "bad.g2o").exists()

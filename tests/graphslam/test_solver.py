@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from graphslam import Graph, OptionError, simulate, solve, textbook
+from graphslam import Graph, OptionError, simulate, solve, solve_with_gtsam, textbook
 from graphslam.se2 import wrap
 
 
@@ -156,7 +156,7 @@ def test_covariance_is_the_diagonal_block_of_the_inverse(book_log):
     for step in (0, 17, 61):
         block = inverse[3 * step : 3 * step + 3, 3 * step : 3 * step + 3]
         np.testing.assert_allclose(solution.covariance(step), block, rtol=1e-8, atol=1e-16)
-    with pytest.raises(OptionError, match="step must lie between"):
+    with pytest.raises(OptionError, match="step must be a whole number between"):
         solution.covariance(62)
 
 
@@ -180,3 +180,19 @@ def test_poses_that_are_no_nodes_have_no_covariance(book_log):
 def test_impossible_options(book_log, options, message):
     with pytest.raises(OptionError, match=message):
         solve(Graph.from_log(book_log), **options)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"max_iterations": 2.5}, {"max_iterations": "3"}, {"max_iterations": float("nan")}, {"max_iterations": True},
+     {"tolerance": "a"}, {"cost_tolerance": "a"}, {"cost_tolerance": float("nan")}],
+)  # fmt: skip
+def test_options_that_are_no_such_numbers(book_log, options):
+    for solver in (solve, solve_with_gtsam) if "cost_tolerance" not in options else (solve,):
+        with pytest.raises(OptionError, match=next(iter(options))):
+            solver(Graph.from_log(book_log), **options)
+
+
+def test_a_step_number_is_whole(book_log):
+    with pytest.raises(OptionError, match="whole number"):
+        solve(Graph.from_log(book_log)).covariance(1.0)

@@ -57,5 +57,5 @@ def test_impossible_blocks(book_log):
         solution.cross_covariance(0, landmark=3)
     with pytest.raises(OptionError, match="and not both"):
         solution.cross_covariance(0)
-    with pytest.raises(OptionError, match="step must lie between"):
+    with pytest.raises(OptionError, match="step must be a whole number between"):
         solution.cross_covariance(0, 99)
