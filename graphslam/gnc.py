@@ -8,7 +8,9 @@ trust w in every sighting, and the trust taken anew:
     w = 1 for r² <= mu / (mu + 1) c²,   w = 0 for r² >= (mu + 1) / mu c²,   w = c sqrt(mu (mu + 1)) / r - mu between.
 
 The trust belongs to a sighting, not to an edge: one wrong sighting poisons K - 1 pair edges at once, and loses all of
-them at once. With pairs r² is taken about the landmark's weighted mean, where the other sightings have put it.
+them at once. So r² is taken about the landmark, whatever the edges: landmarks are eliminated (`edges.marginal`), and
+what trust is found there goes back to the graph that was given. Headings make even squares crooked, and a walk can lose
+its way: two are made, on marginal and on pair edges, and the end with the lower truncated cost counts.
 
 Source: Yang, Antonante, Tzoumas and Carlone, *Graduated non-convexity for robust spatial perception*, RA-L 2020.
 """
@@ -31,6 +33,8 @@ from .solver import solve
 
 #: mu grows by this factor from one graph to the next
 GROWTH = 1.4
+#: the most rounds in which trust is taken anew after a walk on other edges
+LAST_ROUNDS = 20
 #: the trust below which a sighting counts as rejected
 REJECTED = 0.5
 
@@ -67,19 +71,13 @@ def solve_gnc(
     if max_rounds < 1:
         raise OptionError(f"max_rounds must be at least 1, not {max_rounds}")
     begin = time.perf_counter()
-    exchanged = with_landmarks_eliminated(graph)
-    if exchanged is not None:
-        # Landmark nodes have many more minima. Their sightings are judged with the landmarks eliminated.
-        easier, order = exchanged
-        judged = _graduated(easier, probability, max(tolerance, 1e-6), max_rounds, initialize)
-        trust = np.empty(len(order))
-        trust[order] = judged.trust
-        trusting = _with_trust(graph, trust)
-        start = place_landmarks(trusting, judged.solution.state)
-        solution = solve(trusting.with_initial(start), tolerance=tolerance)
-    else:
-        judged = _graduated(graph, probability, tolerance, max_rounds, initialize)
-        trust, solution = judged.trust, judged.solution
+    eliminated, order = _eliminated(graph)
+    # the walk needs no more digits than it takes to tell right from wrong
+    judged = _judged(eliminated, probability, max(tolerance, 1e-6), max_rounds, initialize)
+    trust = np.empty(len(order))
+    trust[order] = judged.trust
+    trusting = _with_trust(graph, trust)
+    solution = solve(trusting.with_initial(place_landmarks(trusting, judged.solution.state)), tolerance=tolerance)
     rejected = int(np.count_nonzero(trust < REJECTED))
     told = f"graduated non-convexity rejected {rejected} of {len(trust)} sightings in {judged.rounds} rounds"
     if graph.log is not None:
@@ -105,10 +103,26 @@ class _Judgement:
     settled: bool
 
 
-def _graduated(graph: Graph, probability: float, tolerance: float, max_rounds: int, initialize: str) -> _Judgement:
-    """The walk from squares to truncated squares."""
+def _judged(graph: Graph, probability: float, tolerance: float, max_rounds: int, initialize: str) -> _Judgement:
+    """The better of two walks on a graph with marginal edges."""
+    f = _sighting_edges(graph)
+    assert isinstance(f, MarginalEdges)
+    limit = float(chi2.ppf(probability, f.sightings.shape[1]))
+    walks = [_walk(graph, limit, tolerance, max_rounds, initialize)]
+    pairs = VirtualMotionEdges(f.starts, f.nodes, f.sightings, f.sensor, "body")
+    try:
+        aside = _walk(_exchanged(graph, pairs), limit, tolerance, max_rounds, initialize)
+    except GraphError:
+        pass  # without psi pair edges need not hold where marginal ones do
+    else:
+        walks.append(_settled(graph, aside, limit, tolerance))
+    # one that has not come to its end is only better than none
+    return min(walks, key=lambda walk: (not walk.settled, _truncated_cost(graph, walk, limit)))
+
+
+def _walk(graph: Graph, limit: float, tolerance: float, max_rounds: int, initialize: str) -> _Judgement:
+    """From squares to squares truncated at ``limit``."""
     family = _sighting_edges(graph)
-    limit = float(chi2.ppf(probability, family.sightings.shape[1]))
     rough = max(tolerance, 1e-4)
     trust = np.ones(len(family.sightings))
     solution = solve(_with_trust(graph, trust), tolerance=rough, initialize=initialize)
@@ -128,6 +142,27 @@ def _graduated(graph: Graph, probability: float, tolerance: float, max_rounds: i
     return _Judgement(solution, trust, rounds, settled)
 
 
+def _settled(graph: Graph, walk: _Judgement, limit: float, tolerance: float) -> _Judgement:
+    """The end of another graph's walk taken on to the nearest minimum of this one's truncated squares."""
+    if not walk.settled:
+        return walk
+    family, trust, solution = _sighting_edges(graph), walk.trust, walk.solution
+    for _ in range(LAST_ROUNDS):
+        trusting = _with_trust(graph, trust).with_initial(solution.state)
+        solution = solve(trusting, tolerance=tolerance, method="levenberg-marquardt")
+        before, trust = trust, truncated_trust(_squares(family, trust, solution.state), limit, np.inf)
+        if np.array_equal(trust, before):
+            break
+    return replace(walk, trust=trust, solution=solution)
+
+
+def _truncated_cost(graph: Graph, walk: _Judgement, limit: float) -> float:
+    """The squares of the sightings, each at most ``limit``, and the cost of all other edges."""
+    family, state = _sighting_edges(graph), walk.solution.state
+    others = sum(other.cost(state, state) for other in graph.families if other is not family)
+    return float(np.minimum(_squares(family, walk.trust, state), limit).sum() + others)
+
+
 def truncated_trust(squares: Array, limit: float, mu: float) -> Array:
     """The trust (M,) in sightings with squared norms (M,), truncated at ``limit`` = c²; mu = infinity: all or nothing."""
     if not np.isfinite(mu):
@@ -138,6 +173,17 @@ def truncated_trust(squares: Array, limit: float, mu: float) -> Array:
     )
 
 
+def _eliminated(graph: Graph) -> tuple[Graph, np.ndarray]:
+    """The graph with marginal edges in place of its sightings' own, and which of the sightings each one is (M,)."""
+    exchanged = with_landmarks_eliminated(graph)
+    if exchanged is not None:
+        return exchanged
+    f = _sighting_edges(graph)
+    assert isinstance(f, VirtualMotionEdges | MarginalEdges)
+    marginal = MarginalEdges(f.starts, f.nodes, f.sightings, f.sensor, "body")
+    return _exchanged(graph, marginal), np.arange(len(f.sightings))
+
+
 def _sighting_edges(graph: Graph) -> SightingEdges:
     for family in graph.families:
         if isinstance(family, SightingEdges):
@@ -145,14 +191,18 @@ def _sighting_edges(graph: Graph) -> SightingEdges:
     raise GraphError("graduated non-convexity needs edges from sightings, and this graph has none")
 
 
-def _with_trust(graph: Graph, trust: Array) -> Graph:
-    families = [f.with_trust(trust) if isinstance(f, SightingEdges) else f for f in graph.families]
+def _exchanged(graph: Graph, edges: SightingEdges) -> Graph:
+    """The graph with other edges from its sightings."""
+    families = [edges if isinstance(f, SightingEdges) else f for f in graph.families]
     return replace(graph, families=tuple(families))
+
+
+def _with_trust(graph: Graph, trust: Array) -> Graph:
+    return _exchanged(graph, _sighting_edges(graph).with_trust(trust))
 
 
 def _squares(family: SightingEdges, trust: Array, state: Array) -> Array:
     """r² (M,) of every sighting, as if it were trusted, about a mean of the trusted ones."""
-    if isinstance(family, VirtualMotionEdges):
-        f = family
-        family = MarginalEdges(f.starts, f.nodes, f.sightings, f.sensor, "body")
-    return family.with_trust(trust).squares(state, state)
+    assert not isinstance(family, ObservationEdges)
+    marginal = MarginalEdges(family.starts, family.nodes, family.sightings, family.sensor, "body", trust=trust)
+    return marginal.squares(state, state)

@@ -31,7 +31,7 @@ from .edges.base import BinaryEdges, Relations
 from .errors import GraphError
 from .graph import Graph
 from .information import BlockSystem
-from .se2 import Array, compose, wrap
+from .se2 import Array, compose
 
 
 def rotation_first(graph: Graph) -> Array:
@@ -152,18 +152,15 @@ def place_landmarks(graph: Graph, poses: Array) -> Array:
     for family in graph.families:
         if isinstance(family, ObservationEdges):
             d = family.sightings.shape[1]
-            x = state[family.first]
-            y = family.sensor.h_inverse(x, family.sightings)
-            # headings as differences from any one of the landmark's, so that none is torn at the seam
-            some = np.zeros((graph.num_nodes, d))
-            some[family.second] = y
-            offset = y - some[family.second]
-            offset[:, 2:] = wrap(offset[:, 2:])
-            trust = family.trusted
-            total, count = np.zeros((graph.num_nodes, d)), np.bincount(family.second, trust, graph.num_nodes)
-            np.add.at(total, family.second, trust[:, None] * offset)
+            y, trust = family.sensor.h_inverse(state[family.first], family.sightings), family.trusted
+            columns = [y[:, 0], y[:, 1]] + ([np.cos(y[:, 2]), np.sin(y[:, 2])] if d == 3 else [])
+            total = np.column_stack([np.bincount(family.second, trust * part, graph.num_nodes) for part in columns])
+            count = np.bincount(family.second, trust, graph.num_nodes)
             seen = np.flatnonzero(count)
-            state[seen, :d] = some[seen] + total[seen] / count[seen, None]
+            state[seen, :2] = total[seen, :2] / count[seen, None]
+            if d == 3:
+                # the circular mean has no seam
+                state[seen, 2] = np.arctan2(total[seen, 3], total[seen, 2])
     return state
 
 

@@ -14,6 +14,9 @@ the Schur complement of the landmark. The information is blkdiag(W) - [W_a S^-1 
 along, so that the information in the axes of the sighting is constant, with psi or without, and t_a gains the
 derivative of the turning, (-e_y, e_x).
 
+Headings have a seam: which turn of y_a's counts is decided by m̂ itself, every e_a lying in [-pi, pi). m̂ is sought from
+the circular mean of the headings, so that nothing depends on which sighting comes first.
+
 A robust kernel acts on each sighting, its landmark m̂ then being the robust mean: the same optimum as with a landmark
 node and the kernel on each of its edges.
 """
@@ -131,11 +134,29 @@ def _inverses(C, oriented):  # type: ignore[no-untyped-def]
     return W
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def _between_headings(y, W, first, end):  # type: ignore[no-untyped-def]
+    """Where the mean heading is sought from, as a difference from the first: 0, or their weighted circular mean.
+
+    Within a quarter turn of the first one there is no seam, and the mean is the same from anywhere.
+    """
+    c, s, wide = 0.0, 0.0, False
+    for k in range(first, end):
+        wide = wide or abs(wrapped(y[k, 2] - y[first, 2])) > np.pi / 2
+    if not wide:
+        return 0.0
+    for k in range(first, end):
+        c += W[k, 5] * np.cos(y[k, 2] - y[first, 2])
+        s += W[k, 5] * np.sin(y[k, 2] - y[first, 2])
+    return np.arctan2(s, c)
+
+
 @njit(cache=True, error_model="numpy")
 def _around_means(starts, y, C, oriented, kernel, width, trust):  # type: ignore[no-untyped-def]
     """e = m̂ - y (M, 3), W (M, 6) with trust and kernel in it, m̂ (G, 3) and the cost.
 
-    The robust mean is found by re-weighting from the plain one, at most 100 times; it moves by less than 1e-13 then.
+    The robust mean is found by re-weighting from the plain one, at most 100 times; it moves by less than 1e-13 then. The
+    plain one takes a second pass only where a heading crosses the seam.
     """
     W = _inverses(C, oriented)
     for k in range(len(W)):
@@ -145,14 +166,16 @@ def _around_means(starts, y, C, oriented, kernel, width, trust):  # type: ignore
     total = 0.0
     for g in range(len(starts) - 1):
         first, end = starts[g], starts[g + 1]
-        # positions and headings as differences from the first sighting's: no cancellation, no seam
+        # positions and headings as differences from the first sighting's: no cancellation
         x0, y0, t0 = y[first, 0], y[first, 1], y[first, 2]
-        mx, my, mt = 0.0, 0.0, 0.0
-        for _ in range(100 if kernel else 1):
+        mx, my, mt = 0.0, 0.0, _between_headings(y, W, first, end) if oriented else 0.0
+        for _ in range(100):
+            crossed = False
             s00, s01, s11, s02, s12, s22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0 if oriented else 1.0
             bx, by, bt = 0.0, 0.0, 0.0
             for k in range(first, end):
                 dx, dy, dt = y[k, 0] - x0 - mx, y[k, 1] - y0 - my, wrapped(y[k, 2] - t0 - mt)
+                e[k, 2] = dt
                 f = factor[k]
                 w00, w01, w11 = f * W[k, 0], f * W[k, 1], f * W[k, 2]
                 w02, w12, w22 = f * W[k, 3], f * W[k, 4], f * W[k, 5]
@@ -165,14 +188,16 @@ def _around_means(starts, y, C, oriented, kernel, width, trust):  # type: ignore
             mx, my, mt = mx + ox, my + oy, mt + ot
             part = 0.0
             for k in range(first, end):
-                ex, ey, et = mx - y[k, 0] + x0, my - y[k, 1] + y0, wrapped(mt - y[k, 2] + t0)
+                ex, ey, et = mx - y[k, 0] + x0, my - y[k, 1] + y0, ot - e[k, 2]
+                if abs(et) > np.pi:
+                    crossed, et = True, wrapped(et)
                 e[k, 0], e[k, 1], e[k, 2] = ex, ey, et
                 squares = W[k, 0] * ex * ex + W[k, 2] * ey * ey + W[k, 5] * et * et
                 squares += 2 * (W[k, 1] * ex * ey + W[k, 3] * ex * et + W[k, 4] * ey * et)
                 part += loss(kernel, width, squares)
                 if kernel:
                     factor[k] = weight(kernel, width, squares)
-            if abs(ox) + abs(oy) + abs(ot) < 1e-13 * (1 + abs(mx) + abs(my)):
+            if not crossed and (not kernel or abs(ox) + abs(oy) + abs(ot) < 1e-13 * (1 + abs(mx) + abs(my))):
                 break
         total += part
         means[g, 0], means[g, 1], means[g, 2] = x0 + mx, y0 + my, wrapped(t0 + mt)

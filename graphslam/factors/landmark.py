@@ -156,11 +156,7 @@ def _marginal(
         whiten = L_transposed @ np.swapaxes(axes, 1, 2)
         W = np.swapaxes(whiten, 1, 2) @ whiten
         S_inverse = np.linalg.inv(W.sum(axis=0))
-        # as differences from the first sighting: no seam at pi
-        offset = y - y[0]
-        offset[:, 2:] = wrap(offset[:, 2:])
-        e = S_inverse @ np.einsum("kij,kj->i", W, offset) - offset
-        e[:, 2:] = wrap(e[:, 2:])
+        e = _around_mean(y, W, S_inverse)
         return e, lever, whiten, W, S_inverse
 
     def error(*at: Coordinates) -> Array:
@@ -192,6 +188,24 @@ def _marginal(
         return np.einsum("kij,kj->ki", whiten, e).ravel(), list(by_pose.reshape(poses, K * d, 3))
 
     return K * d, residual, error
+
+
+def _around_mean(y: Array, W: Array, S_inverse: Array) -> Array:
+    """e = m̂ - y (K, d); each heading's turn is decided by m̂ itself, sought from their circular mean."""
+    middle = y[0].copy()
+    if y.shape[1] == 3:
+        apart = y[:, 2] - y[0, 2]
+        middle[2] += np.arctan2(W[:, 2, 2] @ np.sin(apart), W[:, 2, 2] @ np.cos(apart))
+    for _ in range(100):
+        # as differences from the middle: no cancellation, no seam
+        offset = y - middle
+        offset[:, 2:] = wrap(offset[:, 2:])
+        moved = S_inverse @ np.einsum("kij,kj->i", W, offset)
+        e = moved - offset
+        if np.all(np.abs(e[:, 2:]) <= np.pi):
+            break
+        middle = middle + moved
+    return e
 
 
 def _seen_from(x: Array, z: Array, sensor: SensorModel) -> tuple[Array, Array]:

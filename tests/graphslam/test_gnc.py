@@ -89,3 +89,19 @@ def test_what_cannot_be(book_log):
     bad, _ = with_phantoms(book_log, 0.2, 1)
     early = solve_gnc(Graph.from_log(bad), max_rounds=2)
     assert not early.converged and "trusted in part" in early.reason
+
+
+@pytest.mark.parametrize("which", [0, 1, -1])
+@pytest.mark.parametrize("options", [{}, {"weight": "marginal"}, {"edges": "landmark+motion"}], ids=str)
+def test_a_landmark_seen_from_behind_is_found_whichever_sighting_it_is(options, which):
+    """psi off by half a turn puts a heading on the other side of the seam, for the first sighting as for the last."""
+    log = simulate(seed=4, clean=True)
+    sightings, wrong = log.sightings.copy(), []
+    for landmark in log.landmark_ids[:2]:
+        row = np.flatnonzero(log.landmarks == landmark)[which]
+        sightings[row, 2] = wrap(sightings[row, 2] + np.pi)
+        wrong.append(row)
+    solution = solve_gnc(Graph.from_log(log.replace(sightings=sightings), **options))
+    rejected = np.flatnonzero(solution.trust < 0.5)
+    assert set(wrong) <= set(rejected.tolist())
+    assert len(rejected) <= 2 + 0.03 * len(sightings)

@@ -1,5 +1,6 @@
 """Marginal edges: a landmark eliminated is a landmark node, eliminated."""
 
+import gtsam
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,6 +8,7 @@ from hypothesis import strategies as st
 
 from graphslam import Graph, SensorModel, simulate, solve
 from graphslam.edges import MarginalEdges, ObservationEdges, VirtualMotionEdges
+from graphslam.factors import LandmarkFactor
 from graphslam.information import BlockSystem
 from graphslam.robust import Cauchy, GemanMcClure, Huber
 from graphslam.se2 import wrap
@@ -173,4 +175,39 @@ def test_the_books_log_without_and_with_trust(book_log):
     state = graph.initial
     assert untouched.cost(state, state) == family.cost(state, state)
     doubted = family.with_trust(np.zeros(family.count))
-    assert 0 <= doubted.cost(state, state) < 1e-9 * family.cost(state, state)
+    assert doubted.cost(state, state) == pytest.approx(1e-9 * family.cost(state, state))
+
+
+@pytest.mark.parametrize("turned", [np.pi, 2.9, 2.0])
+def test_the_landmark_does_not_depend_on_which_sighting_comes_first(turned):
+    """A heading on the far side of the seam: the cost is that of m̂, and the same in every order of the sightings."""
+    rng = np.random.default_rng(5)
+    K, costs = 6, []
+    state = np.column_stack([rng.normal(size=(K, 2)), rng.uniform(-np.pi, np.pi, K)])
+    landmark = np.array([3.0, 1.0, 0.4])
+    sensor = SensorModel()
+    z = sensor.h(state, np.broadcast_to(landmark, (K, 3))) + rng.normal(size=(K, 3)) * [0.1, 0.05, 0.05]
+    z[2, 2] += turned
+    gradients = []
+    for order in [np.roll(np.arange(K), k) for k in range(K)]:
+        edges = MarginalEdges(np.array([0, K]), order, z[order], sensor, "body")
+        costs.append(edges.cost(state, state))
+        e = edges.linearize(state, state)
+        assert np.abs(e.residuals[:, 2]).max() <= np.pi
+        step, moved = 1e-6, np.zeros(K)
+        for k in range(K):
+            turn = np.zeros((K, 3))
+            turn[k, 2] = step
+            moved[k] = (edges.cost(state + turn, state) - edges.cost(state - turn, state)) / (2 * step)
+        gradients.append(moved)
+    np.testing.assert_allclose(costs, costs[0], rtol=1e-12)
+    np.testing.assert_allclose(gradients, [gradients[0]] * K, rtol=1e-5, atol=1e-4)
+    factor = LandmarkFactor([gtsam.symbol("x", k) for k in range(K)], z, sensor, weight="marginal")
+    values = gtsam.Values()
+    for k in range(K):
+        values.insert(gtsam.symbol("x", k), gtsam.Pose2(*state[k]))
+    assert 2 * factor.error(values) == pytest.approx(costs[0], rel=1e-12)
+    linear = factor.linearize(values)
+    A, b = linear.jacobian()
+    # turning a pose is the third of its own coordinates
+    np.testing.assert_allclose((-2 * A.T @ b)[2::3], gradients[0], rtol=1e-5, atol=1e-4)
