@@ -1,0 +1,154 @@
+"use strict";
+// Draws the figures of the page, shows and hides by the check boxes, and moves the robot with the slider.
+(async () => {
+  const element = (id) => document.getElementById(id);
+  const figures = JSON.parse(element("figures").textContent);
+  const facts = JSON.parse(element("facts").textContent);
+  const column = Object.fromEntries(facts.columns.map((name, k) => [name, k]));
+  const CORNERS = 24;
+  const settings = { responsive: true, displaylogo: false, scrollZoom: false,
+    modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d"] };
+
+  const chosen = (kind) => new Set(
+    [...document.querySelectorAll(`input[data-${kind}]`)].filter((box) => box.checked).map((box) => box.dataset[kind]));
+  const layersOfMap = new Set([...document.querySelectorAll("input[data-layer]")].map((box) => box.dataset.layer));
+
+  function isShown(meta, estimators, layers) {
+    return (!meta.estimator || estimators.has(meta.estimator)) && (!layersOfMap.has(meta.layer) || layers.has(meta.layer));
+  }
+
+  // before the first drawing the figures are told what to hide; afterwards only what changes is
+  function applyToggles(drawn) {
+    const estimators = chosen("estimator"), layers = chosen("layer");
+    for (const [id, figure] of Object.entries(figures)) {
+      const shown = figure.data.map((trace) => isShown(trace.meta, estimators, layers));
+      if (!drawn) {
+        figure.data.forEach((trace, k) => { trace.visible = shown[k]; });
+        continue;
+      }
+      const changed = figure.data.map((_, k) => k).filter((k) => (figure.data[k].visible !== false) !== shown[k]);
+      if (changed.length) Plotly.restyle(id, { visible: changed.map((k) => shown[k]) }, changed);
+      changed.forEach((k) => { figure.data[k].visible = shown[k]; });
+    }
+    for (const row of element("now").tBodies[0].rows) row.hidden = !estimators.has(row.dataset.estimator);
+  }
+
+  const paths = {};
+  for (const trace of figures.map.data) if (trace.meta.layer === "path") paths[trace.meta.estimator] = trace;
+
+  // three standard deviations of [[sx², r sx sy], [r sx sy, sy²]], by its Cholesky factor
+  function ellipse(x, y, sx, sy, r) {
+    const across = Math.sqrt(Math.max(0, 1 - r * r)), points = { x: [], y: [] };
+    for (let k = 0; k <= CORNERS; k++) {
+      const c = 3 * Math.cos(2 * Math.PI * k / CORNERS), s = 3 * Math.sin(2 * Math.PI * k / CORNERS);
+      points.x.push(x + sx * c);
+      points.y.push(y + sy * (r * c + across * s));
+    }
+    return points;
+  }
+
+  function robotAt(k) {
+    const moved = [], x = [], y = [], angle = [];
+    figures.map.data.forEach((trace, index) => {
+      if (trace.meta.layer !== "now") return;
+      const path = paths[trace.meta.estimator], row = path.customdata[k];
+      const px = path.x[k], py = path.y[k], theta = row[column.theta];
+      moved.push(index);
+      if (trace.meta.part === "pose") {
+        x.push([px]); y.push([py]);
+        angle.push(theta === null ? 0 : 90 - theta * 180 / Math.PI); // clockwise from upwards
+        return;
+      }
+      const lines = { x: [], y: [] };
+      if (px !== null && theta !== null) {
+        const c = Math.cos(theta), s = Math.sin(theta);
+        for (const [a, b] of facts.sightings[k]) {
+          lines.x.push(px, px + c * a - s * b, null);
+          lines.y.push(py, py + s * a + c * b, null);
+        }
+        if (row[column.sigma_x] !== null) {
+          const around = ellipse(px, py, row[column.sigma_x], row[column.sigma_y], row[column.rho_xy] ?? 0);
+          lines.x.push(...around.x, null); lines.y.push(...around.y, null);
+        }
+      }
+      x.push(lines.x); y.push(lines.y); angle.push(0);
+    });
+    return { moved, change: { x, y, "marker.angle": angle } };
+  }
+
+  const figure = (value, digits) => value === null || value === undefined ? "–" : value.toFixed(digits);
+
+  function tell(k) {
+    const seen = facts.sightings[k].map(([, , id]) => Number.isSafeInteger(id) ? id : "?");
+    const time = facts.times === null ? "" : `, ${facts.times[k].toFixed(2)} s`;
+    const sightings = seen.length ? `saw ${seen.length}: ${seen.join(", ")}` : "saw nothing";
+    const words = `step ${facts.steps[k]} of ${facts.last}${time}, ${sightings}`;
+    element("moment").textContent = words;
+    element("moment").title = words;
+    element("step").setAttribute("aria-valuetext", words);
+    for (const row of element("now").tBodies[0].rows) {
+      const path = paths[row.dataset.estimator], known = path.customdata[k];
+      const values = [figure(path.x[k], 3), figure(path.y[k], 3), figure(known[column.theta], 3), figure(known[column.error], 3),
+        figure(known[column.sigma_x], 4), figure(known[column.sigma_y], 4), figure(known[column.sigma_theta], 4)];
+      values.forEach((value, c) => { row.cells[c + 1].textContent = value; });
+    }
+  }
+
+  function makeRows() {
+    for (const name of facts.estimators) {
+      const row = element("now").tBodies[0].insertRow();
+      row.dataset.estimator = name;
+      const head = document.createElement("th");
+      head.scope = "row";
+      head.textContent = name;
+      row.append(head);
+      for (let c = 0; c < 7; c++) row.insertCell();
+    }
+  }
+
+  let waiting = null;
+  function moveTo(k) {
+    element("step").value = k;
+    tell(k);
+    if (waiting !== null) { waiting = k; return; }
+    waiting = k;
+    requestAnimationFrame(async () => {
+      const at = waiting, { moved, change } = robotAt(at);
+      await Plotly.restyle("map", change, moved);
+      if (figures.errors) {
+        const where = facts.times === null ? facts.steps[at] : facts.times[at];
+        await Plotly.relayout("errors", { "shapes[0].x0": where, "shapes[0].x1": where });
+      }
+      const latest = waiting;
+      waiting = null;
+      if (latest !== at) moveTo(latest);
+    });
+  }
+
+  function onClick(event) {
+    const point = event.points[0], known = point.customdata;
+    const step = Array.isArray(known) ? known[0] : known;
+    const kind = point.data.meta.layer;
+    const k = facts.steps.indexOf(step);
+    if (["path", "error", "truth"].includes(kind) && k >= 0) moveTo(k);
+  }
+
+  makeRows();
+  applyToggles(false);
+  const first = 0, start = robotAt(first);
+  start.moved.forEach((index, n) => {
+    const trace = figures.map.data[index];
+    trace.x = start.change.x[n];
+    trace.y = start.change.y[n];
+    if (trace.meta.part === "pose") trace.marker.angle = start.change["marker.angle"][n];
+  });
+  tell(first);
+  for (const [id, { data, layout }] of Object.entries(figures)) await Plotly.newPlot(id, data, layout, settings);
+  for (const id of ["map", "errors"]) if (figures[id]) element(id).on("plotly_click", onClick);
+  for (const box of document.querySelectorAll("input[type=checkbox]")) box.addEventListener("change", () => applyToggles(true));
+  const last = facts.steps.length - 1;
+  element("step").addEventListener("input", (event) => moveTo(Number(event.target.value)));
+  element("back").addEventListener("click", () => moveTo(Math.max(0, Number(element("step").value) - 1)));
+  element("forth").addEventListener("click", () => moveTo(Math.min(last, Number(element("step").value) + 1)));
+  document.documentElement.dataset.ready = Math.round(performance.now());
+})();
