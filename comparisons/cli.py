@@ -9,12 +9,12 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from .cli_backends import backends
-from .cli_config import ConfigFile, config_of
+from .cli_config import ConfigFile
 from .cli_consistency import consistency
 from .cli_datasets import datasets
 from .cli_options import (
@@ -46,14 +46,12 @@ from .cli_options import (
 )
 from .cli_parse import numbers
 from .cli_particles import particles
+from .cli_report import report_like
+from .cli_run import compared
 from .cli_simulate import simulate
 from .cli_study import study
 from .cli_support import DIFFERENT, INTERRUPTED, Output, examples, models, read_log, sentences
 from .cli_sweep import sweep
-
-if TYPE_CHECKING:
-    from .estimator import EstimatorResult
-    from .run import Progress, Skipped
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -162,44 +160,43 @@ def run(
             metavar="DIR", help="Folder for figure and JSON.", show_default="results/<time>", rich_help_panel=OUTPUT
         ),
     ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Also write the report page, one HTML file.", show_default=False, rich_help_panel=OUTPUT
+        ),
+    ] = None,
     json: JsonFile = None,
 ) -> None:  # fmt: skip
     """Run all estimators on one log: a table, a figure and the numbers as JSON."""
     with sentences():
-        from .config import RunConfig, sha256_of
-        from .estimator import RunOptions
         from .results import RESULTS, check_can_make
-        from .run import compare, with_models
         from .tables import comparison_remarks, comparison_table
 
         output = Output(json)
         check_can_make(RESULTS if out is None else out)
-        config_of(ctx, config, log)
-        reading: dict[str, Any] = {"robot": robot, "keep_every": keep_every, "stride": stride, "max_range": max_range}
-        data, source = read_log(log, format, dimensions, **reading)
-        motion, sensor = models(
-            data, nn=nn, no=no, on=on, oo=oo, sigma_v=sigma_v, sigma_omega=sigma_omega, epsilon=epsilon,
+        if html is not None:
+            from .report import check_page, write_report
+
+            check_page(html)
+        outcome, effective = compared(
+            ctx, output, log=log, config=config, estimators=estimators, format=format, dimensions=dimensions,
+            robot=robot, keep_every=keep_every, stride=stride, max_range=max_range,
+            edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, robust=robust, initialize=initialize,
+            particles=particles, seed=seed, resampling=resampling, association=association,
+            nn=nn, no=no, on=on, oo=oo, sigma_v=sigma_v, sigma_omega=sigma_omega, epsilon=epsilon,
             range_rate=range_rate, range_std=range_std, bearing_std=bearing_std, orientation_std=orientation_std,
             sensor_offset=sensor_offset,
         )  # fmt: skip
-        options = RunOptions(
-            edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, robust=robust, initialize=initialize,
-            particles=particles, seed=seed, resampling=resampling, association=association, motion=motion, sensor=sensor,
-        )  # fmt: skip
-        names = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
-        # the whole path, so that a repeat from another folder writes the same
-        source = source.absolute()
-        effective = RunConfig(
-            log=None if log is None else source, log_sha256=sha256_of(source), format=format, dimensions=dimensions,
-            estimators=None if names is None else tuple(names), options=with_models(options, data), **reading,
-        )  # fmt: skip
-        outcome = compare(data, names, options, source=source, progress=_progress(output))
         files = outcome.save(out, config=effective)
         output.console.print(comparison_table(outcome))
         output.say(*comparison_remarks(outcome))
         output.json(outcome.to_json(files))
         folder = files["figure"].parent
         output.say(f"Wrote {', '.join(path.name for path in files.values())} into {folder}{os.sep}")
+        if html is not None:
+            write_report(outcome, html, effective)
+            output.say(f"Wrote {html}: open it in a browser.")
         output.say(f"Again, bit for bit: slam-compare run --config {files['config']}")
         output.say(
             "Next: slam-compare simulate my.npz --seed 7 && slam-compare run my.npz"
@@ -208,15 +205,14 @@ def run(
         )
 
 
-def _progress(output: Output) -> Progress:
-    def report(name: str, outcome: EstimatorResult | Skipped | None) -> None:
-        from .estimator import EstimatorResult
-        from .tables import seconds
-
-        if isinstance(outcome, EstimatorResult):
-            output.progress(f"{name}: {seconds(outcome.seconds)}")
-
-    return report
+app.command(
+    "report",
+    epilog=examples(
+        "slam-compare report page.html",
+        "slam-compare report LOG page.html --estimators graph,fastslam1",
+        "slam-compare report page.html --config results/latest/config.toml",
+    ),
+)(report_like(run))
 
 
 @app.command(

@@ -23,7 +23,7 @@ def costs_figure(comparison: Comparison) -> Figure | None:
         meta = {"estimator": result.name, "layer": "cost"}
         look = line_of(result.name, 0)
         traces += _pair(result.name, result.costs, result.step_norms, meta, look)
-    return {"data": traces, "layout": _two_panels()} if traces else None
+    return {"data": traces, "layout": _two_panels(traces, "cost J")} if traces else None
 
 
 def convergence_figure(told: Sequence[Story]) -> Figure:
@@ -32,11 +32,11 @@ def convergence_figure(told: Sequence[Story]) -> Figure:
     for story, colour, marker in zip(told, _COLOURS, _MARKERS):
         look = {"mode": "lines+markers", "line": {"color": colour, "width": 1.6},
                 "marker": {"color": colour, "symbol": marker, "size": 7}, "legendgroup": story.name}  # fmt: skip
-        pair = _pair(story.name, story.costs, story.step_norms, {"layer": "story"}, look)
+        pair = _pair(story.name, story.excess, story.step_norms, {"layer": "story"}, look)
         pair[0] |= {"showlegend": True, "name": story.name}
         traces += pair
     legend = {"orientation": "h", "x": 0, "y": 1.02, "xanchor": "left", "yanchor": "bottom"}
-    figure_layout = _two_panels() | {"showlegend": True, "legend": legend}
+    figure_layout = _two_panels(traces, "J above its lowest") | {"showlegend": True, "legend": legend}
     return {"data": traces, "layout": figure_layout | {"margin": figure_layout["margin"] | {"t": 64}}}
 
 
@@ -56,12 +56,20 @@ def _pair(
     return pair
 
 
-def _two_panels() -> dict[str, Any]:
-    log = {"type": "log", "exponentformat": "power"}
+def _two_panels(traces: Sequence[dict[str, Any]], cost: str) -> dict[str, Any]:
     whole = {"tick0": 0, "tickformat": "d", "rangemode": "tozero"}
+    left = [t["y"] for t in traces if "xaxis" not in t]
+    right = [t["y"] for t in traces if "xaxis" in t]
     return layout(
         xaxis=axis("iteration", domain=[0, 0.44], **whole),
         xaxis2=axis("iteration", domain=[0.56, 1], anchor="y2", **whole),
-        yaxis=axis("cost J", **log),
-        yaxis2=axis("norm of the correction", anchor="x2", **log),
+        yaxis=axis(cost, **_logarithmic(left)),
+        yaxis2=axis("norm of the correction", anchor="x2", **_logarithmic(right)),
     )
+
+
+def _logarithmic(curves: Sequence[Sequence[float | None]]) -> dict[str, Any]:
+    """A logarithmic axis labelled at the decades, at every third of many, and at 2 and 5 where there are few."""
+    values = [v for curve in curves for v in curve if v is not None]
+    decades = float(np.log10(max(values) / min(values))) if values else 0.0
+    return {"type": "log", "exponentformat": "power", "dtick": "D2" if decades < 1.5 else 1 if decades < 6 else 3}

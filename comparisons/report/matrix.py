@@ -44,13 +44,11 @@ def pictures(graph: Graph) -> tuple[Picture, Picture]:
     n = len(indptr) - 1
     columns = np.repeat(np.arange(n), np.diff(indptr))
     made = []
-    for ordering in ("natural", "amd"):
-        symbolic = analyze(indptr, indices, ordering=ordering, method="supernodal")  # type: ignore[arg-type]
-        if ordering == "natural":
-            position = np.arange(n)
-        else:
-            position = np.empty(n, dtype=np.int64)
-            position[symbolic.order] = np.arange(n)
+    eliminated = analyze(indptr, indices, method="supernodal").order
+    for order in (np.arange(n), eliminated):
+        symbolic = analyze(indptr, indices, ordering=order, method="supernodal")
+        position = np.empty(n, dtype=np.int64)
+        position[order] = np.arange(n)
         a, b = position[indices], position[columns]
         rows, cols = np.maximum(a, b), np.minimum(a, b)
         if n <= MOST_NODES:

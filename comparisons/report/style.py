@@ -11,7 +11,7 @@ from ..plots import style_of
 _SYMBOLS = {"x": "x-thin-open", "o": "circle-open"}
 #: of lines in points, for a screen
 _SCALE = 1.35
-GREY, INK = "#b8b8b8", "#1a1a1a"
+INK = "#1a1a1a"
 
 Figure = dict[str, Any]
 
@@ -48,7 +48,7 @@ def layout(**more: Any) -> dict[str, Any]:
         "font": {"family": "DejaVu Sans, Verdana, sans-serif", "size": 13, "color": INK},
         "paper_bgcolor": "#fff",
         "plot_bgcolor": "#fff",
-        "margin": {"l": 62, "r": 14, "t": 14, "b": 48},
+        "margin": {"l": 62, "r": 14, "t": 34, "b": 48},
         "showlegend": False,
         "hovermode": "closest",
         "hoverlabel": {"align": "left", "bgcolor": "#fff", "font": {"color": INK, "size": 13}},

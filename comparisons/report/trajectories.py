@@ -26,9 +26,12 @@ MOST_LANDMARKS = 400
 
 def trajectories_figure(view: View) -> Figure:
     """The figure."""
-    traces = _truth(view)
+    traces: list[dict[str, Any]] = []
     for estimate in view.estimates:
-        traces += [_path(view, estimate), *_map(view, estimate), *_now(estimate)]
+        traces += [_path(view, estimate), *_map(view, estimate)]
+    traces += _truth(view)
+    for estimate in view.estimates:
+        traces += _now(estimate)
     return {
         "data": traces,
         "layout": layout(
@@ -123,7 +126,7 @@ def _now(estimate: Estimate) -> list[dict[str, Any]]:
     return [
         {**common, "mode": "lines", "meta": of | {"part": "sightings"}, "line": {"color": colour, "width": 1.1}},
         {**common, "mode": "markers", "meta": of | {"part": "pose"},
-         "marker": {"symbol": "arrow", "size": 17, "color": colour, "line": {"color": INK, "width": 1}}},
+         "marker": {"symbol": "arrow", "size": 15, "color": colour, "line": {"color": INK, "width": 0.6}}},
     ]  # fmt: skip
 
 
@@ -168,12 +171,12 @@ def _xy(points: Array) -> dict[str, Any]:
 def _range(view: View, column: int) -> list[float]:
     """The truth, or all paths, with a margin; landmarks included."""
     drawn = [e.poses for e in view.estimates] if view.truth is None else [view.truth]
-    drawn += [np.array(list(e.landmarks.values())) for e in view.estimates if e.landmarks and e.name != "dead-reckoning"]
+    drawn += [
+        np.array(list(e.landmarks.values())) for e in view.estimates if e.landmarks and e.name != "dead-reckoning"
+    ]
     values = np.concatenate([part[:, column] for part in drawn])
     values = values[np.isfinite(values)]
     if len(values) == 0:
         return [-1.0, 1.0]
     margin = 0.06 * max(float(np.ptp(values)), 1.0)
     return [float(values.min()) - margin, float(values.max()) + margin]
-
-
