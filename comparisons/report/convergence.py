@@ -34,10 +34,10 @@ class Story:
     step_norms: Array
 
     @property
-    def excess(self) -> Array:
-        """J above the lowest J of the story, NaN below the rounding error of J."""
-        above = self.costs - np.min(self.costs)
-        return np.where(above > 1e-14 * np.max(self.costs), above, np.nan)
+    def distances(self) -> Array:
+        """|J - J at the end| before every step; NaN below the rounding error of J."""
+        apart = np.abs(self.costs - self.costs[-1])[:-1]
+        return np.where(apart > 1e-14 * np.max(self.costs), apart, np.nan)
 
 
 def stories(log: Log, options: RunOptions) -> list[Story]:

@@ -32,26 +32,27 @@ def convergence_figure(told: Sequence[Story]) -> Figure:
     for story, colour, marker in zip(told, _COLOURS, _MARKERS):
         look = {"mode": "lines+markers", "line": {"color": colour, "width": 1.6},
                 "marker": {"color": colour, "symbol": marker, "size": 7}, "legendgroup": story.name}  # fmt: skip
-        pair = _pair(story.name, story.excess, story.step_norms, {"layer": "story"}, look)
+        pair = _pair(story.name, story.distances, story.step_norms, {"layer": "story"}, look)
         pair[0] |= {"showlegend": True, "name": story.name}
         traces += pair
     legend = {"orientation": "h", "x": 0, "y": 1.02, "xanchor": "left", "yanchor": "bottom"}
-    figure_layout = _two_panels(traces, "J above its lowest") | {"showlegend": True, "legend": legend}
+    figure_layout = _two_panels(traces, "distance of J from its end") | {"showlegend": True, "legend": legend}
     return {"data": traces, "layout": figure_layout | {"margin": figure_layout["margin"] | {"t": 64}}}
 
 
 def _pair(
     name: str, costs: np.ndarray, norms: np.ndarray, meta: dict[str, Any], look: dict[str, Any]
 ) -> list[dict[str, Any]]:
-    """The two curves of one iteration; J is known before the first step, so it begins at 0."""
+    """The two curves of one iteration. J is known before the first step, so it begins at 0, unless only its end is told."""
+    begins = len(norms) if len(costs) == 1 else 0
     pair: list[dict[str, Any]] = []
-    for values, first, axes, what in ((costs, 0, {}, "J"), (norms, 1, {"xaxis": "x2", "yaxis": "y2"}, "norm")):
+    for values, first, axes, what in ((costs, begins, {}, "J"), (norms, 1, {"xaxis": "x2", "yaxis": "y2"}, "norm")):
         if len(values):
             pair.append({
                 "type": "scatter", "meta": meta, "x": list(range(first, first + len(values))),
                 "y": [short(v, 7) if v > 0 else None for v in values],
                 "hovertemplate": f"<b>{name}</b><br>iteration %{{x}}<br>{what} %{{y:.6g}}<extra></extra>",
-                "showlegend": False, **axes, **look,
+                "showlegend": False, "cliponaxis": False, **axes, **look,
             })  # fmt: skip
     return pair
 

@@ -17,18 +17,22 @@
     return (!meta.estimator || estimators.has(meta.estimator)) && (!layersOfMap.has(meta.layer) || layers.has(meta.layer));
   }
 
-  // before the first drawing the figures are told what to hide; afterwards only what changes is
-  function applyToggles(drawn) {
+  // the figures in sight are drawn at once, the others when they come near: the page opens sooner
+  const drawn = new Set();
+  async function draw(id) {
+    if (drawn.has(id)) return;
+    drawn.add(id);
+    await Plotly.newPlot(id, figures[id].data, figures[id].layout, settings);
+    element(id).dataset.drawn = "yes";
+  }
+
+  function applyToggles() {
     const estimators = chosen("estimator"), layers = chosen("layer");
-    for (const [id, figure] of Object.entries(figures)) {
-      const shown = figure.data.map((trace) => isShown(trace.meta, estimators, layers));
-      if (!drawn) {
-        figure.data.forEach((trace, k) => { trace.visible = shown[k]; });
-        continue;
-      }
-      const changed = figure.data.map((_, k) => k).filter((k) => (figure.data[k].visible !== false) !== shown[k]);
-      if (changed.length) Plotly.restyle(id, { visible: changed.map((k) => shown[k]) }, changed);
-      changed.forEach((k) => { figure.data[k].visible = shown[k]; });
+    for (const [id, { data }] of Object.entries(figures)) {
+      const shown = data.map((trace) => isShown(trace.meta, estimators, layers));
+      const changed = data.map((_, k) => k).filter((k) => (data[k].visible !== false) !== shown[k]);
+      changed.forEach((k) => { data[k].visible = shown[k]; });
+      if (changed.length && drawn.has(id)) Plotly.restyle(id, { visible: changed.map((k) => shown[k]) }, changed);
     }
     for (const row of element("now").tBodies[0].rows) row.hidden = !estimators.has(row.dataset.estimator);
   }
@@ -134,21 +138,29 @@
   }
 
   makeRows();
-  applyToggles(false);
-  const first = 0, start = robotAt(first);
+  applyToggles();
+  const start = robotAt(0);
   start.moved.forEach((index, n) => {
     const trace = figures.map.data[index];
     trace.x = start.change.x[n];
     trace.y = start.change.y[n];
     if (trace.meta.part === "pose") trace.marker.angle = start.change["marker.angle"][n];
   });
-  tell(first);
-  for (const [id, { data, layout }] of Object.entries(figures)) await Plotly.newPlot(id, data, layout, settings);
-  for (const id of ["map", "errors"]) if (figures[id]) element(id).on("plotly_click", onClick);
-  for (const box of document.querySelectorAll("input[type=checkbox]")) box.addEventListener("change", () => applyToggles(true));
+  tell(0);
+  for (const id of ["map", "errors"]) {
+    if (!figures[id]) continue;
+    await draw(id);
+    element(id).on("plotly_click", onClick);
+  }
+  const nearby = new IntersectionObserver(
+    (entries) => entries.filter((entry) => entry.isIntersecting).forEach((entry) => draw(entry.target.id)),
+    { rootMargin: "300px" });
+  for (const id of Object.keys(figures)) nearby.observe(element(id));
+  window.addEventListener("beforeprint", () => Object.keys(figures).forEach(draw));
+  for (const box of document.querySelectorAll("input[type=checkbox]")) box.addEventListener("change", applyToggles);
   const last = facts.steps.length - 1;
   element("step").addEventListener("input", (event) => moveTo(Number(event.target.value)));
   element("back").addEventListener("click", () => moveTo(Math.max(0, Number(element("step").value) - 1)));
   element("forth").addEventListener("click", () => moveTo(Math.min(last, Number(element("step").value) + 1)));
-  document.documentElement.dataset.ready = Math.round(performance.now());
+  document.documentElement.dataset.ready = Math.round(performance.now()); // [ms] since the page was asked for
 })();

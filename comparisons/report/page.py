@@ -79,7 +79,7 @@ def page_of(comparison: Comparison, config: RunConfig | None = None) -> str:
     script, plotly = plotly_script()
     view = view_of(comparison, config.options)
     matrix, matrix_words = _matrix(comparison, config)
-    convergence, convergence_words = _convergence(comparison, config)
+    convergence, convergence_words, endings = _convergence(comparison, config)
     figures = {
         "map": trajectories_figure(view),
         "errors": errors_figure(view),
@@ -104,6 +104,7 @@ def page_of(comparison: Comparison, config: RunConfig | None = None) -> str:
         "matrix_hidden": _hidden(figures["matrix"]),
         "errors_hidden": _hidden(figures["errors"]),
         "convergence_note": escape(convergence_words),
+        "convergence_remarks": _items(endings),
         "matrix_note": escape(matrix_words),
         "configuration": escape(config.to_toml()),
         "versions": _items([*versions(), plotly, platform.platform()]),
@@ -176,18 +177,20 @@ def _error_heading(view: View) -> str:
     return f"from {view.judged_by} [m]"
 
 
-def _convergence(comparison: Comparison, config: RunConfig) -> tuple[Figure | None, str]:
+def _convergence(comparison: Comparison, config: RunConfig) -> tuple[Figure | None, str, list[str]]:
+    """The figure, what it shows, and how each iteration ended."""
     try:
         told = stories(comparison.log, config.options)
     except SlamError as error:
-        return None, f"Left out: {error}."
-    return convergence_figure(told), (
+        return None, f"Left out: {error}.", []
+    words = (
         "All four start at the log's own initial poses, with every pair of sightings as an edge. The lectures re-choose "
         "x̂₀ at every step: the cost settles, but the whole graph keeps drifting, and the norm stays where it is. With the "
         "anchor held the world frame converges, at a constant rate, since its information moves with the state; mixing "
         "the last iterates hastens that. In the body frame the information depends on the measurements alone, so that "
-        "one true cost is minimised: a few steps lead to the end. " + " ".join(remarks(told))
+        "one true cost is minimised: a few steps lead to the end."
     )
+    return convergence_figure(told), words, remarks(told)
 
 
 def _matrix(comparison: Comparison, config: RunConfig) -> tuple[Figure | None, str]:

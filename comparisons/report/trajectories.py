@@ -12,6 +12,7 @@ import numpy as np
 
 from graphslam.se2 import Array
 
+from ..plots import DRIFTING
 from .ellipses import outlines
 from .style import INK, Figure, axis, colour_of, layout, line_of, place, short
 from .view import Estimate, View
@@ -19,7 +20,9 @@ from .view import Estimate, View
 #: [-, s, rad, m, m, m, -, rad]; None where unknown
 COLUMNS = ("step", "time", "theta", "error", "sigma_x", "sigma_y", "rho_xy", "sigma_theta")
 #: of these many poses per estimate ellipses are drawn: more would cover each other
-MOST_ELLIPSES = 60
+MOST_ELLIPSES = 40
+#: and of dead reckoning these: its ellipses grow until they cover the page
+MOST_DRIFTING = 8
 #: with more landmarks only their places are drawn
 MOST_LANDMARKS = 400
 
@@ -103,9 +106,10 @@ def _map(view: View, estimate: Estimate) -> list[dict[str, Any]]:
         known = [(estimate.landmarks[j], S) for j, S in estimate.landmark_covariances.items()]
         traces.append(_ellipses(estimate.name, "landmark-ellipses", known, 1.2))
     if estimate.covariances is not None:
+        most = MOST_DRIFTING if estimate.name == DRIFTING else MOST_ELLIPSES
         known = [
             (estimate.poses[k, :2], estimate.covariances[k, :2, :2])
-            for k in np.unique(np.linspace(0, len(view.steps) - 1, MOST_ELLIPSES).astype(int))
+            for k in np.unique(np.linspace(0, len(view.steps) - 1, most).astype(int))
             if np.isfinite(estimate.covariances[k]).all() and np.isfinite(estimate.poses[k]).all()
         ]
         traces.append(_ellipses(estimate.name, "pose-ellipses", known, 0.8))
@@ -171,9 +175,7 @@ def _xy(points: Array) -> dict[str, Any]:
 def _range(view: View, column: int) -> list[float]:
     """The truth, or all paths, with a margin; landmarks included."""
     drawn = [e.poses for e in view.estimates] if view.truth is None else [view.truth]
-    drawn += [
-        np.array(list(e.landmarks.values())) for e in view.estimates if e.landmarks and e.name != "dead-reckoning"
-    ]
+    drawn += [np.array(list(e.landmarks.values())) for e in view.estimates if e.landmarks and e.name != DRIFTING]
     values = np.concatenate([part[:, column] for part in drawn])
     values = values[np.isfinite(values)]
     if len(values) == 0:
