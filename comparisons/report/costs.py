@@ -9,7 +9,7 @@ import numpy as np
 
 from ..run import Comparison
 from .convergence import Story
-from .style import Figure, axis, layout, line_of, short
+from .style import Figure, axis, layout, line_of, logarithmic, short
 
 #: of the stories in their order; each also has a marker of its own
 _COLOURS = ("#D55E00", "#E69F00", "#CC79A7", "#0072B2")
@@ -59,18 +59,11 @@ def _pair(
 
 def _two_panels(traces: Sequence[dict[str, Any]], cost: str) -> dict[str, Any]:
     whole = {"tick0": 0, "tickformat": "d", "rangemode": "tozero"}
-    left = [t["y"] for t in traces if "xaxis" not in t]
-    right = [t["y"] for t in traces if "xaxis" in t]
+    left = [v for t in traces if "xaxis" not in t for v in t["y"] if v is not None]
+    right = [v for t in traces if "xaxis" in t for v in t["y"] if v is not None]
     return layout(
         xaxis=axis("iteration", domain=[0, 0.44], **whole),
         xaxis2=axis("iteration", domain=[0.56, 1], anchor="y2", **whole),
-        yaxis=axis(cost, **_logarithmic(left)),
-        yaxis2=axis("norm of the correction", anchor="x2", **_logarithmic(right)),
+        yaxis=axis(cost, **logarithmic(left)),
+        yaxis2=axis("norm of the correction", anchor="x2", **logarithmic(right)),
     )
-
-
-def _logarithmic(curves: Sequence[Sequence[float | None]]) -> dict[str, Any]:
-    """A logarithmic axis labelled at the decades, at every third of many, and at 2 and 5 where there are few."""
-    values = [v for curve in curves for v in curve if v is not None]
-    decades = float(np.log10(max(values) / min(values))) if values else 0.0
-    return {"type": "log", "exponentformat": "power", "dtick": "D2" if decades < 1.5 else 1 if decades < 6 else 3}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .style import INK, Figure, axis, layout, line_of, place, short
+from .style import INK, Figure, axis, layout, line_of, logarithmic, place, short
 from .view import View
 
 #: a figure with medians farther apart than this has a logarithmic axis
@@ -19,12 +19,9 @@ def errors_figure(view: View) -> Figure | None:
     if view.judged_by is None:
         return None
     where, name = view.abscissa
-    traces, medians = [], []
-    for estimate in view.estimates:
-        known = estimate.errors[np.isfinite(estimate.errors)]
-        if len(known) == 0 or estimate.name == view.judged_by:
-            continue
-        medians.append(float(np.median(known)))
+    traces = []
+    drawn = [e for e in view.estimates if np.isfinite(e.errors).any() and e.name != view.judged_by]
+    for estimate in drawn:
         traces.append({
             "type": "scatter", "meta": {"estimator": estimate.name, "layer": "error"},
             "x": [place(v) for v in where], "y": [short(v) for v in estimate.errors],
@@ -33,13 +30,12 @@ def errors_figure(view: View) -> Figure | None:
             "%{y:.4f} m<extra></extra>",
             **line_of(estimate.name, len(where)),
         })  # fmt: skip
-    positive = [m for m in medians if m > 0]
+    positive = [m for m in (float(np.nanmedian(e.errors)) for e in drawn) if m > 0]
     vertical = axis("position error [m]" if view.judged_by == "truth" else f"distance from {view.judged_by} [m]")
     if positive and max(positive) > SPREAD * min(positive):
         # single steps that happen to be exact would otherwise stretch the axis for nothing
-        top = max(float(np.nanmax(e.errors)) for e in view.estimates if np.isfinite(e.errors).any())
-        vertical |= {"type": "log", "range": [float(np.log10(min(positive) / 10)), float(np.log10(1.3 * top))],
-                     "dtick": 1, "exponentformat": "power"}  # fmt: skip
+        low, high = min(positive) / 10, 1.3 * max(float(np.nanmax(e.errors)) for e in drawn)
+        vertical |= logarithmic([low, high]) | {"range": [float(np.log10(low)), float(np.log10(high))]}
     else:
         vertical |= {"rangemode": "tozero"}
     cursor = {"type": "line", "xref": "x", "yref": "paper", "x0": place(where[0]), "x1": place(where[0]), "y0": 0, "y1": 1,

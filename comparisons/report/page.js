@@ -80,7 +80,25 @@
     return { moved, change: { x, y, "marker.angle": angle } };
   }
 
-  const figure = (value, digits) => value === null || value === undefined ? "–" : value.toFixed(digits);
+  // a dash for what is not known, and never a negative zero
+  const figure = (value, digits) => value === null ? "–" : value.toFixed(digits).replace(/^-(0\.0*)$/, "$1");
+
+  // what hovering over a pose tells
+  function words(name, path, k) {
+    const known = path.customdata[k], at = (what) => known[column[what]];
+    const lines = [`<b>${name}</b>, step ${at("step")}`];
+    if (at("time") !== null) lines.push(`time ${figure(at("time"), 2)} s`);
+    lines.push(`x ${figure(path.x[k], 3)} m, y ${figure(path.y[k], 3)} m, θ ${figure(at("theta"), 3)} rad`);
+    const error = facts.judged_by === "truth" ? "error" : `distance from ${facts.judged_by}`;
+    if (facts.judged_by !== null) lines.push(at("error") === null ? `${error} not known` : `${error} ${figure(at("error"), 3)} m`);
+    if (at("sigma_x") === null) lines.push("covariance not known");
+    else {
+      lines.push(`covariance: σx ${figure(at("sigma_x"), 4)} m, σy ${figure(at("sigma_y"), 4)} m,`);
+      lines.push(`  ρxy ${figure(at("rho_xy"), 2)}, σθ ${figure(at("sigma_theta"), 4)} rad`);
+    }
+    return lines.join("<br>");
+  }
+  for (const [name, path] of Object.entries(paths)) path.text = path.x.map((_, k) => words(name, path, k));
 
   function tell(k) {
     const seen = facts.sightings[k].map(([, , id]) => Number.isSafeInteger(id) ? id : "?");

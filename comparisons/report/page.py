@@ -132,6 +132,7 @@ def _facts(view: View) -> dict[str, Any]:
         "steps": view.steps,
         "times": view.times,
         "last": view.log.num_poses - 1,
+        "judged_by": view.judged_by,
         "estimators": [estimate.name for estimate in view.estimates],
         "sightings": [
             [[round(x, 4), round(y, 4), int(j)] for (x, y), j in zip(view.points[t].tolist(), view.seen[t])]

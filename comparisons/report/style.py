@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from ..plots import style_of
@@ -61,6 +62,12 @@ def axis(title: str, **more: Any) -> dict[str, Any]:
     common = {"title": {"text": title, "standoff": 8}, "gridcolor": "#e6e6e6", "zeroline": False, "linecolor": "#888",
               "showline": True, "ticks": "outside", "automargin": True}  # fmt: skip
     return common | more
+
+
+def logarithmic(values: Sequence[float]) -> dict[str, Any]:
+    """A logarithmic axis for these: labelled at the decades, at every third of many, at 2 and 5 where they are few."""
+    decades = math.log10(max(values) / min(values)) if values else 0.0
+    return {"type": "log", "exponentformat": "power", "dtick": "D2" if decades < 1.5 else 1 if decades < 6 else 3}
 
 
 def short(value: float, digits: int = 4) -> float | None:

@@ -1,7 +1,8 @@
 """The figure of trajectories and maps. Every trace tells in ``meta`` whose it is and in which layer it lies.
 
 Layers: path, landmarks, landmark-ellipses, pose-ellipses, truth, now (the robot at the step of the slider, which the
-page's script moves). A path carries in ``customdata`` all that is known of each pose, in the order of `COLUMNS`.
+page's script moves). A path carries in ``customdata`` all that is known of each pose, in the order of `COLUMNS`; the
+page's script puts that into words, since Plotly's templates take what is not known for 0.
 """
 
 from __future__ import annotations
@@ -64,27 +65,10 @@ def pose_columns(view: View, estimate: Estimate) -> list[list[float | int | None
     ]
 
 
-def pose_hover(view: View, estimate: Estimate) -> str:
-    """The template of the hover text of a path: step, time, place, error, covariance."""
-    lines = [f"<b>{estimate.name}</b>, step %{{customdata[0]}}"]
-    if view.times is not None:
-        lines.append("time %{customdata[1]:.2f} s")
-    lines.append("x %{x:.3f} m, y %{y:.3f} m, θ %{customdata[2]:.3f} rad")
-    if view.judged_by is not None and np.any(np.isfinite(estimate.errors)):
-        against = "error" if view.judged_by == "truth" else f"distance from {view.judged_by}"
-        lines.append(f"{against} %{{customdata[3]:.3f}} m")
-    if estimate.covariances is None:
-        lines.append("covariance not known")
-    else:
-        lines.append("covariance: σx %{customdata[4]:.4f} m, σy %{customdata[5]:.4f} m,")
-        lines.append("  ρxy %{customdata[6]:.2f}, σθ %{customdata[7]:.4f} rad")
-    return "<br>".join(lines) + "<extra></extra>"
-
-
 def _path(view: View, estimate: Estimate) -> dict[str, Any]:
     return {
         "type": "scatter", "meta": {"estimator": estimate.name, "layer": "path"}, **_xy(estimate.poses),
-        "customdata": pose_columns(view, estimate), "hovertemplate": pose_hover(view, estimate),
+        "customdata": pose_columns(view, estimate), "hovertemplate": "%{text}<extra></extra>",
         **line_of(estimate.name, len(view.steps)),
     }  # fmt: skip
 
@@ -173,10 +157,12 @@ def _xy(points: Array) -> dict[str, Any]:
 
 
 def _range(view: View, column: int) -> list[float]:
-    """The truth, or all paths, with a margin; landmarks included."""
-    drawn = [e.poses for e in view.estimates] if view.truth is None else [view.truth]
-    drawn += [np.array(list(e.landmarks.values())) for e in view.estimates if e.landmarks and e.name != DRIFTING]
-    values = np.concatenate([part[:, column] for part in drawn])
+    """All that is drawn, with a margin, but for dead reckoning: it may go far astray and make the rest small."""
+    shown = [e for e in view.estimates if e.name != DRIFTING] or list(view.estimates)
+    parts = [e.poses[:, column] for e in shown] + [m[None, column] for e in shown for m in e.landmarks.values()]
+    if view.truth is not None:
+        parts.append(view.truth[:, column])
+    values = np.concatenate([np.empty(0), *parts])
     values = values[np.isfinite(values)]
     if len(values) == 0:
         return [-1.0, 1.0]

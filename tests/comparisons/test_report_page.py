@@ -195,6 +195,22 @@ def test_hover_tells_step_time_error_and_covariance(opened: Chromium, view: View
     assert re.match(rf"step {k} of ", opened.evaluate("document.getElementById('moment').textContent"))
 
 
+def test_hover_takes_nothing_that_is_not_known_for_zero(
+    browser: Chromium, comparison: Comparison, tmp_path: Path
+) -> None:
+    log = comparison.log
+    assert log.true_poses is not None
+    some = log.true_poses.copy()
+    some[:5] = float("nan")
+    write_report(Comparison(log.replace(true_poses=some), (comparison["fastslam1"],)), tmp_path / "page.html")
+    browser.events.clear()
+    browser.open(tmp_path / "page.html")
+    texts = browser.evaluate("document.getElementById('map').data.find((t) => t.meta.layer === 'path').text")
+    assert "error not known" in texts[4] and "error not known" not in texts[5]
+    assert "covariance not known" in texts[5]
+    assert browser.complaints() == []
+
+
 @pytest.mark.parametrize("width", [1280, 800])
 def test_nothing_sticks_out_or_overlaps(opened: Chromium, width: int) -> None:
     opened.resize(width, 900)
