@@ -191,11 +191,14 @@ def run(
         files = outcome.save(out, config=effective)
         output.console.print(comparison_table(outcome))
         output.say(*comparison_remarks(outcome))
-        output.json(outcome.to_json(files))
+        page = {}
+        if html is not None:
+            write_report(outcome, html, effective)
+            page["html"] = html
+        output.json(outcome.to_json(files | page))
         folder = files["figure"].parent
         output.say(f"Wrote {', '.join(path.name for path in files.values())} into {folder}{os.sep}")
         if html is not None:
-            write_report(outcome, html, effective)
             output.say(f"Wrote {html}: open it in a browser.")
         output.say(f"Again, bit for bit: slam-compare run --config {files['config']}")
         output.say(

@@ -103,7 +103,8 @@
   function tell(k) {
     const seen = facts.sightings[k].map(([, , id]) => Number.isSafeInteger(id) ? id : "?");
     const time = facts.times === null ? "" : `, ${facts.times[k].toFixed(2)} s`;
-    const sightings = seen.length ? `saw ${seen.length}: ${seen.join(", ")}` : "saw nothing";
+    const told = seen.some((id) => id !== "?") ? `: ${seen.join(", ")}` : "";
+    const sightings = seen.length ? `saw ${seen.length}${told}` : "saw nothing";
     const words = `step ${facts.steps[k]} of ${facts.last}${time}, ${sightings}`;
     element("moment").textContent = words;
     element("moment").title = words;

@@ -145,7 +145,8 @@ def _facts(view: View) -> dict[str, Any]:
 
 def _summary(view: View) -> str:
     log = view.log
-    words = [f"{log.num_poses} poses", f"{len(log.steps)} sightings of {len(log.landmark_ids)} landmarks"]
+    landmarks = f"of {len(log.landmark_ids)} landmarks" if log.identified else "that do not tell their landmark"
+    words = [f"{log.num_poses} poses", f"{len(log.steps)} sightings {landmarks}"]
     words.append("(range, bearing, orientation)" if log.has_orientation else "(range, bearing)")
     if view.times is not None:
         words.append(f"in {view.times[-1] - view.times[0]:.1f} s")

@@ -129,12 +129,17 @@ def _truth(view: View) -> list[dict[str, Any]]:
             "customdata": [[int(t), s] for t, s in zip(view.steps, times)],
             "hovertemplate": f"<b>truth</b>, step %{{customdata[0]}}{time}<extra></extra>",
         })  # fmt: skip
-    if view.log.true_poses is not None and view.log.true_landmarks:
+    # worlds may have thousands of landmarks that this robot never saw
+    landmarks = view.log.true_landmarks or {}
+    if view.log.identified:
+        landmarks = {j: m for j, m in landmarks.items() if j in view.log.landmark_ids}
+    if view.log.true_poses is not None and landmarks:
         traces.append({
             "type": "scatter", "mode": "markers", "meta": meta,
-            **_xy(np.array([m[:2] for m in view.log.true_landmarks.values()])),
-            "marker": {"symbol": "cross-thin", "size": 11, "color": INK, "line": {"width": 1.4, "color": INK}},
-            "customdata": list(view.log.true_landmarks),
+            **_xy(np.array([m[:2] for m in landmarks.values()])),
+            "marker": {"symbol": "cross-thin", "size": 11 if len(landmarks) < 100 else 6, "color": INK,
+                       "line": {"width": 1.4, "color": INK}},
+            "customdata": list(landmarks),
             "hovertemplate": "<b>true landmark</b> %{customdata}<extra></extra>",
         })  # fmt: skip
     start = (view.estimates[0].poses if view.truth is None else view.truth)[:1] if view.estimates else np.empty((0, 3))

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plotly import graph_objects
 from typer.testing import CliRunner
 
 from comparisons import cli
@@ -28,6 +29,7 @@ from comparisons.report.view import view_of
 from comparisons.run import Comparison, compare, with_models
 from graphslam import FormatError, Graph, Log, MotionModel, OptionError, SlamError, save, simulate, solve, textbook
 from graphslam.cholesky import analyze
+from graphslam.log import UNIDENTIFIED
 
 EVIL = "</script><img src=x onerror=alert(1)> & \"quoted\" 'log' ${title} $$"
 
@@ -125,12 +127,11 @@ def test_the_table_and_the_configuration_are_there(html: str, comparison: Compar
 
 
 def test_all_figures_are_what_plotly_knows(html: str) -> None:
-    objects = pytest.importorskip("plotly.graph_objects", reason="needs the extra report")
     figures = Elements(html).data["figures"]
     assert set(figures) == {"map", "errors", "costs", "convergence", "matrix"}
     for figure in figures.values():
         # raises ValueError for a property that does not exist, or a value that is impossible
-        objects.Figure(data=figure["data"], layout=figure["layout"])
+        graph_objects.Figure(data=figure["data"], layout=figure["layout"])
 
 
 # -- numbers -----------------------------------------------------------------------------------------------------------
@@ -303,6 +304,23 @@ def test_every_kind_of_log_has_a_page(log: Log, kind: str) -> None:
         assert "matrix" not in figures
 
 
+def test_only_true_landmarks_that_were_seen_are_drawn(log: Log) -> None:
+    assert log.true_landmarks is not None
+    more = log.replace(true_landmarks={**log.true_landmarks, 99: np.array([500.0, 0])})
+    figure = Elements(page_of(compare(more, ["dead-reckoning"]))).data["figures"]["map"]
+    drawn = next(t for t in figure["data"] if "true landmark" in t.get("hovertemplate", ""))
+    assert drawn["customdata"] == log.landmark_ids.tolist()
+    assert figure["layout"]["xaxis"]["range"][1] < 100
+
+
+def test_sightings_that_do_not_tell_their_landmark_have_a_page(log: Log) -> None:
+    unknown = log.replace(landmarks=np.full(len(log.landmarks), UNIDENTIFIED))
+    options = RunOptions(particles=5, association="maximum-likelihood")
+    elements = Elements(page_of(compare(unknown, ["dead-reckoning", "fastslam1"], options), RunConfig(options=options)))
+    assert "that do not tell their landmark" in elements.text
+    assert set(elements.data["figures"]) == {"map", "errors"}
+
+
 def test_long_logs_are_thinned_and_the_page_says_so() -> None:
     steps = 6000
     log = simulate(seed=1, steps=60, clean=True)
@@ -382,9 +400,10 @@ def test_both_verbs_write_the_page(log: Log, tmp_path: Path, monkeypatch: Any) -
     assert result.exit_code == 0, result.output
     assert [e["name"] for e in json.loads(result.stdout)["estimators"]] == ["dead-reckoning", "graph"]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["log.npz", "page.html"]
-    result = invoke("run", "log.npz", "--html", "run.html", "--out", "out", *quick)
+    result = invoke("run", "log.npz", "--html", "run.html", "--out", "out", *quick, "--json", "run.json")
     assert result.exit_code == 0, result.output
-    assert "run.html" in result.output
+    assert "Wrote run.html" in result.output
+    assert json.loads((tmp_path / "run.json").read_text())["files"]["html"] == "run.html"
     assert Elements((tmp_path / "run.html").read_text()).data["facts"]["estimators"] == ["dead-reckoning", "graph"]
     # the log of the configuration, and its estimators
     result = invoke("report", "again.html", "--config", "out/config.toml")
