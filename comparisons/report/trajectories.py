@@ -154,7 +154,7 @@ def _deviations(S: Array | None) -> str:
     if S is None:
         return "covariance not known"
     sx, sy = np.sqrt(S[0, 0]), np.sqrt(S[1, 1])
-    return f"covariance: σx {sx:.4f} m, σy {sy:.4f} m, ρxy {S[0, 1] / (sx * sy):.2f}"
+    return f"covariance: σx {sx:.4f} m, σy {sy:.4f} m, ρxy {S[0, 1] / max(sx * sy, 1e-300):.2f}"
 
 
 def _xy(points: Array) -> dict[str, Any]:
