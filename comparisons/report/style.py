@@ -67,7 +67,7 @@ def axis(title: str, **more: Any) -> dict[str, Any]:
 def logarithmic(values: Sequence[float]) -> dict[str, Any]:
     """A logarithmic axis for these: labelled at the decades, at every third of many, at 2 and 5 where they are few."""
     decades = math.log10(max(values) / min(values)) if values else 0.0
-    return {"type": "log", "exponentformat": "power", "dtick": "D2" if decades < 1.5 else 1 if decades < 6 else 3}
+    return {"type": "log", "exponentformat": "power", "dtick": "D2" if decades < 3 else 1 if decades < 6 else 3}
 
 
 def short(value: float, digits: int = 4) -> float | None:
