@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .datasets import survey
     from .estimator import RunOptions
     from .particles import study_particles
+    from .report import write_report
     from .solvers import compare_solvers
     from .studies.plan import read_study
     from .studies.summary import summarise
@@ -40,6 +41,7 @@ _HOMES = {
     "study_particles": "particles",
     "study_consistency": "consistency",
     "survey": "datasets",
+    "write_report": "report",
     "read_study": "studies.plan",
     "sweep": "studies.sweep",
     "summarise": "studies.summary",
@@ -57,6 +59,7 @@ __all__ = [
     "summarise",
     "survey",
     "sweep",
+    "write_report",
 ]
 
 

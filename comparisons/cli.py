@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import os
 import sys
+from inspect import unwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .cli_backends import backends
-from .cli_config import ConfigFile, config_of
+from .cli_config import ConfigFile
 from .cli_consistency import consistency
 from .cli_datasets import datasets
 from .cli_options import (
@@ -47,15 +48,15 @@ from .cli_options import (
 )
 from .cli_parse import figure_formats, numbers
 from .cli_particles import particles
+from .cli_report import report_like
+from .cli_run import compared
 from .cli_simulate import simulate
 from .cli_study import study
-from .cli_support import DIFFERENT, INTERRUPTED, Advance, Output, examples, models, read_log, sentences
+from .cli_support import DIFFERENT, INTERRUPTED, Output, examples, models, read_log, sentences
 from .cli_sweep import sweep
 from .cli_verb import verb
 
 if TYPE_CHECKING:
-    from .comparison import Progress, Skipped
-    from .estimator import EstimatorResult
     from .solvers import SkippedVariant, VariantResult
 
 app = typer.Typer(
@@ -166,49 +167,49 @@ def run(
         ),
     ] = None,
     figures: FigureFormats = "png,pdf",
+    html: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Also write the report page, one HTML file.", show_default=False, rich_help_panel=OUTPUT
+        ),
+    ] = None,
     json: JsonFile = None,
 ) -> None:  # fmt: skip
     """Run all estimators on one log: a table, a figure and the numbers as JSON."""
     with sentences():
-        from .comparison import compare, with_models
-        from .config import RunConfig, sha256_of
-        from .estimator import RunOptions
-        from .estimators import ESTIMATORS
         from .results import RESULTS, check_can_make
         from .tables import comparison_remarks, comparison_table
 
         output = Output(json)
         check_can_make(RESULTS if out is None else out)
         formats = figure_formats(figures)
-        config_of(ctx, config, log)
-        reading: dict[str, Any] = {"robot": robot, "keep_every": keep_every, "stride": stride, "max_range": max_range}
-        data, source = read_log(log, format, dimensions, **reading)
-        motion, sensor = models(
-            data, nn=nn, no=no, on=on, oo=oo, sigma_v=sigma_v, sigma_omega=sigma_omega, epsilon=epsilon,
+        if html is not None:
+            from .report import check_page, write_report
+
+            check_page(html)
+        outcome, effective = compared(
+            ctx, output, log=log, config=config, estimators=estimators, format=format, dimensions=dimensions,
+            robot=robot, keep_every=keep_every, stride=stride, max_range=max_range,
+            edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, robust=robust, initialize=initialize,
+            particles=particles, seed=seed, resampling=resampling, association=association,
+            nn=nn, no=no, on=on, oo=oo, sigma_v=sigma_v, sigma_omega=sigma_omega, epsilon=epsilon,
             range_rate=range_rate, range_std=range_std, bearing_std=bearing_std, orientation_std=orientation_std,
             sensor_offset=sensor_offset,
         )  # fmt: skip
-        options = RunOptions(
-            edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, robust=robust, initialize=initialize,
-            particles=particles, seed=seed, resampling=resampling, association=association, motion=motion, sensor=sensor,
-        )  # fmt: skip
-        names = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
-        # the whole path, so that a repeat from another folder writes the same
-        source = source.absolute()
-        effective = RunConfig(
-            log=None if log is None else source, log_sha256=sha256_of(source), format=format, dimensions=dimensions,
-            estimators=None if names is None else tuple(names), options=with_models(options, data), **reading,
-        )  # fmt: skip
-        with output.bar("estimators", len(names or ESTIMATORS)) as advance:
-            outcome = compare(data, names, options, source=source, progress=_progress(output, advance))
         files = outcome.save(out, formats=formats, config=effective)
         output.console.print(comparison_table(outcome.table))
         output.say(*comparison_remarks(outcome))
-        output.json(outcome.to_json(files))
+        page = {}
+        if html is not None:
+            write_report(outcome, html, effective)
+            page["html"] = html
+        output.json(outcome.to_json(files | page))
         folder = files["json"].parent
         exchanged = ["trajectories (*.tum)", "maps (*-map.csv)"] + ["graph.g2o"] * ("graph.g2o" in files)
         named = [path.name for kind, path in files.items() if not kind.endswith((".tum", ".csv", ".g2o"))]
         output.hint(f"Wrote {', '.join([*named, *exchanged])} into {folder}{os.sep}")
+        if html is not None:
+            output.hint(f"Wrote {html}: open it in a browser.")
         output.hint(f"Again, bit for bit: slam-compare run --config {files['config']}")
         output.hint(
             "Next: slam-compare simulate my.npz --seed 7 && slam-compare run my.npz"
@@ -217,19 +218,14 @@ def run(
         )
 
 
-def _progress(output: Output, advance: Advance) -> Progress:
-    def report(name: str, outcome: EstimatorResult | Skipped | None) -> None:
-        from .estimator import EstimatorResult
-        from .tables import seconds
-
-        if outcome is None:
-            advance(0, name)
-            return
-        advance(1, name)
-        if isinstance(outcome, EstimatorResult):
-            output.detail(f"{name}: {seconds(outcome.seconds)}" + (f", {outcome.reason}" if outcome.reason else ""))
-
-    return report
+app.command(
+    "report",
+    epilog=examples(
+        "slam-compare report page.html",
+        "slam-compare report LOG page.html --estimators graph,fastslam1",
+        "slam-compare report page.html --config results/latest/config.toml",
+    ),
+)(verb(report_like(unwrap(run))))
 
 
 @app.command(

@@ -90,6 +90,7 @@ class EstimatorResult:
         iterations: how many there were; 0 where nothing is iterated.
         step_norms: (iterations,) the norm of each correction.
         cost: J at the end; None where nothing is minimised.
+        costs: J before the first step and after each, as far as the solver tells it.
         landmarks, landmark_covariances: {id: (2,) or (3,)} and {id: (n, n)}; empty where no map is estimated.
         options: what the estimator was told, for the record.
         reason: why it ended, one sentence.
@@ -104,6 +105,7 @@ class EstimatorResult:
     iterations: int = 0
     step_norms: Array = field(default_factory=lambda: np.empty(0))
     cost: float | None = None
+    costs: Array = field(default_factory=lambda: np.empty(0))
     landmarks: Mapping[int, Array] = field(default_factory=dict)
     landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
     options: Mapping[str, Any] = field(default_factory=dict)

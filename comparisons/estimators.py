@@ -99,6 +99,7 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
         iterations=result.iterations,
         step_norms=np.asarray(result.step_norms, dtype=float),
         cost=_world_cost(log, edges, result.poses, models),
+        costs=np.asarray(result.costs, dtype=float),
         options={"edges": edges, "frame": "world", "weight": "pairs", "motion_weight": 1.0, "threshold": threshold},
         reason=f"last step norm {last}, the book's threshold is {threshold:g}",
     )
@@ -215,6 +216,7 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
         iterations=solution.iterations,
         step_norms=np.asarray(solution.step_norms, dtype=float),
         cost=solution.cost,
+        costs=np.asarray(solution.costs, dtype=float),
         landmarks=solution.landmarks,
         landmark_covariances=solution.landmark_covariances,
         options=_graph_options(log, options),

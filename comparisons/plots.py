@@ -41,6 +41,7 @@ _STYLES: dict[str, dict[str, Any]] = {
     "textbook": {"color": "#D55E00", "linestyle": "none", "marker": "x", "markersize": 3.6, "zorder": 3.4},
     "graph": {"color": "#56B4E9", "linestyle": "-", "linewidth": 2.3, "zorder": 2.3},
     "gtsam": {"color": "#0072B2", "linestyle": "none", "marker": "o", "markerfacecolor": "none", "zorder": 3.5},
+    "isam2": {"color": "#332288", "linestyle": (0, (2, 2)), "linewidth": 1.0, "zorder": 2.8},
     "mcl": {"color": "#CC79A7", "linestyle": (0, (1, 1.2)), "linewidth": 1.4, "zorder": 2.5},
     "fastslam1": {"color": "#009E73", "linestyle": (0, (6, 1.2, 1, 1.2)), "linewidth": 1.1, "zorder": 2.6},
     "fastslam2": {"color": "#882255", "linestyle": (0, (3, 1, 1, 1, 1, 1)), "linewidth": 1.1, "zorder": 2.7},
@@ -131,7 +132,7 @@ def style_of(name: str, steps: int) -> dict[str, Any]:
 def _draw_map(axes: Axes, comparison: Comparison) -> None:
     log = comparison.log
     truth = log.true_poses
-    reference = _reference(comparison)
+    reference = reference_of(comparison)
     core: list[Array] = []
     rest: list[Array] = []
     if truth is not None:
@@ -142,7 +143,7 @@ def _draw_map(axes: Axes, comparison: Comparison) -> None:
             axes.plot(landmarks[:, 0], landmarks[:, 1], **_true_landmark_style())
             core.append(landmarks)
     for result in comparison.results:
-        frame = _frame(comparison, result)
+        frame = frame_of(comparison, result)
         poses = compose(frame, result.poses)
         shown = np.where(result.estimated[:, None], poses, np.nan)
         axes.plot(shown[:, 0], shown[:, 1], **style_of(result.name, len(shown)))
@@ -220,7 +221,7 @@ def _draw_convergence(axes: Axes, comparison: Comparison) -> None:
     axes.set(xlabel="iteration", ylabel="norm of the correction", title="(b) convergence (the log has no true poses)")
 
 
-def _frame(comparison: Comparison, result: EstimatorResult) -> Array:
+def frame_of(comparison: Comparison, result: EstimatorResult) -> Array:
     """The motion (3,) that a result is drawn after: onto the truth as a whole, or dead reckoning onto its start."""
     truth = comparison.log.true_poses
     if truth is None or not result.estimated.any():
@@ -232,7 +233,7 @@ def _frame(comparison: Comparison, result: EstimatorResult) -> Array:
     return align(truth, result.poses, result.estimated)
 
 
-def _reference(comparison: Comparison) -> EstimatorResult | None:
+def reference_of(comparison: Comparison) -> EstimatorResult | None:
     """The result that sightings and map are drawn of: the graph, or the best thing after it."""
     for name in ("graph", "gtsam", "textbook", "fastslam1"):
         if name in comparison:
@@ -301,7 +302,7 @@ def _legend(comparison: Comparison) -> tuple[list[Any], list[str]]:
     if truth and comparison.log.true_landmarks:
         handles.append(Line2D([], [], **_true_landmark_style()))
         labels.append("true landmark")
-    reference = _reference(comparison)
+    reference = reference_of(comparison)
     for result in comparison.results:
         if _has_map(result, reference):
             color = style_of(result.name, 0)["color"]

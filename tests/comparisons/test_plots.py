@@ -99,7 +99,7 @@ def test_estimates_are_laid_onto_the_truth_and_dead_reckoning_starts_there(log: 
             name=name, poses=compose([3, 4, 1], log.true_poses), estimated=np.ones(25, bool), seconds=0
         )
         outcome = Comparison(log, (result,))
-        np.testing.assert_allclose(compose(plots._frame(outcome, result), result.poses), expected, atol=1e-9)
+        np.testing.assert_allclose(compose(plots.frame_of(outcome, result), result.poses), expected, atol=1e-9)
 
 
 def test_ellipses_by_hand(log: Log) -> None:
