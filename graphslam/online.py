@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from .errors import GraphError, OptionError, check_choice
 from .factors import AnchorFactor, LandmarkFactor, MotionFactor, ObservationFactor, RelativePoseFactor
+from .factors.layer import positive_definite
 from .graph import Graph
 from .log import Log
 from .models import MotionModel, SensorModel
@@ -76,6 +77,8 @@ class IncrementalSmoother:
         self.num_poses = 1
         self._seen: dict[int, tuple[list[int], list[Array]]] = {}
         self._slot: dict[int, int] = {}
+        # GTSAM's symbols count from zero, ids of landmarks may be negative
+        self._numbers: dict[int, int] = {}
         self._latest = np.array(start, dtype=float)
         self._factors, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._factors.add(AnchorFactor(_pose(0), self._latest))
@@ -90,12 +93,18 @@ class IncrementalSmoother:
         )
 
     def move_by(self, motion: ArrayLike, covariance: ArrayLike) -> None:
-        """The robot has moved: a new pose, as seen (3,) from the one before with a covariance (3, 3)."""
-        information = self.motion_weight * np.linalg.inv(np.asarray(covariance, dtype=float))
-        self._reach(
-            compose(self._latest, motion),
-            RelativePoseFactor(*self._ends(), motion, (information + information.T) / 2),
-        )
+        """The robot has moved: a new pose, as seen (3,) from the one before with a covariance (3, 3).
+
+        Raises:
+            OptionError: the motion is no three finite numbers, or the covariance not symmetric positive definite.
+        """
+        try:
+            inverse = np.linalg.inv(np.asarray(covariance, dtype=float))
+            information = positive_definite(self.motion_weight * (inverse + inverse.T) / 2)
+        except (np.linalg.LinAlgError, TypeError, ValueError, OptionError):
+            raise OptionError("covariance must be a symmetric positive definite 3 x 3 matrix") from None
+        factor = RelativePoseFactor(*self._ends(), motion, information)
+        self._reach(compose(self._latest, np.asarray(motion, dtype=float)), factor)
 
     def _ends(self) -> tuple[int, int]:
         return _pose(self.num_poses - 1), _pose(self.num_poses)
@@ -107,27 +116,55 @@ class IncrementalSmoother:
         self.num_poses += 1
 
     def observe(self, ids: ArrayLike, sightings: ArrayLike) -> None:
-        """The robot sees landmarks ids (K,) as sightings (K, 2 or 3) from its latest pose."""
-        for landmark, z in zip(np.asarray(ids).tolist(), np.atleast_2d(np.asarray(sightings, dtype=float))):
+        """The robot sees landmarks ids (K,) as sightings (K, 2 or 3) from its latest pose.
+
+        Raises:
+            OptionError: ids and sightings do not belong together, or a sighting is impossible; nothing is taken then.
+            GraphError: virtual edges of sightings without psi, whose information depends on the poses.
+        """
+        named, seen = self._checked(ids, sightings)
+        for landmark, z in zip(named, seen):
             if self.edges.startswith("landmark"):
+                key = _landmark(self._numbers.setdefault(landmark, len(self._numbers)))
                 if landmark not in self._seen:
                     y = self.sensor.h_inverse(self._latest, z)
-                    self._values.insert(_landmark(landmark), gtsam.Pose2(*y) if len(z) == 3 else gtsam.Point2(*y))
-                factor = ObservationFactor(
-                    _pose(self.num_poses - 1), _landmark(landmark), z, self.sensor, kernel=self.kernel
-                )
-                self._factors.add(factor)
+                    self._values.insert(key, gtsam.Pose2(*y) if len(z) == 3 else gtsam.Point2(*y))
+                self._factors.add(ObservationFactor(_pose(self.num_poses - 1), key, z, self.sensor, kernel=self.kernel))
             else:
                 self._touched.append(landmark)
-            keys, seen = self._seen.setdefault(landmark, ([], []))
+            keys, all_seen = self._seen.setdefault(landmark, ([], []))
             keys.append(_pose(self.num_poses - 1))
-            seen.append(z)
+            all_seen.append(z)
+
+    def _checked(self, ids: ArrayLike, sightings: ArrayLike) -> tuple[list[int], Array]:
+        named = np.atleast_1d(np.asarray(ids))
+        if named.size == 0:
+            return [], np.zeros((0, 3))
+        try:
+            seen = np.atleast_2d(np.array(sightings, dtype=float))
+        except (TypeError, ValueError):
+            seen = np.zeros((0, 0))
+        if named.dtype.kind not in "iu" or named.ndim != 1:
+            raise OptionError(f"ids must be whole numbers, not {ids!r}")
+        if seen.shape not in ((len(named), 2), (len(named), 3)):
+            raise OptionError(f"{len(named)} ids need as many sightings (l, phi) or (l, phi, psi), not {sightings!r}")
+        if not np.isfinite(seen).all() or np.any(seen[:, 0] <= 0):
+            raise OptionError(f"sightings must be finite, and their ranges above zero: {sightings!r}")
+        before = next((all_seen[0] for _, all_seen in self._seen.values()), seen[0])
+        if len(before) != seen.shape[1]:
+            raise OptionError(f"the sightings so far have {len(before)} numbers each, these have {seen.shape[1]}")
+        if seen.shape[1] == 2 and self.edges.startswith("virtual") and self.weight != "marginal":
+            raise GraphError(
+                "without psi the information of pairs depends on the poses, which isam2 cannot re-evaluate; use "
+                "weight='marginal' or edges='landmark+motion'"
+            )
+        return named.tolist(), seen
 
     def update(self) -> None:
         """Give ISAM2 what is new.
 
         Raises:
-            GraphError: the sightings' information depends on the poses, or GTSAM finds the system indeterminate.
+            GraphError: GTSAM finds the system indeterminate.
         """
         removed, placed, first_new = [], [], self._factors.size()
         for landmark in dict.fromkeys(self._touched):
@@ -135,13 +172,8 @@ class IncrementalSmoother:
             if len(set(keys)) < 2:
                 continue
             if landmark in self._slot:
-                removed.append(self._slot.pop(landmark))
-            try:
-                self._factors.add(LandmarkFactor(keys, np.array(seen), self.sensor, "body", self.weight))
-            except OptionError as error:
-                raise GraphError(
-                    f"isam2 cannot re-evaluate information: {error}; use weight='marginal' or edges='landmark+motion'"
-                ) from None
+                removed.append(self._slot[landmark])
+            self._factors.add(LandmarkFactor(keys, np.array(seen), self.sensor, "body", self.weight))
             placed.append(landmark)
         try:
             result = self.isam.update(self._factors, self._values, removed)
@@ -177,7 +209,9 @@ class IncrementalSmoother:
         for number in range(1, max_updates + 1):
             self.isam.update()
             now = self.poses
-            if np.abs(wrap(now - before)).max() < tolerance:
+            moved = now - before
+            moved[:, 2] = wrap(moved[:, 2])
+            if np.abs(moved).max() < tolerance:
                 return number
             before = now
         return max_updates
@@ -197,10 +231,10 @@ class IncrementalSmoother:
         values, found = self.isam.calculateEstimate(), {}
         for landmark, (_, seen) in sorted(self._seen.items()):
             if len(seen[0]) == 3:
-                pose = values.atPose2(_landmark(landmark))
+                pose = values.atPose2(_landmark(self._numbers[landmark]))
                 found[landmark] = np.array([pose.x(), pose.y(), pose.theta()])
             else:
-                found[landmark] = values.atPoint2(_landmark(landmark))
+                found[landmark] = values.atPoint2(_landmark(self._numbers[landmark]))
         return found
 
 

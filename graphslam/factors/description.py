@@ -28,7 +28,7 @@ _MODELS |= {type(kernel).__name__: type(kernel) for kernel in KERNELS.values()}
 class FactorDescription:
     """A factor type's name, its keys, and the arguments besides them; arrays, numbers, words and noise models.
 
-    Immutable, picklable, and equal to another of the same content.
+    Picklable, and equal to another of the same content. Its arrays are read-only copies.
     """
 
     kind: str
@@ -86,8 +86,16 @@ class FactorDescription:
         return hash((self.kind, self.keys))
 
     def __str__(self) -> str:
-        names = ", ".join(gtsam.DefaultKeyFormatter(key) for key in self.keys)
+        names = ", ".join(map(key_name, self.keys))
         return f"{self.kind}({names})"
+
+
+def key_name(key: int) -> str:
+    """How GTSAM calls a key, x3; the number itself where its first byte is no letter."""
+    try:
+        return str(gtsam.DefaultKeyFormatter(key))
+    except UnicodeDecodeError:
+        return str(key)
 
 
 #: factor types whose first argument is a list of keys
@@ -107,8 +115,8 @@ def describe(factor: gtsam.NonlinearFactor) -> FactorDescription:
         except FactorError as error:
             if error.description is not None:
                 return error.description
-        except RuntimeError:
-            pass  # somebody else's factor
+        except Exception:
+            pass  # somebody else's factor, and whatever it raises
     raise OptionError(f"{type(factor).__name__} is none of the factor types of graphslam.factors")
 
 
@@ -141,7 +149,7 @@ def load_factors(path: str | Path) -> gtsam.NonlinearFactorGraph:
         descriptions = [FactorDescription.from_dict(each) for each in data["factors"]]
     except OSError as error:
         raise FormatError(path, None, f"cannot be read: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         if isinstance(error, OptionError):
             raise FormatError(path, None, str(error)) from None
         raise FormatError(path, None, "is no file of save_factors, version 1") from None
@@ -149,7 +157,7 @@ def load_factors(path: str | Path) -> gtsam.NonlinearFactorGraph:
     for number, description in enumerate(descriptions):
         try:
             graph.add(description.build())
-        except (OptionError, TypeError) as error:
+        except (OptionError, TypeError, ValueError, AttributeError) as error:
             raise FormatError(path, None, f"factor {number}, {description}: {error}") from None
     return graph
 

@@ -14,7 +14,7 @@ from ..models import SensorModel
 from ..robust import Kernel
 from ..se2 import Array, rotation, wrap
 from .landmark_kernels import compressed, pair_cost, pair_sums, placed
-from .layer import POSE, Coordinates, Factor
+from .layer import POSE, Coordinates, Factor, check_keys_listed, sensor_of
 
 WEIGHTS = ("pairs", "tempered", "marginal")
 
@@ -62,9 +62,10 @@ class LandmarkFactor(Factor):
     ) -> None:
         check_choice("frame", frame, ("world", "body"))
         check_choice("weight", weight, WEIGHTS)
-        sensor = sensor or SensorModel()
-        node = np.arange(len(keys)) if of is None else np.asarray(of)
-        if node.ndim != 1 or not np.array_equal(np.unique(node), np.arange(len(keys))):
+        check_keys_listed("LandmarkFactor", keys)
+        sensor = sensor_of(sensor)
+        node = np.arange(len(keys)) if of is None else np.array(of)
+        if node.ndim != 1 or node.dtype.kind not in "iu" or not np.array_equal(np.unique(node), np.arange(len(keys))):
             raise OptionError(
                 f"of must name each of the {len(keys)} keys, from 0 to {len(keys) - 1}, for every sighting"
             )
@@ -74,7 +75,7 @@ class LandmarkFactor(Factor):
         z = _matrix("sightings", sightings, (len(node), (2, 3)))
         if len(z) == 0 or np.any(z[:, 0] <= 0):
             raise OptionError("LandmarkFactor needs at least one sighting, and ranges above zero")
-        faith = np.ones(len(z)) if trust is None else np.asarray(trust, dtype=float)
+        faith = np.ones(len(z)) if trust is None else np.array(trust, dtype=float)
         if faith.shape != (len(z),) or not np.all((faith > 0) & np.isfinite(faith)):
             raise OptionError(f"trust must be {len(z)} positive numbers, one per sighting")
         frozen = frame == "world" or (weight != "marginal" and z.shape[1] == 2)
@@ -82,7 +83,8 @@ class LandmarkFactor(Factor):
             raise OptionError("the information depends on the poses here; give them as 'at', one per sighting")
         reference = _matrix("at", at, (len(z), (3,))) if frozen else None
         arguments = {
-            "sightings": z, "sensor": sensor, "frame": frame, "weight": weight, "at": reference, "trust": trust,
+            "sightings": z, "sensor": sensor, "frame": frame, "weight": weight, "at": reference,
+            "trust": None if trust is None else faith,
             "of": None if len(keys) == len(z) else node,
         }  # fmt: skip
         make = _marginal if weight == "marginal" else _pairs

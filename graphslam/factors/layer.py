@@ -21,7 +21,7 @@ from ..errors import FactorError, OptionError
 from ..models import SensorModel
 from ..robust import Cauchy, GemanMcClure, Huber, Kernel, kernel_of
 from ..se2 import Array
-from .description import FactorDescription
+from .description import FactorDescription, key_name
 
 #: what may stand at a key: a `gtsam.Pose2`, given to residuals as (x, y, theta), or a `gtsam.Point2`, as (x, y)
 POSE, POINT = "pose", "point"
@@ -49,6 +49,10 @@ class Factor(gtsam.CustomFactor):
         """See `guarded`; ``arguments`` are those that the factor type can be made anew from."""
         keys = checked_keys(type(self).__name__, keys)
         arguments = dict(arguments) | ({"kernel": kernel_of(kernel)} if kernel is not None else {})
+        for value in arguments.values():
+            if isinstance(value, np.ndarray):
+                # a factor does not change because somebody goes on working with an array
+                value.flags.writeable = False
         description = FactorDescription(type(self).__name__, tuple(keys), arguments)
         callback = guarded(description, kinds, noise.dim(), residual, in_own_axes, error)
         super().__init__(robust_noise(noise, kernel), keys, callback)
@@ -116,17 +120,27 @@ def guarded(
         if not isfinite(e.dot(e)):
             raise FactorError(f"its residual is not finite at {_shown(at)}: {e}", description)
         if jacobians is not None:
-            if len(by_value) != len(keys):
-                raise FactorError(f"it needs {len(keys)} Jacobians, one per key, not {len(by_value)}", description)
+            if not hasattr(by_value, "__len__") or len(by_value) != len(keys):
+                told = f"it needs {len(keys)} Jacobians, one per key, not {by_value!r}"
+                raise FactorError(told, description)
             for k, (value, (_, is_pose), shape) in enumerate(zip(at, ends, shapes)):
                 try:
-                    own = turned(by_value[k], value[2]) if is_pose and not in_own_axes else by_value[k]
+                    raw = by_value[k]
+                except Exception as problem:
+                    told = f"its residual raised {type(problem).__name__} for Jacobian {k}: {problem}"
+                    raise FactorError(told, description) from problem
+                try:
+                    if np.iscomplexobj(raw):
+                        raise TypeError("it is complex")
+                    own = turned(raw, value[2]) if is_pose and not in_own_axes else raw
                     jacobian = np.asarray(own, dtype=float, order="F")
                 except (TypeError, ValueError, IndexError) as problem:
                     raise FactorError(f"Jacobian {k} is no matrix of numbers: {problem}", description) from problem
                 if jacobian.shape != shape:
                     told = f"Jacobian {k} must have shape {shape}, not {jacobian.shape}"
                     raise FactorError(told, description)
+                if not isfinite(jacobian.sum()):
+                    raise FactorError(f"its Jacobian {k} is not finite at {_shown(at)}", description)
                 jacobians[k] = jacobian
         return e
 
@@ -174,8 +188,27 @@ def checked_keys(name: str, keys: Sequence[Any]) -> list[int]:
             raise OptionError(f"{name}: a key must be an integer from 0 to 2^64 - 1, not {key!r}")
         checked.append(number)
     if len(set(checked)) < len(checked):
-        raise OptionError(f"{name}: its keys must differ, but are {', '.join(map(gtsam.DefaultKeyFormatter, checked))}")
+        raise OptionError(f"{name}: its keys must differ, but are {', '.join(map(key_name, checked))}")
     return checked
+
+
+def check_keys_listed(name: str, keys: Any) -> None:
+    """Raise `OptionError` unless ``keys`` is a sequence."""
+    if not hasattr(keys, "__len__") or isinstance(keys, str):
+        raise OptionError(f"{name} takes a list of keys, not {keys!r}")
+
+
+def sensor_of(sensor: Any) -> SensorModel:
+    """A sensor model, the book's for None.
+
+    Raises:
+        OptionError: it is none.
+    """
+    if sensor is None:
+        return SensorModel()
+    if not isinstance(sensor, SensorModel):
+        raise OptionError(f"sensor must be a SensorModel, not {sensor!r}")
+    return sensor
 
 
 def positive_definite(information: ArrayLike, size: int = 3, name: str = "information") -> Array:
@@ -184,7 +217,10 @@ def positive_definite(information: ArrayLike, size: int = 3, name: str = "inform
     Raises:
         OptionError: it is not.
     """
-    omega = np.asarray(information, dtype=float)
+    try:
+        omega = np.asarray(information, dtype=float)
+    except (TypeError, ValueError):
+        omega = np.empty(0)
     symmetric = omega.shape == (size, size) and np.allclose(omega, omega.T, rtol=0, atol=1e-9 * np.abs(omega).max())
     if not symmetric or not np.linalg.eigvalsh(omega)[0] > 0:
         raise OptionError(f"{name} must be a symmetric positive definite {size} x {size} matrix")
@@ -216,7 +252,7 @@ def vector(name: str, value: ArrayLike, lengths: tuple[int, ...]) -> Array:
         OptionError: it is not, or not finite.
     """
     try:
-        numbers = np.asarray(value, dtype=float)
+        numbers = np.array(value, dtype=float)
     except (TypeError, ValueError):
         numbers = np.empty((0, 0))
     if numbers.ndim != 1 or len(numbers) not in lengths or not np.all(np.isfinite(numbers)):
@@ -232,7 +268,7 @@ def wrapped(angle: float) -> float:
 def _unreadable(values: gtsam.Values, keys: Sequence[int], kinds: Sequence[str]) -> str:
     """What is wrong with the values at the keys."""
     for key, kind in zip(keys, kinds):
-        name, wanted = gtsam.DefaultKeyFormatter(key), KINDS[kind][1]
+        name, wanted = key_name(key), KINDS[kind][1]
         if not values.exists(key):
             return f"the values have nothing at its key {name}; insert a {wanted} there"
         try:

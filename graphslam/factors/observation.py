@@ -21,6 +21,7 @@ from .layer import (
     positive_definite,
     robust_noise,
     seen_from_robot,
+    sensor_of,
     sighting,
     vector,
     wrapped,
@@ -58,7 +59,7 @@ class ObservationFactor(Factor):
         kernel: Kernel | str | None = None,
     ) -> Any:
         """The native factor where GTSAM has one."""
-        seen, sensor = sighting("z", z), sensor or SensorModel()
+        seen, sensor = sighting("z", z), sensor_of(sensor)
         if len(seen) == 3 or not sensor.centred:
             return super().__new__(cls)
         check_positive(weight=weight)
@@ -79,7 +80,7 @@ class ObservationFactor(Factor):
         kernel: Kernel | str | None = None,
     ) -> None:
         check_positive(weight=weight)
-        seen, sensor = sighting("z", z), sensor or SensorModel()
+        seen, sensor = sighting("z", z), sensor_of(sensor)
         oriented = len(seen) == 3
         length, bearing, orientation = (*seen.tolist(), 0.0)[:3]
         ahead, left = sensor.offset

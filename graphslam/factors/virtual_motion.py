@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..errors import OptionError, check_choice, check_positive
 from ..models import SensorModel
 from ..robust import Kernel
-from .layer import POSE, Coordinates, Factor, robust_noise, seen_from_robot, sighting, vector, wrapped
+from .layer import POSE, Coordinates, Factor, robust_noise, seen_from_robot, sensor_of, sighting, vector, wrapped
 
 
 class VirtualMotionFactor(Factor):
@@ -53,7 +53,7 @@ class VirtualMotionFactor(Factor):
     ) -> None:
         check_choice("frame", frame, ("world", "body"))
         check_positive(weight=weight)
-        sensor = sensor or SensorModel()
+        sensor = sensor_of(sensor)
         first, second = sighting("z_1", z_1), sighting("z_2", z_2)
         if len(first) != len(second):
             raise OptionError("z_1 and z_2 must both have psi, or both lack it")
@@ -68,6 +68,8 @@ class VirtualMotionFactor(Factor):
                 "give them as 'at'"
             )
         else:
+            if not hasattr(at, "__len__") or len(at) != 2:
+                raise OptionError(f"at must be two poses, not {at!r}")
             x1, x2 = vector("at[0]", at[0], (3,)), vector("at[1]", at[1], (3,))
             covariance = sensor.landmark_covariance(x1, first) + sensor.landmark_covariance(x2, second)
         # the landmark in the frame of the robot, by each sighting
@@ -96,7 +98,7 @@ class VirtualMotionFactor(Factor):
 
         noise = gtsam.noiseModel.Gaussian.Covariance(covariance / weight)
         # the poses matter only where the information was frozen at them
-        frozen_at = None if (body and oriented) or at is None else tuple(np.asarray(x, dtype=float) for x in at)
+        frozen_at = None if (body and oriented) or at is None else (x1, x2)
         arguments = {"z_1": first, "z_2": second, "sensor": sensor, "frame": frame, "at": frozen_at, "weight": weight}
         super().__init__([key_1, key_2], [POSE, POSE], noise, residual, arguments, kernel)
 
