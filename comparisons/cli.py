@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .cli_backends import backends
-from .cli_config import ConfigFile, config_of
+from .cli_calibrate import calibrate
+from .cli_config import ConfigFile, config_of, noise_options
 from .cli_consistency import consistency
 from .cli_datasets import datasets
 from .cli_options import (
@@ -31,10 +32,13 @@ from .cli_options import (
     MaxRange,
     Nn,
     No,
+    NoiseFile,
     On,
     Oo,
     OrientationStd,
+    RangeBias,
     RangeRate,
+    RangeScale,
     RangeStd,
     Resampling,
     Robot,
@@ -48,7 +52,7 @@ from .cli_parse import numbers
 from .cli_particles import particles
 from .cli_simulate import simulate
 from .cli_study import study
-from .cli_support import DIFFERENT, INTERRUPTED, Output, examples, models, read_log, sentences
+from .cli_support import DIFFERENT, INTERRUPTED, Output, examples, models, read_log, sentences, with_noise
 from .cli_sweep import sweep
 
 if TYPE_CHECKING:
@@ -89,6 +93,7 @@ def _app(
         "slam-compare run",
         "slam-compare run LOG --estimators graph,fastslam1 --particles 5000",
         "slam-compare run LOG --edges virtual --frame world --json -",
+        "slam-compare run LOG --noise noise.toml --robust huber",
         "slam-compare run --config results/latest/config.toml",
     )
 )
@@ -144,6 +149,9 @@ def run(
             help="Where the graph's solvers start: auto, given, dead-reckoning or rotation-first.", rich_help_panel=GRAPH
         ),
     ] = "auto",
+    noise: NoiseFile = None,
+    range_scale: RangeScale = None,
+    range_bias: RangeBias = None,
     nn: Nn = None,
     no: No = None,
     on: On = None,
@@ -177,11 +185,13 @@ def run(
         config_of(ctx, config, log)
         reading: dict[str, Any] = {"robot": robot, "keep_every": keep_every, "stride": stride, "max_range": max_range}
         data, source = read_log(log, format, dimensions, **reading)
-        motion, sensor = models(
-            data, nn=nn, no=no, on=on, oo=oo, sigma_v=sigma_v, sigma_omega=sigma_omega, epsilon=epsilon,
+        said = noise_options(
+            ctx, nn=nn, no=no, on=on, oo=oo, sigma_v=sigma_v, sigma_omega=sigma_omega, epsilon=epsilon,
             range_rate=range_rate, range_std=range_std, bearing_std=bearing_std, orientation_std=orientation_std,
-            sensor_offset=sensor_offset,
+            sensor_offset=sensor_offset, range_scale=range_scale, range_bias=range_bias,
         )  # fmt: skip
+        data, line = with_noise(data, noise, said.pop("range_scale"), said.pop("range_bias"))
+        motion, sensor = models(data, **said)
         options = RunOptions(
             edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, robust=robust, initialize=initialize,
             particles=particles, seed=seed, resampling=resampling, association=association, motion=motion, sensor=sensor,
@@ -191,7 +201,7 @@ def run(
         source = source.absolute()
         effective = RunConfig(
             log=None if log is None else source, log_sha256=sha256_of(source), format=format, dimensions=dimensions,
-            estimators=None if names is None else tuple(names), options=with_models(options, data), **reading,
+            estimators=None if names is None else tuple(names), options=with_models(options, data), **reading, **line,
         )  # fmt: skip
         outcome = compare(data, names, options, source=source, progress=_progress(output))
         files = outcome.save(out, config=effective)
@@ -311,6 +321,16 @@ app.command(
         "slam-compare particles LOG --figure particles.png --json particles.json",
     )
 )(particles)
+
+
+app.command(
+    epilog=examples(
+        "slam-compare calibrate LOG --out noise.toml",
+        "slam-compare calibrate ../shared/data/mrclam6 --robot 1 --out noise.toml",
+        "slam-compare calibrate LOG --source residuals --json -",
+        "slam-compare run LOG --noise noise.toml --robust huber",
+    )
+)(calibrate)
 
 
 app.command(epilog=examples("slam-compare datasets", "SLAM_DATA=~/data slam-compare datasets --json -"))(datasets)

@@ -37,6 +37,23 @@ Stride = Annotated[int, typer.Option(help="Keep only every so manieth pose, and 
 MaxRange = Annotated[
     float | None, typer.Option(metavar="M", help="Leave out what was seen from farther [m].", show_default=False)
 ]
+NoiseFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--noise", metavar="FILE", help="Noise models that calibrate wrote (TOML); single numbers below beat it.",
+        show_default="the log's, else the book's", rich_help_panel=NOISE,
+    ),
+]  # fmt: skip
+RangeScale = Annotated[
+    float | None,
+    typer.Option(
+        help="Measured range = scale * range + bias; undone before anything else.", show_default="1",
+        rich_help_panel=NOISE,
+    ),
+]  # fmt: skip
+RangeBias = Annotated[
+    float | None, typer.Option(help=r"The bias of that \[m].", show_default="0", rich_help_panel=NOISE)
+]
 Dimensions = Annotated[
     int | None,
     typer.Option(
