@@ -191,6 +191,7 @@ def run(
             sensor_offset=sensor_offset, range_scale=range_scale, range_bias=range_bias,
         )  # fmt: skip
         data, line = with_noise(data, noise, said.pop("range_scale"), said.pop("range_bias"))
+        reading |= line
         motion, sensor = models(data, **said)
         options = RunOptions(
             edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, robust=robust, initialize=initialize,
@@ -201,7 +202,7 @@ def run(
         source = source.absolute()
         effective = RunConfig(
             log=None if log is None else source, log_sha256=sha256_of(source), format=format, dimensions=dimensions,
-            estimators=None if names is None else tuple(names), options=with_models(options, data), **reading, **line,
+            estimators=None if names is None else tuple(names), options=with_models(options, data), **reading,
         )  # fmt: skip
         outcome = compare(data, names, options, source=source, progress=_progress(output))
         files = outcome.save(out, config=effective)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
-
-import numpy as np
 
 from ..errors import LogError, check_choice
 from ..log import Log
@@ -121,37 +120,43 @@ def calibrate(
     if source == "auto":
         source = "truth" if knows_enough(log) else "residuals"
     if source == "truth":
-        if not knows_enough(log):
-            raise LogError(
-                f"{log.name} has no truth that tells poses with headings and landmarks that were seen; estimate its "
-                "noise from residuals"
-            )
-        moved = None if log.controls is None else motion_noise(log, degrees)
-        seen, line = sensor_noise(log, sensor, degrees)
-        errors = {} if moved is None else _errors(moved)
-        return Calibration(
-            motion=None if moved is None else motion_model(moved.variances),
-            sensor=sensor_model(seen.variances, sensor),
-            range_scale=line.scale,
-            range_bias=line.bias,
-            errors=errors | _errors(seen) | {"range_scale": line.scale_error, "range_bias": line.bias_error},
-            source=source,
-            notes=_notes(moved, seen),
-            **_counts(moved, seen),
+        return _from_truth(log, sensor, degrees)
+    return _from_residuals(log, motion, sensor, degrees)
+
+
+def _from_truth(log: Log, sensor: SensorModel, degrees: float | None) -> Calibration:
+    if not knows_enough(log):
+        raise LogError(
+            f"{log.name} has no truth that tells poses with headings and landmarks that were seen; estimate its noise "
+            "from residuals"
         )
+    moved = None if log.controls is None else motion_noise(log, degrees)
+    seen, line = sensor_noise(log, sensor, degrees)
+    found = _calibration("truth", moved, seen, sensor)
+    errors = found.errors | {"range_scale": line.scale_error, "range_bias": line.bias_error}
+    return replace(found, range_scale=line.scale, range_bias=line.bias, errors=errors)
+
+
+def _from_residuals(log: Log, motion: MotionModel, sensor: SensorModel, degrees: float | None) -> Calibration:
     if log.controls is None:
         raise LogError(f"{log.name} has no controls, and without them residuals cannot tell the noise")
     settled = noise_from_residuals(log, motion, sensor, degrees)
-    notes = _notes(settled.motion, settled.sensor)
-    if not settled.converged:
-        notes += (f"the variances had not settled after {settled.rounds} rounds",)
+    found = _calibration("residuals", settled.motion, settled.sensor, sensor)
+    if settled.converged:
+        return found
+    return replace(found, notes=(*found.notes, f"the variances had not settled after {settled.rounds} rounds"))
+
+
+def _calibration(source: str, moved: VarianceFit | None, seen: VarianceFit, sensor: SensorModel) -> Calibration:
+    fits = {"sensor": seen} if moved is None else {"motion": moved, "sensor": seen}
     return Calibration(
-        motion=motion_model(settled.motion.variances),
-        sensor=sensor_model(settled.sensor.variances, sensor),
-        errors=_errors(settled.motion) | _errors(settled.sensor),
+        motion=None if moved is None else motion_model(moved.variances),
+        sensor=sensor_model(seen.variances, sensor),
+        errors={name: error for fit in fits.values() for name, error in _errors(fit).items()},
+        degrees={name: fit.degrees for name, fit in fits.items()},
+        counts={name: fit.count for name, fit in fits.items()},
         source=source,
-        notes=notes,
-        **_counts(settled.motion, settled.sensor),
+        notes=tuple(_heavy_tails(fits)),
     )
 
 
@@ -164,23 +169,10 @@ def _errors(fit: VarianceFit) -> dict[str, float]:
     }
 
 
-def _counts(moved: VarianceFit | None, seen: VarianceFit) -> dict[str, dict[str, float]]:
-    fits = {"sensor": seen} if moved is None else {"motion": moved, "sensor": seen}
-    return {
-        "degrees": {name: fit.degrees for name, fit in fits.items()},
-        "counts": {name: fit.count for name, fit in fits.items()},
-    }
-
-
-def _notes(moved: VarianceFit | None, seen: VarianceFit) -> tuple[str, ...]:
-    notes = []
-    if np.isfinite(seen.degrees) and seen.degrees < HEAVY:
-        notes.append(
-            f"sightings have heavy tails ({seen.degrees:.1f} degrees of freedom): their noise is that of the bulk, so "
-            "run with a robust kernel (--robust huber)"
-        )
-    if moved is not None and np.isfinite(moved.degrees) and moved.degrees < HEAVY:
-        notes.append(
-            f"motions have heavy tails ({moved.degrees:.1f} degrees of freedom): their noise is that of the bulk"
-        )
-    return tuple(notes)
+def _heavy_tails(fits: Mapping[str, VarianceFit]) -> Iterator[str]:
+    for what, advice in (("sensor", ", so run with a robust kernel (--robust cauchy, or huber)"), ("motion", "")):
+        if what in fits and fits[what].degrees < HEAVY:
+            yield (
+                f"{'sightings' if what == 'sensor' else 'motions'} have heavy tails ({fits[what].degrees:.1f} degrees of "
+                f"freedom): their noise is that of the bulk{advice}"
+            )

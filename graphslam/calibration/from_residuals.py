@@ -33,12 +33,19 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from ..solver import solve
 from ..uncertainty import Uncertainty
-from .parts import LEAST_EPSILON, motion_parts, motion_variances, ordinary, sensor_model, sensor_parts
-from .parts import sensor_variances as variances_of
+from .parts import (
+    LEAST_EPSILON,
+    motion_parts,
+    motion_variances,
+    ordinary,
+    sensor_model,
+    sensor_parts,
+    sensor_variances,
+)
 from .variances import FEWEST, MOST, VarianceFit, standard_errors
 
-#: the iteration has settled when the variances that edges have on average change by less than this part in a round
-SETTLED = 1e-4
+#: the iteration has settled when no variance, made e times larger or smaller, would change the log likelihood by more
+SETTLED = 0.1
 #: the most that a variance grows or shrinks in one round
 FASTEST = 10.0
 #: a part that explains less than this of the edges' variance is none
@@ -55,7 +62,6 @@ class _Share:
     degrees: float | None
     weights: Array
     nu: float = 10.0
-    expected: dict[str, float] = field(default_factory=dict)
     leverage: Array = field(default_factory=lambda: np.empty(0))
 
     @property
@@ -64,7 +70,7 @@ class _Share:
         return sum(self.variances[name] * C for name, C in self.parts.items())  # type: ignore[return-value]
 
     def improve(self, residuals: Array, leverage: Array) -> float:
-        """One round on residuals (E, d) with P_e (E, d, d); how much the edges' variance changed, as a part of it."""
+        """One round on residuals (E, d) with P_e (E, d, d); the steepest slope of the log likelihood by a log variance."""
         self.leverage = leverage
         W = np.linalg.inv(self.covariances)
         pulled = np.einsum("eij,ej->ei", W, residuals)
@@ -76,8 +82,8 @@ class _Share:
             self.nu = self.degrees
         self.weights = np.ones(len(squares)) if np.isinf(self.nu) else (self.nu + d) / (self.nu + squares)
         u = self.weights * self.counted
-        total, changed = 0.0, 0.0
         held = W @ leverage @ W
+        steepest = 0.0
         for name, C in self.parts.items():
             before = self.variances[name]
             if before == 0:
@@ -85,15 +91,15 @@ class _Share:
             found = float(np.einsum("e,ei,eij,ej->", u, pulled, C, pulled, optimize=True))
             whole = float(np.einsum("e,eij,eji->", self.counted.astype(float), W, C, optimize=True))
             wanted = whole - float(np.einsum("e,eij,eji->", u, held, C, optimize=True))
-            factor = np.clip(found / wanted if wanted > 0 else 1.0, 1 / FASTEST, FASTEST)
-            self.variances[name] = before * float(factor)
-            total += before * whole
-            changed += abs(self.variances[name] - before) * whole
-            if self.variances[name] * whole < NEGLIGIBLE * len(u) * d:
-                self.variances[name] = 0.0
+            after = before * float(np.clip(found / wanted if wanted > 0 else 1.0, 1 / FASTEST, FASTEST))
             if name == "epsilon":
-                self.variances[name] = max(self.variances[name], LEAST_EPSILON)
-        return changed / total
+                after = max(after, LEAST_EPSILON)
+            elif after * whole < NEGLIGIBLE * len(u) * d:
+                after = 0.0
+            if after != before:
+                steepest = max(steepest, 0.5 * before * abs(found - wanted))
+            self.variances[name] = after
+        return steepest
 
     def fit(self) -> VarianceFit:
         """The outcome, with standard errors from the information that the leverage leaves."""
@@ -136,18 +142,18 @@ def noise_from_residuals(
     anchor, seen, driven = graph.families
     assert isinstance(seen, ObservationEdges) and isinstance(driven, RelativePoseEdges)
     n = log.sightings.shape[1]
-    gaps = ordinary(log)
-    moved = _Share(motion_parts(log), {}, gaps, degrees, np.ones(driven.count))
+    regular = ordinary(log)
+    moved = _Share(motion_parts(log), {}, regular, degrees, np.ones(driven.count))
     sighted = _Share(
         sensor_parts(log.sightings), {}, np.ones(seen.count, dtype=bool), degrees, np.ones(seen.count)
     )  # fmt: skip
     moved.variances = _begun(motion_variances(motion), moved.parts)
-    sighted.variances = _begun(variances_of(sensor, n), sighted.parts)
-    of_gaps = log.motions(motion)[1][~gaps]
+    sighted.variances = _begun(sensor_variances(sensor, n), sighted.parts)
+    across_gaps = log.motions(motion)[1][~regular]
 
     def models() -> Graph:
         covariances = moved.covariances
-        covariances[~gaps] = of_gaps
+        covariances[~regular] = across_gaps
         information = np.linalg.inv(covariances)
         information = moved.weights[:, None, None] * (information + np.swapaxes(information, 1, 2)) / 2
         model = sensor_model(sighted.variances, sensor)
@@ -171,12 +177,12 @@ def noise_from_residuals(
                 raise GraphError(f"{log.name}: the graph could not be solved with the noise found so far")
             state = solution.state
         uncertainty = Uncertainty(current, state)
-        change = 0.0
+        slope = 0.0
         for share, family in ((sighted, current.families[1]), (moved, current.families[2])):
             taken = family.linearize(state, state)
-            change = max(change, share.improve(taken.residuals, uncertainty.of_edges(taken)))
+            slope = max(slope, share.improve(taken.residuals, uncertainty.of_edges(taken)))
         rounds += 1
-        converged = change < SETTLED
+        converged = slope < SETTLED
     return Settled(moved.fit(), sighted.fit(), rounds, converged)
 
 

@@ -27,8 +27,8 @@ FEWEST, MOST = 1.0, 1e4
 #: where the search begins, in turn: how much of the residuals the parts explain together, and nu
 STARTS = ((1.0, 10.0), (0.1, 4.0))
 
-#: a part that explains less than this of the typical variance is none
-NEGLIGIBLE = 1e-7
+#: a part that explains less than this of the typical variance is none, and none explains more than the second of it
+NEGLIGIBLE, MOST_EXPLAINED = 1e-7, 100.0
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def fit_variances(
         by_nu = by_nu * nu if degrees is None else 0.0
         return -value / count, -np.append(by_theta * theta, by_nu) / count
 
-    bounds = [(np.log(NEGLIGIBLE), 20.0)] * len(unit) + [(np.log(FEWEST), np.log(MOST))]
+    bounds = [(np.log(NEGLIGIBLE), np.log(MOST_EXPLAINED))] * len(unit) + [(np.log(FEWEST), np.log(MOST))]
     best = None
     # the likelihood may have several maxima: where parts are alike, and between few large and many small residuals
     begins = [np.append(np.full(len(unit), np.log(share / len(unit))), np.log(nu)) for share, nu in STARTS]
