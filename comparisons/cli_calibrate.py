@@ -68,4 +68,6 @@ def calibrate(
         output.json(found.to_json())
         if out is not None:
             write_noise(found, out, data.name)
-            output.say(f"Wrote {out}.", f"Next: slam-compare run {'' if log is None else f'{log} '}--noise {out}")
+            again = ["slam-compare run", *([] if log is None else [str(log)]), f"--noise {out}"]
+            again += [] if robot is None else [f"--robot {robot}"]
+            output.say(f"Wrote {out}.", f"Next: {' '.join(again)}")

@@ -35,7 +35,7 @@ KeepEvery = Annotated[
 ]
 Stride = Annotated[int, typer.Option(help="Keep only every so manieth pose, and what was seen from it.", min=1)]
 MaxRange = Annotated[
-    float | None, typer.Option(metavar="M", help="Leave out what was seen from farther [m].", show_default=False)
+    float | None, typer.Option(metavar="M", help=r"Leave out what was seen from farther \[m].", show_default=False)
 ]
 NoiseFile = Annotated[
     Path | None,
@@ -98,7 +98,10 @@ RangeStd = Annotated[float | None, _noise("range-std", "0", "Noise of the range 
 SensorOffset = Annotated[
     str | None,
     typer.Option(
-        metavar="AHEAD,LEFT", help="Where the sensor sits on the robot [m].", show_default="0,0", rich_help_panel=NOISE
+        metavar="AHEAD,LEFT",
+        help=r"Where the sensor sits on the robot \[m].",
+        show_default="0,0",
+        rich_help_panel=NOISE,
     ),
 ]
 RangeRate = Annotated[float | None, _noise("range-rate", "0.14", "Noise of the range, per metre of it.")]
