@@ -73,11 +73,11 @@ class Case:
 GRAPHS = ("graph",)
 CASES = (
     Case(folder="mrclam6", robot=1, noise="by hand", robust="huber", figure="real-mrclam6-1"),
-    Case(folder="mrclam6", robot=1, noise="truth of 1", robust="huber"),
+    Case(folder="mrclam6", robot=1, noise="truth of 1", robust="huber", estimators=GRAPHS),
     Case(folder="mrclam6", robot=1, noise="truth of 3", robust="huber", estimators=GRAPHS),
     Case(folder="mrclam6", robot=1, noise="residuals of 1", robust="cauchy", estimators=GRAPHS),
     Case(folder="mrclam6", robot=3, noise="by hand", robust="huber", figure="real-mrclam6-3"),
-    Case(folder="mrclam6", robot=3, noise="truth of 3", robust="huber"),
+    Case(folder="mrclam6", robot=3, noise="truth of 3", robust="huber", estimators=GRAPHS),
     Case(folder="mrclam6", robot=3, noise="truth of 1", robust="huber", estimators=GRAPHS),
     Case(folder="mrclam6", robot=3, noise="residuals of 3", robust="cauchy", estimators=GRAPHS),
     Case(
@@ -186,7 +186,9 @@ def main() -> None:
         print("\n".join(lines(case, outcome, consistency)), flush=True)
         rows += [row(case, r, outcome.metrics[r.name], consistency) for r in outcome.results]
         if told.figures is not None and case.figure is not None:
-            comparison_figure(outcome).savefig(told.figures / f"{case.figure}.png", dpi=110)
+            # the native graph lies on ours
+            shown = replace(outcome, results=tuple(r for r in outcome.results if r.name != "gtsam-native"))
+            comparison_figure(shown).savefig(told.figures / f"{case.figure}.png", dpi=110)
     if told.json is not None:
         told.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
 

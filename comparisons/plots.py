@@ -39,6 +39,7 @@ _STYLES: dict[str, dict[str, Any]] = {
     "textbook": {"color": "#D55E00", "linestyle": "none", "marker": "x", "markersize": 3.6, "zorder": 3.4},
     "graph": {"color": "#56B4E9", "linestyle": "-", "linewidth": 2.3, "zorder": 2.3},
     "gtsam": {"color": "#0072B2", "linestyle": "none", "marker": "o", "markerfacecolor": "none", "zorder": 3.5},
+    "isam2": {"color": "#332288", "linestyle": (0, (2, 2)), "linewidth": 1.0, "zorder": 2.8},
     "mcl": {"color": "#CC79A7", "linestyle": (0, (1, 1.2)), "linewidth": 1.4, "zorder": 2.5},
     "fastslam1": {"color": "#009E73", "linestyle": (0, (6, 1.2, 1, 1.2)), "linewidth": 1.1, "zorder": 2.6},
     "fastslam2": {"color": "#882255", "linestyle": (0, (3, 1, 1, 1, 1, 1)), "linewidth": 1.1, "zorder": 2.7},
