@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from graphslam import Log, LogError, MotionModel, OptionError, SensorModel, simulate
+from graphslam import Graph, Log, LogError, MotionModel, OptionError, SensorModel, simulate, solve
 from graphslam.calibration import calibrate
 from graphslam.calibration.parts import motion_parts, motion_variances, sensor_parts, sensor_variances
 from graphslam.calibration.variances import fit_variances, standard_errors
+from graphslam.uncertainty import Uncertainty
 
 MOTION = MotionModel(nn=0.08, no=0.03, on=0.05, oo=0.1, epsilon=1e-6)
 SENSOR = SensorModel(range_rate=0.04, range_std=0.05, bearing_std=0.03, orientation_std=0.06)
@@ -140,6 +141,21 @@ def test_degrees_of_freedom_are_found() -> None:
     # three standard errors of nu at 4 and 4000 samples are about 1
     assert 3.2 < fit.degrees < 5
     assert fit.variances["a"] == pytest.approx(0.04, rel=0.1)
+
+
+def test_what_the_solution_leaves_to_residuals() -> None:
+    """The trace of the hat matrix: all edges together, tr(Omega_e B_e Omega^-1 B_e') sums to the number of unknowns."""
+    log = drive(0, steps=40)
+    graph = Graph.from_log(log, edges="landmark+motion", motion=MOTION, sensor=SENSOR)
+    state = solve(graph).state
+    uncertainty = Uncertainty(graph, state)
+    anchor, *binary = graph.families
+    held = anchor.linearize(state, state)
+    total = float(np.trace(held.information[0] @ uncertainty.diagonal[0]))
+    for family in binary:
+        edges = family.linearize(state, state)
+        total += float(np.einsum("eij,eji->", edges.information, uncertainty.of_edges(edges)))
+    assert total == pytest.approx(3 * log.num_poses + 2 * len(log.landmark_ids), rel=1e-6)
 
 
 # -- bad input ---------------------------------------------------------------------------------------------------------
