@@ -18,6 +18,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from graphslam.calibration import calibrate
+
     from .api import run
     from .backends import compare_backends
     from .comparison import Comparison
@@ -33,23 +35,25 @@ if TYPE_CHECKING:
 
 #: name, and the module that has it
 _HOMES = {
-    "run": "api",
-    "Comparison": "comparison",
-    "RunOptions": "estimator",
-    "compare_solvers": "solvers",
-    "compare_backends": "backends",
-    "study_particles": "particles",
-    "study_consistency": "consistency",
-    "survey": "datasets",
-    "write_report": "report",
-    "read_study": "studies.plan",
-    "sweep": "studies.sweep",
-    "summarise": "studies.summary",
+    "run": ".api",
+    "Comparison": ".comparison",
+    "RunOptions": ".estimator",
+    "compare_solvers": ".solvers",
+    "compare_backends": ".backends",
+    "study_particles": ".particles",
+    "study_consistency": ".consistency",
+    "survey": ".datasets",
+    "write_report": ".report",
+    "read_study": ".studies.plan",
+    "sweep": ".studies.sweep",
+    "summarise": ".studies.summary",
+    "calibrate": "graphslam.calibration",
 }
 
 __all__ = [
     "Comparison",
     "RunOptions",
+    "calibrate",
     "compare_backends",
     "compare_solvers",
     "read_study",
@@ -66,7 +70,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f".{_HOMES[name]}", __name__), name)
+    return getattr(import_module(_HOMES[name], __name__), name)
 
 
 def __dir__() -> list[str]:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .cli_backends import backends
+from .cli_calibrate import calibrate
 from .cli_config import ConfigFile
 from .cli_consistency import consistency
 from .cli_datasets import datasets
@@ -33,10 +34,13 @@ from .cli_options import (
     MaxRange,
     Nn,
     No,
+    NoiseFile,
     On,
     Oo,
     OrientationStd,
+    RangeBias,
     RangeRate,
+    RangeScale,
     RangeStd,
     Resampling,
     Robot,
@@ -92,6 +96,7 @@ def _app(
         "slam-compare run",
         "slam-compare run LOG --estimators graph,fastslam1 --particles 5000",
         "slam-compare run LOG --edges virtual --frame world --json -",
+        "slam-compare run LOG --noise noise.toml --robust huber",
         "slam-compare run --config results/latest/config.toml",
     ),
 )
@@ -148,6 +153,9 @@ def run(
             help="Where the graph's solvers start: auto, given, dead-reckoning or rotation-first.", rich_help_panel=GRAPH
         ),
     ] = "auto",
+    noise: NoiseFile = None,
+    range_scale: RangeScale = None,
+    range_bias: RangeBias = None,
     nn: Nn = None,
     no: No = None,
     on: On = None,
@@ -188,13 +196,13 @@ def run(
 
             check_page(html)
         outcome, effective = compared(
-            ctx, output, log=log, config=config, estimators=estimators, format=format, dimensions=dimensions,
+            ctx, output, log=log, noise=noise, config=config, estimators=estimators, format=format, dimensions=dimensions,
             robot=robot, keep_every=keep_every, stride=stride, max_range=max_range,
             edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, robust=robust, initialize=initialize,
             particles=particles, seed=seed, resampling=resampling, association=association,
             nn=nn, no=no, on=on, oo=oo, sigma_v=sigma_v, sigma_omega=sigma_omega, epsilon=epsilon,
             range_rate=range_rate, range_std=range_std, bearing_std=bearing_std, orientation_std=orientation_std,
-            sensor_offset=sensor_offset,
+            sensor_offset=sensor_offset, range_scale=range_scale, range_bias=range_bias,
         )  # fmt: skip
         files = outcome.save(out, formats=formats, config=effective)
         output.console.print(comparison_table(outcome.table))
@@ -328,6 +336,16 @@ app.command(
         "slam-compare particles LOG --figure particles.png --json particles.json",
     ),
 )(verb(particles))
+
+
+app.command(
+    epilog=examples(
+        "slam-compare calibrate LOG --out noise.toml",
+        "slam-compare calibrate ../shared/data/mrclam6 --robot 1 --out noise.toml",
+        "slam-compare calibrate LOG --source residuals --json -",
+        "slam-compare run LOG --noise noise.toml --robust huber",
+    )
+)(verb(calibrate))
 
 
 app.command(epilog=examples("slam-compare datasets", "SLAM_DATA=~/data slam-compare datasets --json -"))(verb(datasets))

@@ -69,3 +69,18 @@ def config_of(ctx: typer.Context, config: Path | None, log: Path | None) -> dict
             check_file(path)
         check_unchanged(path, flat["log_sha256"])
     return flat
+
+
+def noise_options(ctx: typer.Context, **options: Any) -> dict[str, Any]:
+    """The options of the noise models; those of the configuration are None where ``--noise`` was given beside it.
+
+    Else the models that every saved configuration has would beat, unseen, the file that the user names.
+    """
+
+    def typed(name: str) -> bool:
+        source = ctx.get_parameter_source(name)
+        return source is not None and source.name == "COMMANDLINE"
+
+    if not typed("noise"):
+        return options
+    return {name: value if typed(name) else None for name, value in options.items()}

@@ -35,7 +35,24 @@ KeepEvery = Annotated[
 ]
 Stride = Annotated[int, typer.Option(help="Keep only every so manieth pose, and what was seen from it.", min=1)]
 MaxRange = Annotated[
-    float | None, typer.Option(metavar="M", help="Leave out what was seen from farther [m].", show_default=False)
+    float | None, typer.Option(metavar="M", help=r"Leave out what was seen from farther \[m].", show_default=False)
+]
+NoiseFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--noise", metavar="FILE", help="Noise models that calibrate wrote (TOML); single numbers below beat it.",
+        show_default="the log's, else the book's", rich_help_panel=NOISE,
+    ),
+]  # fmt: skip
+RangeScale = Annotated[
+    float | None,
+    typer.Option(
+        help="Measured range = scale * range + bias; undone before anything else.", show_default="1",
+        rich_help_panel=NOISE,
+    ),
+]  # fmt: skip
+RangeBias = Annotated[
+    float | None, typer.Option(help=r"The bias of that \[m].", show_default="0", rich_help_panel=NOISE)
 ]
 Dimensions = Annotated[
     int | None,
@@ -84,7 +101,10 @@ RangeStd = Annotated[float | None, _noise("range-std", "0", "Noise of the range 
 SensorOffset = Annotated[
     str | None,
     typer.Option(
-        metavar="AHEAD,LEFT", help="Where the sensor sits on the robot [m].", show_default="0,0", rich_help_panel=NOISE
+        metavar="AHEAD,LEFT",
+        help=r"Where the sensor sits on the robot \[m].",
+        show_default="0,0",
+        rich_help_panel=NOISE,
     ),
 ]
 RangeRate = Annotated[float | None, _noise("range-rate", "0.14", "Noise of the range, per metre of it.")]

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from .cli_config import config_of
-from .cli_support import Advance, Output, models, read_log
+from .cli_config import config_of, noise_options
+from .cli_support import Advance, Output, models, read_log, with_noise
 
 if TYPE_CHECKING:
     from .comparison import Comparison, Progress, Skipped
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _READING = ("robot", "keep_every", "stride", "max_range")
 _NOISE = ("nn", "no", "on", "oo", "sigma_v", "sigma_omega", "epsilon", "range_rate", "range_std", "bearing_std",
-          "orientation_std", "sensor_offset")  # fmt: skip
+          "orientation_std", "sensor_offset", "range_scale", "range_bias")  # fmt: skip
 
 
 def compared(
@@ -29,6 +29,7 @@ def compared(
     estimators: str | None,
     format: str | None,
     dimensions: int | None,
+    noise: Path | None,
     **told: Any,
 ) -> tuple[Comparison, RunConfig]:
     """The comparison that the options of ``run`` ask for, and its effective configuration.
@@ -40,6 +41,7 @@ def compared(
         config: the file of ``--config``, already read.
         estimators: 'a,b,...'; None for all.
         format, dimensions: of the log.
+        noise: the file of ``--noise``.
         told: the other options of ``run``, by the names of its parameters.
 
     Raises:
@@ -53,7 +55,10 @@ def compared(
     config_of(ctx, config, log)
     reading = {name: told.pop(name) for name in _READING}
     data, source = read_log(log, format, dimensions, **reading)
-    motion, sensor = models(data, **{name: told.pop(name) for name in _NOISE})
+    said = noise_options(ctx, **{name: told.pop(name) for name in _NOISE})
+    data, line = with_noise(data, noise, said.pop("range_scale"), said.pop("range_bias"))
+    reading |= line
+    motion, sensor = models(data, **said)
     options = RunOptions(motion=motion, sensor=sensor, **told)
     names = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
     # the whole path, so that a repeat from another folder writes the same

@@ -160,6 +160,36 @@ def read_log(
     return (log.without_orientation() if dimensions == 2 else log), source
 
 
+def with_noise(
+    log: Log, noise: Path | None, range_scale: float | None = None, range_bias: float | None = None
+) -> tuple[Log, dict[str, float]]:
+    """The log with the models of a noise file and with its ranges corrected, and by which line.
+
+    Args:
+        log: as it was read.
+        noise: the file, or None.
+        range_scale, range_bias: beat those of the file.
+
+    Returns:
+        The log, and {"range_scale": ..., "range_bias": ...}.
+
+    Raises:
+        FormatError: the file is not a noise file.
+        LogError: a corrected range would not be above zero.
+        OptionError: an option is impossible.
+    """
+    said = {}
+    if noise is not None:
+        from .noise_files import read_noise
+
+        found = read_noise(noise)
+        log = found.apply(log)
+        said = {"range_scale": found.range_scale, "range_bias": found.range_bias}
+    said |= given({"range_scale": range_scale, "range_bias": range_bias})
+    line = {"range_scale": 1.0, "range_bias": 0.0} | said
+    return (log.with_corrected_ranges(line["range_scale"], line["range_bias"]) if said else log), line
+
+
 def models(
     log: Log | None,
     *,

@@ -360,6 +360,7 @@ def _result_json(result: EstimatorResult, metrics: Metrics) -> dict[str, Any]:
         "ate_m": metrics.ate_m,
         "rpe_m": metrics.rpe_m,
         "rpe_rad": metrics.rpe_rad,
+        "heading_rad": metrics.heading_rad,
         "landmark_rmse_m": metrics.landmark_rmse_m,
         "poses_counted": metrics.poses_counted,
         "poses": result.poses,
@@ -374,6 +375,14 @@ def _result_json(result: EstimatorResult, metrics: Metrics) -> dict[str, Any]:
 
 def _skipped_json(entry: Skipped) -> dict[str, Any]:
     unknown = ("converged", "iterations", "step_norms", "cost", "seconds", "ate_m", "rpe_m", "rpe_rad")
-    unknown_too = ("landmark_rmse_m", "poses_counted", "poses", "estimated", "landmarks", "landmark_covariances")
+    unknown_too = (
+        "heading_rad",
+        "landmark_rmse_m",
+        "poses_counted",
+        "poses",
+        "estimated",
+        "landmarks",
+        "landmark_covariances",
+    )
     figures: dict[str, Any] = dict.fromkeys((*unknown, *unknown_too))
     return {"name": entry.name} | figures | {"options": {}, "reason": entry.reason, "notes": []}

@@ -30,7 +30,7 @@ OPTIONS: dict[str, type] = {
 }
 _DATA: dict[str, type] = {
     "log": str, "log_sha256": str, "format": str, "dimensions": int, "robot": int, "keep_every": float, "stride": int,
-    "max_range": float,
+    "max_range": float, "noise": str, "range_scale": float, "range_bias": float,
 }  # fmt: skip
 #: every key that a configuration may have at its top
 KEYS = (*_DATA, "estimators", *OPTIONS, *MODELS)
@@ -46,6 +46,7 @@ class RunConfig:
         format, dimensions, robot, keep_every: how the log is read, see `graphslam.load`; dimensions 2 leaves psi out.
             None: by content.
         stride, max_range: which of its poses and sightings are kept.
+        range_scale, range_bias: the line by which the sensor measures ranges, undone, see `Log.with_corrected_ranges`.
         estimators: which run; None for all that can.
         options: what they are told.
     """
@@ -58,6 +59,8 @@ class RunConfig:
     keep_every: float | None = None
     stride: int = 1
     max_range: float | None = None
+    range_scale: float = 1.0
+    range_bias: float = 0.0
     estimators: tuple[str, ...] | None = None
     options: RunOptions = field(default_factory=RunOptions)
 
@@ -72,6 +75,8 @@ class RunConfig:
             "keep_every": self.keep_every,
             "stride": self.stride if self.stride > 1 else None,
             "max_range": self.max_range,
+            "range_scale": self.range_scale if self.range_scale != 1 else None,
+            "range_bias": self.range_bias if self.range_bias != 0 else None,
             "estimators": self.estimators,
             **asdict(self.options),
         }
@@ -82,7 +87,7 @@ class RunConfig:
 def read_config(path: Path) -> dict[str, Any]:
     """The values of a configuration file, flat: {"log": Path, "particles": 100, "motion.nn": 0.1, ...}.
 
-    A relative path of a log starts from the folder of the file.
+    A relative path of a log or of a noise file starts from the folder of the file.
 
     Raises:
         FormatError: the file is not valid TOML, has an unknown key, or a value that is impossible; with the line.
@@ -94,8 +99,9 @@ def read_config(path: Path) -> dict[str, Any]:
     flat |= read_options(file, {key: value for key, value in table.items() if key in OPTIONS or key in MODELS})
     if (estimators := file.value(table, "estimators", list)) is not None:
         flat["estimators"] = check_estimators(file, estimators)
-    if "log" in flat:
-        flat["log"] = path.parent / flat["log"]
+    for key in ("log", "noise"):
+        if key in flat:
+            flat[key] = path.parent / flat[key]
     check_options(file, flat)
     return flat
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graphslam import OptionError
-from graphslam.se2 import Array, between, compose, transform
+from graphslam.se2 import Array, between, compose, transform, wrap
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,7 @@ class Metrics:
     Attributes:
         ate_m: absolute trajectory error [m], see `ate`.
         rpe_m, rpe_rad: relative pose error per step [m], [rad], see `rpe`.
+        heading_rad: error of the headings [rad], see `heading_rmse`.
         landmark_rmse_m: error of the map [m], see `landmark_rmse`.
         poses_counted: how many poses the figures are of: estimated, and covered by the truth.
     """
@@ -35,6 +36,7 @@ class Metrics:
     ate_m: float | None = None
     rpe_m: float | None = None
     rpe_rad: float | None = None
+    heading_rad: float | None = None
     landmark_rmse_m: float | None = None
     poses_counted: int | None = None
 
@@ -114,6 +116,22 @@ def rpe(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) ->
     return float(np.sqrt(np.mean(error[:, 0] ** 2 + error[:, 1] ** 2))), float(np.sqrt(np.mean(error[:, 2] ** 2)))
 
 
+def heading_rmse(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) -> float | None:
+    """Root mean square [rad] of the headings' errors after the alignment of the positions (see `align`).
+
+    None where the truth tells no heading.
+
+    Raises:
+        OptionError: the shapes differ, or no step counts.
+    """
+    truth, estimate, mask = _checked(truth, estimate, mask, columns=3)
+    told = mask & np.isfinite(truth[:, 2])
+    if not told.any():
+        return None
+    off = wrap(estimate[told, 2] + align(truth, estimate, mask)[2] - truth[told, 2])
+    return float(np.sqrt(np.mean(off**2)))
+
+
 def landmark_rmse(
     truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], alignment: ArrayLike
 ) -> float | None:
@@ -154,6 +172,7 @@ def evaluate(
         ate_m=ate(true_poses, poses, counted),
         rpe_m=None if per_step is None else per_step[0],
         rpe_rad=None if per_step is None else per_step[1],
+        heading_rad=heading_rmse(true_poses, poses, counted),
         landmark_rmse_m=None if true_landmarks is None else landmark_rmse(true_landmarks, landmarks, alignment),
         poses_counted=int(np.count_nonzero(counted)),
     )

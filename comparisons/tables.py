@@ -15,6 +15,8 @@ from .datasets import DATA_SETS, Survey
 from .solvers import SkippedVariant, SolverComparison, VariantResult
 
 if TYPE_CHECKING:
+    from graphslam.calibration import Calibration
+
     from .consistency import ConsistencyStudy
     from .particles import ParticleStudy
 
@@ -187,6 +189,34 @@ def consistency_remarks(outcome: ConsistencyStudy) -> list[str]:
 
 def _band(limits: tuple[float, float]) -> str:
     return f"{limits[0]:.3f} to {limits[1]:.3f}"
+
+
+#: of the numbers of the noise models
+_UNITS = {
+    "nn": "m/√m", "no": "m/√rad", "on": "rad/√m", "oo": "rad/√rad", "epsilon": "m², rad²", "sigma_v": "m/s",
+    "sigma_omega": "rad/s", "range_rate": "m/m", "range_std": "m", "bearing_std": "rad", "orientation_std": "rad",
+    "range_scale": "", "range_bias": "m",
+}  # fmt: skip
+
+
+def calibration_table(found: Calibration, name: str) -> Table:
+    """The numbers of the noise models with their standard errors, a row each."""
+    table = lean_table(f"{name}: noise from {found.source}")
+    for heading, justify in (("number", "left"), ("value", "right"), ("± error", "right"), ("unit", "left")):
+        table.add_column(heading, justify=justify, no_wrap=True)  # type: ignore[arg-type]
+    for key, value in found.numbers.items():
+        error = found.errors.get(key, float("nan"))
+        table.add_row(key, f"{value:.4g}", f"{error:.2g}" if np.isfinite(error) else NOTHING, Text(_UNITS[key]))
+    return table
+
+
+def calibration_remarks(found: Calibration) -> list[str]:
+    """The sentences below the table."""
+    looked = " and ".join(
+        f"{count} {'motions' if what == 'motion' else 'sightings'}" for what, count in found.counts.items()
+    )
+    line = "measured range = range_scale * range + range_bias"
+    return [f"From {looked}; {line}. A dash: zero, or not to be told.", *(f"{note}." for note in found.notes)]
 
 
 def datasets_remarks(outcome: Survey) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import LogError
+from .errors import LogError, OptionError, check_positive
 from .models import MotionModel, SensorModel
 from .se2 import Array, wrap
 
@@ -213,6 +213,26 @@ class Log:
         """The same log without the sightings from farther than ``most`` [m]."""
         kept = self.sightings[:, 0] <= most
         return replace(self, steps=self.steps[kept], landmarks=self.landmarks[kept], sightings=self.sightings[kept])
+
+    def with_corrected_ranges(self, scale: float, bias: float) -> Log:
+        """The same log with ranges (l - bias) / scale, from a sensor that measured ranges as scale * l + bias [m].
+
+        Raises:
+            LogError: a corrected range would not be above zero.
+            OptionError: the scale is not positive, or the bias not finite.
+        """
+        check_positive(range_scale=scale)
+        if not np.isfinite(bias):
+            raise OptionError(f"range_bias must be a finite number, not {bias!r}")
+        sightings = self.sightings.copy()
+        sightings[:, 0] = (sightings[:, 0] - bias) / scale
+        if np.any(sightings[:, 0] <= 0):
+            k = int(np.argmax(sightings[:, 0] <= 0))
+            raise LogError(
+                f"{self.name}: sighting {k} has a range of {self.sightings[k, 0]:g} m, which a range bias of {bias:g} m "
+                "takes below zero; was it found on another sensor?"
+            )
+        return replace(self, sightings=sightings)
 
     def at_steps(self, steps: ArrayLike) -> Log:
         """The log with only these poses and what was seen from them; the motions between them are joined.

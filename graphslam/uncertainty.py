@@ -8,6 +8,7 @@ import numpy as np
 
 from .cholesky import Factor, SingularPivot
 from .diagnosis import undetermined
+from .edges.base import Linearization
 from .graph import Graph
 from .se2 import Array
 
@@ -48,3 +49,13 @@ class Uncertainty:
         if i in self._graph.fixed or j in self._graph.fixed:
             return np.zeros((3, 3))
         return self._factor.covariance(i, j)
+
+    def of_edges(self, edges: Linearization) -> Array:
+        """What the solution lets each residual be uncertain by, B Omega^-1 B' (E, d, d), of edges between two nodes."""
+        first, second = edges.nodes
+        by_first, by_second = edges.jacobians
+        diagonal = self.diagonal
+        crossed = np.array([self.block(i, j) for i, j in zip(first.tolist(), second.tolist())]).reshape(-1, 3, 3)
+        mixed = by_first @ crossed @ np.swapaxes(by_second, 1, 2)
+        own = sum(B @ diagonal[k] @ np.swapaxes(B, 1, 2) for B, k in ((by_first, first), (by_second, second)))
+        return own + mixed + np.swapaxes(mixed, 1, 2)

@@ -47,6 +47,7 @@ def test_every_verb_writes_what_the_schema_says(write):
     valid("backends", write("backends", "out/graph.g2o"))
     valid("particles", write("particles", "log.npz", "--particles", "10,20", "--seeds", 2))
     valid("consistency", write("consistency", "--logs", 2, "--steps", 15, "--jobs", 1))
+    valid("calibrate", write("calibrate", "log.npz"))
     valid("datasets", write("datasets", "--folder", "."))
     Path("study.toml").write_text(STUDY)
     valid("sweep", write("sweep", "study.toml", "--jobs", 0))

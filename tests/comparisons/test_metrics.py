@@ -7,7 +7,17 @@ from evo.core.trajectory import PosePath3D
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comparisons.metrics import Metrics, align, aligned, ate, evaluate, landmark_rmse, position_errors, rpe
+from comparisons.metrics import (
+    Metrics,
+    align,
+    aligned,
+    ate,
+    evaluate,
+    heading_rmse,
+    landmark_rmse,
+    position_errors,
+    rpe,
+)
 from graphslam import OptionError
 from graphslam.se2 import Array, compose, transform, wrap
 
@@ -106,6 +116,19 @@ def test_steps_that_are_not_estimated_count_nowhere() -> None:
     parts = [rpe(truth[a : a + 2], estimate[a : a + 2]) for a in (0, 3, 4)]
     by_hand = np.sqrt(np.mean(np.square([part for part in parts if part is not None]), axis=0))
     assert rpe(truth, spoiled, mask) == pytest.approx(tuple(by_hand))
+
+
+def test_headings_count_after_the_alignment_of_positions() -> None:
+    truth = np.array([[0.0, 0, 0], [1, 0, 0.5], [1, 2, 3.1], [4, 2, -1.0]])
+    turned = compose(np.array([3.0, -1.0, 2.5]), truth)
+    assert heading_rmse(truth, turned) == pytest.approx(0, abs=1e-12)
+    # across the cut at pi, and only where a heading is known
+    turned[2, 2] += 0.2
+    assert heading_rmse(truth, turned) == pytest.approx(0.1)
+    truth[[0, 1, 3], 2] = np.nan
+    assert heading_rmse(truth, turned) == pytest.approx(0.2)
+    truth[2, 2] = np.nan
+    assert heading_rmse(truth, turned) is None
 
 
 def test_rpe_needs_neighbours() -> None:

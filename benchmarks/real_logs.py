@@ -1,0 +1,197 @@
+"""Real logs, all estimators, against their truth: the tables and figures of docs/results.md.
+
+    python benchmarks/real_logs.py [--data ../shared/data] [--only mrclam6] [--figures docs/img] [--json results.json]
+
+For each data set at hand: which noise, then a row per estimator with the errors of `comparisons.metrics`, NEES of the
+graph, and time. The reference row `gtsam-native` is the same problem in GTSAM's own factors (`native_gtsam`), from the
+same start. Calibrated noise is that of ``slam-compare calibrate`` on the log that the column names.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from native_gtsam import native_gtsam
+
+from comparisons.comparison import Comparison, compare, with_models
+from comparisons.datasets import data_folder
+from comparisons.estimator import EstimatorResult, RunOptions
+from comparisons.estimators import make_graph
+from comparisons.metrics import Metrics
+from comparisons.plots import comparison_figure
+from comparisons.results import jsonable
+from graphslam import Log, MotionModel, SensorModel, load, solve
+from graphslam.calibration import Calibration, calibrate
+from graphslam.se2 import compose, inverse, rotation, wrap
+
+FILTERS = ("mcl", "fastslam1", "fastslam2")
+ALL = ("dead-reckoning", "graph", "gtsam", "isam2", *FILTERS)
+
+#: the noise that a native GTSAM graph of MR.CLAM was once tried with, set by hand
+BY_HAND = {
+    "motion": MotionModel.constant(0.1, 0.3, epsilon=1e-8),
+    "sensor": SensorModel(range_rate=0.0, range_std=0.12, bearing_std=0.02),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A log, how it is read, and with which noise it is solved.
+
+    Attributes:
+        folder: below the data; robot, stride, max_range: see `slam-compare run`.
+        noise: "published", "by hand", or "<source> of <robot>", calibrated on that robot's log.
+        robust: kernel of the graphs.
+        estimators: which run, besides the native GTSAM graph.
+        figure: name of a figure in docs/img, if one is drawn.
+    """
+
+    folder: str
+    noise: str
+    robot: int | None = None
+    stride: int = 1
+    max_range: float | None = None
+    robust: str = "none"
+    estimators: tuple[str, ...] = ALL
+    figure: str | None = None
+
+    @property
+    def title(self) -> str:
+        """What the table is called."""
+        extra = [f"robot {self.robot}"] if self.robot is not None else []
+        extra += [f"every {self.stride}th pose"] if self.stride > 1 else []
+        extra += [f"up to {self.max_range:g} m"] if self.max_range is not None else []
+        return ", ".join([self.folder.split("/")[0], *extra, f"noise {self.noise}", f"kernel {self.robust}"])
+
+
+GRAPHS = ("graph",)
+CASES = (
+    Case(folder="mrclam6", robot=1, noise="by hand", robust="huber", figure="real-mrclam6-1"),
+    Case(folder="mrclam6", robot=1, noise="truth of 1", robust="huber", estimators=GRAPHS),
+    Case(folder="mrclam6", robot=1, noise="truth of 3", robust="huber", estimators=GRAPHS),
+    Case(folder="mrclam6", robot=1, noise="residuals of 1", robust="cauchy", estimators=GRAPHS),
+    Case(folder="mrclam6", robot=3, noise="by hand", robust="huber", figure="real-mrclam6-3"),
+    Case(folder="mrclam6", robot=3, noise="truth of 3", robust="huber", estimators=GRAPHS),
+    Case(folder="mrclam6", robot=3, noise="truth of 1", robust="huber", estimators=GRAPHS),
+    Case(folder="mrclam6", robot=3, noise="residuals of 3", robust="cauchy", estimators=GRAPHS),
+    Case(
+        folder="lost_in_the_woods/dataset2.mat", noise="published", stride=5, max_range=5.0,
+        figure="real-lost-in-the-woods",
+    ),
+    Case(folder="simulated_535", noise="published", figure="real-huang-535"),
+    # GTSAM's ISAM2 fails on this one (indeterminate system)
+    Case(
+        folder="simulated_8240", noise="published", estimators=tuple(name for name in ALL if name not in ("isam2", "gtsam")),
+        figure="real-huang-8240",
+    ),
+)  # fmt: skip
+
+
+@cache
+def read(data: Path, folder: str, robot: int | None, stride: int, max_range: float | None) -> Log:
+    """A log of a case."""
+    log = load(data / folder, robot=robot)
+    log = log.at_steps(np.arange(0, log.num_poses, stride)) if stride > 1 else log
+    return log if max_range is None else log.nearer_than(max_range)
+
+
+@cache
+def calibrated(data: Path, folder: str, robot: int, source: str) -> Calibration:
+    """The noise of a robot's log."""
+    return calibrate(read(data, folder, robot, 1, None), source)
+
+
+def prepared(case: Case, data: Path) -> tuple[Log, RunOptions]:
+    """The log of a case, with its ranges corrected where the noise says so, and what the estimators are told."""
+    log = read(data, case.folder, case.robot, case.stride, case.max_range)
+    options = RunOptions(robust=case.robust, particles=500)
+    if case.noise == "by hand":
+        return log, replace(options, **BY_HAND)
+    if case.noise != "published":
+        source, _, robot = case.noise.partition(" of ")
+        log = calibrated(data, case.folder, int(robot), source).apply(log)
+    return log, with_models(options, log)
+
+
+def nees(log: Log, options: RunOptions) -> float | None:
+    """Mean over poses of e' Sigma^-1 e / 3, e the error of the pose seen from the first: 1 where uncertainty is true."""
+    truth = log.true_poses
+    if truth is None or not np.isfinite(truth[0]).all():
+        return None
+    solution = solve(make_graph(log, options), initialize=options.initialize)
+    known = np.isfinite(truth[:, 2])
+    known[0] = False
+    frame = compose(truth[0], inverse(solution.poses[0]))
+    e = compose(frame, solution.poses[known]) - truth[known]
+    e[:, 2] = wrap(e[:, 2])
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(frame[2])
+    covariances = turn @ solution.covariances()[known] @ turn.T
+    return float(np.mean(np.einsum("ti,ti->t", e, np.linalg.solve(covariances, e[..., None])[..., 0])) / 3)
+
+
+def run(case: Case, data: Path) -> tuple[Comparison, float | None]:
+    """All estimators of a case, the native graph among them, and the graph's NEES."""
+    log, options = prepared(case, data)
+    outcome = compare(log, case.estimators, options, source=data / case.folder)
+    native = native_gtsam(log, options)
+    return replace(outcome, results=(*outcome.results, native)), nees(log, options)
+
+
+def lines(case: Case, outcome: Comparison, consistency: float | None) -> Iterator[str]:
+    """A table in Markdown."""
+    log = outcome.log
+    yield f"\n**{case.title}** ({log.num_poses} poses, {len(log.steps)} sightings, {len(log.landmark_ids)} landmarks)\n"
+    yield "| estimator | ATE [m] | RPE [m] | RPE [rad] | heading [rad] | map [m] | NEES / 3 | J | time [s] |"
+    yield "|---|---|---|---|---|---|---|---|---|"
+    for result in outcome.results:
+        m = outcome.metrics[result.name]
+        figures = [m.ate_m, m.rpe_m, m.rpe_rad, m.heading_rad, m.landmark_rmse_m]
+        figures.append(consistency if result.name == "graph" else None)
+        cells = ["–" if f is None else f"{f:.3f}" for f in figures]
+        cost = "–" if result.cost is None else f"{result.cost:.6g}"
+        stopped = "" if result.converged in (True, None) else " (not converged)"
+        yield f"| {result.name}{stopped} | {' | '.join(cells)} | {cost} | {result.seconds:.2f} |"
+
+
+def row(case: Case, result: EstimatorResult, m: Metrics, consistency: float | None) -> dict[str, object]:
+    """A result as plain data."""
+    keep = ("name", "converged", "iterations", "seconds", "cost", "reason")
+    figures = {"nees": consistency if result.name == "graph" else None}
+    return jsonable({"case": case.title} | {key: getattr(result, key) for key in keep} | vars(m) | figures)
+
+
+def main() -> None:
+    """Run the cases whose data are at hand."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=data_folder(), help="default: SLAM_DATA, else ../shared/data")
+    parser.add_argument("--only", default="", help="cases whose title has this in it")
+    parser.add_argument("--figures", type=Path, help="folder for figures")
+    parser.add_argument("--json", type=Path, help="also write the rows there")
+    told = parser.parse_args()
+    rows = []
+    for case in CASES:
+        if told.only not in case.title:
+            continue
+        if not (told.data / case.folder).exists():
+            print(f"\n{case.title}: not below {told.data}, left out", flush=True)
+            continue
+        outcome, consistency = run(case, told.data)
+        print("\n".join(lines(case, outcome, consistency)), flush=True)
+        rows += [row(case, r, outcome.metrics[r.name], consistency) for r in outcome.results]
+        if told.figures is not None and case.figure is not None:
+            # the native graph lies on ours
+            shown = replace(outcome, results=tuple(r for r in outcome.results if r.name != "gtsam-native"))
+            comparison_figure(shown).savefig(told.figures / f"{case.figure}.png", dpi=110)
+    if told.json is not None:
+        told.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

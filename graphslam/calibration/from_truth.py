@@ -1,0 +1,89 @@
+"""Noise from a log whose true poses and landmarks are known: the residuals are there to see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import LogError
+from ..log import Log
+from ..models import SensorModel
+from ..se2 import between, wrap
+from .parts import motion_parts, ordinary, sensor_parts
+from .variances import VarianceFit, fit_variances
+
+#: scale and bias have settled when they move by less than this
+SETTLED = 1e-6
+
+
+@dataclass(frozen=True)
+class RangeLine:
+    """measured range = scale * range + bias, with the standard errors of both."""
+
+    scale: float
+    bias: float
+    scale_error: float
+    bias_error: float
+
+
+def knows_enough(log: Log) -> bool:
+    """Whether the truth tells poses with headings and the places of landmarks that are named."""
+    if log.true_poses is None or not log.true_landmarks:
+        return False
+    return bool(np.isfinite(log.true_poses[:, 2]).any() and np.isin(log.landmarks, list(log.true_landmarks)).any())
+
+
+def motion_noise(log: Log, degrees: float | None = None) -> VarianceFit:
+    """The motion's variances: each true motion less the one that the controls make, in the frame it starts from.
+
+    Motions across gaps of the odometry, and those whose ends the truth does not cover, do not count.
+
+    Raises:
+        LogError: there are too few motions.
+    """
+    assert log.true_poses is not None
+    e = between(log.true_poses[:-1], log.true_poses[1:]) - log.motions()[0]
+    e[:, 2] = wrap(e[:, 2])
+    counted = np.isfinite(e).all(axis=1) & ordinary(log)
+    return fit_variances(e[counted], {name: C[counted] for name, C in motion_parts(log).items()}, degrees=degrees)
+
+
+def sensor_noise(log: Log, sensor: SensorModel, degrees: float | None = None) -> tuple[VarianceFit, RangeLine]:
+    """The sensor's variances, and the line by which it measures ranges.
+
+    Line and variances are found in turn: the line by least squares with the variances and weights of the last fit, the
+    variances from the ranges that the line corrects. The noise is taken to grow with the true range: a covariance that
+    depends on what was measured would make the likelihood no density of the measurement.
+
+    Raises:
+        LogError: there are too few sightings of true landmarks from true poses.
+    """
+    assert log.true_poses is not None and log.true_landmarks is not None
+    counted = np.isfinite(log.true_poses[log.steps]).all(axis=1) & np.isin(log.landmarks, list(log.true_landmarks))
+    if not counted.any():
+        raise LogError(f"{log.name}: no true pose sees a true landmark")
+    n = log.sightings.shape[1]
+    places = [log.true_landmarks[j] for j in log.landmarks[counted].tolist()]
+    if n == 3 and any(len(place) == 2 for place in places):
+        raise LogError(f"{log.name}: psi has no truth, because true landmarks have no heading; leave psi out")
+    z = log.sightings[counted]
+    seen = sensor.h(log.true_poses[log.steps[counted]], np.array([place[:n] for place in places]))
+    lines, parts = np.column_stack([seen[:, 0], np.ones(len(z))]), sensor_parts(seen)
+    scale, bias, fit = 1.0, 0.0, None
+    for _ in range(100):
+        e = z - seen
+        e[:, 0] = (z[:, 0] - bias) / scale - seen[:, 0]
+        e[:, 1:] = wrap(e[:, 1:])
+        fit = fit_variances(e, parts, degrees=degrees, start=fit)
+        variance = fit.variances["range_rate"] * seen[:, 0] ** 2 + fit.variances["range_std"]
+        weighted = lines * (fit.weights / variance)[:, None]
+        before = scale, bias
+        scale, bias = np.linalg.solve(lines.T @ weighted, weighted.T @ z[:, 0]).tolist()
+        if max(abs(scale - before[0]), abs(bias - before[1])) < SETTLED:
+            break
+    assert fit is not None
+    # the expected information of t is this much less than the Gaussian's
+    share = 1.0 if np.isinf(fit.degrees) else (fit.degrees + n) / (fit.degrees + n + 2)
+    covariance = np.linalg.inv(lines.T @ (lines * (share / variance)[:, None])) * scale**2
+    return fit, RangeLine(scale, bias, float(covariance[0, 0] ** 0.5), float(covariance[1, 1] ** 0.5))

@@ -1,0 +1,131 @@
+"""The verb ``calibrate`` and noise files: round trip, what beats what, and bad files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from comparisons.cli import app
+from comparisons.config import read_config
+from comparisons.noise_files import read_noise, write_noise
+from graphslam import FormatError, SensorModel, save, simulate
+from graphslam.calibration import calibrate
+
+Invoke = Callable[..., Result]
+
+
+@pytest.fixture
+def invoke(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Invoke:
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture
+def log_file(tmp_path: Path) -> Path:
+    """A log whose ranges are measured 5 % and 0.1 m too long."""
+    log = simulate(seed=2, steps=60, clean=True, orientation=False, sensor=SensorModel(range_rate=0.02))
+    sightings = log.sightings.copy()
+    sightings[:, 0] = 1.05 * sightings[:, 0] + 0.1
+    save(log.replace(sightings=sightings), tmp_path / "log.npz")
+    return tmp_path / "log.npz"
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    found = calibrate(simulate(seed=3, steps=80, clean=True))
+    write_noise(found, tmp_path / "noise.toml", "a log")
+    said = read_noise(tmp_path / "noise.toml")
+    applied = said.apply(simulate(seed=4, clean=True))
+    assert (applied.motion, applied.sensor) == (found.motion, found.sensor)
+    assert (said.range_scale, said.range_bias) == (found.range_scale, found.range_bias)
+
+
+def test_from_log_to_run(invoke: Invoke, log_file: Path) -> None:
+    result = invoke("calibrate", "log.npz", "--out", "noise.toml", "--json", "c.json")
+    assert result.exit_code == 0, result.output
+    assert "slam-compare run log.npz --noise noise.toml" in result.stdout
+    found = json.loads(Path("c.json").read_text())
+    assert found["source"] == "truth"
+    assert found["range_scale"] == pytest.approx(1.05, abs=4 * found["errors"]["range_scale"])
+    noise = read_noise(Path("noise.toml"))
+    assert noise.sensor["bearing_std"] == found["sensor"]["bearing_std"]
+
+    told = ["--estimators", "graph", "--json", "-"]
+    (plain,) = json.loads(invoke("run", "log.npz", "--out", "a", *told).stdout)["estimators"]
+    (right,) = json.loads(invoke("run", "log.npz", "--noise", "noise.toml", "--out", "b", *told).stdout)["estimators"]
+    # ranges that are 5 % too long stretch the map; the line takes that back
+    assert right["landmark_rmse_m"] < 0.5 * plain["landmark_rmse_m"]
+
+    # a saved configuration needs the noise file no longer
+    Path("noise.toml").unlink()
+    flat = read_config(Path("b/config.toml"))
+    assert flat["range_scale"] == found["range_scale"]
+    assert "noise" not in flat
+    again = invoke("run", "--config", "b/config.toml", "--out", "c", "--json", "-")
+    assert json.loads(again.stdout)["estimators"][0]["poses"] == right["poses"]
+
+
+def test_what_beats_what(invoke: Invoke, log_file: Path) -> None:
+    Path("noise.toml").write_text("[motion]\nnn = 0.3\noo = 0.4\n[sensor]\nbearing_std = 0.2\n[ranges]\nscale = 1.1\n")
+    Path("c.toml").write_text('log = "log.npz"\nnoise = "noise.toml"\nestimators = ["graph"]\n[motion]\noo = 0.5\n')
+    assert invoke("run", "--config", "c.toml", "--range-bias", 0.05, "--out", "a").exit_code == 0
+    flat = read_config(Path("a/config.toml"))
+    assert (flat["motion.nn"], flat["motion.oo"], flat["motion.on"]) == (0.3, 0.5, 0.13)
+    assert (flat["sensor.bearing_std"], flat["range_scale"], flat["range_bias"]) == (0.2, 1.1, 0.05)
+    # a noise file on the command line beats the models that the configuration has
+    Path("other.toml").write_text("[sensor]\nbearing_std = 0.25\n")
+    assert invoke("run", "--config", "a/config.toml", "--noise", "other.toml", "--nn", 0.1, "--out", "b").exit_code == 0
+    flat = read_config(Path("b/config.toml"))
+    assert (flat["sensor.bearing_std"], flat["motion.nn"], flat["motion.oo"]) == (0.25, 0.1, 0.2)
+    assert "range_scale" not in flat
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("[sensor]\n\nbearing = 1\n", [":3:", "[sensor]", "'bearing_std'"]),
+        ("[sensor]\nbearing_std = -0.1\n", [":2:", "bearing_std", "positive"]),
+        ("[motion]\nsigma_v = -1\n", [":2:", "sigma_v"]),
+        ("[motion]\nepsilon = 0\n", [":2:", "epsilon"]),
+        ("[motion]\nnn = 'much'\n", [":2:", "a number"]),
+        ("[ranges]\nscale = 0\n", [":2:", "scale"]),
+        ("[ranges]\nbias = inf\n", [":2:", "bias"]),
+        ("[ranges]\noffset = 0\n", [":2:", "[ranges]"]),
+        ("[movement]\nnn = 1\n", ["'movement'", "'motion'"]),
+        ("motion = 3\n", [":1:", "a table"]),
+        ("", ["no noise"]),
+        ("[sensor\n", [":1:", "TOML"]),
+    ],
+)
+def test_wrong_files_are_told_in_a_sentence(invoke: Invoke, log_file: Path, content: str, words: list[str]) -> None:
+    Path("n.toml").write_text(content)
+    with pytest.raises(FormatError):
+        read_noise(Path("n.toml"))
+    result = invoke("run", "log.npz", "--noise", "n.toml")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: n.toml")
+    assert result.stderr.count("\n") == 1
+    for word in words:
+        assert word in result.stderr
+    assert not Path("results").exists()
+
+
+def test_wrong_use(invoke: Invoke, log_file: Path) -> None:
+    assert "no such file" in invoke("run", "log.npz", "--noise", "nowhere.toml").stderr
+    result = invoke("run", "log.npz", "--range-bias", 30)
+    assert result.exit_code == 2
+    assert "below zero" in result.stderr
+    result = invoke("calibrate", "log.npz", "--out", "no/such/folder.toml")
+    assert result.exit_code == 2
+    assert "no such folder" in result.stderr
+    assert "source must be one of" in invoke("calibrate", "log.npz", "--source", "guess").stderr
+    blind = simulate(seed=2, steps=9, clean=True)
+    save(blind.replace(steps=[], landmarks=[], sightings=np.zeros((0, 2))), Path("blind.npz"))
+    result = invoke("calibrate", "blind.npz", "--out", "n.toml")
+    assert result.exit_code == 2
+    assert "no sightings" in result.stderr
+    assert not Path("n.toml").exists()

@@ -1,0 +1,215 @@
+"""Noise from simulated logs whose noise is known: it is found again, within the error that the data allow.
+
+The bands are standard errors that `calibrate` states itself, so these also test the errors: over many numbers |value -
+truth| / error is that of a standard normal.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from graphslam import Graph, Log, LogError, MotionModel, OptionError, SensorModel, simulate, solve
+from graphslam.calibration import calibrate
+from graphslam.calibration.parts import motion_parts, motion_variances, sensor_parts, sensor_variances
+from graphslam.calibration.variances import fit_variances, standard_errors
+from graphslam.uncertainty import Uncertainty
+
+MOTION = MotionModel(nn=0.08, no=0.03, on=0.05, oo=0.1, epsilon=1e-6)
+SENSOR = SensorModel(range_rate=0.04, range_std=0.05, bearing_std=0.03, orientation_std=0.06)
+WAY_POINTS = [(6.0, -4.0), (6.0, 5.0), (-6.0, 5.0), (0.0, 0.0), (-6.0, -5.0)]
+
+
+def drive(seed: int, steps: int = 1000, orientation: bool = False, **more: object) -> Log:
+    """A robot that drives straight on and turns on the spot, so that noise per metre and per radian can be told apart."""
+    told: dict = {"motion": MOTION, "sensor": SENSOR, "landmarks": 20, "way_points": WAY_POINTS, "dt": 1.0} | more
+    return simulate(seed=seed, steps=steps, clean=True, orientation=orientation, speed=0.5, turn_rate=0.5, **told)
+
+
+def errors_in_sigmas(found, motion: MotionModel, sensor: SensorModel) -> dict[str, float]:
+    """(value - truth) / standard error of every number that the log tells: zero is more than three errors away.
+
+    Nearer to zero, which no variance can be below, errors are not normal; a bias may be anywhere.
+    """
+    truth = vars(motion) | vars(sensor) | {"range_scale": 1.0, "range_bias": 0.0}
+    return {
+        name: (value - truth[name]) / found.errors[name]
+        for name, value in found.numbers.items()
+        if name in found.errors and (value > 3 * found.errors[name] or name == "range_bias")
+    }
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_from_truth(seed: int) -> None:
+    found = calibrate(drive(seed, orientation=True))
+    assert found.source == "truth"
+    off = errors_in_sigmas(found, MOTION, SENSOR)
+    assert {"nn", "oo", "range_rate", "bearing_std", "orientation_std", "range_scale", "range_bias"} <= off.keys()
+    assert max(map(abs, off.values())) < 4
+    assert found.counts["motion"] == 1000
+    # the tails are as good as Gaussian
+    assert min(found.degrees.values()) > 20
+
+
+def test_the_standard_errors_are_those_of_many_logs() -> None:
+    off = [errors_in_sigmas(calibrate(drive(seed, steps=200)), MOTION, SENSOR) for seed in range(20)]
+    for name in ("bearing_std", "range_scale", "range_bias"):
+        z = np.array([entry[name] for entry in off])
+        # chi-square of 20 degrees of freedom: 99.9 % lie between 5.4 and 47.5
+        assert 5.4 < np.sum(z**2) < 47.5, name
+
+
+def test_range_scale_and_bias() -> None:
+    log = drive(5)
+    sightings = log.sightings.copy()
+    sightings[:, 0] = 1.07 * sightings[:, 0] + 0.12
+    found = calibrate(log.replace(sightings=sightings))
+    assert abs(found.range_scale - 1.07) < 4 * found.errors["range_scale"] < 0.05
+    assert abs(found.range_bias - 0.12) < 4 * found.errors["range_bias"] < 0.1
+    straight = calibrate(log)
+    # noise is that of the corrected range: the line takes nothing from it
+    assert found.sensor.bearing_std == pytest.approx(straight.sensor.bearing_std, rel=1e-3)
+    assert found.sensor.Q([3.0, 0.0])[0, 0] == pytest.approx(straight.sensor.Q([3.0, 0.0])[0, 0], rel=1e-3)
+    back = found.apply(log.replace(sightings=sightings))
+    np.testing.assert_allclose(back.sightings[:, 0], (sightings[:, 0] - found.range_bias) / found.range_scale)
+    assert (back.motion, back.sensor) == (found.motion, found.sensor)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_from_residuals(seed: int) -> None:
+    log = drive(seed)
+    found = calibrate(log.replace(true_poses=None, true_landmarks=None))
+    assert found.source == "residuals"
+    off = errors_in_sigmas(found, MOTION, SENSOR)
+    assert {"oo", "range_rate", "bearing_std"} <= off.keys()
+    assert max(map(abs, off.values())) < 4
+    assert (found.range_scale, found.range_bias) == (1.0, 0.0)
+    # what counts in the end are the covariances of typical sightings and motions
+    for length in (3.0, 5.0):
+        ratio = np.diagonal(found.sensor.Q([length, 0.0])) / np.diagonal(SENSOR.Q([length, 0.0]))
+        assert ratio == pytest.approx(1, abs=0.2)
+    turning = found.motion.covariance(np.zeros(3), [0.0, 0.5], 1.0)[2, 2]
+    assert turning == pytest.approx(MOTION.covariance(np.zeros(3), [0.0, 0.5], 1.0)[2, 2], rel=0.2)
+
+
+def test_residuals_do_not_look_at_the_truth() -> None:
+    log = drive(1, steps=200)
+    blind = calibrate(log.replace(true_poses=None, true_landmarks=None))
+    assert calibrate(log, "residuals").numbers == blind.numbers
+
+
+def test_wrong_sightings_and_slips_do_not_blow_the_noise_up() -> None:
+    log = drive(2)
+    rng = np.random.default_rng(0)
+    sightings = log.sightings.copy()
+    wrong = rng.choice(len(sightings), len(sightings) // 20, replace=False)
+    sightings[wrong, 0] += rng.uniform(1, 3, len(wrong))
+    bad = log.replace(sightings=sightings)
+    robust, plain = calibrate(bad), calibrate(bad, degrees=np.inf)
+    right = SENSOR.Q([3.0, 0.0])[0, 0]
+    assert plain.sensor.Q([3.0, 0.0])[0, 0] > 5 * right
+    assert robust.sensor.Q([3.0, 0.0])[0, 0] < 1.5 * right
+    assert robust.degrees["sensor"] < 10
+    assert any("robust" in note for note in robust.notes)
+
+
+def test_the_parts_make_up_the_models() -> None:
+    log = drive(0, steps=30, orientation=True)
+    motion = MotionModel(nn=0.1, no=0.2, on=0.3, oo=0.4, sigma_v=0.5, sigma_omega=0.6, epsilon=1e-3)
+    parts, variances = motion_parts(log), motion_variances(motion)
+    whole = sum(variances[name] * part for name, part in parts.items())
+    np.testing.assert_allclose(whole, log.motions(motion)[1], rtol=1e-9, atol=1e-15)
+    parts, variances = sensor_parts(log.sightings), sensor_variances(SENSOR, 3)
+    np.testing.assert_allclose(sum(variances[n] * C for n, C in parts.items()), SENSOR.Q(log.sightings))
+
+
+def test_one_variance_has_a_closed_form() -> None:
+    e = np.random.default_rng(1).normal(0, 0.3, (400, 2))
+    C = np.broadcast_to(np.eye(2), (400, 2, 2))
+    fit = fit_variances(e, {"a": C}, degrees=np.inf)
+    assert fit.variances["a"] == pytest.approx(np.mean(e**2), rel=1e-5)
+    # the Gaussian's Fisher information of a variance, n / (2 theta²)
+    assert fit.errors["a"] == pytest.approx(fit.variances["a"] * np.sqrt(2 / 800), rel=1e-9)
+    assert standard_errors(np.eye(2)[None], np.eye(2)[None, None], np.zeros(1), np.inf)[0] != 0
+    assert fit.log_likelihood == pytest.approx(-400 * (np.log(2 * np.pi * np.mean(e**2)) + 1), rel=1e-9)
+
+
+def test_degrees_of_freedom_are_found() -> None:
+    rng = np.random.default_rng(3)
+    e = rng.standard_t(4, (4000, 1)) * 0.2
+    fit = fit_variances(e, {"a": np.ones((4000, 1, 1))})
+    # three standard errors of nu at 4 and 4000 samples are about 1
+    assert 3.2 < fit.degrees < 5
+    assert fit.variances["a"] == pytest.approx(0.04, rel=0.1)
+
+
+def test_what_the_solution_leaves_to_residuals() -> None:
+    """The trace of the hat matrix: all edges together, tr(Omega_e B_e Omega^-1 B_e') sums to the number of unknowns."""
+    log = drive(0, steps=40)
+    graph = Graph.from_log(log, edges="landmark+motion", motion=MOTION, sensor=SENSOR)
+    state = solve(graph).state
+    uncertainty = Uncertainty(graph, state)
+    anchor, *binary = graph.families
+    held = anchor.linearize(state, state)
+    total = float(np.trace(held.information[0] @ uncertainty.diagonal[0]))
+    for family in binary:
+        edges = family.linearize(state, state)
+        total += float(np.einsum("eij,eji->", edges.information, uncertainty.of_edges(edges)))
+    assert total == pytest.approx(3 * log.num_poses + 2 * len(log.landmark_ids), rel=1e-6)
+
+
+# -- bad input ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_log_without_sightings() -> None:
+    log = drive(0, steps=20)
+    empty = log.replace(steps=[], landmarks=[], sightings=np.zeros((0, 2)))
+    with pytest.raises(LogError, match="no sightings"):
+        calibrate(empty)
+
+
+def test_truth_without_landmarks_or_headings() -> None:
+    log = drive(0, steps=20)
+    for poorer in (log.replace(true_landmarks=None), log.replace(true_poses=log.true_poses * [1, 1, np.nan])):
+        with pytest.raises(LogError, match="residuals"):
+            calibrate(poorer, "truth")
+
+
+def test_landmarks_without_names() -> None:
+    from graphslam.log import UNIDENTIFIED
+
+    log = drive(0, steps=20)
+    with pytest.raises(LogError, match="do not tell their landmark"):
+        calibrate(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)))
+
+
+def test_no_controls() -> None:
+    log = drive(0, steps=60)
+    still = log.replace(dt=None, controls=None)
+    found = calibrate(still)
+    assert found.motion is None
+    assert found.sensor.bearing_std == pytest.approx(SENSOR.bearing_std, rel=0.3)
+    with pytest.raises(LogError, match="no controls"):
+        calibrate(still, "residuals")
+
+
+def test_too_few_and_too_exact() -> None:
+    with pytest.raises(LogError, match="too few"):
+        calibrate(drive(0, steps=2))
+    log = drive(0, steps=50)
+    exact = calibrate(log.replace(true_poses=log.dead_reckoning()))
+    assert exact.motion is not None
+    # as good as none, and a model that can be used all the same
+    np.testing.assert_array_less(exact.motion.covariance(np.zeros(3), [0.5, 0.3], 1.0).diagonal(), 2e-9)
+
+
+def test_wrong_options() -> None:
+    log = drive(0, steps=20)
+    with pytest.raises(OptionError, match="source"):
+        calibrate(log, "guess")
+    with pytest.raises(OptionError, match="range_scale"):
+        log.with_corrected_ranges(-1.0, 0.0)
+    with pytest.raises(OptionError, match="range_bias"):
+        log.with_corrected_ranges(1.0, np.nan)
+    with pytest.raises(LogError, match="below zero"):
+        log.with_corrected_ranges(1.0, 50.0)
