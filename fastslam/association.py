@@ -88,7 +88,7 @@ class AnonymousLandmarks:
         candidates = np.array([self._slices[j].index for j in near], dtype=np.int64)
         self._crew.run(
             kernels.associate, belief, poses, drawn, key, self._pool, candidates, np.array(fresh), z, variances,
-            1.0 if oriented else 0.0, log_new, view, CONFIRMED, log_likelihood,
+            1.0 if oriented else 0.0, log_new, self._gate, view, CONFIRMED, log_likelihood,
         )  # fmt: skip
         level = self._genealogy.level()
         born = {self._births + k: _Slice(index, level, (0.0,) * 4) for k, index in enumerate(fresh)}

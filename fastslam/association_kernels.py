@@ -31,8 +31,8 @@ def _read(rows: Array, i: int) -> Nine:
 @njit(**OPTIONS)
 def associate(
     lo: int, hi: int, belief: Array, poses: Array, drawn: bool, key: np.uint64, pool: Array, candidates: np.ndarray,
-    fresh: np.ndarray, sightings: Array, q: Array, third: float, log_new: Array, view: Array, confirmed: float,
-    log_likelihood: Array,
+    fresh: np.ndarray, sightings: Array, q: Array, third: float, log_new: Array, gate: float, view: Array,
+    confirmed: float, log_likelihood: Array,
 ) -> None:  # fmt: skip
     """One scan of K sightings (K, 3): assign, weigh, draw the pose (2.0), update the map and its evidence.
 
@@ -41,34 +41,43 @@ def associate(
         poses: (3, N); where ``drawn`` is False the poses of 2.0 are drawn here, with the numbers of ``key``.
         candidates: the landmarks of the pool that may be in view; ``fresh``: (K,) free ones for new landmarks.
         third: 1 where there is psi, 0 where not; then the third columns of sightings and q are 0 and 1.
-        log_new: (K,) log likelihood of each sighting if it is of a new landmark.
+        log_new: (K,) log likelihood of each sighting if it is of a new landmark: that of a squared Mahalanobis distance
+            of ``gate`` under Q alone.
         view: least range, largest range [m] and largest bearing [rad] within which a landmark should be seen.
         confirmed: the evidence at which a landmark is no longer provisional.
     """
     scan, known = len(sightings), len(candidates)
-    score = np.empty((scan, known))
-    chosen, taken = np.empty(scan, np.int64), np.empty(known, np.bool_)
+    # of each sighting the landmarks that it may be of, their log likelihoods, and how many
+    landmarks, scores, counts = np.empty((scan, known), np.int64), np.empty((scan, known)), np.empty(scan, np.int64)
+    chosen, won, taken = np.empty(scan, np.int64), np.empty(scan), np.empty(known, np.bool_)
+    columns, near = np.empty((4, scan)), np.empty(scan, np.bool_)
+    for k in range(scan):
+        columns[0, k], columns[1, k], columns[2, k], columns[3, k] = sightings[k, 0], sightings[k, 1], q[k, 0], q[k, 1]
     for i in range(lo, hi):
         x = _read(belief, i)
+        counts[:] = 0
         for c in range(known):
-            taken[c] = False
             rows = pool[candidates[c]]
-            # a particle without the landmark cannot choose it
-            have = rows[EVIDENCE, i] > 0
+            if rows[EVIDENCE, i] == 0:
+                # a particle without the landmark cannot choose it
+                continue
+            _find_near(x, _read(rows, i), columns, gate, near)
             for k in range(scan):
-                score[k, c] = -np.inf
-                if have:
-                    z = (sightings[k, 0], sightings[k, 1], sightings[k, 2])
-                    value, _ = fold_into_pose(x, _read(rows, i), z, (q[k, 0], q[k, 1], q[k, 2]), third)
-                    score[k, c] = value if value >= log_new[k] else -np.inf
-        _choose(score, chosen, taken)
+                if not near[k]:
+                    continue
+                z = (sightings[k, 0], sightings[k, 1], sightings[k, 2])
+                value, _ = fold_into_pose(x, _read(rows, i), z, (q[k, 0], q[k, 1], q[k, 2]), third)
+                if value >= log_new[k]:
+                    landmarks[k, counts[k]], scores[k, counts[k]] = c, value
+                    counts[k] += 1
+        _choose(landmarks, scores, counts, chosen, won, taken)
 
         for k in range(scan):
             z, variances = (sightings[k, 0], sightings[k, 1], sightings[k, 2]), (q[k, 0], q[k, 1], q[k, 2])
             if chosen[k] < 0:
                 log_likelihood[i] += log_new[k]
             elif drawn:
-                log_likelihood[i] += score[k, chosen[k]]
+                log_likelihood[i] += won[k]
             else:
                 value, x = fold_into_pose(x, _read(pool[candidates[chosen[k]]], i), z, variances, third)
                 log_likelihood[i] += value
@@ -98,20 +107,60 @@ def associate(
 
 
 @njit(**INLINED)
-def _choose(score: Array, chosen: np.ndarray, taken: np.ndarray) -> None:
-    """The likeliest pair first, then the likeliest of the rest: no landmark is seen twice in a scan."""
-    scan, known = score.shape
-    chosen[:] = -1
-    for _ in range(min(scan, known)):
-        best, sighting, landmark = -np.inf, -1, -1
+def _find_near(x: Nine, landmark: Nine, columns: Array, gate: float, near: np.ndarray) -> None:
+    """Which sightings, columns (4, K) of l, phi and their variances, range and bearing leave within the gate.
+
+    Each alone: e² <= gate (its entry on the diagonal of V). Since V >= Q all others are less likely than a new landmark.
+    """
+    dx, dy = landmark[0] - x[0], landmark[1] - x[1]
+    r = sqrt(dx * dx + dy * dy)
+    ux, uy = dx / r, dy / r
+    vx, vy = -uy / r, ux / r
+    direction = atan2(dy, dx) - x[2]
+    # C = Cov(m - x) and Cov(m - x, theta) = -P_xt, as in `fold_into_pose`
+    cxx, cxy, cyy = x[3] + landmark[3], x[4] + landmark[4], x[6] + landmark[6]
+    along = cxx * ux * ux + 2 * cxy * ux * uy + cyy * uy * uy
+    across = cxx * vx * vx + 2 * cxy * vx * vy + cyy * vy * vy + 2 * (vx * x[5] + vy * x[7]) + x[8]
+    for k in range(len(near)):
+        e0, e1 = columns[0, k] - r, wrap_angle(columns[1, k] - direction)
+        near[k] = (e0 * e0 <= gate * (along + columns[2, k])) & (e1 * e1 <= gate * (across + columns[3, k]))
+
+
+@njit(**INLINED)
+def _choose(
+    landmarks: np.ndarray, scores: Array, counts: np.ndarray, chosen: np.ndarray, won: Array, taken: np.ndarray
+) -> None:
+    """The likeliest pair first, then the likeliest of the rest: no landmark is seen twice in a scan.
+
+    chosen and won (K,) are the landmark of each sighting, -1 for none, and its score; ties go to the first.
+    """
+    scan = len(counts)
+    taken[:] = False
+    # of each sighting the place of the likeliest landmark that is left, -1 where there is none
+    favourite = np.empty(scan, np.int64)
+    for k in range(scan):
+        chosen[k], favourite[k] = -1, _likeliest(landmarks[k], scores[k], counts[k], taken)
+    while True:
+        best, sighting = -np.inf, -1
         for k in range(scan):
-            for c in range(known):
-                if chosen[k] < 0 and not taken[c] and score[k, c] > best:
-                    best, sighting, landmark = score[k, c], k, c
+            if chosen[k] < 0 and favourite[k] >= 0 and scores[k, favourite[k]] > best:
+                best, sighting = scores[k, favourite[k]], k
         if sighting < 0:
             break
-        chosen[sighting] = landmark
-        taken[landmark] = True
+        landmark = landmarks[sighting, favourite[sighting]]
+        chosen[sighting], won[sighting], taken[landmark] = landmark, best, True
+        for k in range(scan):
+            if chosen[k] < 0 and favourite[k] >= 0 and landmarks[k, favourite[k]] == landmark:
+                favourite[k] = _likeliest(landmarks[k], scores[k], counts[k], taken)
+
+
+@njit(**INLINED)
+def _likeliest(landmarks: np.ndarray, scores: Array, count: int, taken: np.ndarray) -> int:
+    best, place = -np.inf, -1
+    for n in range(count):
+        if scores[n] > best and not taken[landmarks[n]]:
+            best, place = scores[n], n
+    return place
 
 
 @njit(**INLINED)

@@ -4,11 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numba import njit
 from scipy.stats import chi2
 
-from fastslam import FastSLAM1, FastSLAM2, textbook
+from fastslam import FastSLAM1, FastSLAM2, association_kernels, textbook
 from fastslam.noise import standard_normals
 from graphslam import MotionModel, OptionError, SensorModel, simulate
+
+
+@njit
+def choose(landmarks, scores, counts, chosen, won, taken):
+    association_kernels._choose(landmarks, scores, counts, chosen, won, taken)
+
+
+@njit
+def find_near(x, landmark, columns, gate, near):
+    association_kernels._find_near(x, landmark, columns, gate, near)
+
 
 UNKNOWN = {"association": "maximum-likelihood"}
 HALF = {
@@ -155,6 +167,50 @@ def test_mutual_exclusion() -> None:
     apart.observe(None, z)
     apart.observe(None, z)
     assert (len(together.state.map()), len(apart.state.map())) == (2, 1)
+
+
+def test_the_choice_is_greedy_also_with_ties() -> None:
+    """Against the plain program, on scores with holes and ties: the same pairs, in a scan of up to nine sightings."""
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        scan, known = rng.integers(1, 10, 2)
+        table = np.where(rng.random((scan, known)) < 0.6, rng.integers(0, 5, (scan, known)).astype(float), -np.inf)
+        landmarks, scores = np.zeros((scan, known), dtype=np.int64), np.zeros((scan, known))
+        counts = np.isfinite(table).sum(axis=1)
+        for k in range(scan):
+            landmarks[k, : counts[k]] = np.flatnonzero(np.isfinite(table[k]))
+            scores[k, : counts[k]] = table[k][np.isfinite(table[k])]
+        chosen, won, taken = np.empty(scan, dtype=np.int64), np.empty(scan), np.empty(known, dtype=bool)
+        choose(landmarks, scores, counts, chosen, won, taken)
+        assert chosen.tolist() == greedy(table)
+        given = chosen >= 0
+        np.testing.assert_array_equal(won[given], table[given, chosen[given]])
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_the_gate_keeps_every_pair_that_counts(columns: int) -> None:
+    """Uncertain poses and landmarks, correlated: what the gate drops has a smaller likelihood than a new landmark."""
+    rng, p, sensor = np.random.default_rng(5), 1e-4, SensorModel()
+    gate, kept, possible, pairs = chi2.isf(p, columns), 0, 0, 0
+    for _ in range(200):
+        roots = rng.normal(0, 0.15, (2, 3, 3))
+        P, S = (root @ root.T for root in roots)
+        mean = np.array([*rng.uniform(-4, 4, 2), 0.3])[:columns]
+        belief = textbook.PoseBelief(rng.normal(0, 0.5, 3), P)
+        landmark = textbook.Landmark(mean, S[:columns, :columns])
+        z = sensor.h(belief.mean, mean) + rng.normal(0, 1.0, (40, columns))
+        z[:, 0] = np.abs(z[:, 0]) + 0.1
+        Q = sensor.Q(z)
+        x = (*belief.mean, *P[np.triu_indices(3)])
+        m = np.zeros(9)
+        m[:columns], m[3:] = mean, S[np.triu_indices(3)]
+        near = np.empty(40, dtype=bool)
+        find_near(x, tuple(m), np.array([z[:, 0], z[:, 1], Q[:, 0, 0], Q[:, 1, 1]]), gate, near)
+        log_new = -0.5 * (gate + np.log(np.linalg.det(2 * np.pi * Q)))
+        counts = np.array([textbook.correct_pose(belief, landmark, one, sensor)[1] for one in z]) >= log_new
+        assert np.all(near[counts])
+        kept, possible, pairs = kept + near.sum(), possible + counts.sum(), pairs + 40
+    assert 0 < possible <= kept < 0.8 * pairs
 
 
 def test_the_pool_grows_and_is_recycled() -> None:
