@@ -1,7 +1,8 @@
 """Which landmark was that? Decided by every particle for itself, compiled.
 
 Unlike the kernels for known landmarks these branch: particles differ in what they see. Maps are slices of one pool
-(landmarks, 10, N), where row 9 is the *evidence* for the landmark: 0 where the particle does not have it.
+(landmarks, 11, N), where row 9 is the *evidence* for the landmark, 0 where the particle does not have it, and row 10
+the step that saw it last.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from .noise import normal_pair
 
 #: the row of the pool that holds the evidence
 EVIDENCE = 9
+#: the row that holds the step that saw it last
+SEEN = 10
 
 
 @njit(**INLINED)
@@ -31,7 +34,7 @@ def _read(rows: Array, i: int) -> Nine:
 @njit(**OPTIONS)
 def associate(
     lo: int, hi: int, belief: Array, poses: Array, drawn: bool, key: np.uint64, pool: Array, candidates: np.ndarray,
-    fresh: np.ndarray, sightings: Array, q: Array, third: float, log_new: Array, gate: float, view: Array,
+    fresh: np.ndarray, sightings: Array, q: Array, third: float, log_new: Array, gate: float, step: int,
     confirmed: float, log_likelihood: Array,
 ) -> None:  # fmt: skip
     """One scan of K sightings (K, 3): assign, weigh, draw the pose (2.0), update the map and its evidence.
@@ -43,7 +46,7 @@ def associate(
         third: 1 where there is psi, 0 where not; then the third columns of sightings and q are 0 and 1.
         log_new: (K,) log likelihood of each sighting if it is of a new landmark: that of a squared Mahalanobis distance
             of ``gate`` under Q alone.
-        view: least range, largest range [m] and largest bearing [rad] within which a landmark should be seen.
+        step: which step the scan belongs to.
         confirmed: the evidence at which a landmark is no longer provisional.
     """
     scan, known = len(sightings), len(candidates)
@@ -87,11 +90,6 @@ def associate(
             poses[0, i], poses[1, i], poses[2, i] = draw_pose(x, n0, n1, n2)
         pose = (poses[0, i], poses[1, i], poses[2, i])
 
-        for c in range(known):
-            rows = pool[candidates[c]]
-            provisional = 0 < rows[EVIDENCE, i] < confirmed
-            if provisional and not taken[c] and _in_view(rows[0, i] - pose[0], rows[1, i] - pose[1], pose[2], view):
-                rows[EVIDENCE, i] -= 1
         for k in range(scan):
             z, variances = (sightings[k, 0], sightings[k, 1], sightings[k, 2]), (q[k, 0], q[k, 1], q[k, 2])
             if chosen[k] < 0:
@@ -104,6 +102,24 @@ def associate(
                 rows[EVIDENCE, i] = min(rows[EVIDENCE, i] + 1, confirmed)
             for n in range(9):
                 rows[n, i] = landmark[n]
+            rows[SEEN, i] = step
+
+
+@njit(**OPTIONS)
+def charge(
+    lo: int, hi: int, poses: Array, pool: Array, candidates: np.ndarray, step: int, view: Array, confirmed: float
+) -> None:
+    """Count one against every provisional landmark that the step's scans did not see although it was in view.
+
+    Args:
+        view: least range, largest range [m] and largest bearing [rad] within which a landmark should be seen.
+    """
+    for c in range(len(candidates)):
+        rows = pool[candidates[c]]
+        for i in range(lo, hi):
+            missed = 0 < rows[EVIDENCE, i] < confirmed and rows[SEEN, i] != step
+            if missed and _in_view(rows[0, i] - poses[0, i], rows[1, i] - poses[1, i], poses[2, i], view):
+                rows[EVIDENCE, i] -= 1
 
 
 @njit(**INLINED)
@@ -170,12 +186,16 @@ def _in_view(dx: float, dy: float, heading: float, view: Array) -> bool:
 
 
 @njit(**OPTIONS)
-def extent(rows: Array) -> tuple[int, float, float, float, float]:
-    """How many particles have a landmark, and the box of its means: least x, most x, least y, most y."""
-    count, left, right, low, high = 0, np.inf, -np.inf, np.inf, -np.inf
+def extent(rows: Array, confirmed: float) -> tuple[int, bool, float, float, float, float]:
+    """How many particles have a landmark, whether it is provisional for any, and the box of its means.
+
+    The box is least x, most x, least y, most y.
+    """
+    count, provisional, left, right, low, high = 0, False, np.inf, -np.inf, np.inf, -np.inf
     for i in range(rows.shape[1]):
         if rows[EVIDENCE, i] > 0:
             count += 1
+            provisional |= rows[EVIDENCE, i] < confirmed
             left, right = min(left, rows[0, i]), max(right, rows[0, i])
             low, high = min(low, rows[1, i]), max(high, rows[1, i])
-    return count, left, right, low, high
+    return count, provisional, left, right, low, high

@@ -111,6 +111,8 @@ class ParticleFilter(ABC):
         self._log_weights = self._uniform
         self._best, self._resampled = 0, False
         self._motion: Motion | Leap | None = None
+        # whether the sensor has looked at this step, were it at nothing
+        self._looked = False
         self._genealogy = Genealogy(self.particles)
         self._genealogy.record(self._poses)
         self._ess_history, self._resampled_history = [float(self.particles)], [False]
@@ -142,8 +144,9 @@ class ParticleFilter(ABC):
     def observe(self, ids: Sequence[int] | np.ndarray | None, sightings: ArrayLike) -> None:
         """Weigh the particles by what was seen at this step, (k,) ids and (k, 2 or 3) sightings, and resample if due.
 
-        The sightings are folded in one after the other; there may be any number of them, and none changes nothing. Only
-        where the association is unknown may ids be None.
+        The sightings are folded in one after the other; there may be any number of them, and none changes nothing,
+        except that with unknown association provisional landmarks in view are then missed. Several calls between two
+        moves are one look around. Only where the association is unknown may ids be None.
 
         Raises:
             OptionError: a sighting is not finite or its range not above zero, the shapes do not fit, or, on a known
@@ -154,6 +157,7 @@ class ParticleFilter(ABC):
             ids = np.zeros(len(z), dtype=np.int64)
         ids = np.asarray(ids)
         if ids.size == 0 and z.size == 0:
+            self._looked = True
             return
         if z.ndim != 2 or z.shape[1] not in (2, 3) or ids.shape != (len(z),) or ids.dtype.kind not in "iu":
             raise OptionError(
@@ -292,6 +296,9 @@ class ParticleFilter(ABC):
         self._go((motion_kernels.leap, (motion.poses, motion.key, motion.mean, root, moved)), moved, motion)
 
     def _go(self, job: Job, moved: Array, motion: Motion | Leap | None) -> None:
+        if self._looked:
+            self._end_step()
+            self._looked = False
         self._crew.run_all([job, self._genealogy.recording(moved)])
         self._motion = motion
         self._poses = _read_only(moved)
@@ -325,8 +332,11 @@ class ParticleFilter(ABC):
         self._poses = _read_only(poses)
         self._genealogy.amend(poses)
 
+    def _end_step(self) -> None:  # noqa: B027
+        """What has to wait until a step that was looked at is over."""
+
     def _observe(self, ids: np.ndarray, sightings: Array) -> None:
-        self._version += 1
+        self._version, self._looked = self._version + 1, True
         with np.errstate(over="ignore"):
             q = np.diagonal(self.sensor.Q(sightings), axis1=-2, axis2=-1).copy()
         # a copy: kernels are compiled once more for the read-only arrays of a log

@@ -13,7 +13,7 @@ from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 
-from .association import AnonymousLandmarks
+from .association import CONFIRMED, AnonymousLandmarks
 from .landmark_columns import LandmarkColumns
 from .particle_filter import ParticleFilter
 from .state import LandmarkEstimate, weighted_covariance, weighted_mean
@@ -83,15 +83,19 @@ class FastSLAM(ParticleFilter):
         log_likelihood, belief = np.zeros(self.particles), np.zeros((9, self.particles))
         belief[:3] = self._poses
         # the poses are not written where they are drawn, but the kernel is compiled for writable ones
-        landmarks.scan(belief, belief[:3], True, np.uint64(0), sightings, q, log_likelihood)
+        landmarks.scan(belief, belief[:3], True, np.uint64(0), sightings, q, self._step, log_likelihood)
         return log_likelihood
 
-    def _gaussians(self, particles: slice) -> Iterator[tuple[int, Array, Array, np.ndarray]]:
-        """Of every landmark: id, means (k, n), covariances (k, n, n) and whether the particle has it (k,)."""
+    def _end_step(self) -> None:
+        if self._anonymous is not None:
+            self._anonymous.end_step(self._poses, self._step)
+
+    def _gaussians(self, particles: slice) -> Iterator[tuple[int, Array, Array, Array]]:
+        """Of every landmark: id, means (k, n), covariances (k, n, n) and the evidence for it (k,), 0 where there is none."""
         if self._columns is not None:
             for j in sorted(self._columns.ids):
                 means, covariances = self._columns.gaussians(j, particles)
-                yield j, means, covariances, np.ones(len(means), dtype=bool)
+                yield j, means, covariances, np.full(len(means), CONFIRMED)
         if self._anonymous is not None:
             for j in self._anonymous.ids:
                 yield j, *self._anonymous.gaussians(j, particles)
@@ -99,13 +103,14 @@ class FastSLAM(ParticleFilter):
     def _map(self, particle: int) -> dict[int, LandmarkEstimate]:
         return {
             j: LandmarkEstimate(means[0], covariances[0])
-            for j, means, covariances, owned in self._gaussians(slice(particle, particle + 1))
-            if owned[0]
+            for j, means, covariances, evidence in self._gaussians(slice(particle, particle + 1))
+            if evidence[0] > 0
         }
 
     def _mixture(self, weights: Array) -> dict[int, LandmarkEstimate]:
         estimates = {}
-        for j, means, covariances, owned in self._gaussians(slice(None)):
+        for j, means, covariances, evidence in self._gaussians(slice(None)):
+            owned = evidence > 0
             share = weights @ owned
             # what most believe in, as those believe who do
             if share < 0.5:
