@@ -92,8 +92,8 @@ class MonteCarloLocalization(ParticleFilter):
             self._crew.run(kernels.weigh_known, self._poses, known, z[:n], variances[:n], log_likelihood)
         return log_likelihood
 
-    def _map(self, particle: int) -> dict[int, LandmarkEstimate]:  # noqa: ARG002
+    def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:  # noqa: ARG002
         return {j: LandmarkEstimate(m.copy(), np.zeros((len(m), len(m)))) for j, m in self._landmarks.items()}
 
-    def _mixture(self, weights: Array) -> dict[int, LandmarkEstimate]:  # noqa: ARG002
-        return self._map(0)
+    def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]:  # noqa: ARG002
+        return self._map(0, provisional)

@@ -178,13 +178,13 @@ class ParticleFilter(ABC):
             if self._version != version:
                 raise OptionError("the filter has gone on: ask a state for maps before the next move or observe")
 
-        def one_map(particle: int) -> dict[int, LandmarkEstimate]:
+        def one_map(particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:
             fresh()
-            return self._map(_particle(particle, self.particles))
+            return self._map(_particle(particle, self.particles), provisional)
 
-        def mixture(weights: Array) -> dict[int, LandmarkEstimate]:
+        def mixture(weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]:
             fresh()
-            return self._mixture(weights)
+            return self._mixture(weights, provisional)
 
         return ParticleState(
             self._step,
@@ -248,7 +248,7 @@ class ParticleFilter(ABC):
     def result(self) -> FilterResult:
         """The estimate so far."""
         mean_poses, ancestors = self._genealogy.summary(np.exp(self._log_weights))
-        best_map = self._map(self._best)
+        best_map = self._map(self._best, provisional=False)
         return FilterResult(
             poses=self.trajectory(),
             mean_poses=self._of_robot(mean_poses),
@@ -271,10 +271,10 @@ class ParticleFilter(ABC):
         """Fold sightings (k, n) with variances q (k, n) in; the log likelihoods (N,), None if none was weighed."""
 
     @abstractmethod
-    def _map(self, particle: int) -> dict[int, LandmarkEstimate]: ...
+    def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]: ...
 
     @abstractmethod
-    def _mixture(self, weights: Array) -> dict[int, LandmarkEstimate]: ...
+    def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]: ...
 
     def _move(self, control: Array, control_std: Array, dt: float) -> None:
         if abs(control[1]) * dt > MOST_TURN:

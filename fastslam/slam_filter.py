@@ -100,23 +100,24 @@ class FastSLAM(ParticleFilter):
             for j in self._anonymous.ids:
                 yield j, *self._anonymous.gaussians(j, particles)
 
-    def _map(self, particle: int) -> dict[int, LandmarkEstimate]:
+    def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:
+        least = 1.0 if provisional else CONFIRMED
         return {
-            j: LandmarkEstimate(means[0], covariances[0])
+            j: LandmarkEstimate(means[0], covariances[0], bool(evidence[0] >= CONFIRMED))
             for j, means, covariances, evidence in self._gaussians(slice(particle, particle + 1))
-            if evidence[0] > 0
+            if evidence[0] >= least
         }
 
-    def _mixture(self, weights: Array) -> dict[int, LandmarkEstimate]:
+    def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]:
         estimates = {}
         for j, means, covariances, evidence in self._gaussians(slice(None)):
             owned = evidence > 0
-            share = weights @ owned
+            share, confirmed = weights @ owned, bool(weights @ (evidence >= CONFIRMED) >= 0.5)
             # what most believe in, as those believe who do
-            if share < 0.5:
+            if share < 0.5 or not (confirmed or provisional):
                 continue
             among = np.where(owned, weights / share, 0.0)[owned]
             mean = weighted_mean(means[owned], among)
             within = np.tensordot(among, covariances[owned], 1)
-            estimates[j] = LandmarkEstimate(mean, within + weighted_covariance(means[owned], mean, among))
+            estimates[j] = LandmarkEstimate(mean, within + weighted_covariance(means[owned], mean, among), confirmed)
         return estimates

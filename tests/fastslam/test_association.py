@@ -113,7 +113,7 @@ def test_against_the_textbooks_equations(columns: int, version: int) -> None:
         )
         np.testing.assert_allclose(slam.state.poses, [particle.pose for particle in slow], atol=1e-10)
         for i, particle in enumerate(slow):
-            found = slam.state.map(i)
+            found = slam.state.map(i, provisional=True)
             assert found.keys() == particle.map.keys()
             for j, landmark in particle.map.items():
                 np.testing.assert_allclose(found[j].mean, landmark.mean, atol=1e-10)
@@ -156,7 +156,7 @@ def test_a_phantom_is_dropped_when_it_is_not_seen_again() -> None:
     # seen three times they stay, whatever happens
     for scan in (real, np.vstack([real, phantom]), real, *[real[:1]] * 5):
         slam.observe(None, scan)
-        counts.append(len(slam.state.map()))
+        counts.append(len(slam.state.map(provisional=True)))
         slam.move((0.0, 0.0), 0.0)
     assert counts == [4, 5, 5, 4, 4, 4, 4, 4]
 
@@ -172,7 +172,7 @@ def test_sightings_handed_in_one_by_one_are_one_look_around() -> None:
             apart.observe(None, one[None])
         for slam in (together, apart):
             slam.move((0.0, 0.0), 0.0)
-    maps = [[estimate.mean for estimate in slam.state.map().values()] for slam in (together, apart)]
+    maps = [[estimate.mean for estimate in slam.state.map(provisional=True).values()] for slam in (together, apart)]
     assert len(maps[0]) == 4
     np.testing.assert_allclose(*maps)
 
@@ -183,12 +183,14 @@ def test_seeing_nothing_is_missing_what_is_in_view() -> None:
     slam.observe(None, [[4.0, 0.0], [1.0, 0.5], [6.0, -0.5]])
     slam.move((0.0, 0.0), 0.0)
     slam.move((0.0, 0.0), 0.0)  # nobody looked
-    assert len(slam.state.map()) == 3
+    assert len(slam.state.map(provisional=True)) == 3
     slam.observe(None, [])
     slam.observe(None, np.empty((0, 2)))
     slam.move((0.0, 0.0), 0.0)
     # the others are at the border of what the sensor is known to see
-    assert [estimate.mean[0] for estimate in slam.state.map().values()] == pytest.approx([np.cos(0.5), 6 * np.cos(0.5)])
+    assert [estimate.mean[0] for estimate in slam.state.map(provisional=True).values()] == pytest.approx(
+        [np.cos(0.5), 6 * np.cos(0.5)]
+    )
 
 
 def test_mutual_exclusion() -> None:
@@ -198,7 +200,7 @@ def test_mutual_exclusion() -> None:
     together.observe(None, np.vstack([z, z]))
     apart.observe(None, z)
     apart.observe(None, z)
-    assert (len(together.state.map()), len(apart.state.map())) == (2, 1)
+    assert (len(together.state.map(provisional=True)), len(apart.state.map(provisional=True))) == (2, 1)
 
 
 def test_the_choice_is_greedy_also_with_ties() -> None:
@@ -251,12 +253,32 @@ def test_the_pool_grows_and_is_recycled() -> None:
     slam = FastSLAM2(log, particles=60, ess_threshold=1.0, **HALF, **UNKNOWN)
     for state in slam:
         for i in (0, 59):
-            for estimate in state.map(i).values():
+            for estimate in state.map(i, provisional=True).values():
                 assert np.all(np.linalg.eigvalsh(estimate.covariance) > 0)
     pool = slam._anonymous
     used = [part.index for part in pool._slices.values()]
     assert sorted(used + pool._free) == list(range(len(pool._pool)))
     assert len(slam.result().landmarks) > 20
+
+
+@pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
+def test_an_outlier_is_not_reported(kind: type) -> None:
+    """One sighting of nothing, at the border of the view and never in it again: in the particles, not in the maps."""
+    log = simulate(seed=1, steps=20, clean=True, **HALF)
+    slam, landmarks = kind(log, particles=50, **HALF, **UNKNOWN), 0
+    for state in slam:
+        if state.step == 10:
+            landmarks = len(state.map())
+            slam.observe(None, [[30.0, 3.0, 0.0]])
+    found, everything = slam.state.map(), slam.state.map(provisional=True)
+    assert len(found) >= landmarks > 0
+    assert max(np.hypot(*estimate.mean[:2]) for estimate in found.values()) < 10
+    assert max(np.hypot(*estimate.mean[:2]) for estimate in everything.values()) > 20
+    assert {j for j, estimate in everything.items() if estimate.confirmed} == found.keys()
+    assert slam.result().landmarks.keys() == found.keys()
+    mixtures = [slam.state.mixture_map(provisional=asked) for asked in (False, True)]
+    assert [sum(np.hypot(*e.mean[:2]) > 20 for e in mixture.values()) for mixture in mixtures] == [0, 1]
+    assert all(estimate.confirmed for estimate in mixtures[0].values())
 
 
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
