@@ -141,7 +141,7 @@ class AnonymousLandmarks:
         left, right, low, high = np.array([part.box for part in self._slices.values()]).T
         dx = np.maximum(np.maximum(left - belief[0].max(), belief[0].min() - right), 0.0)
         dy = np.maximum(np.maximum(low - belief[1].max(), belief[1].min() - high), 0.0)
-        within = dx * dx + dy * dy <= (1.5 * self._seen[1]) ** 2
+        within = np.hypot(dx, dy) <= 1.5 * self._seen[1]
         return [j for j, near in zip(self._slices, within.tolist(), strict=True) if near]
 
     def _bring_up(self, part: _Slice) -> None:

@@ -149,8 +149,9 @@ class ParticleFilter(ABC):
         moves are one look around. Only where the association is unknown may ids be None.
 
         Raises:
-            OptionError: a sighting is not finite or its range not above zero, the shapes do not fit, or, on a known
-                map, an id is not in it.
+            OptionError: a sighting is not finite or its range not above zero, the shapes do not fit, on a known map
+                an id is not in it, or, with maps to make, a range is above 1e50 m or a standard deviation of its noise
+                not between 1e-50 and 1e50: covariances would leave the range of floating point.
         """
         z = np.array(sightings, dtype=float)
         if ids is None and not self._needs_ids:
@@ -336,11 +337,11 @@ class ParticleFilter(ABC):
         """What has to wait until a step that was looked at is over."""
 
     def _observe(self, ids: np.ndarray, sightings: Array) -> None:
-        self._version, self._looked = self._version + 1, True
         with np.errstate(over="ignore"):
             q = np.diagonal(self.sensor.Q(sightings), axis1=-2, axis2=-1).copy()
         # a copy: kernels are compiled once more for the read-only arrays of a log
         log_likelihood = self._weigh(ids, sightings.copy(), q)
+        self._version, self._looked = self._version + 1, True
         # from here on the poses depend on the sightings: later ones of this step must not bend the motion again
         self._motion = None
         if log_likelihood is None:

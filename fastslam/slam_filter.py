@@ -21,6 +21,10 @@ from .state import LandmarkEstimate, weighted_covariance, weighted_mean
 #: how sightings find their landmarks
 ASSOCIATIONS = ("known", "maximum-likelihood")
 
+#: ranges [m] and standard deviations may be so large, and the latter so small the other way round: products of three
+#: variances, and squares of covariances, are numbers
+LARGEST = 1e50
+
 
 class FastSLAM(ParticleFilter):
     """A particle filter whose particles have maps of independent Gaussians; see `FastSLAM1` for the arguments."""
@@ -62,6 +66,14 @@ class FastSLAM(ParticleFilter):
             raise OptionError(f"sightings so far had {self._coordinates} columns, these have {columns}")
 
     def _weigh(self, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
+        possible = (sightings[:, 0] <= LARGEST) & np.all((q >= LARGEST**-2) & (q <= LARGEST**2), axis=1)
+        if not np.all(possible):
+            k = int(np.argmin(possible))
+            raise OptionError(
+                f"step {self._step}: sighting {k}, of range {sightings[k, 0]:g} m with noise of standard deviations "
+                f"{', '.join(f'{std:g}' for std in np.sqrt(q[k]))}, is beyond floating point; leave it out, or change "
+                "the sensor model"
+            )
         if self._coordinates is None:
             self._coordinates = sightings.shape[1]
             shape = self._genealogy, self._crew, self.particles, self._coordinates

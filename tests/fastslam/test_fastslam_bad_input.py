@@ -243,3 +243,36 @@ def test_maps_of_a_state_that_is_over() -> None:
         slam.trajectory(-1)
     with pytest.raises(ValueError, match="read-only"):
         state.poses[0] = 0.0
+
+
+@pytest.mark.parametrize("cls", SLAM)
+@pytest.mark.parametrize("association", ["known", "maximum-likelihood"])
+def test_numbers_beyond_floating_point(association: str, cls: type) -> None:
+    """A range of 1e200 m, or noise whose variance is no number, is refused before anything changes."""
+    slam = cls(particles=20, association=association)
+    slam.observe([0], [[2.0, 0.1]])
+    state = slam.state
+    for absurd in (1e200, 1e60, 1e-200):
+        with pytest.raises(OptionError, match=r"step 0: sighting 1, of range .* is beyond floating point"):
+            slam.observe([0, 1], [[2.0, 0.1], [absurd, 0.1]])
+    assert state.map(provisional=True).keys() == {0}
+    for std in (1e-200, 1e-60):
+        sharp = cls(particles=20, association=association, sensor=SensorModel(bearing_std=std))
+        with pytest.raises(OptionError, match="beyond floating point"):
+            sharp.observe([0], [[2.0, 0.1]])
+
+
+@pytest.mark.parametrize("cls", SLAM)
+@pytest.mark.parametrize("association", ["known", "maximum-likelihood"])
+@pytest.mark.parametrize("size", [1e-40, 1e-12])
+def test_almost_no_noise(size: float, association: str, cls: type) -> None:
+    """Down to the limit: a standing robot sees its landmarks where they are, and far ones are numbers."""
+    sensor = SensorModel(range_rate=size, bearing_std=size)
+    slam = cls(particles=20, association=association, sensor=sensor, ess_threshold=0.0)
+    for _ in range(4):
+        slam.observe([0, 1], [[2.0, 0.0], [1e30, 0.5]])
+        slam.move((0.0, 0.0), 0.0)
+    landmarks = slam.state.mixture_map()
+    np.testing.assert_allclose(landmarks[0].mean, [2.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(landmarks[1].mean, 1e30 * np.array([np.cos(0.5), np.sin(0.5)]))
+    np.testing.assert_allclose(slam.state.log_weights, -np.log(20))
