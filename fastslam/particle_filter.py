@@ -29,6 +29,8 @@ from .weight_kernels import multiply, normalize
 
 #: a turn in one step beyond this [rad] is a mistake, and the compiled sine is not made for it
 MOST_TURN = 1e5
+#: a way in one step beyond this [m], 25 times round the Earth, is a mistake
+MOST_WAY = 1e9
 
 
 class VanishedWeightsWarning(RuntimeWarning):
@@ -125,16 +127,19 @@ class ParticleFilter(ABC):
         dt = 0 [s] is a step in which nothing moves: no noise is added, although the random numbers are drawn.
 
         Raises:
-            OptionError: the control is not two finite numbers, dt is negative or not finite, or the robot would turn
-                by more than 1e5 rad.
+            OptionError: the control is not two finite numbers, dt is negative or not finite, or the robot would, by the
+                control or a standard deviation of its noise, go farther than 1e9 m or turn by more than 1e5 rad.
         """
         u = np.asarray(control, dtype=float)
         if u.shape != (2,) or not np.all(np.isfinite(u)):
             raise OptionError(f"control must be two finite numbers (nu, omega), not {control!r}")
         if not 0 <= dt < np.inf:
             raise OptionError(f"dt must be a finite number of seconds, not below 0, not {dt!r}")
+        with np.errstate(over="ignore"):
+            std = np.sqrt(np.diag(self.motion.M(u, dt))) if dt > 0 else np.zeros(2)
+        _check_motion(u, std, dt)
         if self.sensor.centred:
-            self._move(u, np.sqrt(np.diag(self.motion.M(u, dt))) if dt > 0 else np.zeros(2), float(dt))
+            self._move(u, std, float(dt))
         elif dt > 0:
             motions, covariances = self.motion.accumulate(u[None], [dt], np.array([0, 1]))
             self._leap(*self._carried(motions, covariances))
@@ -213,7 +218,7 @@ class ParticleFilter(ABC):
         """Go over the rest of the log; a second loop goes on where the first stopped.
 
         Raises:
-            OptionError: the filter has no log.
+            OptionError: the filter has no log, or a motion is absurd, as in `move`.
         """
         log = self.log
         if log is None:
@@ -221,15 +226,18 @@ class ParticleFilter(ABC):
         if log.controls is None or log.dt is None:  # __init__ has refused such a log
             raise LogError(f"{log.name} has no controls")
         at_once = log.composite or not self.sensor.centred
-        if at_once:
-            motions, covariances = self._carried(*log.motions(self.motion))
-        else:
-            control_std = np.sqrt(np.diagonal(self.motion.M(log.controls, log.dt), axis1=-2, axis2=-1))
+        # what overflows is refused at its step
+        with np.errstate(over="ignore", invalid="ignore"):
+            if at_once:
+                motions, covariances = self._carried(*log.motions(self.motion))
+            else:
+                control_std = np.sqrt(np.diagonal(self.motion.M(log.controls, log.dt), axis1=-2, axis2=-1))
         first = np.searchsorted(log.steps, np.arange(log.num_poses + 1))
         for t in range(self._next, log.num_poses):
             if t > 0 and at_once:
                 self._leap(motions[t - 1 : t], covariances[t - 1 : t])
             elif t > 0:
+                _check_motion(log.controls[t - 1], control_std[t - 1], log.dt[t - 1])
                 self._move(log.controls[t - 1], control_std[t - 1], log.dt[t - 1])
             if first[t + 1] > first[t]:
                 self._observe(log.landmarks[first[t] : first[t + 1]], log.sightings[first[t] : first[t + 1]])
@@ -278,10 +286,6 @@ class ParticleFilter(ABC):
     def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]: ...
 
     def _move(self, control: Array, control_std: Array, dt: float) -> None:
-        if abs(control[1]) * dt > MOST_TURN:
-            raise OptionError(
-                f"omega = {control[1]:g} rad/s for {dt:g} s turns the robot by more than {MOST_TURN:g} rad"
-            )
         moved = np.empty_like(self._poses)
         motion = Motion(
             self._poses, draw_key(self._rng), control[0], control[1], control_std[0], control_std[1], dt,
@@ -291,6 +295,12 @@ class ParticleFilter(ABC):
 
     def _leap(self, motions: Array, covariances: Array) -> None:
         """Move every particle by the Gaussian (1, 3), (1, 3, 3) of a whole motion of the sensor."""
+        reach = np.abs(motions[0]) + np.sqrt(np.diagonal(covariances[0]))
+        if not np.all(reach <= [MOST_WAY, MOST_WAY, MOST_TURN]):
+            raise OptionError(
+                f"step {self._step + 1}: its controls and their noise move the robot by up to {reach[:2].max():g} m and "
+                f"turn it by up to {reach[2]:g} rad, and more than {MOST_WAY:g} m or {MOST_TURN:g} rad is a mistake"
+            )
         moved = np.empty_like(self._poses)
         root = tuple(np.linalg.cholesky(covariances[0])[np.tril_indices(3)].tolist())
         motion = Leap(self._poses, draw_key(self._rng), tuple(motions[0].tolist()), covariances[0])
@@ -399,6 +409,20 @@ class Leap(NamedTuple):
     key: np.uint64
     mean: tuple[float, ...]
     covariance: Array
+
+
+def _check_motion(control: Array, std: Array, dt: float) -> None:
+    """Raise `OptionError` where a control with this noise is a mistake, or leaves the range of floating point."""
+    # as Python's numbers, which overflow to infinity in silence
+    way, turn = ((abs(float(u)) + float(s)) * float(dt) for u, s in zip(control, std, strict=True))
+    if not way <= MOST_WAY:
+        raise OptionError(
+            f"nu = {control[0]:g} m/s (noise {std[0]:g}) for {dt:g} s moves the robot by more than {MOST_WAY:g} m"
+        )
+    if not turn <= MOST_TURN:
+        raise OptionError(
+            f"omega = {control[1]:g} rad/s (noise {std[1]:g}) for {dt:g} s turns the robot by more than {MOST_TURN:g} rad"
+        )
 
 
 def _particle(particle: int, particles: int) -> int:

@@ -129,6 +129,25 @@ def test_turning_beyond_reason() -> None:
     assert slam.state.step == 0
 
 
+@pytest.mark.parametrize("cls", FILTERS)
+@pytest.mark.parametrize("offset", [0.0, 0.2])
+@pytest.mark.parametrize(("control", "dt"), [((1e308, 0.0), 10.0), ((1e10, 0.0), 1.0), ((1.0, 0.0), 1e-310)])
+def test_going_beyond_reason(control: tuple, dt: float, offset: float, cls: type) -> None:
+    """A way that overflows, one round the Earth many times, and a moment so short that the noise overflows."""
+    slam = make(cls, particles=5, sensor=SensorModel(offset=offset))
+    with pytest.raises(OptionError, match="moves the robot by more than 1e.09 m"):
+        slam.move(control, dt)
+    assert slam.state.step == 0
+    log = Log(
+        dt=[1.0, dt], controls=[[0.1, 0.0], control], initial_poses=np.zeros((3, 3)), steps=[0], landmarks=[0],
+        sightings=[[1.0, 0.0]],
+    )  # fmt: skip
+    slam = make(cls, log=log, particles=5, sensor=SensorModel(offset=offset))
+    with pytest.raises(OptionError, match="the robot by"):
+        slam.run()
+    assert slam.state.step == 1
+
+
 def test_psi_cannot_come_and_go() -> None:
     slam = FastSLAM1()
     slam.observe([0], [[1.0, 0.0]])
