@@ -24,8 +24,10 @@ from .crew import Crew
 from .fusion import LOG_2PI
 from .genealogy import Genealogy
 
-#: evidence at which a landmark stays for good: sightings minus the times it should have been seen and was not
-CONFIRMED = 3.0
+#: evidence (sightings minus the times it should have been seen and was not) at which a landmark is confirmed: maps have it
+CONFIRMED = 2.0
+#: evidence at which it stays for good
+KEPT = 3.0
 #: how far inside the borders of what the sensor has seen so far a landmark must be to be missed
 INSIDE = 0.9
 
@@ -35,7 +37,7 @@ class _Slice:
     index: int  # in the pool
     level: int
     box: tuple[float, float, float, float]  # of the means when last written: least x, most x, least y, most y
-    provisional: bool = True  # for some particle, when last written
+    losable: bool = True  # by some particle, when last written
 
 
 class AnonymousLandmarks:
@@ -88,7 +90,7 @@ class AnonymousLandmarks:
         candidates = np.array([self._slices[j].index for j in near], dtype=np.int64)
         self._crew.run(
             kernels.associate, belief, poses, drawn, key, self._pool, candidates, np.array(fresh), z, variances,
-            1.0 if oriented else 0.0, log_new, self._gate, step, CONFIRMED, log_likelihood,
+            1.0 if oriented else 0.0, log_new, self._gate, step, KEPT, log_likelihood,
         )  # fmt: skip
         born = {self._births + k: _Slice(index, self._genealogy.level(), (0.0,) * 4) for k, index in enumerate(fresh)}
         self._births += count
@@ -96,11 +98,11 @@ class AnonymousLandmarks:
         self._written([*near, *born])
 
     def end_step(self, poses: Array, step: int) -> None:
-        """Count against provisional landmarks that they were in view of these poses (3, N) and no scan saw them.
+        """Count against landmarks that may still be lost that they were in view of these poses (3, N) and no scan saw them.
 
         Only now: another scan of the step might have seen them.
         """
-        near = [j for j in self._near(poses) if self._slices[j].provisional]
+        near = [j for j in self._near(poses) if self._slices[j].losable]
         if not near:
             return
         for j in near:
@@ -108,7 +110,7 @@ class AnonymousLandmarks:
         candidates = np.array([self._slices[j].index for j in near], dtype=np.int64)
         view = self._seen * [1 / INSIDE, INSIDE, INSIDE]
         # a copy: the kernel is compiled for writable arrays, and these may be either
-        self._crew.run(kernels.charge, poses.copy(), self._pool, candidates, step, view, CONFIRMED)
+        self._crew.run(kernels.charge, poses.copy(), self._pool, candidates, step, view, KEPT)
         self._written(near)
 
     def gaussians(self, landmark: int, particles: np.ndarray | slice = slice(None)) -> tuple[Array, Array, Array]:
@@ -125,11 +127,11 @@ class AnonymousLandmarks:
         level = self._genealogy.level()
         for j in landmarks:
             part = self._slices[j]
-            owners, provisional, *box = kernels.extent(self._pool[part.index], CONFIRMED)
+            owners, losable, *box = kernels.extent(self._pool[part.index], KEPT)
             if owners == 0:
                 self._free.append(self._slices.pop(j).index)
             else:
-                part.box, part.level, part.provisional = (box[0], box[1], box[2], box[3]), level, provisional
+                part.box, part.level, part.losable = (box[0], box[1], box[2], box[3]), level, losable
 
     def _near(self, belief: Array) -> list[int]:
         """The landmarks whose box comes nearer to the box of the poses than the sensor has seen, and half as much more.

@@ -35,7 +35,7 @@ def _read(rows: Array, i: int) -> Nine:
 def associate(
     lo: int, hi: int, belief: Array, poses: Array, drawn: bool, key: np.uint64, pool: Array, candidates: np.ndarray,
     fresh: np.ndarray, sightings: Array, q: Array, third: float, log_new: Array, gate: float, step: int,
-    confirmed: float, log_likelihood: Array,
+    kept: float, log_likelihood: Array,
 ) -> None:  # fmt: skip
     """One scan of K sightings (K, 3): assign, weigh, draw the pose (2.0), update the map and its evidence.
 
@@ -47,7 +47,7 @@ def associate(
         log_new: (K,) log likelihood of each sighting if it is of a new landmark: that of a squared Mahalanobis distance
             of ``gate`` under Q alone.
         step: which step the scan belongs to.
-        confirmed: the evidence at which a landmark is no longer provisional.
+        kept: the evidence at which a landmark stays for good.
     """
     scan, known = len(sightings), len(candidates)
     # of each sighting the landmarks that it may be of, their log likelihoods, and how many
@@ -99,7 +99,7 @@ def associate(
             else:
                 rows = pool[candidates[chosen[k]]]
                 _, landmark = fold_into_landmark(_read(rows, i), pose, z, variances, third)
-                rows[EVIDENCE, i] = min(rows[EVIDENCE, i] + 1, confirmed)
+                rows[EVIDENCE, i] = min(rows[EVIDENCE, i] + 1, kept)
             for n in range(9):
                 rows[n, i] = landmark[n]
             rows[SEEN, i] = step
@@ -107,9 +107,9 @@ def associate(
 
 @njit(**OPTIONS)
 def charge(
-    lo: int, hi: int, poses: Array, pool: Array, candidates: np.ndarray, step: int, view: Array, confirmed: float
+    lo: int, hi: int, poses: Array, pool: Array, candidates: np.ndarray, step: int, view: Array, kept: float
 ) -> None:
-    """Count one against every provisional landmark that the step's scans did not see although it was in view.
+    """Count one against every landmark that may still be lost, if it was in view and the step's scans did not see it.
 
     Args:
         view: least range, largest range [m] and largest bearing [rad] within which a landmark should be seen.
@@ -117,7 +117,7 @@ def charge(
     for c in range(len(candidates)):
         rows = pool[candidates[c]]
         for i in range(lo, hi):
-            missed = 0 < rows[EVIDENCE, i] < confirmed and rows[SEEN, i] != step
+            missed = 0 < rows[EVIDENCE, i] < kept and rows[SEEN, i] != step
             if missed and _in_view(rows[0, i] - poses[0, i], rows[1, i] - poses[1, i], poses[2, i], view):
                 rows[EVIDENCE, i] -= 1
 
@@ -186,16 +186,16 @@ def _in_view(dx: float, dy: float, heading: float, view: Array) -> bool:
 
 
 @njit(**OPTIONS)
-def extent(rows: Array, confirmed: float) -> tuple[int, bool, float, float, float, float]:
-    """How many particles have a landmark, whether it is provisional for any, and the box of its means.
+def extent(rows: Array, kept: float) -> tuple[int, bool, float, float, float, float]:
+    """How many particles have a landmark, whether any may still lose it, and the box of its means.
 
     The box is least x, most x, least y, most y.
     """
-    count, provisional, left, right, low, high = 0, False, np.inf, -np.inf, np.inf, -np.inf
+    count, losable, left, right, low, high = 0, False, np.inf, -np.inf, np.inf, -np.inf
     for i in range(rows.shape[1]):
         if rows[EVIDENCE, i] > 0:
             count += 1
-            provisional |= rows[EVIDENCE, i] < confirmed
+            losable |= rows[EVIDENCE, i] < kept
             left, right = min(left, rows[0, i]), max(right, rows[0, i])
             low, high = min(low, rows[1, i]), max(high, rows[1, i])
-    return count, provisional, left, right, low, high
+    return count, losable, left, right, low, high

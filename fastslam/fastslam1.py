@@ -26,8 +26,8 @@ class FastSLAM1(FastSLAM):
     first, no landmark twice. A sighting that is likelier to be of a new landmark starts one. New landmarks are
     provisional: each sighting counts one for them, each time they should have been seen and were not (well within
     the ranges and bearings at which anything was seen so far: the sensor model has no limits) one against, counted once
-    a step, when the step is over; at 0 they are dropped, at 3 they are confirmed and stay. What is out of view costs
-    them nothing. A step counts if `observe` was called in it, even with nothing seen; of a log, if it has sightings.
+    a step, when the step is over; at 0 they are dropped, from 2 on they are confirmed, at 3 they stay. What is out of view
+    costs them nothing. A step counts if `observe` was called in it, even with nothing seen; of a log, if it has sightings.
     Maps number landmarks by birth and leave out, unless asked, what is not confirmed.
 
     Args:
