@@ -5,7 +5,6 @@ Sources: Ueda, *LNPR*, chapters 5 and 8; Thrun, Burgard and Fox, *Probabilistic 
 
 from __future__ import annotations
 
-import operator
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -20,6 +19,7 @@ from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, transform, wrap
 
 from . import motion_kernels
+from .arguments import instance, real, reals, whole
 from .crew import Crew, Job
 from .genealogy import Genealogy
 from .noise import draw_key
@@ -75,16 +75,15 @@ class ParticleFilter(ABC):
         start: ArrayLike | None = None,
         threads: int | None = None,
     ) -> None:
-        try:
-            self.particles = operator.index(particles)
-        except TypeError:
-            raise OptionError(f"particles must be a whole number, not {particles!r}") from None
+        for name, value, model in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
+            instance(name, value, model)
+        self.particles = whole("particles", particles)
         if self.particles < 1:
             raise OptionError(f"particles must be at least 1, not {particles}")
+        between = "between 0 (never resample) and 1 (always)"
+        ess_threshold = real("ess_threshold", ess_threshold, f"a number {between}")
         if not 0 <= ess_threshold <= 1:
-            raise OptionError(
-                f"ess_threshold must lie between 0 (never resample) and 1 (always), not {ess_threshold!r}"
-            )
+            raise OptionError(f"ess_threshold must lie {between}, not {ess_threshold!r}")
         if log is not None and log.controls is None:
             raise LogError(
                 f"{log.name} has no controls, and a particle filter moves its particles by them: use graph SLAM"
@@ -93,14 +92,20 @@ class ParticleFilter(ABC):
         known = (None, None) if log is None else (log.motion, log.sensor)
         self.motion, self.sensor = motion or known[0] or MotionModel(), sensor or known[1] or SensorModel()
         self._scheme, self._ess_threshold = resampling_scheme(resampling), ess_threshold
-        self._rng = np.random.default_rng(seed)
+        try:
+            self._rng = np.random.default_rng(seed)
+        except (TypeError, ValueError):
+            raise OptionError(
+                f"seed must be a whole number, not below 0, or a numpy.random.Generator, not {seed!r}"
+            ) from None
         self._crew = Crew(self.particles, threads)
 
         if start is None:
             start = np.zeros(3) if log is None else log.initial_poses[0]
-        pose = np.asarray(start, dtype=float)
+        expected = f"a finite pose (3,) or one per particle ({self.particles}, 3)"
+        pose = reals("start", start, expected)
         if pose.shape not in ((3,), (self.particles, 3)) or not np.all(np.isfinite(pose)):
-            raise OptionError(f"start must be a finite pose (3,) or one per particle ({self.particles}, 3)")
+            raise OptionError(f"start must be {expected}, not {start!r}")
         poses = np.empty((3, self.particles))
         mounted = self.sensor.mount(pose)
         poses[:] = mounted[:, None] if pose.ndim == 1 else mounted.T
@@ -130,7 +135,8 @@ class ParticleFilter(ABC):
             OptionError: the control is not two finite numbers, dt is negative or not finite, or the robot would, by the
                 control or a standard deviation of its noise, go farther than 1e9 m or turn by more than 1e5 rad.
         """
-        u = np.asarray(control, dtype=float)
+        u = reals("control", control, "two finite numbers (nu, omega)")
+        dt = real("dt", dt, "a finite number of seconds, not below 0")
         if u.shape != (2,) or not np.all(np.isfinite(u)):
             raise OptionError(f"control must be two finite numbers (nu, omega), not {control!r}")
         if not 0 <= dt < np.inf:
@@ -158,17 +164,24 @@ class ParticleFilter(ABC):
                 an id is not in it, or, with maps to make, a range is above 1e50 m or a standard deviation of its noise
                 not between 1e-50 and 1e50: covariances would leave the range of floating point.
         """
-        z = np.array(sightings, dtype=float)
+        z = reals("sightings", sightings, "numbers of shape (k, 2) or (k, 3)")
         if ids is None and not self._needs_ids:
             ids = np.zeros(len(z), dtype=np.int64)
-        ids = np.asarray(ids)
+        if ids is None:
+            raise OptionError("ids may be None only with association='maximum-likelihood': tell which landmark each is")
+        try:
+            ids = np.asarray(ids)
+        except ValueError:
+            raise OptionError(f"ids must be whole numbers (k,), not {ids!r}") from None
         if ids.size == 0 and z.size == 0:
             self._looked = True
             return
-        if z.ndim != 2 or z.shape[1] not in (2, 3) or ids.shape != (len(z),) or ids.dtype.kind not in "iu":
+        if z.ndim != 2 or z.shape[1] not in (2, 3) or ids.shape != (len(z),):
             raise OptionError(
                 f"observe takes whole numbers (k,) and sightings (k, 2) or (k, 3), not shapes {ids.shape} and {z.shape}"
             )
+        if ids.dtype.kind not in "iu":
+            raise OptionError(f"the ids of landmarks must be whole numbers, not {ids.tolist()!r}")
         if not np.all(np.isfinite(z)) or np.any(z[:, 0] <= 0):
             raise OptionError("sightings must be finite and their ranges above zero")
         z[:, 1:] = wrap(z[:, 1:])
@@ -426,6 +439,7 @@ def _check_motion(control: Array, std: Array, dt: float) -> None:
 
 
 def _particle(particle: int, particles: int) -> int:
+    particle = whole("particle", particle)
     if not 0 <= particle < particles:
         raise OptionError(f"there is no particle {particle}: they are numbered 0 to {particles - 1}")
     return particle

@@ -13,6 +13,7 @@ from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 
+from .arguments import real
 from .association import CONFIRMED, AnonymousLandmarks
 from .landmark_columns import LandmarkColumns
 from .particle_filter import ParticleFilter
@@ -49,6 +50,7 @@ class FastSLAM(ParticleFilter):
             ess_threshold=ess_threshold, start=start, threads=threads,
         )  # fmt: skip
         check_choice("association", association, ASSOCIATIONS)
+        new_landmark_threshold = real("new_landmark_threshold", new_landmark_threshold, "a number between 0 and 1")
         if not 0 < new_landmark_threshold < 1:
             raise OptionError(f"new_landmark_threshold must lie between 0 and 1, not {new_landmark_threshold!r}")
         if association == "known" and log is not None and not log.identified:

@@ -294,5 +294,7 @@ def test_options() -> None:
         FastSLAM1(association="nearest")
     with pytest.raises(OptionError, match="new_landmark_threshold must lie between 0 and 1"):
         FastSLAM2(new_landmark_threshold=0.0)
-    with pytest.raises(OptionError, match="whole numbers"):
+    with pytest.raises(OptionError, match="new_landmark_threshold must be a number"):
+        FastSLAM2(new_landmark_threshold="few")
+    with pytest.raises(OptionError, match="ids may be None only with"):
         FastSLAM1().observe(None, [[1.0, 0.0]])
