@@ -74,12 +74,12 @@ def particles(
 
         from .particles import particles_figure, study
         from .plots import save_figure
-        from .results import check_can_write
+        from .results import check_can_draw
         from .tables import particles_table
 
         output = Output(json)
         if figure is not None:
-            check_can_write(figure)
+            check_can_draw(figure)
         counts = numbers("--particles", particles)
         if any(count != int(count) for count in counts):
             raise OptionError(f"--particles takes whole numbers, not {particles!r}")
@@ -96,7 +96,7 @@ def particles(
             progress=lambda run: output.progress(f"{run.name} N={run.particles} seed {run.seed}: {run.seconds:.2f} s"),
         )  # fmt: skip
         output.console.print(particles_table(outcome))
+        output.json(outcome.to_json())
         if figure is not None:
             save_figure(particles_figure(outcome), [figure])
             output.say(f"Wrote {figure}.")
-        output.json(outcome.to_json())
