@@ -91,6 +91,8 @@ class EstimatorResult:
         step_norms: (iterations,) the norm of each correction.
         cost: J at the end; None where nothing is minimised.
         landmarks, landmark_covariances: {id: (2,) or (3,)} and {id: (n, n)}; empty where no map is estimated.
+        named: whether the ids of the landmarks are the log's; False where they are numbers by discovery, and a
+            landmark's true counterpart is known by its place only.
         options: what the estimator was told, for the record.
         reason: why it ended, one sentence.
         notes: what the user should know.
@@ -106,6 +108,7 @@ class EstimatorResult:
     cost: float | None = None
     landmarks: Mapping[int, Array] = field(default_factory=dict)
     landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
+    named: bool = True
     options: Mapping[str, Any] = field(default_factory=dict)
     reason: str = ""
     notes: tuple[str, ...] = ()
