@@ -68,9 +68,9 @@ class FastSLAM(ParticleFilter):
             raise OptionError(f"sightings so far had {self._coordinates} columns, these have {columns}")
 
     def _weigh(self, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
-        possible = (sightings[:, 0] <= LARGEST) & np.all((q >= LARGEST**-2) & (q <= LARGEST**2), axis=1)
-        if not np.all(possible):
-            k = int(np.argmin(possible))
+        # three numbers first: this is asked at every step
+        if sightings[:, 0].max() > LARGEST or q.min() < LARGEST**-2 or q.max() > LARGEST**2:
+            k = int(np.argmax((sightings[:, 0] > LARGEST) | np.any((q < LARGEST**-2) | (q > LARGEST**2), axis=1)))
             raise OptionError(
                 f"step {self._step}: sighting {k}, of range {sightings[k, 0]:g} m with noise of standard deviations "
                 f"{', '.join(f'{std:g}' for std in np.sqrt(q[k]))}, is beyond floating point; leave it out, or change "
