@@ -53,7 +53,12 @@ def associate(
     # of each sighting the landmarks that it may be of, their log likelihoods, and how many
     landmarks, scores, counts = np.empty((scan, known), np.int64), np.empty((scan, known)), np.empty(scan, np.int64)
     chosen, won, taken = np.empty(scan, np.int64), np.empty(scan), np.empty(known, np.bool_)
-    columns, near = np.empty((4, scan)), np.empty(scan, np.bool_)
+    columns, near, which, b = (
+        np.empty((4, scan)),
+        np.empty(scan, np.bool_),
+        np.empty(scan, np.int64),
+        np.empty((7, scan)),
+    )
     for k in range(scan):
         columns[0, k], columns[1, k], columns[2, k], columns[3, k] = sightings[k, 0], sightings[k, 1], q[k, 0], q[k, 1]
     for i in range(lo, hi):
@@ -64,14 +69,23 @@ def associate(
             if rows[EVIDENCE, i] == 0:
                 # a particle without the landmark cannot choose it
                 continue
-            _find_near(x, _read(rows, i), columns, gate, near)
+            landmark = _read(rows, i)
+            _find_near(x, landmark, columns, gate, near)
+            # side by side, so that several are weighed at once
+            count = 0
             for k in range(scan):
-                if not near[k]:
-                    continue
-                z = (sightings[k, 0], sightings[k, 1], sightings[k, 2])
-                value, _ = fold_into_pose(x, _read(rows, i), z, (q[k, 0], q[k, 1], q[k, 2]), third)
-                if value >= log_new[k]:
-                    landmarks[k, counts[k]], scores[k, counts[k]] = c, value
+                if near[k]:
+                    which[count] = k
+                    for n in range(3):
+                        b[n, count], b[3 + n, count] = sightings[k, n], q[k, n]
+                    count += 1
+            for m in range(count):
+                z, variances = (b[0, m], b[1, m], b[2, m]), (b[3, m], b[4, m], b[5, m])
+                b[6, m], _ = fold_into_pose(x, landmark, z, variances, third)
+            for m in range(count):
+                k = which[m]
+                if b[6, m] >= log_new[k]:
+                    landmarks[k, counts[k]], scores[k, counts[k]] = c, b[6, m]
                     counts[k] += 1
         _choose(landmarks, scores, counts, chosen, won, taken)
 
