@@ -51,6 +51,8 @@ def main() -> None:
     """Time both versions and print a line each."""
     default = Path(__file__).parents[2] / "shared" / "data" / "fastslam_webmap" / "webmap.txt"
     path = Path(sys.argv[1]) if len(sys.argv) > 1 else default
+    if not path.is_file():
+        sys.exit(f"{path}: no such file; give the path of webmap.txt (35 landmarks, 17 way points) as the argument")
     log = webmap_log(path)
     print(f"{log.num_poses - 1} predictions, {len(np.unique(log.steps))} observation steps, {len(log.steps)} sightings")
     for kind in (FastSLAM1, FastSLAM2):

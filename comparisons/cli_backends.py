@@ -41,12 +41,12 @@ def backends(
         from .backend_report import backends_figure, backends_remarks, backends_table
         from .backends import BACKENDS, compare_backends
         from .plots import save_figure
-        from .results import check_can_write
+        from .results import check_can_draw
         from .tables import seconds
 
         output = Output(json)
         if figure is not None:
-            check_can_write(figure)
+            check_can_draw(figure)
         names = None if backends is None else [name.strip() for name in backends.split(",") if name.strip()]
         with output.bar("backends", len(files) * len(names or BACKENDS)) as advance:
 
@@ -60,7 +60,7 @@ def backends(
             )  # fmt: skip
         output.console.print(backends_table(outcome))
         output.say(*backends_remarks(outcome))
+        output.json(outcome.to_json())
         if figure is not None:
             save_figure(backends_figure(outcome), [figure])
             output.hint(f"Wrote {figure}.")
-        output.json(outcome.to_json())

@@ -37,12 +37,12 @@ def consistency(
     with sentences():
         from .consistency import study_consistency
         from .plots import save_figure
-        from .results import check_can_write
+        from .results import check_can_draw
         from .tables import consistency_remarks, consistency_table
 
         output = Output(json)
         if figure is not None:
-            check_can_write(figure)
+            check_can_draw(figure)
         names = [name.strip() for name in estimators.split(",") if name.strip()]
         with output.bar("logs", logs) as advance:
             outcome = study_consistency(

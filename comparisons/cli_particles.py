@@ -77,12 +77,12 @@ def particles(
 
         from .particles import particles_figure, study_particles
         from .plots import save_figure
-        from .results import check_can_write
+        from .results import check_can_draw
         from .tables import particles_table
 
         output = Output(json)
         if figure is not None:
-            check_can_write(figure)
+            check_can_draw(figure)
         counts = numbers("--particles", particles)
         if any(count != int(count) for count in counts):
             raise OptionError(f"--particles takes whole numbers, not {particles!r}")
@@ -104,7 +104,7 @@ def particles(
                 sensor=sensor, resampling=resampling, association=association, progress=told,
             )  # fmt: skip
         output.console.print(particles_table(outcome))
+        output.json(outcome.to_json())
         if figure is not None:
             save_figure(particles_figure(outcome), [figure])
             output.hint(f"Wrote {figure}.")
-        output.json(outcome.to_json())

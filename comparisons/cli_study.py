@@ -38,14 +38,16 @@ def study(
     with sentences():
         from graphslam.errors import check_choice
 
-        from .results import check_can_write
+        from .results import check_can_draw, check_can_write
         from .studies.database import StudyDatabase
         from .studies.summary import METRICS, summarise
         from .studies.tables import differences_table, remarks, summary_table
 
         output = Output(json)
         check_choice("--metric", metric, tuple(METRICS))
-        for path in (figure, csv, jsonl):
+        if figure is not None:
+            check_can_draw(figure)
+        for path in (csv, jsonl):
             if path is not None:
                 check_can_write(path)
         with StudyDatabase.reading(_database(words)) as database:

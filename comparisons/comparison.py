@@ -105,7 +105,9 @@ class Comparison(Shown):
     def metrics(self) -> dict[str, Metrics]:
         """The figures of every result against the truth, by name."""
         truth, landmarks = self.log.true_poses, self.log.true_landmarks
-        return {r.name: evaluate(truth, landmarks, r.poses, r.landmarks, r.estimated) for r in self.results}
+        return {
+            r.name: evaluate(truth, landmarks, r.poses, r.landmarks, r.estimated, named=r.named) for r in self.results
+        }
 
     def __getitem__(self, name: str) -> EstimatorResult:
         """The result of an estimator.

@@ -92,6 +92,8 @@ class EstimatorResult:
         cost: J at the end; None where nothing is minimised.
         costs: J before the first step and after each, as far as the solver tells it.
         landmarks, landmark_covariances: {id: (2,) or (3,)} and {id: (n, n)}; empty where no map is estimated.
+        named: whether the ids of the landmarks are the log's; False where they are numbers by discovery, and a
+            landmark's true counterpart is known by its place only.
         options: what the estimator was told, for the record.
         reason: why it ended, one sentence.
         notes: what the user should know.
@@ -108,6 +110,7 @@ class EstimatorResult:
     costs: Array = field(default_factory=lambda: np.empty(0))
     landmarks: Mapping[int, Array] = field(default_factory=dict)
     landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
+    named: bool = True
     options: Mapping[str, Any] = field(default_factory=dict)
     reason: str = ""
     notes: tuple[str, ...] = ()

@@ -17,6 +17,7 @@ from graphslam import (
     Graph,
     GraphError,
     Log,
+    OptionError,
     SensorModel,
     Solution,
     estimate_map,
@@ -143,7 +144,16 @@ def _no_gnc(options: RunOptions) -> None:
 
 
 def mcl(log: Log, options: RunOptions) -> EstimatorResult:
-    """Monte Carlo localisation on the true map: what a robot could know that need not map. It estimates no map."""
+    """Monte Carlo localisation on the true map: what a robot could know that need not map. It estimates no map.
+
+    Raises:
+        OptionError: the log does not have the map.
+    """
+    if log.true_landmarks is None:
+        raise OptionError(
+            f"mcl localises on the true map of the landmarks, which {log.name} does not have: leave mcl out of the "
+            "estimators, or let fastslam1 or fastslam2 make a map"
+        )
     return _particle_filter("mcl", MonteCarloLocalization, log, options)
 
 
@@ -254,21 +264,25 @@ def _particle_filter(
 ) -> EstimatorResult:
     told: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor, "resampling": options.resampling}
     told |= more
-    # a filter that ignores the ids numbers its landmarks itself: no map to compare by id
-    maps = more.get("association") == "known"
+    association = more.get("association")
     if (head := _head(log)) is not None:
         # the kernels compile at their first call; a few steps with two particles keep that out of the time
         kind(head, particles=2, seed=0, **told).run()
     begin = time.perf_counter()
     result = kind(log, particles=options.particles, seed=options.seed, **told).run()
     seconds = time.perf_counter() - begin
+    # a filter that ignores the ids numbers its landmarks itself
+    named = association != "maximum-likelihood"
     return EstimatorResult(
         name=name,
         poses=result.poses,
         estimated=np.ones(log.num_poses, dtype=bool),
         seconds=seconds,
-        landmarks=dict(result.landmarks) if maps else {},
-        landmark_covariances=dict(result.landmark_covariances) if maps else {},
+        # on a known map there is none to estimate
+        landmarks=dict(result.landmarks) if association is not None else {},
+        landmark_covariances=dict(result.landmark_covariances) if association is not None else {},
+        named=named,
+        notes=() if named else ("landmarks are numbered by discovery, and matched to true ones by their places",),
         options={"particles": options.particles, "seed": options.seed, "resampling": options.resampling} | more,
         reason=f"went over the log once with {options.particles} particles",
     )

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import linear_sum_assignment
 
 from graphslam import OptionError
 from graphslam.se2 import Array, between, compose, transform, wrap
@@ -150,16 +151,38 @@ def landmark_rmse(
     return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
 
 
+def named_by_place(
+    truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], alignment: ArrayLike
+) -> dict[int, ArrayLike]:
+    """A map whose ids mean nothing, by the ids of the truth: pairs that minimise the sum of |A m_k - M_j|, one to one.
+
+    A is the alignment of the trajectory, as in `landmark_rmse`. Where one map has more landmarks than the other, what is
+    left over belongs to nobody and is left out. (Of distances, not of their squares: there a phantom far away would
+    bend the other pairs towards itself. Kuhn, *The Hungarian method*, 1955, by SciPy.)
+    """
+    if not truth or not estimate:
+        return {}
+    names, numbers = sorted(truth), sorted(estimate)
+    true = np.array([np.asarray(truth[j], dtype=float)[:2] for j in names])
+    places = np.array([np.asarray(estimate[k], dtype=float)[:2] for k in numbers])
+    off = transform(np.asarray(alignment, dtype=float), places)[:, None] - true
+    rows, columns = linear_sum_assignment(np.hypot(off[..., 0], off[..., 1]))
+    return {names[c]: estimate[numbers[r]] for r, c in zip(rows, columns, strict=True)}
+
+
 def evaluate(
     true_poses: Array | None,
     true_landmarks: Mapping[int, Array] | None,
     poses: Array,
-    landmarks: Mapping[int, Array],
+    landmarks: Mapping[int, ArrayLike],
     mask: ArrayLike | None = None,
+    *,
+    named: bool = True,
 ) -> Metrics:
     """All figures of one estimate; those that the truth cannot tell are None.
 
-    Fewer than two poses that count tell nothing: they can always be aligned without error.
+    Fewer than two poses that count tell nothing: they can always be aligned without error. Where the landmarks are not
+    ``named``, their ids being numbers of the estimator's own, they are first matched to the truth by place.
     """
     if true_poses is None:
         return Metrics()
@@ -168,6 +191,8 @@ def evaluate(
         return Metrics()
     per_step = rpe(true_poses, poses, counted)
     alignment = align(true_poses, poses, counted)
+    if true_landmarks is not None and not named:
+        landmarks = named_by_place(true_landmarks, landmarks, alignment)
     return Metrics(
         ate_m=ate(true_poses, poses, counted),
         rpe_m=None if per_step is None else per_step[0],

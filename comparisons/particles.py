@@ -206,12 +206,9 @@ def _run(log: Log, name: str, particles: int, seed: int, options: dict[str, Any]
     result = FILTERS[name](log, particles=particles, seed=seed, **options).run()
     seconds = time.perf_counter() - begin
     landmarks = {} if name == "mcl" else result.landmarks
-    if options.get("association", "known") == "known":
-        metrics = evaluate(log.true_poses, log.true_landmarks, result.poses, landmarks)
-        map_error = metrics.landmark_rmse_m
-    else:
-        # the filter's own numbers for landmarks are not the log's, so the maps cannot be compared by id
-        metrics, map_error = evaluate(log.true_poses, None, result.poses, {}), None
+    # where the ids are not looked at, the filter's numbers for landmarks are its own
+    named = options.get("association", "known") == "known"
+    metrics = evaluate(log.true_poses, log.true_landmarks, result.poses, landmarks, named=named)
     seen = np.unique(log.steps)
     return ParticleRun(
         name=name,
@@ -219,7 +216,7 @@ def _run(log: Log, name: str, particles: int, seed: int, options: dict[str, Any]
         seed=seed,
         ate_m=metrics.ate_m,
         mean_ate_m=None if metrics.ate_m is None or log.true_poses is None else ate(log.true_poses, result.mean_poses),
-        landmark_rmse_m=map_error,
+        landmark_rmse_m=metrics.landmark_rmse_m,
         ess_share=float(np.mean(result.ess[seen]) / particles) if len(seen) else 1.0,
         ancestors=int(result.ancestors[len(result.ancestors) // 2]),
         seconds=seconds,

@@ -16,11 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from graphslam import FormatError
+from graphslam import FormatError, OptionError
 from graphslam.files import write_whole
 
 #: where runs leave their folders unless told otherwise
 RESULTS = Path("results")
+#: what figures can be written as, by suffix
+FIGURE_FORMATS = (".png", ".pdf", ".svg")
 
 
 def jsonable(value: Any) -> Any:
@@ -75,6 +77,20 @@ def check_can_write(path: Path) -> None:
         raise FormatError(path, None, f"cannot write into {path.parent}: there is no such folder")
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise FormatError(path, None, f"cannot write into {path.parent}: Permission denied")
+
+
+def check_can_draw(path: Path) -> None:
+    """The same for a figure, whose suffix says in which format.
+
+    Raises:
+        OptionError: the suffix is none of `FIGURE_FORMATS`.
+        FormatError: no file can be written there.
+    """
+    if path.suffix.lower() not in FIGURE_FORMATS:
+        raise OptionError(
+            f"{path}: a figure is written as {', '.join(FIGURE_FORMATS)}; give the file one of these endings"
+        )
+    check_can_write(path)
 
 
 def check_can_make(directory: Path) -> None:

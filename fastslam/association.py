@@ -24,8 +24,10 @@ from .crew import Crew
 from .fusion import LOG_2PI
 from .genealogy import Genealogy
 
-#: evidence at which a landmark stays for good: sightings minus the times it should have been seen and was not
-CONFIRMED = 3.0
+#: evidence (sightings minus the times it should have been seen and was not) at which a landmark is confirmed: maps have it
+CONFIRMED = 2.0
+#: evidence at which it stays for good
+KEPT = 3.0
 #: how far inside the borders of what the sensor has seen so far a landmark must be to be missed
 INSIDE = 0.9
 
@@ -35,6 +37,7 @@ class _Slice:
     index: int  # in the pool
     level: int
     box: tuple[float, float, float, float]  # of the means when last written: least x, most x, least y, most y
+    losable: bool = True  # by some particle, when last written
 
 
 class AnonymousLandmarks:
@@ -52,7 +55,7 @@ class AnonymousLandmarks:
         self._genealogy, self._crew, self._particles = genealogy, crew, particles
         self.coordinates = coordinates
         self._gate = float(chi2.isf(new_landmark_threshold, coordinates))
-        self._pool = np.empty((8, 10, particles))
+        self._pool = np.empty((8, kernels.SEEN + 1, particles))
         self._free = list(range(8))[::-1]
         self._slices: dict[int, _Slice] = {}
         self._births = 0
@@ -65,16 +68,15 @@ class AnonymousLandmarks:
         return list(self._slices)
 
     def scan(
-        self, belief: Array, poses: Array, drawn: bool, key: np.uint64, sightings: Array, q: Array,
+        self, belief: Array, poses: Array, drawn: bool, key: np.uint64, sightings: Array, q: Array, step: int,
         log_likelihood: Array,
     ) -> None:  # fmt: skip
-        """Fold one step's sightings (K, n) with variances (K, n) in; see `association_kernels.associate`."""
+        """Fold a scan of sightings (K, n) with variances (K, n) in; see `association_kernels.associate`."""
         count, oriented = len(sightings), self.coordinates == 3
         ranges, bearings = sightings[:, 0], np.abs(sightings[:, 1])
         self._seen = np.array(
             [min(self._seen[0], ranges.min()), max(self._seen[1], ranges.max()), max(self._seen[2], bearings.max())]
         )
-        view = self._seen * [1 / INSIDE, INSIDE, INSIDE]
         z, variances = np.zeros((count, 3)), np.ones((count, 3))
         z[:, : self.coordinates], variances[:, : self.coordinates] = sightings, q
         log_new = -0.5 * (self._gate + np.log(variances).sum(axis=1) + self.coordinates * LOG_2PI)
@@ -88,28 +90,48 @@ class AnonymousLandmarks:
         candidates = np.array([self._slices[j].index for j in near], dtype=np.int64)
         self._crew.run(
             kernels.associate, belief, poses, drawn, key, self._pool, candidates, np.array(fresh), z, variances,
-            1.0 if oriented else 0.0, log_new, view, CONFIRMED, log_likelihood,
+            1.0 if oriented else 0.0, log_new, self._gate, step, KEPT, log_likelihood,
         )  # fmt: skip
-        level = self._genealogy.level()
-        born = {self._births + k: _Slice(index, level, (0.0,) * 4) for k, index in enumerate(fresh)}
+        born = {self._births + k: _Slice(index, self._genealogy.level(), (0.0,) * 4) for k, index in enumerate(fresh)}
         self._births += count
         self._slices |= born
-        for j in [*near, *born]:
-            part = self._slices[j]
-            owners, *box = kernels.extent(self._pool[part.index])
-            if owners == 0:
-                self._free.append(self._slices.pop(j).index)
-            else:
-                part.box, part.level = (box[0], box[1], box[2], box[3]), level
+        self._written([*near, *born])
 
-    def gaussians(self, landmark: int, particles: np.ndarray | slice = slice(None)) -> tuple[Array, Array, np.ndarray]:
-        """Means (k, n) and covariances (k, n, n) of a landmark in some particles, and whether they have it (k,)."""
+    def end_step(self, poses: Array, step: int) -> None:
+        """Count against landmarks that may still be lost that they were in view of these poses (3, N) and no scan saw them.
+
+        Only now: another scan of the step might have seen them.
+        """
+        near = [j for j in self._near(poses) if self._slices[j].losable]
+        if not near:
+            return
+        for j in near:
+            self._bring_up(self._slices[j])
+        candidates = np.array([self._slices[j].index for j in near], dtype=np.int64)
+        view = self._seen * [1 / INSIDE, INSIDE, INSIDE]
+        # a copy: the kernel is compiled for writable arrays, and these may be either
+        self._crew.run(kernels.charge, poses.copy(), self._pool, candidates, step, view, KEPT)
+        self._written(near)
+
+    def gaussians(self, landmark: int, particles: np.ndarray | slice = slice(None)) -> tuple[Array, Array, Array]:
+        """Means (k, n) and covariances (k, n, n) of a landmark in some particles, and their evidence for it (k,)."""
         part, n = self._slices[landmark], self.coordinates
         inherited = self._pool[part.index][:, self._genealogy.ancestors(part.level)[particles]]
         rows, columns = np.triu_indices(3)
         covariances = np.empty((inherited.shape[1], 3, 3))
         covariances[:, rows, columns] = covariances[:, columns, rows] = inherited[3:9].T
-        return inherited[:n].T.copy(), covariances[:, :n, :n].copy(), inherited[kernels.EVIDENCE] > 0
+        return inherited[:n].T.copy(), covariances[:, :n, :n].copy(), inherited[kernels.EVIDENCE]
+
+    def _written(self, landmarks: list[int]) -> None:
+        """Note of slices at the particles' present numbers what has become of them, and free those that nobody has."""
+        level = self._genealogy.level()
+        for j in landmarks:
+            part = self._slices[j]
+            owners, losable, *box = kernels.extent(self._pool[part.index], KEPT)
+            if owners == 0:
+                self._free.append(self._slices.pop(j).index)
+            else:
+                part.box, part.level, part.losable = (box[0], box[1], box[2], box[3]), level, losable
 
     def _near(self, belief: Array) -> list[int]:
         """The landmarks whose box comes nearer to the box of the poses than the sensor has seen, and half as much more.
@@ -121,7 +143,7 @@ class AnonymousLandmarks:
         left, right, low, high = np.array([part.box for part in self._slices.values()]).T
         dx = np.maximum(np.maximum(left - belief[0].max(), belief[0].min() - right), 0.0)
         dy = np.maximum(np.maximum(low - belief[1].max(), belief[1].min() - high), 0.0)
-        within = dx * dx + dy * dy <= (1.5 * self._seen[1]) ** 2
+        within = np.hypot(dx, dy) <= 1.5 * self._seen[1]
         return [j for j, near in zip(self._slices, within.tolist(), strict=True) if near]
 
     def _bring_up(self, part: _Slice) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 
 from graphslam.errors import OptionError
 
+from .arguments import whole
 from .motion_kernels import CHUNK
 
 #: with fewer particles than this per thread, waking the thread costs more than it saves
@@ -40,9 +41,10 @@ class Crew:
     """
 
     def __init__(self, particles: int, threads: int | None) -> None:
-        if threads is not None and (not isinstance(threads, int) or threads < 1):
-            raise OptionError(f"threads must be a whole number of at least 1, or None for all, not {threads!r}")
-        wanted = available_threads() if threads is None else threads
+        expected = "a whole number of at least 1, or None for all"
+        wanted = available_threads() if threads is None else whole("threads", threads, expected)
+        if wanted < 1:
+            raise OptionError(f"threads must be {expected}, not {threads!r}")
         count = max(1, min(wanted, particles // WORTHWHILE))
         chunks = -(-particles // CHUNK)
         edges = [min(chunks * k // count * CHUNK, particles) for k in range(count + 1)]

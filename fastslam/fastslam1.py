@@ -25,8 +25,10 @@ class FastSLAM1(FastSLAM):
     gives every sighting to the landmark of its own map under which it is likeliest, the likeliest pair of the scan
     first, no landmark twice. A sighting that is likelier to be of a new landmark starts one. New landmarks are
     provisional: each sighting counts one for them, each time they should have been seen and were not (well within
-    the ranges and bearings at which anything was seen so far) one against; at 0 they are dropped, at 3 they stay. Maps
-    number landmarks by birth.
+    the ranges and bearings at which anything was seen so far: the sensor model has no limits) one against, counted once
+    a step, when the step is over; at 0 they are dropped, from 2 on they are confirmed, at 3 they stay. What is out of view
+    costs them nothing. A step counts if `observe` was called in it, even with nothing seen; of a log, if it has sightings.
+    Maps number landmarks by birth and leave out, unless asked, what is not confirmed.
 
     Args:
         log: what the robot did and saw; None to feed the filter by hand.

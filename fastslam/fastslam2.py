@@ -72,7 +72,7 @@ class FastSLAM2(FastSLAM):
         belief, poses = np.empty((9, self.particles)), np.empty_like(self._poses)
         predict, arguments = self._prediction(self._motion, belief)
         self._crew.run(predict, *arguments)
-        landmarks.scan(belief, poses, False, self._motion.key, sightings, q, log_likelihood)
+        landmarks.scan(belief, poses, False, self._motion.key, sightings, q, self._step, log_likelihood)
         self._set_poses(poses)
         return log_likelihood
 

@@ -17,6 +17,7 @@ from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 
 from . import landmark_kernels as kernels
+from .arguments import reals, whole
 from .particle_filter import ParticleFilter
 from .state import LandmarkEstimate
 
@@ -63,13 +64,20 @@ class MonteCarloLocalization(ParticleFilter):
         if landmarks is None:
             landmarks = log.true_landmarks if log is not None else None
         if landmarks is None:
-            raise OptionError("Monte Carlo localisation needs a map: give landmarks, {id: (x, y) or (x, y, heading)}")
+            without = "" if log is None else f", and {log.name} does not tell where its landmarks are"
+            raise OptionError(
+                f"Monte Carlo localisation needs a map{without}: give landmarks, {{id: (x, y) or (x, y, heading)}}, or "
+                "use FastSLAM, which makes its own"
+            )
+        if not isinstance(landmarks, Mapping):
+            raise OptionError(f"landmarks must be a mapping, {{id: (x, y) or (x, y, heading)}}, not {landmarks!r}")
         self._landmarks = {}
         for j, place in landmarks.items():
-            known = np.array(place, dtype=float)
+            expected = "finite, (x, y) or (x, y, heading)"
+            known = reals(f"landmarks[{j!r}]", place, expected)
             if known.shape not in ((2,), (3,)) or not np.all(np.isfinite(known)):
-                raise OptionError(f"landmarks[{j}] must be finite, (x, y) or (x, y, heading), not {place!r}")
-            self._landmarks[int(j)] = known
+                raise OptionError(f"landmarks[{j!r}] must be {expected}, not {place!r}")
+            self._landmarks[whole("the id of a landmark", j)] = known
         if log is not None and not log.identified:
             raise OptionError(
                 f"{log.name} has sightings that do not tell their landmark, and localisation needs to know"
@@ -92,8 +100,8 @@ class MonteCarloLocalization(ParticleFilter):
             self._crew.run(kernels.weigh_known, self._poses, known, z[:n], variances[:n], log_likelihood)
         return log_likelihood
 
-    def _map(self, particle: int) -> dict[int, LandmarkEstimate]:  # noqa: ARG002
+    def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:  # noqa: ARG002
         return {j: LandmarkEstimate(m.copy(), np.zeros((len(m), len(m)))) for j, m in self._landmarks.items()}
 
-    def _mixture(self, weights: Array) -> dict[int, LandmarkEstimate]:  # noqa: ARG002
-        return self._map(0)
+    def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]:  # noqa: ARG002
+        return self._map(0, provisional)

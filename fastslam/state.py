@@ -12,10 +12,14 @@ from graphslam.se2 import Array, wrap
 
 @dataclass(frozen=True, eq=False)
 class LandmarkEstimate:
-    """A Gaussian belief of a landmark: mean (x, y) or (x, y, heading) [m, m, rad] and its covariance (n, n)."""
+    """A Gaussian belief of a landmark: mean (x, y) or (x, y, heading) [m, m, rad] and its covariance (n, n).
+
+    With unknown association a landmark that may still prove to be a phantom is not ``confirmed``.
+    """
 
     mean: Array
     covariance: Array
+    confirmed: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +41,8 @@ class ParticleState:
     ess: float
     resampled: bool
     best: int
-    _map: Callable[[int], dict[int, LandmarkEstimate]] = field(repr=False)
-    _mixture: Callable[[Array], dict[int, LandmarkEstimate]] = field(repr=False)
+    _map: Callable[[int, bool], dict[int, LandmarkEstimate]] = field(repr=False)
+    _mixture: Callable[[Array, bool], dict[int, LandmarkEstimate]] = field(repr=False)
 
     @property
     def best_pose(self) -> Array:
@@ -56,23 +60,26 @@ class ParticleState:
         weights = np.exp(self.log_weights)
         return weighted_covariance(self.poses, weighted_mean(self.poses, weights), weights)
 
-    def map(self, particle: int | None = None) -> dict[int, LandmarkEstimate]:
-        """The map of one particle, by default the best, {id: estimate}.
+    def map(self, particle: int | None = None, *, provisional: bool = False) -> dict[int, LandmarkEstimate]:
+        """The map of one particle, by default the best, {id: estimate}; on request with what is not confirmed.
 
         Maps are kept once, not once per step: ask before the filter takes its next step.
 
         Raises:
             OptionError: there is no such particle, or the filter has gone on.
         """
-        return self._map(self.best if particle is None else particle)
+        return self._map(self.best if particle is None else particle, provisional)
 
-    def mixture_map(self) -> dict[int, LandmarkEstimate]:
+    def mixture_map(self, *, provisional: bool = False) -> dict[int, LandmarkEstimate]:
         """Mean and covariance of the mixture over all particles, {id: estimate}: E[S] + Cov[m].
+
+        With unknown association: of the landmarks that particles of half the weight or more have confirmed (with
+        ``provisional``, have at all), over the particles that have them.
 
         Raises:
             OptionError: the filter has gone on.
         """
-        return self._mixture(np.exp(self.log_weights))
+        return self._mixture(np.exp(self.log_weights), provisional)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +89,8 @@ class FilterResult:
     Attributes:
         poses: (T+1, 3), the history of the best particle [m, m, rad], headings in [-pi, pi).
         mean_poses: (T+1, 3), the weighted mean of the histories of the particles that survived to the end.
-        landmarks, landmark_covariances: the map of the best particle, {id: (n,)} and {id: (n, n)}, n = 2 or 3.
+        landmarks, landmark_covariances: the map of the best particle, {id: (n,)} and {id: (n, n)}, n = 2 or 3; with
+            unknown association what is confirmed of it.
         log_weights: (N,) at the end, normalised.
         ess: (T+1,) effective sample size after each step, before resampling.
         resampled: (T+1,) whether the step resampled.

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from comparisons.comparison import compare
 from comparisons.estimator import Estimator, RunOptions
 from comparisons.estimators import ESTIMATORS, default_edges, make_graph, pair_count
 from graphslam import (
@@ -13,8 +14,6 @@ from graphslam import (
     OptionError,
     SensorModel,
     SlamError,
-    load,
-    sample_log_path,
     simulate,
     solve,
     textbook,
@@ -148,12 +147,29 @@ def test_impossible_options(options: dict[str, object], word: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["fastslam1", "fastslam2"])
-def test_filters_that_ignore_the_ids_have_no_map_to_compare(name):
-    log = load(sample_log_path())
-    options = RunOptions(particles=20, association="maximum-likelihood", resampling="residual")
-    result = ESTIMATORS[name].run(log, options)
-    assert result.landmarks == {}
+def test_filters_that_ignore_the_ids_number_their_map_and_are_judged_by_place(name):
+    part = {
+        "motion": MotionModel(nn=0.095, no=0.0005, on=0.065, oo=0.1, epsilon=2.5e-5),
+        "sensor": SensorModel(range_rate=0.07, bearing_std=0.025, orientation_std=0.025),
+    }
+    log = simulate(seed=1, clean=True, **part)
+    options = RunOptions(particles=100, association="maximum-likelihood", resampling="residual", **part)
+    outcome = compare(log, [name], options)
+    result = outcome[name]
+    assert len(result.landmarks) == len(log.landmark_ids)
     assert result.options["association"] == "maximum-likelihood"
+    assert not result.named
+    assert "numbered by discovery" in result.notes[0]
+    nearest = [min(np.hypot(*(m - t)[:2]) for m in result.landmarks.values()) for t in log.true_landmarks.values()]
+    # both are errors of the same pairs, before and after the trajectory is aligned
+    assert outcome.metrics[name].landmark_rmse_m == pytest.approx(np.sqrt(np.mean(np.square(nearest))), abs=0.15)
+    assert outcome.metrics[name].landmark_rmse_m < 0.5
+
+
+def test_what_mcl_needs(log: Log) -> None:
+    blind = log.replace(true_landmarks=None, name="attic")
+    with pytest.raises(OptionError, match="true map of the landmarks, which attic does not have: leave mcl out"):
+        ESTIMATORS["mcl"].run(blind, OPTIONS)
 
 
 @pytest.mark.parametrize("options", [{"resampling": "wheel"}, {"association": "guess"}, {"initialize": "zero"}])

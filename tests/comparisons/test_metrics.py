@@ -15,9 +15,10 @@ from comparisons.metrics import (
     evaluate,
     heading_rmse,
     landmark_rmse,
+    named_by_place,
     position_errors,
     rpe,
-)
+)  # fmt: skip
 from graphslam import OptionError
 from graphslam.se2 import Array, compose, transform, wrap
 
@@ -158,6 +159,26 @@ def _inverse(pose: Array) -> Array:
     from graphslam.se2 import inverse
 
     return inverse(pose)
+
+
+def test_a_map_without_names_is_matched_by_place() -> None:
+    """Ids shuffled, the whole turned with the trajectory, one phantom and one landmark missing: the same error."""
+    rng = np.random.default_rng(2)
+    truth = dict(enumerate(rng.uniform(-5, 5, (6, 2))))
+    poses = np.column_stack([rng.uniform(-5, 5, (9, 2)), rng.uniform(-3, 3, 9)])
+    estimate = {j: place + [0.03, -0.04] for j, place in truth.items() if j != 4}
+    motion = np.array([3.0, -2.0, 1.0])
+    anonymous = {17 - 3 * j: transform(motion, place) for j, place in estimate.items()} | {40: np.array([90.0, 90.0])}
+    moved = compose(motion, poses)
+    found = named_by_place(truth, anonymous, align(poses, moved))
+    # the phantom is the nearest there is to the landmark that nobody found
+    assert found.keys() == truth.keys()
+    np.testing.assert_array_equal(found.pop(4), [90.0, 90.0])
+    for j, place in found.items():
+        np.testing.assert_array_equal(place, anonymous[17 - 3 * j])
+    del anonymous[40]
+    assert evaluate(poses, truth, moved, anonymous, named=False).landmark_rmse_m == pytest.approx(0.05)
+    assert named_by_place(truth, {}, np.zeros(3)) == {}
 
 
 def test_evaluate_says_none_where_the_truth_is_silent() -> None:

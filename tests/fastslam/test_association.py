@@ -4,11 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numba import njit
 from scipy.stats import chi2
 
-from fastslam import FastSLAM1, FastSLAM2, textbook
+from fastslam import FastSLAM1, FastSLAM2, association_kernels, textbook
 from fastslam.noise import standard_normals
 from graphslam import MotionModel, OptionError, SensorModel, simulate
+
+
+@njit
+def choose(landmarks, scores, counts, chosen, won, taken):
+    association_kernels._choose(landmarks, scores, counts, chosen, won, taken)
+
+
+@njit
+def find_near(x, landmark, columns, gate, near):
+    association_kernels._find_near(x, landmark, columns, gate, near)
+
 
 UNKNOWN = {"association": "maximum-likelihood"}
 HALF = {
@@ -40,11 +52,19 @@ def test_against_the_textbooks_equations(columns: int, version: int) -> None:
     sensor, motion, noise_rng = slam.sensor, slam.motion, np.random.default_rng(8)
     slow = textbook.start(particles, np.zeros(3))
     evidence: list[dict[int, float]] = [{} for _ in slow]
-    births, reach, pose = 0, np.array([np.inf, 0.0, 0.0]), np.zeros(3)
-    disagreed = False
+    births, reach, pose, seen_now = 0, np.array([np.inf, 0.0, 0.0]), np.zeros(3), [set() for _ in slow]
+    disagreed, dropped = False, 0
     for t in range(10):
         normals = standard_normals(noise_rng, particles) if t else None
         if t:
+            for i, particle in enumerate(slow):
+                for j in set(particle.map) - seen_now[i]:
+                    r, phi = sensor.h(particle.pose, particle.map[j].mean)[:2]
+                    if evidence[i][j] < 3 and reach[0] / 0.9 <= r <= 0.9 * reach[1] and abs(phi) <= 0.9 * reach[2]:
+                        evidence[i][j] -= 1
+                        dropped += evidence[i][j] == 0
+                        if evidence[i][j] == 0:
+                            del particle.map[j], evidence[i][j]
             slam.move(CONTROL, DT)
             pose = motion.f(pose, CONTROL, DT) + [0.02, -0.03, 0.05]
         seen = rng.permutation(6)[:4]
@@ -78,12 +98,7 @@ def test_against_the_textbooks_equations(columns: int, version: int) -> None:
                     particle.log_weight += likelihood
             now = textbook.draw_pose(belief, normals[i, :3]) if version == 2 and t else moved
             particle.path.append(now)
-            for j in set(names) - set(chosen):
-                r, phi = sensor.h(now, particle.map[j].mean)[:2]
-                if evidence[i][j] < 3 and reach[0] / 0.9 <= r <= 0.9 * reach[1] and abs(phi) <= 0.9 * reach[2]:
-                    evidence[i][j] -= 1
-                    if evidence[i][j] == 0:
-                        del particle.map[j], evidence[i][j]
+            seen_now[i] = {births + k if j is None else j for k, j in enumerate(chosen)}
             for k, j in enumerate(chosen):
                 if j is None:
                     particle.map[births + k] = textbook.initialize_landmark(now, z[k], sensor)
@@ -98,13 +113,14 @@ def test_against_the_textbooks_equations(columns: int, version: int) -> None:
         )
         np.testing.assert_allclose(slam.state.poses, [particle.pose for particle in slow], atol=1e-10)
         for i, particle in enumerate(slow):
-            found = slam.state.map(i)
+            found = slam.state.map(i, provisional=True)
             assert found.keys() == particle.map.keys()
             for j, landmark in particle.map.items():
                 np.testing.assert_allclose(found[j].mean, landmark.mean, atol=1e-10)
                 np.testing.assert_allclose(found[j].covariance, landmark.covariance, atol=1e-10)
         disagreed |= len({tuple(sorted(particle.map)) for particle in slow}) > 1
     assert disagreed
+    assert dropped > 0
 
 
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
@@ -135,16 +151,46 @@ def test_a_phantom_is_dropped_when_it_is_not_seen_again() -> None:
     marks = np.array([[3.0, 1.0, 0.2], [4.0, -1.0, -0.4], [5.0, 2.5, 1.0], [2.0, -2.0, 0.0]])
     slam = FastSLAM1(particles=20, **HALF, **UNKNOWN)
     real = slam.sensor.h(np.zeros(3), marks)
-    slam.observe(None, real)
-    assert len(slam.state.map()) == 4
-    slam.observe(None, np.vstack([real, [4.5, 0.1, 0.0]]))
-    assert len(slam.state.map()) == 5
-    slam.observe(None, real)
-    assert len(slam.state.map()) == 4
+    phantom = np.array([[4.5, 0.1, 0.0]])
+    counts = []
     # seen three times they stay, whatever happens
-    for _ in range(5):
-        slam.observe(None, real[:1])
-    assert len(slam.state.map()) == 4
+    for scan in (real, np.vstack([real, phantom]), real, *[real[:1]] * 5):
+        slam.observe(None, scan)
+        counts.append(len(slam.state.map(provisional=True)))
+        slam.move((0.0, 0.0), 0.0)
+    assert counts == [4, 5, 5, 4, 4, 4, 4, 4]
+
+
+def test_sightings_handed_in_one_by_one_are_one_look_around() -> None:
+    """No landmark is missed in one call that another call of the same step sees, before or after."""
+    marks = np.array([[3.0, 1.0, 0.2], [4.0, -1.0, -0.4], [5.0, 2.5, 1.0], [2.0, -2.0, 0.0]])
+    together, apart = (FastSLAM1(particles=20, ess_threshold=0.0, **HALF, **UNKNOWN) for _ in range(2))
+    real = together.sensor.h(np.zeros(3), marks)
+    for _ in range(3):
+        together.observe(None, real)
+        for one in real:
+            apart.observe(None, one[None])
+        for slam in (together, apart):
+            slam.move((0.0, 0.0), 0.0)
+    maps = [[estimate.mean for estimate in slam.state.map(provisional=True).values()] for slam in (together, apart)]
+    assert len(maps[0]) == 4
+    np.testing.assert_allclose(*maps)
+
+
+def test_seeing_nothing_is_missing_what_is_in_view() -> None:
+    slam = FastSLAM1(particles=20, **HALF, **UNKNOWN)
+    slam.observe(None, [])  # before anything is known of the sensor
+    slam.observe(None, [[4.0, 0.0], [1.0, 0.5], [6.0, -0.5]])
+    slam.move((0.0, 0.0), 0.0)
+    slam.move((0.0, 0.0), 0.0)  # nobody looked
+    assert len(slam.state.map(provisional=True)) == 3
+    slam.observe(None, [])
+    slam.observe(None, np.empty((0, 2)))
+    slam.move((0.0, 0.0), 0.0)
+    # the others are at the border of what the sensor is known to see
+    assert [estimate.mean[0] for estimate in slam.state.map(provisional=True).values()] == pytest.approx(
+        [np.cos(0.5), 6 * np.cos(0.5)]
+    )
 
 
 def test_mutual_exclusion() -> None:
@@ -154,7 +200,51 @@ def test_mutual_exclusion() -> None:
     together.observe(None, np.vstack([z, z]))
     apart.observe(None, z)
     apart.observe(None, z)
-    assert (len(together.state.map()), len(apart.state.map())) == (2, 1)
+    assert (len(together.state.map(provisional=True)), len(apart.state.map(provisional=True))) == (2, 1)
+
+
+def test_the_choice_is_greedy_also_with_ties() -> None:
+    """Against the plain program, on scores with holes and ties: the same pairs, in a scan of up to nine sightings."""
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        scan, known = rng.integers(1, 10, 2)
+        table = np.where(rng.random((scan, known)) < 0.6, rng.integers(0, 5, (scan, known)).astype(float), -np.inf)
+        landmarks, scores = np.zeros((scan, known), dtype=np.int64), np.zeros((scan, known))
+        counts = np.isfinite(table).sum(axis=1)
+        for k in range(scan):
+            landmarks[k, : counts[k]] = np.flatnonzero(np.isfinite(table[k]))
+            scores[k, : counts[k]] = table[k][np.isfinite(table[k])]
+        chosen, won, taken = np.empty(scan, dtype=np.int64), np.empty(scan), np.empty(known, dtype=bool)
+        choose(landmarks, scores, counts, chosen, won, taken)
+        assert chosen.tolist() == greedy(table)
+        given = chosen >= 0
+        np.testing.assert_array_equal(won[given], table[given, chosen[given]])
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_the_gate_keeps_every_pair_that_counts(columns: int) -> None:
+    """Uncertain poses and landmarks, correlated: what the gate drops has a smaller likelihood than a new landmark."""
+    rng, p, sensor = np.random.default_rng(5), 1e-4, SensorModel()
+    gate, kept, possible, pairs = chi2.isf(p, columns), 0, 0, 0
+    for _ in range(200):
+        roots = rng.normal(0, 0.15, (2, 3, 3))
+        P, S = (root @ root.T for root in roots)
+        mean = np.array([*rng.uniform(-4, 4, 2), 0.3])[:columns]
+        belief = textbook.PoseBelief(rng.normal(0, 0.5, 3), P)
+        landmark = textbook.Landmark(mean, S[:columns, :columns])
+        z = sensor.h(belief.mean, mean) + rng.normal(0, 1.0, (40, columns))
+        z[:, 0] = np.abs(z[:, 0]) + 0.1
+        Q = sensor.Q(z)
+        x = (*belief.mean, *P[np.triu_indices(3)])
+        m = np.zeros(9)
+        m[:columns], m[3:] = mean, S[np.triu_indices(3)]
+        near = np.empty(40, dtype=bool)
+        find_near(x, tuple(m), np.array([z[:, 0], z[:, 1], Q[:, 0, 0], Q[:, 1, 1]]), gate, near)
+        log_new = -0.5 * (gate + np.log(np.linalg.det(2 * np.pi * Q)))
+        counts = np.array([textbook.correct_pose(belief, landmark, one, sensor)[1] for one in z]) >= log_new
+        assert np.all(near[counts])
+        kept, possible, pairs = kept + near.sum(), possible + counts.sum(), pairs + 40
+    assert 0 < possible <= kept < 0.8 * pairs
 
 
 def test_the_pool_grows_and_is_recycled() -> None:
@@ -163,12 +253,32 @@ def test_the_pool_grows_and_is_recycled() -> None:
     slam = FastSLAM2(log, particles=60, ess_threshold=1.0, **HALF, **UNKNOWN)
     for state in slam:
         for i in (0, 59):
-            for estimate in state.map(i).values():
+            for estimate in state.map(i, provisional=True).values():
                 assert np.all(np.linalg.eigvalsh(estimate.covariance) > 0)
     pool = slam._anonymous
     used = [part.index for part in pool._slices.values()]
     assert sorted(used + pool._free) == list(range(len(pool._pool)))
     assert len(slam.result().landmarks) > 20
+
+
+@pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
+def test_an_outlier_is_not_reported(kind: type) -> None:
+    """One sighting of nothing, at the border of the view and never in it again: in the particles, not in the maps."""
+    log = simulate(seed=1, steps=20, clean=True, **HALF)
+    slam, landmarks = kind(log, particles=50, **HALF, **UNKNOWN), 0
+    for state in slam:
+        if state.step == 10:
+            landmarks = len(state.map())
+            slam.observe(None, [[30.0, 3.0, 0.0]])
+    found, everything = slam.state.map(), slam.state.map(provisional=True)
+    assert len(found) >= landmarks > 0
+    assert max(np.hypot(*estimate.mean[:2]) for estimate in found.values()) < 10
+    assert max(np.hypot(*estimate.mean[:2]) for estimate in everything.values()) > 20
+    assert {j for j, estimate in everything.items() if estimate.confirmed} == found.keys()
+    assert slam.result().landmarks.keys() == found.keys()
+    mixtures = [slam.state.mixture_map(provisional=asked) for asked in (False, True)]
+    assert [sum(np.hypot(*e.mean[:2]) > 20 for e in mixture.values()) for mixture in mixtures] == [0, 1]
+    assert all(estimate.confirmed for estimate in mixtures[0].values())
 
 
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
@@ -184,5 +294,7 @@ def test_options() -> None:
         FastSLAM1(association="nearest")
     with pytest.raises(OptionError, match="new_landmark_threshold must lie between 0 and 1"):
         FastSLAM2(new_landmark_threshold=0.0)
-    with pytest.raises(OptionError, match="whole numbers"):
+    with pytest.raises(OptionError, match="new_landmark_threshold must be a number"):
+        FastSLAM2(new_landmark_threshold="few")
+    with pytest.raises(OptionError, match="ids may be None only with"):
         FastSLAM1().observe(None, [[1.0, 0.0]])

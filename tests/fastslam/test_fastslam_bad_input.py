@@ -28,6 +28,18 @@ def make(cls: type, **options: object) -> FastSLAM1 | FastSLAM2 | MonteCarloLoca
         ({"resampling": "best"}, "resampling must be one of systematic"),
         ({"ess_threshold": 1.5}, "ess_threshold must lie between"),
         ({"ess_threshold": float("nan")}, "ess_threshold must lie between"),
+        ({"ess_threshold": "half"}, "ess_threshold must be a number between"),
+        ({"seed": -1}, "seed must be a whole number, not below 0"),
+        ({"seed": 1.5}, "seed must be a whole number"),
+        ({"seed": "a"}, "seed must be a whole number"),
+        ({"log": "sample.npz"}, "log must be a Log, not 'sample.npz'"),
+        ({"motion": 0.1}, "motion must be a MotionModel"),
+        ({"sensor": 0.1}, "sensor must be a SensorModel"),
+        ({"threads": "2"}, "threads must be a whole number of at least 1"),
+        ({"threads": True}, "threads must be a whole number of at least 1"),
+        ({"threads": 0}, "threads must be a whole number of at least 1"),
+        ({"start": "here"}, "start must be a finite pose"),
+        ({"start": ((0.0, 0.0, 0.0), (1.0,))}, "start must be a finite pose"),
         ({"start": (0.0, 0.0)}, "start must be a finite pose"),
         ({"start": (0.0, np.nan, 0.0)}, "start must be a finite pose"),
     ],
@@ -50,13 +62,13 @@ def test_no_log_to_run() -> None:
 
 
 @pytest.mark.parametrize("cls", FILTERS)
-@pytest.mark.parametrize("control", [(np.nan, 0.0), (0.1, np.inf), (0.1,), ((0.1, 0.2),)])
+@pytest.mark.parametrize("control", [(np.nan, 0.0), (0.1, np.inf), (0.1,), ((0.1, 0.2),), "fast", ((1,), (1, 2))])
 def test_control(cls: type, control: tuple) -> None:
     with pytest.raises(OptionError, match="control must be two finite numbers"):
         make(cls).move(control, 1.0)
 
 
-@pytest.mark.parametrize("dt", [-1.0, np.nan, np.inf])
+@pytest.mark.parametrize("dt", [-1.0, np.nan, np.inf, "long", None, [1.0, 2.0]])
 def test_negative_time(dt: float) -> None:
     with pytest.raises(OptionError, match="dt must be"):
         FastSLAM1().move((0.1, 0.0), dt)
@@ -107,11 +119,34 @@ def test_sensor_without_noise_is_refused() -> None:
         ([0], [[1.0, np.inf]]),
         ([0], [[0.0, 0.0]]),
         ([0], [[-1.0, 0.0]]),
+        ([0], "near"),
+        ([0], [[1.0, 0.0], [1.0]]),
+        ([[0], [1, 2]], [[1.0, 0.0]]),
     ],
 )
 def test_sightings(cls: type, ids: list, sightings: list) -> None:
     with pytest.raises(OptionError):
         make(cls).observe(ids, sightings)
+
+
+@pytest.mark.parametrize("ids", [["a"], [1.5], [None], [True], [2**70]])
+def test_ids_of_the_wrong_type(ids: list) -> None:
+    with pytest.raises(OptionError, match="ids of landmarks must be whole numbers, not"):
+        FastSLAM1().observe(ids, [[1.0, 0.0]])
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    slam = FastSLAM1(particles=np.int64(5), threads=np.int64(2), seed=np.int64(3), ess_threshold=np.float32(0.5))
+    slam.move(np.array([0.1, 0.0], dtype=np.float32), np.float32(1.0))
+    assert slam.trajectory(np.int32(4)).shape == (2, 3)
+
+
+@pytest.mark.parametrize("particle", [1.5, "best", True])
+def test_particles_are_numbered(particle: object) -> None:
+    slam = FastSLAM1(particles=5)
+    for ask in (slam.state.map, slam.trajectory):
+        with pytest.raises(OptionError, match="particle must be a whole number"):
+            ask(particle)
 
 
 @pytest.mark.parametrize("cls", FILTERS)
@@ -127,6 +162,25 @@ def test_turning_beyond_reason() -> None:
     with pytest.raises(OptionError, match="turns the robot by more than"):
         slam.move((0.1, 1e6), 1.0)
     assert slam.state.step == 0
+
+
+@pytest.mark.parametrize("cls", FILTERS)
+@pytest.mark.parametrize("offset", [0.0, 0.2])
+@pytest.mark.parametrize(("control", "dt"), [((1e308, 0.0), 10.0), ((1e10, 0.0), 1.0), ((1.0, 0.0), 1e-310)])
+def test_going_beyond_reason(control: tuple, dt: float, offset: float, cls: type) -> None:
+    """A way that overflows, one round the Earth many times, and a moment so short that the noise overflows."""
+    slam = make(cls, particles=5, sensor=SensorModel(offset=offset))
+    with pytest.raises(OptionError, match="moves the robot by more than 1e.09 m"):
+        slam.move(control, dt)
+    assert slam.state.step == 0
+    log = Log(
+        dt=[1.0, dt], controls=[[0.1, 0.0], control], initial_poses=np.zeros((3, 3)), steps=[0], landmarks=[0],
+        sightings=[[1.0, 0.0]],
+    )  # fmt: skip
+    slam = make(cls, log=log, particles=5, sensor=SensorModel(offset=offset))
+    with pytest.raises(OptionError, match="the robot by"):
+        slam.run()
+    assert slam.state.step == 1
 
 
 def test_psi_cannot_come_and_go() -> None:
@@ -146,12 +200,18 @@ def test_unknown_landmark_on_a_known_map() -> None:
 
 
 def test_no_map() -> None:
-    with pytest.raises(OptionError, match="needs a map"):
+    with pytest.raises(OptionError, match="needs a map, and .* does not tell where its landmarks are: give landmarks"):
         MonteCarloLocalization(simulate().replace(true_landmarks=None))
     with pytest.raises(OptionError, match="needs a map"):
         MonteCarloLocalization()
     with pytest.raises(OptionError, match=r"landmarks\[2\] must be finite"):
         MonteCarloLocalization(landmarks={2: (1.0, np.nan)})
+    with pytest.raises(OptionError, match=r"landmarks\[2\] must be finite"):
+        MonteCarloLocalization(landmarks={2: "there"})
+    with pytest.raises(OptionError, match="landmarks must be a mapping"):
+        MonteCarloLocalization(landmarks=[(1.0, 2.0)])
+    with pytest.raises(OptionError, match="id of a landmark must be a whole number"):
+        MonteCarloLocalization(landmarks={"door": (1.0, 2.0)})
 
 
 def test_range_bearing_landmarks_on_the_map_leave_psi_out() -> None:
@@ -243,3 +303,36 @@ def test_maps_of_a_state_that_is_over() -> None:
         slam.trajectory(-1)
     with pytest.raises(ValueError, match="read-only"):
         state.poses[0] = 0.0
+
+
+@pytest.mark.parametrize("cls", SLAM)
+@pytest.mark.parametrize("association", ["known", "maximum-likelihood"])
+def test_numbers_beyond_floating_point(association: str, cls: type) -> None:
+    """A range of 1e200 m, or noise whose variance is no number, is refused before anything changes."""
+    slam = cls(particles=20, association=association)
+    slam.observe([0], [[2.0, 0.1]])
+    state = slam.state
+    for absurd in (1e200, 1e60, 1e-200):
+        with pytest.raises(OptionError, match=r"step 0: sighting 1, of range .* is beyond floating point"):
+            slam.observe([0, 1], [[2.0, 0.1], [absurd, 0.1]])
+    assert state.map(provisional=True).keys() == {0}
+    for std in (1e-200, 1e-60):
+        sharp = cls(particles=20, association=association, sensor=SensorModel(bearing_std=std))
+        with pytest.raises(OptionError, match="beyond floating point"):
+            sharp.observe([0], [[2.0, 0.1]])
+
+
+@pytest.mark.parametrize("cls", SLAM)
+@pytest.mark.parametrize("association", ["known", "maximum-likelihood"])
+@pytest.mark.parametrize("size", [1e-40, 1e-12])
+def test_almost_no_noise(size: float, association: str, cls: type) -> None:
+    """Down to the limit: a standing robot sees its landmarks where they are, and far ones are numbers."""
+    sensor = SensorModel(range_rate=size, bearing_std=size)
+    slam = cls(particles=20, association=association, sensor=sensor, ess_threshold=0.0)
+    for _ in range(4):
+        slam.observe([0, 1], [[2.0, 0.0], [1e30, 0.5]])
+        slam.move((0.0, 0.0), 0.0)
+    landmarks = slam.state.mixture_map()
+    np.testing.assert_allclose(landmarks[0].mean, [2.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(landmarks[1].mean, 1e30 * np.array([np.cos(0.5), np.sin(0.5)]))
+    np.testing.assert_allclose(slam.state.log_weights, -np.log(20))
