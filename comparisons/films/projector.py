@@ -1,0 +1,47 @@
+"""From frames to pixels: what stands still is drawn once, and each picture is that and a few artists on top."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from ..plots import paper_figure
+from .frame import Frame
+
+#: inches and dots per inch of a picture; both sides have an even number of pixels, as video wants it
+SIZE, DPI = (7.2, 6.4), 110
+
+#: brings the artists of a scene up to a frame, and returns those to draw, in this order
+Show = Callable[[Frame], Sequence[Artist]]
+
+
+class Projector(Sequence[np.ndarray]):
+    """The pictures (height, width, 3) of a film, uint8, drawn when they are asked for, in any order."""
+
+    def __init__(self, frames: Sequence[Frame], set_up: Callable[[Figure], Show]) -> None:
+        self._frames = frames
+        with paper_figure(SIZE) as figure:
+            figure.set_dpi(DPI)
+            self._show = set_up(figure)
+            canvas = figure.canvas
+            assert isinstance(canvas, FigureCanvasAgg)
+            # within the style: ticks are made when they are first drawn
+            canvas.draw()
+            self._canvas = canvas
+            self._still = canvas.copy_from_bbox(figure.bbox)
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN204
+        if isinstance(index, slice):
+            return [self[k] for k in range(*index.indices(len(self)))]
+        self._canvas.restore_region(self._still)
+        renderer = self._canvas.get_renderer()
+        for artist in self._show(self._frames[index]):
+            artist.draw(renderer)
+        return np.asarray(self._canvas.buffer_rgba())[:, :, :3].copy()
