@@ -136,9 +136,7 @@ def _scene(
     landmarks = None if name == "mcl" else MapArtists(stage, "best particle's map (3σ)")
     robot = Robot(stage)
     steps = np.flatnonzero(resampled)
-    stage.strip.plot(
-        steps, np.zeros(len(steps)), "|", color=FLASH, markersize=5, clip_on=False, label="resampled"
-    )
+    stage.strip.plot(steps, np.full(len(steps), 0.95), "|", color=FLASH, markersize=4)
     curve = Curve(stage, np.arange(len(ess)), ess / options.particles, "step", "ESS / N")
     stage.strip.set_ylim(0, 1.05)
     stage.remember("resampling", Line2D([], [], color=FLASH, linestyle="none", marker="|", markersize=6))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.artist import Artist
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
@@ -105,21 +104,22 @@ def _length(metres: float) -> str:
 def _scene(figure: Figure, log: Log, options: RunOptions, title: str, frames: Sequence[Grown]) -> Show:
     last = frames[-1]
     placement = placement_of(log, last.poses)
-    stage = Stage(figure, log, "isam2", placement, frames[0], last, log.dead_reckoning(options.motion), title)
     largest = np.array([frame.corrections.max() for frame in frames])
     scale = LogNorm(1e-3, max(float(largest.max()), 1e-2))
+    stage = Stage(
+        figure, log, "isam2", placement, frames[0], last, log.dead_reckoning(options.motion), title,
+        (scale, COLORS, "correction of a pose since the picture before [m]"),
+    )  # fmt: skip
     sightings = stage.sightings()
-    path = stage.path("isam2", linewidth=1.2)
+    path = stage.path("isam2", linewidth=5.0, alpha=0.3)
     moved = LineCollection([], cmap=COLORS, norm=scale, linewidths=2.4, capstyle="round", animated=True)
     stage.plane.add_collection(moved, autolim=False)
     landmarks = MapArtists(stage, "map (3σ, given the path)")
     robot = Robot(stage)
-    bar = figure.colorbar(
-        ScalarMappable(scale, COLORS), ax=stage.plane, extend="min", fraction=0.05, pad=0.02, aspect=35
-    )
-    bar.set_label("correction of a pose since the picture before [m]")
     numbers = np.array([frame.number for frame in frames])
-    curve = Curve(stage, numbers, largest, "step", "largest [m]", log_scale=True)
+    # less than a micrometre is rounding
+    visible = np.where(largest > 1e-6, largest, np.nan)
+    curve = Curve(stage, numbers, visible, "step", "largest [m]", log_scale=True)
     stage.legend()
 
     def show(frame: Frame) -> Sequence[Artist]:
@@ -131,7 +131,7 @@ def _scene(figure: Figure, log: Log, options: RunOptions, title: str, frames: Se
         moved.set_array(np.maximum(frame.corrections[:-1], frame.corrections[1:]))
         sightings.set_segments(list(np.stack([np.broadcast_to(poses[-1], seen.shape), seen], axis=1)))
         return [
-            sightings, *landmarks.show(frame), moved, path, *robot.show(frame.poses[-1]), *curve.show(frame),
+            sightings, *landmarks.show(frame), path, moved, *robot.show(frame.poses[-1]), *curve.show(frame),
             *stage.words(frame),
         ]  # fmt: skip
 

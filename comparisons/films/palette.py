@@ -9,14 +9,15 @@ from PIL import Image
 
 #: one less than a file can have: the last is left for "as in the picture before"
 COLORS = 255
+CLEAR = 255
 #: how many pictures the colours are taken from, and how many more of those that light up
 SAMPLES, LIT_SAMPLES = 10, 3
 
 
 def indexed(
     pictures: Sequence[np.ndarray], lit: Sequence[int], progress: Callable[[], None]
-) -> Iterator[Image.Image]:
-    """The pictures (h, w, 3) in one palette, one after the other.
+) -> Iterator[tuple[np.ndarray, Image.Image]]:
+    """The pictures (h, w, 3), one after the other, each with its copy in the film's one palette.
 
     Args:
         pictures: uint8.
@@ -29,5 +30,5 @@ def indexed(
     sheet = Image.fromarray(np.concatenate([pictures[k][::2] for k in taken]))
     palette = sheet.quantize(COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     for picture in pictures:
-        yield Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
+        yield picture, Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
         progress()

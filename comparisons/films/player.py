@@ -10,32 +10,39 @@ from html import escape
 from string import Template
 
 import numpy as np
+from PIL import Image
 
-from .palette import indexed
+from .palette import CLEAR, indexed
+from .projector import Projector
 
 
-def page(
-    pictures: Sequence[np.ndarray], fps: float, title: str, lit: Sequence[int], progress: Callable[[], None]
-) -> str:
-    """The page of pictures (height, width, 3), as text.
+def page(pictures: Projector, fps: float, title: str, lit: Sequence[int], progress: Callable[[], None]) -> str:
+    """The page of a film, as text: what stands still is in it once, and each picture is laid over that.
 
     Args:
-        pictures: uint8.
+        pictures: of the film.
         fps: pictures per second at the speed "1 x".
         title: of the page.
         lit: the numbers of pictures with colours of their own.
         progress: called after each picture.
     """
-    height, width = pictures[0].shape[:2]
-    encoded = []
-    for image in indexed(pictures, lit, progress):
-        buffer = io.BytesIO()
-        image.save(buffer, format="PNG", optimize=False, compress_level=9)
-        encoded.append("data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode())
+    still = pictures.still
+    height, width = still.shape[:2]
+    over = []
+    for picture, image in indexed(pictures, lit, progress):
+        colors = np.where((picture == still).all(axis=2), CLEAR, np.asarray(image)).astype(np.uint8)
+        image.paste(Image.fromarray(colors))
+        over.append(_data_url(image, transparency=CLEAR))
     return _PAGE.substitute(
-        title=escape(title), width=width, height=height, last=len(encoded) - 1, first=encoded[0], fps=json.dumps(fps),
-        pictures=json.dumps(encoded),
+        title=escape(title), width=width, height=height, last=len(over) - 1, fps=json.dumps(fps),
+        still=_data_url(Image.fromarray(still)), first=over[0], pictures=json.dumps(over),
     )  # fmt: skip
+
+
+def _data_url(image: Image.Image, **options: int) -> str:
+    buffer = io.BytesIO()
+    image.save(buffer, format="PNG", **options)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
 # the pictures that are not shown are decoded by the browser when they are needed, from data that are in the page
@@ -49,7 +56,8 @@ _PAGE = Template("""\
 <link rel="icon" href="data:,">
 <style>
 body { font: 14px system-ui, sans-serif; margin: 8px; color: #222; background: #fff; max-width: ${width}px; }
-img { width: 100%; height: auto; aspect-ratio: $width / $height; display: block; }
+#screen { position: relative; aspect-ratio: $width / $height; }
+img { position: absolute; width: 100%; height: 100%; }
 form { display: flex; gap: 8px; align-items: center; }
 input { flex: 1; min-width: 0; }
 button, select { font: inherit; }
@@ -57,7 +65,7 @@ output { font-variant-numeric: tabular-nums; min-width: 5em; text-align: right; 
 </style>
 </head>
 <body>
-<img id="picture" alt="$title" src="$first">
+<div id="screen"><img alt="" src="$still"><img id="picture" alt="$title" src="$first"></div>
 <form id="controls">
 <button type="button" id="play" title="space bar">Pause</button>
 <input type="range" id="slider" aria-label="picture" min="0" max="$last" value="0">

@@ -26,6 +26,8 @@ class Projector(Sequence[np.ndarray]):
         self._frames = frames
         with paper_figure(SIZE) as figure:
             figure.set_dpi(DPI)
+            # panels stand where the stage puts them: a layout that is found anew at each drawing would let them jump
+            figure.set_layout_engine("none")
             self._show = set_up(figure)
             canvas = figure.canvas
             assert isinstance(canvas, FigureCanvasAgg)
@@ -40,8 +42,16 @@ class Projector(Sequence[np.ndarray]):
     def __getitem__(self, index):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN204
         if isinstance(index, slice):
             return [self[k] for k in range(*index.indices(len(self)))]
+        return self._drawn(self._show(self._frames[index]))
+
+    @property
+    def still(self) -> np.ndarray:
+        """What all pictures have in common, (height, width, 3)."""
+        return self._drawn([])
+
+    def _drawn(self, artists: Sequence[Artist]) -> np.ndarray:
         self._canvas.restore_region(self._still)
         renderer = self._canvas.get_renderer()
-        for artist in self._show(self._frames[index]):
+        for artist in artists:
             artist.draw(renderer)
         return np.asarray(self._canvas.buffer_rgba())[:, :, :3].copy()

@@ -8,7 +8,6 @@ from itertools import product
 
 import numpy as np
 from matplotlib.artist import Artist
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
@@ -28,7 +27,7 @@ from .strain import Strain
 #: pictures per second: an iteration wants to be looked at
 FPS = 2.0
 #: from relaxed to overstretched: pale to dark, one hue after the other in lightness, so that a grey print shows it too
-COLORS = LinearSegmentedColormap.from_list("strain", ["#E3DDD3", "#F0B860", "#D55E00", "#7A1B4B", "#1B0B2E"])
+COLORS = LinearSegmentedColormap.from_list("strain", ["#E6E1D8", "#F0B860", "#D55E00", "#7A1B4B", "#1B0B2E"])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,18 +148,17 @@ def _scene(
 ) -> Show:
     last = frames[-1]
     dead = log.initial_poses if log.controls is None else log.dead_reckoning(options.motion)
-    stage = Stage(figure, log, "graph", placement_of(log, last.poses), frames[0], last, dead, title)
     # one scale for the whole film: from what is relaxed to what is stretched most at the start, single edges aside
     highest = max(float(np.quantile(frames[0].distances, 0.98)), 10.0)
-    scale = LogNorm(0.5, highest)
-    lines = LineCollection([], cmap=COLORS, norm=scale, linewidths=0.6, animated=True)
+    scale = LogNorm(1.0, highest)
+    stage = Stage(
+        figure, log, "graph", placement_of(log, last.poses), frames[0], last, dead, title,
+        (scale, COLORS, "Mahalanobis distance of an edge"),
+    )  # fmt: skip
+    lines = LineCollection([], cmap=COLORS, norm=scale, linewidths=0.5, animated=True)
     stage.plane.add_collection(lines, autolim=False)
     path = stage.path("graph", linewidth=2.0)
     landmarks = MapArtists(stage, "map (3σ, given the path)")
-    bar = figure.colorbar(
-        ScalarMappable(scale, COLORS), ax=stage.plane, extend="both", fraction=0.05, pad=0.02, aspect=35
-    )
-    bar.set_label("Mahalanobis distance of an edge")
     curve = Curve(stage, np.arange(len(costs)), costs, "iteration", "J", log_scale=True)
     stage.legend()
 

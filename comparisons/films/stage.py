@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
-from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import to_rgb
+from matplotlib.colors import Colormap, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
@@ -56,17 +56,22 @@ class Stage:
         start, end: the first and the last frame, which have to fit.
         dead_reckoning: (T+1, 3) in the estimator's axes.
         title: what the film is of.
+        scale: norm, colours and label of the colour bar, where there is one.
     """
 
     def __init__(
         self, figure: Figure, log: Log, name: str, placement: Array, start: Frame, end: Frame, dead_reckoning: Array,
-        title: str,
+        title: str, scale: tuple[Normalize, Colormap, str] | None = None,
     ) -> None:  # fmt: skip
         self.figure, self.log, self.placement = figure, log, placement
         self.color: str = style_of(name, 0)["color"]
-        plane, strip = figure.subplots(2, 1, height_ratios=(6.2, 1.0))
-        assert isinstance(plane, Axes) and isinstance(strip, Axes)
-        self.plane, self.strip = plane, strip
+        width = 0.90 if scale is None else 0.805
+        self.plane, self.strip = figure.add_axes((0.085, 0.285, width, 0.64)), figure.add_axes((0.085, 0.125, width, 0.095))
+        plane = self.plane
+        if scale is not None:
+            figure.colorbar(
+                ScalarMappable(*scale[:2]), cax=figure.add_axes((0.91, 0.305, 0.016, 0.60)), label=scale[2], extend="both"
+            )
         self._handles: dict[str, Artist] = {}
         drifting = transform(placement, dead_reckoning[:, :2])
         style = style_of(DRIFTING, 0) | {"alpha": 0.55, "linewidth": 0.9}
@@ -119,8 +124,8 @@ class Stage:
     def legend(self) -> None:
         """One row below both panels; called when everything is on the stage."""
         self.figure.legend(
-            list(self._handles.values()), list(self._handles), loc="outside lower center",
-            ncols=min(len(self._handles), 7), handlelength=2.2,
+            list(self._handles.values()), list(self._handles), loc="lower center", bbox_to_anchor=(0.5, 0.0),
+            ncols=-(-len(self._handles) // (1 if len(self._handles) <= 5 else 2)), handlelength=2.2,
         )  # fmt: skip
 
     def remember(self, label: str, handle: Artist) -> None:
@@ -209,7 +214,8 @@ class Curve:
             axes.set_yscale("log")
         axes.set_xlim(numbers[0] - 0.5, numbers[-1] + 0.5)
         axes.xaxis.set_major_locator(MaxNLocator(10, integer=True))
-        axes.set(xlabel=xlabel, ylabel=ylabel)
+        axes.set_xlabel(xlabel, labelpad=1)
+        axes.set_ylabel(ylabel)
         axes.margins(y=0.15)
         (self._past,) = axes.plot([], [], color=stage.color, linewidth=1.6, animated=True)
         (self._now,) = axes.plot(

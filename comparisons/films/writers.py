@@ -17,6 +17,7 @@ from graphslam.files import write_whole
 from ..results import check_can_write
 from .palette import indexed
 from .player import page
+from .projector import Projector
 
 SUFFIXES = (".gif", ".mp4", ".html")
 #: how long the last picture stays before the film begins again [s]
@@ -40,7 +41,7 @@ def check_can_film(path: Path) -> None:
 
 def write_film(
     path: Path,
-    pictures: Sequence[np.ndarray],
+    pictures: Projector,
     fps: float,
     title: str,
     lit: Sequence[int],
@@ -68,7 +69,7 @@ def _write_gif(
     # the format counts hundredths of a second, and viewers take a single one for ten
     duration = max(20, round(100 / fps) * 10)
     durations = [duration] * (len(pictures) - 1) + [max(duration, round(1000 * HOLD))]
-    images = indexed(pictures, lit, progress)
+    images = (image for _, image in indexed(pictures, lit, progress))
     first = next(images)
     first.save(
         path, format="GIF", save_all=True, append_images=images, duration=durations, loop=0, disposal=1, optimize=False
