@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .cli_animate import animate
 from .cli_backends import backends
 from .cli_config import ConfigFile, config_of
 from .cli_consistency import consistency
@@ -341,6 +342,15 @@ app.command(
         "slam-compare study study.sqlite --csv runs.csv --jsonl runs.jsonl",
     )
 )(study)
+
+
+app.command(
+    epilog=examples(
+        "slam-compare animate relaxing.gif",
+        "slam-compare animate LOG particles.mp4 --estimator fastslam1 --particles 200",
+        "slam-compare animate LOG growing.html --estimator isam2 --max-frames 100",
+    )
+)(animate)
 
 
 def main() -> None:

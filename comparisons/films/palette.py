@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from PIL import Image
 
+from .projector import Projector
+
 #: one less than a file can have: the last is left for "as in the picture before"
 COLORS = 255
 CLEAR = 255
@@ -15,12 +17,12 @@ SAMPLES, LIT_SAMPLES = 10, 3
 
 
 def indexed(
-    pictures: Sequence[np.ndarray], lit: Sequence[int], progress: Callable[[], None]
+    pictures: Projector, lit: Sequence[int], progress: Callable[[], None]
 ) -> Iterator[tuple[np.ndarray, Image.Image]]:
-    """The pictures (h, w, 3), one after the other, each with its copy in the film's one palette.
+    """The pictures (h, w, 3) of a film, one after the other, each with its copy in the film's one palette.
 
     Args:
-        pictures: uint8.
+        pictures: of the film.
         lit: the numbers of pictures with colours of their own.
         progress: called after each picture.
     """
@@ -29,6 +31,7 @@ def indexed(
     # every other row loses no colour that anybody sees
     sheet = Image.fromarray(np.concatenate([pictures[k][::2] for k in taken]))
     palette = sheet.quantize(COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    for picture in pictures:
+    for number in range(len(pictures)):
+        picture = pictures[number]
         yield picture, Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
         progress()

@@ -19,7 +19,7 @@ SIZE, DPI = (7.2, 6.4), 110
 Show = Callable[[Frame], Sequence[Artist]]
 
 
-class Projector(Sequence[np.ndarray]):
+class Projector:
     """The pictures (height, width, 3) of a film, uint8, drawn when they are asked for, in any order."""
 
     def __init__(self, frames: Sequence[Frame], set_up: Callable[[Figure], Show]) -> None:
@@ -39,10 +39,13 @@ class Projector(Sequence[np.ndarray]):
     def __len__(self) -> int:
         return len(self._frames)
 
-    def __getitem__(self, index):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN204
-        if isinstance(index, slice):
-            return [self[k] for k in range(*index.indices(len(self)))]
-        return self._drawn(self._show(self._frames[index]))
+    def __getitem__(self, number: int) -> np.ndarray:
+        """A picture; negative numbers count from the end.
+
+        Raises:
+            IndexError: there is no such picture.
+        """
+        return self._drawn(self._show(self._frames[number]))
 
     @property
     def still(self) -> np.ndarray:

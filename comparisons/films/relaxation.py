@@ -35,12 +35,14 @@ class Relaxed(Frame):
     """The graph after an iteration.
 
     Attributes:
+        estimated: (T+1,) bool; False for poses that no edge touches.
         cost: J at this state.
         step_norm: the norm of the correction that led here; None at the start.
         edges: (E, 2, 2) the edges as lines, the most stretched ones last.
         distances: (E,) their Mahalanobis distances sqrt(e' Omega e), increasing.
     """
 
+    estimated: np.ndarray
     cost: float
     step_norm: float | None
     edges: Array
@@ -124,16 +126,17 @@ _STARTS = {"virtual-motion": "where virtual-motion edges put the poses", "rotati
 
 def _frame(graph: Graph, log: Log, strain: Strain, run: _Run, number: int, cost: float) -> Relaxed:
     state, norm = run.states[number], run.step_norms[number]
-    poses, _ = graph.trajectory_of(state)
+    poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])
     placed = estimate_map(log, poses, graph.sensor)
     nodes = state[len(graph.steps) :, : graph.landmark_dimension]
     edges, distances = strain(state)
-    how = f"start ({'dead reckoning' if run.begun == 'given' else run.begun})" if norm is None else f"iteration {number}"
+    begun = "start" if run.begun == "given" else f"start ({run.begun})"
     return Relaxed(
         number=number,
-        caption=f"{how}    J = {cost:,.1f}" + ("" if norm is None else f"    |Δ| = {norm:.1e}"),
+        caption=f"{begun}    J = {cost:,.6g}" if norm is None else _caption(number, cost, norm),
         poses=poses,
+        estimated=estimated,
         landmarks=dict(zip(graph.landmark_ids.tolist(), nodes)) if len(nodes) else dict(placed),
         landmark_covariances=placed.covariances,
         cost=cost,
@@ -143,16 +146,18 @@ def _frame(graph: Graph, log: Log, strain: Strain, run: _Run, number: int, cost:
     )
 
 
-def _scene(
-    figure: Figure, log: Log, options: RunOptions, title: str, frames: Sequence[Relaxed], costs: Array
-) -> Show:
+def _caption(number: int, cost: float, norm: float) -> str:
+    return f"iteration {number}    J = {cost:,.6g}    |Δ| = {norm:.1e}"
+
+
+def _scene(figure: Figure, log: Log, options: RunOptions, title: str, frames: Sequence[Relaxed], costs: Array) -> Show:
     last = frames[-1]
     dead = log.initial_poses if log.controls is None else log.dead_reckoning(options.motion)
     # one scale for the whole film: from what is relaxed to what is stretched most at the start, single edges aside
     highest = max(float(np.quantile(frames[0].distances, 0.98)), 10.0)
     scale = LogNorm(1.0, highest)
     stage = Stage(
-        figure, log, "graph", placement_of(log, last.poses), frames[0], last, dead, title,
+        figure, log, "graph", placement_of(log, last.poses, last.estimated), frames[0], last, dead, title,
         (scale, COLORS, "Mahalanobis distance of an edge"),
     )  # fmt: skip
     lines = LineCollection([], cmap=COLORS, norm=scale, linewidths=0.5, animated=True)
@@ -167,8 +172,8 @@ def _scene(
         ends = stage.placed(frame.edges.reshape(-1, 2))
         lines.set_segments(list(ends.reshape(-1, 2, 2)))
         lines.set_array(frame.distances)
-        poses = stage.placed(frame.poses)
+        poses = np.where(frame.estimated[:, None], stage.placed(frame.poses), np.nan)
         path.set_data(poses[:, 0], poses[:, 1])
-        return [lines, path, *landmarks.show(frame), *curve.show(frame), *stage.words(frame)]
+        return [lines, *stage.known, path, *landmarks.show(frame), *curve.show(frame), *stage.words(frame)]
 
     return show

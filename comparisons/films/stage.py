@@ -66,24 +66,34 @@ class Stage:
         self.figure, self.log, self.placement = figure, log, placement
         self.color: str = style_of(name, 0)["color"]
         width = 0.90 if scale is None else 0.805
-        self.plane, self.strip = figure.add_axes((0.085, 0.285, width, 0.64)), figure.add_axes((0.085, 0.125, width, 0.095))
+        self.plane, self.strip = (
+            figure.add_axes((0.085, 0.285, width, 0.64)),
+            figure.add_axes((0.085, 0.125, width, 0.095)),
+        )
         plane = self.plane
         if scale is not None:
             figure.colorbar(
-                ScalarMappable(*scale[:2]), cax=figure.add_axes((0.91, 0.305, 0.016, 0.60)), label=scale[2], extend="both"
+                ScalarMappable(*scale[:2]),
+                cax=figure.add_axes((0.91, 0.305, 0.016, 0.60)),
+                label=scale[2],
+                extend="both",
             )
         self._handles: dict[str, Artist] = {}
+        #: truth and true landmarks, for a scene that would hide them
+        self.known: list[Artist] = []
         drifting = transform(placement, dead_reckoning[:, :2])
         style = style_of(DRIFTING, 0) | {"alpha": 0.55, "linewidth": 0.9}
         self.remember("dead reckoning", *plane.plot(drifting[:, 0], drifting[:, 1], **style))
         core = [self.placed(end.poses), map_of(end, placement)[0]]
         if log.true_poses is not None:
             truth = log.true_poses
-            self.remember("truth", *plane.plot(truth[:, 0], truth[:, 1], **_TRUTH))
+            self.known += plane.plot(truth[:, 0], truth[:, 1], **_TRUTH)
+            self.remember("truth", self.known[-1])
             core.append(truth[log.covered, :2])
             if log.true_landmarks:
                 marks = np.array([m[:2] for m in log.true_landmarks.values()])
-                self.remember("true landmark", *plane.plot(marks[:, 0], marks[:, 1], **_MARK))
+                self.known += plane.plot(marks[:, 0], marks[:, 1], **_MARK)
+                self.remember("true landmark", self.known[-1])
                 core.append(marks)
         self._set_limits(np.concatenate(core), [drifting, self.placed(start.poses)])
         plane.set(xlabel="x [m]", ylabel="y [m]", title=f"{title}\n ")
@@ -109,7 +119,7 @@ class Stage:
 
     def path(self, label: str, **style: Any) -> Line2D:
         """A line in the estimator's colour, to be filled picture by picture."""
-        (line,) = self.plane.plot([], [], **({"color": self.color, "linewidth": 1.8, "zorder": 3} | style))
+        (line,) = self.plane.plot([], [], color=self.color, **({"linewidth": 1.8} | style))
         self.remember(label, line)
         line.set_animated(True)
         return line

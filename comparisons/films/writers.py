@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import matplotlib
-import numpy as np
 
 from graphslam import OptionError
 from graphslam.files import write_whole
@@ -63,9 +62,7 @@ def write_film(
             temporary.write_text(page(pictures, fps, title, lit, progress), encoding="utf-8")
 
 
-def _write_gif(
-    path: Path, pictures: Sequence[np.ndarray], fps: float, lit: Sequence[int], progress: Callable[[], None]
-) -> None:
+def _write_gif(path: Path, pictures: Projector, fps: float, lit: Sequence[int], progress: Callable[[], None]) -> None:
     # the format counts hundredths of a second, and viewers take a single one for ten
     duration = max(20, round(100 / fps) * 10)
     durations = [duration] * (len(pictures) - 1) + [max(duration, round(1000 * HOLD))]
@@ -77,7 +74,7 @@ def _write_gif(
 
 
 def _write_mp4(
-    path: Path, target: Path, pictures: Sequence[np.ndarray], fps: float, title: str, progress: Callable[[], None]
+    path: Path, target: Path, pictures: Projector, fps: float, title: str, progress: Callable[[], None]
 ) -> None:
     height, width = pictures[0].shape[:2]
     command = [
@@ -89,11 +86,11 @@ def _write_mp4(
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=complaints)
         assert process.stdin is not None
         try:
-            for picture in pictures:
-                process.stdin.write(picture.tobytes())
+            for number in range(len(pictures)):
+                process.stdin.write(pictures[number].tobytes())
                 progress()
             for _ in range(round(HOLD * fps) - 1):
-                process.stdin.write(picture.tobytes())
+                process.stdin.write(pictures[-1].tobytes())
             process.stdin.close()
         except BrokenPipeError:
             pass  # it has given up; its own words follow
