@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import matplotlib
@@ -68,9 +69,12 @@ def _write_gif(path: Path, pictures: Projector, fps: float, lit: Sequence[int], 
     durations = [duration] * (len(pictures) - 1) + [max(duration, round(1000 * HOLD))]
     images = (image for _, image in indexed(pictures, lit, progress))
     first = next(images)
-    first.save(
-        path, format="GIF", save_all=True, append_images=images, duration=durations, loop=0, disposal=1, optimize=False
-    )
+    # a file of our own, which is closed when the film is interrupted
+    with path.open("wb") as file:
+        first.save(
+            file, format="GIF", save_all=True, append_images=images, duration=durations, loop=0, disposal=1,
+            optimize=False,
+        )  # fmt: skip
 
 
 def _write_mp4(
@@ -91,13 +95,14 @@ def _write_mp4(
                 progress()
             for _ in range(round(HOLD * fps) - 1):
                 process.stdin.write(pictures[-1].tobytes())
-            process.stdin.close()
         except BrokenPipeError:
             pass  # it has given up; its own words follow
         except BaseException:
             process.kill()
             raise
         finally:
+            with suppress(BrokenPipeError):
+                process.stdin.close()
             process.wait()
         if process.returncode:
             complaints.seek(0)
