@@ -31,7 +31,6 @@ def indexed(
     # every other row loses no colour that anybody sees
     sheet = Image.fromarray(np.concatenate([pictures[k][::2] for k in taken]))
     palette = sheet.quantize(COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    for number in range(len(pictures)):
-        picture = pictures[number]
+    for picture in pictures:
         yield picture, Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
         progress()

@@ -30,9 +30,11 @@ def page(pictures: Projector, fps: float, title: str, lit: Sequence[int], progre
     height, width = still.shape[:2]
     over = []
     for picture, image in indexed(pictures, lit, progress):
-        colors = np.where((picture == still).all(axis=2), CLEAR, np.asarray(image)).astype(np.uint8)
-        image.paste(Image.fromarray(colors))
-        over.append(_data_url(image, transparency=CLEAR))
+        layer = Image.fromarray(np.where((picture == still).all(axis=2), CLEAR, np.asarray(image)).astype(np.uint8))
+        palette = image.getpalette() or []
+        # as long as it can be: what is clear needs an entry, too
+        layer.putpalette(palette + [0] * (3 * (CLEAR + 1) - len(palette)))
+        over.append(_data_url(layer, transparency=CLEAR))
     return _PAGE.substitute(
         title=escape(title), width=width, height=height, last=len(over) - 1, fps=json.dumps(fps),
         still=_data_url(Image.fromarray(still)), first=over[0], pictures=json.dumps(over),

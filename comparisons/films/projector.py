@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -46,6 +46,9 @@ class Projector:
             IndexError: there is no such picture.
         """
         return self._drawn(self._show(self._frames[number]))
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        return (self[number] for number in range(len(self)))
 
     @property
     def still(self) -> np.ndarray:

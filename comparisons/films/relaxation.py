@@ -86,10 +86,10 @@ class _Run:
     solution: Solution
 
 
-def _run(graph: Graph, initialize: str, method: str = "gauss-newton") -> _Run:
+def _run(graph: Graph, initialize: str, method: str = "gauss-newton", max_iterations: int = 100) -> _Run:
     start = starting_state(graph, initialize)
     seen: list[Iteration] = []
-    solution = solve(graph.with_initial(start), method=method, callback=seen.append)
+    solution = solve(graph.with_initial(start), method, max_iterations=max_iterations, callback=seen.append)
     # a run that left the numbers ends where it still had some
     finite = [step for step in seen if np.isfinite(step.state).all()]
     return _Run(
@@ -104,20 +104,25 @@ def _chosen(graph: Graph, initialize: str) -> tuple[_Run, tuple[str, ...]]:
     """The run to be shown, and what there is to say about its start."""
     if initialize != "auto":
         return _run(graph, initialize), ()
-    lowest = solve(graph, initialize="auto").cost
+    best = solve(graph, initialize="auto")
+    # a way that is much longer than the best one leads astray
+    patience = max(3 * best.iterations, 30)
     from_given: _Run | None = None
     # undamped first: damped steps from far away are many, and rarely end where the others do
     for method, begun in product(METHODS, ("given", "virtual-motion", "rotation-first")):
         try:
-            run = _run(graph, begun, method)
+            run = _run(graph, begun, method, patience)
         except GraphError:
             continue  # these edges do not allow that start
         from_given = from_given or run
-        if run.solution.cost <= lowest * (1 + 1e-6):
+        if run.solution.cost <= best.cost * (1 + 1e-6):
             if begun == "given":
                 return run, ()
-            worse = f"from dead reckoning the solver ends at J = {from_given.solution.cost:.6g} instead of {lowest:.6g}"
-            return run, (f"{worse}, so the film starts {_STARTS[begun]}",)
+            other = from_given.solution
+            worse = (
+                f"from dead reckoning J is {other.cost:.6g} after {other.iterations} iterations, not {best.cost:.6g}"
+            )
+            return run, (f"{worse}: the film starts {_STARTS[begun]}",)
     assert from_given is not None  # solve has just done it
     return from_given, ()
 

@@ -90,8 +90,8 @@ def _write_mp4(
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=complaints)
         assert process.stdin is not None
         try:
-            for number in range(len(pictures)):
-                process.stdin.write(pictures[number].tobytes())
+            for picture in pictures:
+                process.stdin.write(picture.tobytes())
                 progress()
             for _ in range(round(HOLD * fps) - 1):
                 process.stdin.write(pictures[-1].tobytes())

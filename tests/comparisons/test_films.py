@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from base64 import b64decode
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -99,7 +101,7 @@ def test_thinned_edges_keep_their_distances(log: Log, monkeypatch: pytest.Monkey
 def test_starts_where_the_better_minimum_is() -> None:
     film = animate(load(sample_log_path()), "graph", RunOptions(edges="landmark+motion"))
     assert film.frames[-1].cost == pytest.approx(373.174314, rel=1e-6)  # type: ignore[attr-defined]
-    assert any("5432.99 instead of 373.174" in note for note in film.notes)
+    assert any("from dead reckoning J is 5432.99" in note and "not 373.174" in note for note in film.notes)
 
 
 @pytest.mark.parametrize("name", ["mcl", "fastslam1", "fastslam2"])
@@ -190,6 +192,14 @@ def test_html_needs_nothing_else(film: Film, tmp_path: Path) -> None:
     assert not re.search(r"(src|href)=\"(?!data:)", text)
     assert text.count("data:image/png") == len(film) + 2  # what stands still, and the first picture before any script
     assert len(text) < 2e6
+    still, first, *layers = (
+        Image.open(BytesIO(b64decode(data))).convert("RGBA")
+        for data in re.findall(r"data:image/png;base64,([^\"]*)", text)
+    )
+    assert first == layers[0]
+    for layer, picture in zip(layers, film.pictures, strict=True):
+        laid_over = np.asarray(Image.alpha_composite(still, layer))[:, :, :3].astype(int)
+        assert np.mean(np.abs(laid_over - picture).max(axis=2) > 40) < 0.01
 
 
 def test_notebook(film: Film) -> None:
