@@ -180,6 +180,7 @@ def test_gif(film: Film, tmp_path: Path) -> None:
             image.seek(k)
             durations.append(image.info["duration"])
             shown = np.asarray(image.convert("RGB")).astype(int)
+            assert (shown[0, 0] == 255).all()
             # 255 colours for antialiased lines: most pixels are as they were drawn
             assert np.mean(np.abs(shown - film.pictures[k]).max(axis=2) > 40) < 0.01
     assert durations == [100, 100, 100, 2000]
