@@ -15,8 +15,8 @@ COLORS = 255
 CLEAR = 255
 #: how many of the most frequent colours are kept as they are
 EXACT = 64
-#: the range of the channels above which a colour is vivid
-VIVID = 100
+#: colours are alike when no channel differs by more
+ALIKE = 32
 #: how many pictures the colours are taken from, and how many more of those that light up
 SAMPLES, LIT_SAMPLES = 10, 3
 
@@ -51,13 +51,17 @@ def indexed(
 def _palette(codes: np.ndarray) -> np.ndarray:
     """The colours of a film, as codes, from those of some of its pictures.
 
-    What covers most is kept exactly, so that white stays white, and so is what is vivid, so that a small dot keeps its
-    colour. The rest is divided among the colours that occur, each counted once.
+    What covers most is kept exactly, so that white stays white, and so is one of each kind of colour, so that a small dot
+    keeps its own. The rest is divided among the colours that occur, each counted once.
     """
     found, counts = np.unique(codes, return_counts=True)
     found = found[np.argsort(-counts, kind="stable")]
-    vivid = np.ptp(_channels(found), axis=1) > VIVID
-    exact = np.unique(np.concatenate([found[:EXACT], found[vivid][:EXACT]]))
+    exact, left = found[:EXACT], found
+    while len(left) and len(exact) < 2 * EXACT:
+        # the most frequent of those that are like none so far
+        exact = np.append(exact, left[0])
+        left = left[np.abs(_channels(left) - _channels(left[:1])).max(axis=1) > ALIKE]
+    exact = np.unique(exact)
     others = Image.fromarray(_channels(found).astype(np.uint8)[None])
     mixed = np.array(others.quantize(COLORS - len(exact), method=Image.Quantize.MEDIANCUT).getpalette(), dtype=np.int64)
     return np.concatenate([exact, mixed.reshape(-1, 3) @ _WEIGHTS])[:COLORS]

@@ -181,6 +181,8 @@ def test_gif(film: Film, tmp_path: Path) -> None:
             durations.append(image.info["duration"])
             shown = np.asarray(image.convert("RGB")).astype(int)
             assert (shown[0, 0] == 255).all()
+            # the particles of the legend, a few pixels, keep their blue
+            assert (np.abs(shown[-60:] - (0, 0x72, 0xB2)).max(axis=2) <= 32).any()
             # 255 colours for antialiased lines: most pixels are as they were drawn
             assert np.mean(np.abs(shown - film.pictures[k]).max(axis=2) > 40) < 0.01
     assert durations == [100, 100, 100, 2000]
