@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .consistency import study_consistency
     from .datasets import survey
     from .estimator import RunOptions
+    from .films.animate import animate
     from .particles import study_particles
     from .report import write_report
     from .solvers import compare_solvers
@@ -38,6 +39,7 @@ _HOMES = {
     "run": ".api",
     "Comparison": ".comparison",
     "RunOptions": ".estimator",
+    "animate": ".films.animate",
     "compare_solvers": ".solvers",
     "compare_backends": ".backends",
     "study_particles": ".particles",
@@ -53,6 +55,7 @@ _HOMES = {
 __all__ = [
     "Comparison",
     "RunOptions",
+    "animate",
     "calibrate",
     "compare_backends",
     "compare_solvers",

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .cli_animate import animate
 from .cli_backends import backends
 from .cli_calibrate import calibrate
 from .cli_config import ConfigFile
@@ -376,6 +377,15 @@ app.command(
         "slam-compare study study.sqlite --csv runs.csv --jsonl runs.jsonl",
     ),
 )(verb(study))
+
+
+app.command(
+    epilog=examples(
+        "slam-compare animate relaxing.gif",
+        "slam-compare animate LOG particles.mp4 --estimator fastslam1 --particles 200",
+        "slam-compare animate LOG growing.html --estimator isam2 --max-frames 100",
+    )
+)(verb(animate))
 
 
 def main() -> None:

@@ -154,7 +154,7 @@ def _draw_map(axes: Axes, comparison: Comparison) -> None:
             core.append(_draw_landmarks(axes, result, frame, result is reference))
     start = log.initial_poses[0] if truth is None else truth[0]
     axes.plot(start[0], start[1], **_start_style())
-    _set_limits(axes, np.concatenate(core), rest)
+    set_limits(axes, np.concatenate(core), rest)
     how = "" if truth is None else ", laid onto the truth"
     axes.set(xlabel="x [m]", ylabel="y [m]", title=f"(a) {log.name}: paths and map{how}")
 
@@ -256,12 +256,17 @@ def _ellipses(result: EstimatorResult, frame: Array) -> tuple[Array, Array, Arra
     return means, full[:, 1], full[:, 0], angles
 
 
-def _set_limits(axes: Axes, core: Array, rest: Sequence[Array]) -> None:
-    """Show all of the core, and of the rest what does not make the core smaller than half of the panel."""
-    low, high = core.min(axis=0), core.max(axis=0)
+def set_limits(axes: Axes, core: Array, rest: Sequence[Array]) -> float:
+    """Show all of the core (k, 2), and of the rest what does not make the core smaller than half of the panel.
+
+    Returns:
+        The larger side of what is shown [m].
+    """
+    low, high = np.nanmin(core, axis=0), np.nanmax(core, axis=0)
     reach = np.full(2, max(float(np.max(high - low)), 1.0) / 2)
     everything = np.concatenate([core, *rest])
-    low, high = np.maximum(everything.min(axis=0), low - reach), np.minimum(everything.max(axis=0), high + reach)
+    low = np.maximum(np.nanmin(everything, axis=0), low - reach)
+    high = np.minimum(np.nanmax(everything, axis=0), high + reach)
     margin = 0.05 * max(float(np.max(high - low)), 1.0)
     # the panel keeps its size and shows more of the plane instead; auto allows matplotlib to widen the limits
     axes.set_xlim(low[0] - margin, high[0] + margin, auto=True)
@@ -269,6 +274,7 @@ def _set_limits(axes: Axes, core: Array, rest: Sequence[Array]) -> None:
     axes.set_aspect("equal", adjustable="datalim")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(9, steps=[1, 2, 5, 10]))
+    return float(np.max(high - low)) + 2 * margin
 
 
 def _true_landmark_style() -> dict[str, Any]:

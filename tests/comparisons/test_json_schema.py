@@ -47,6 +47,9 @@ def test_every_verb_writes_what_the_schema_says(write):
     valid("backends", write("backends", "out/graph.g2o"))
     valid("particles", write("particles", "log.npz", "--particles", "10,20", "--seeds", 2))
     valid("consistency", write("consistency", "--logs", 2, "--steps", 15, "--jobs", 1))
+    valid(
+        "animate", write("animate", "log.npz", "film.gif", "--estimator", "mcl", "--particles", 20, "--max-frames", 3)
+    )
     valid("calibrate", write("calibrate", "log.npz"))
     valid("datasets", write("datasets", "--folder", "."))
     Path("study.toml").write_text(STUDY)

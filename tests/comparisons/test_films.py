@@ -1,0 +1,327 @@
+"""Films: what their frames hold, what their files are, and what is refused."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from base64 import b64decode
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from comparisons.cli import app
+from comparisons.estimator import RunOptions
+from comparisons.estimators import make_graph
+from comparisons.films.animate import FILMED, animate
+from comparisons.films.ellipses import ellipses
+from comparisons.films.film import Film
+from comparisons.films.frame import kept
+from comparisons.films.strain import Strain
+from comparisons.particles import FILTERS
+from graphslam import (
+    GraphError,
+    Log,
+    LogError,
+    OptionError,
+    SlamError,
+    load,
+    sample_log_path,
+    save,
+    simulate,
+    solve,
+    solve_online,
+)
+from graphslam.se2 import wrap
+
+FEW = RunOptions(particles=30, seed=4)
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return simulate(seed=2, steps=12, clean=True)
+
+
+@pytest.fixture(scope="module")
+def film(log: Log) -> Film:
+    return animate(log, "fastslam1", FEW, max_frames=4)
+
+
+def test_graph_film_is_the_solver_s_way(log: Log) -> None:
+    graph = make_graph(log, FEW)
+    seen = []
+    solution = solve(graph, callback=seen.append)
+    film = animate(log, "graph", FEW)
+    assert len(film) == film.steps == solution.iterations + 1
+    for frame, state in zip(film.frames, [log.initial_poses, *(iteration.state for iteration in seen)]):
+        np.testing.assert_allclose(wrap(frame.poses - state), 0, atol=1e-12)
+    np.testing.assert_array_equal(film.frames[-1].poses, solution.poses)
+    np.testing.assert_allclose([f.cost for f in film.frames], solution.costs, rtol=1e-12)  # type: ignore[attr-defined]
+    for j, place in solution.landmarks.items():
+        np.testing.assert_allclose(film.frames[-1].landmarks[j], place)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"weight": "tempered"},
+        {"weight": "marginal"},
+        {"edges": "landmark+motion"},
+        {"edges": "virtual", "frame": "world"},
+    ],
+)
+def test_distances_add_up_to_the_cost(log: Log, options: dict[str, str]) -> None:
+    graph = make_graph(log, RunOptions(**options))
+    lines, distances = Strain(graph)(graph.initial)
+    # the anchor costs nothing where it was cast
+    assert np.sum(distances**2) == pytest.approx(graph.cost(graph.initial), rel=1e-9)
+    assert lines.shape == (len(distances), 2, 2)
+    assert np.all(np.diff(distances) >= 0)
+    poses = graph.initial[: len(graph.steps), :2]
+    nearest = np.linalg.norm(lines[:, 0, None] - poses, axis=2).min(axis=1)
+    np.testing.assert_allclose(nearest, 0, atol=1e-12)
+
+
+def test_thinned_edges_keep_their_distances(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = make_graph(log, RunOptions(weight="tempered"))
+    _, every = Strain(graph)(graph.initial)
+    monkeypatch.setattr("comparisons.films.strain.MOST_EDGES", 20)
+    thinned = Strain(graph)
+    _, some = thinned(graph.initial)
+    assert thinned.shown == len(some) < thinned.count == len(every)
+    # each of them is one of the whole: the weight of a pair does not change when others are not drawn
+    assert np.abs(some[:, None] - every).min(axis=1).max() < 1e-9
+
+
+def test_starts_where_the_better_minimum_is() -> None:
+    film = animate(load(sample_log_path()), "graph", RunOptions(edges="landmark+motion"))
+    assert film.frames[-1].cost == pytest.approx(373.174314, rel=1e-6)  # type: ignore[attr-defined]
+    assert any("from dead reckoning J is 5432.99" in note and "not 373.174" in note for note in film.notes)
+
+
+@pytest.mark.parametrize("name", ["mcl", "fastslam1", "fastslam2"])
+def test_particle_film_is_the_filter_s_way(log: Log, name: str) -> None:
+    film = animate(log, name, FEW)
+    result = FILTERS[name](log, particles=30, seed=4).run()
+    assert len(film) == log.num_poses
+    assert [frame.number for frame in film.frames] == list(range(log.num_poses))
+    np.testing.assert_array_equal(film.frames[-1].poses, result.poses)
+    np.testing.assert_array_equal([f.ess for f in film.frames], result.ess)  # type: ignore[attr-defined]
+    np.testing.assert_array_equal([bool(f.flash) for f in film.frames], result.resampled)
+    assert film.frames[3].poses.shape == (4, 3)
+    for j, covariance in result.landmark_covariances.items():
+        np.testing.assert_allclose(film.frames[-1].landmark_covariances[j], covariance)
+
+
+def test_resamplings_between_pictures_are_counted(log: Log, film: Film) -> None:
+    result = FILTERS["fastslam1"](log, particles=30, seed=4).run()
+    assert len(film) == 4
+    assert film.steps == log.num_poses
+    assert sum(f.resamplings for f in film.frames) == result.resampled.sum() > 4  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("edges", ["virtual+motion", "landmark+motion"])
+def test_isam2_film_grows(log: Log, edges: str) -> None:
+    film = animate(log, "isam2", RunOptions(edges=edges))
+    solution = solve_online(log, edges=edges)
+    assert [len(frame.poses) for frame in film.frames] == list(range(1, log.num_poses + 1))
+    np.testing.assert_allclose(film.frames[-1].poses, solution.poses, atol=1e-12)
+    before, last = film.frames[-2:]
+    moved = np.linalg.norm(last.poses[:-1, :2] - before.poses[:, :2], axis=1)
+    np.testing.assert_allclose(last.corrections, [*moved, 0], atol=1e-12)  # type: ignore[attr-defined]
+    for j, place in solution.landmarks.items():
+        np.testing.assert_allclose(last.landmarks[j], place, atol=1e-9)
+
+
+@pytest.mark.parametrize(("count", "most"), [(1, 5), (5, 5), (6, 5), (161, 200), (1000, 7)])
+def test_kept_frames(count: int, most: int) -> None:
+    numbers = kept(count, most)
+    assert len(numbers) == min(count, most)
+    assert numbers[0] == 0
+    assert numbers[-1] == count - 1
+    assert np.ptp(np.diff(numbers)) <= 1 if len(numbers) > 1 else True
+
+
+def test_ellipses_are_three_sigma() -> None:
+    mean, covariance = np.array([1.0, -2.0]), np.array([[0.5, 0.2], [0.2, 0.3]])
+    off = ellipses(mean[None], covariance[None])[0] - mean
+    np.testing.assert_allclose(np.einsum("ki,ij,kj->k", off, np.linalg.inv(covariance), off), 9)
+
+
+@pytest.mark.parametrize("name", FILMED)
+def test_pictures_change_only_where_something_moves(log: Log, name: str) -> None:
+    pictures = animate(log, name, FEW, max_frames=3).pictures
+    first, last = pictures[0], pictures[-1]
+    assert first.dtype == np.uint8
+    assert first.shape == last.shape
+    assert first.shape[0] % 2 == first.shape[1] % 2 == 0
+    assert (first != last).any()
+    # the title's line, the axes' numbers and the legend stand still
+    np.testing.assert_array_equal(first[-60:], last[-60:])
+    np.testing.assert_array_equal(first[:, :50], last[:, :50])
+    # and a picture does not depend on those drawn before it
+    np.testing.assert_array_equal(pictures[0], first)
+    with pytest.raises(IndexError):
+        pictures[3]
+
+
+def test_gif(film: Film, tmp_path: Path) -> None:
+    done = []
+    path = film.save(tmp_path / "film.gif", progress=lambda: done.append(1))
+    with Image.open(path) as image:
+        assert image.n_frames == len(film) == len(done)
+        durations = []
+        for k in range(image.n_frames):
+            image.seek(k)
+            durations.append(image.info["duration"])
+            shown = np.asarray(image.convert("RGB")).astype(int)
+            assert (shown[0, 0] == 255).all()
+            # the particles of the legend, a few pixels, keep their blue
+            assert (np.abs(shown[-60:] - (0, 0x72, 0xB2)).max(axis=2) <= 32).any()
+            # 255 colours for antialiased lines: most pixels are as they were drawn
+            assert np.mean(np.abs(shown - film.pictures[k]).max(axis=2) > 40) < 0.01
+    assert durations == [100, 100, 100, 2000]
+    assert [p.name for p in tmp_path.iterdir()] == ["film.gif"]
+
+
+def test_html_needs_nothing_else(film: Film, tmp_path: Path) -> None:
+    text = film.save(tmp_path / "film.html").read_text(encoding="utf-8")
+    assert "$" not in re.sub(r"base64,[^\"]*", "", text)
+    assert not re.search(r"(src|href)=\"(?!data:)", text)
+    assert text.count("data:image/png") == len(film) + 2  # what stands still, and the first picture before any script
+    assert len(text) < 2e6
+    still, first, *layers = (
+        Image.open(BytesIO(b64decode(data))).convert("RGBA")
+        for data in re.findall(r"data:image/png;base64,([^\"]*)", text)
+    )
+    assert first == layers[0]
+    for layer, picture in zip(layers, film.pictures, strict=True):
+        laid_over = np.asarray(Image.alpha_composite(still, layer))[:, :, :3].astype(int)
+        assert np.mean(np.abs(laid_over - picture).max(axis=2) > 40) < 0.01
+
+
+def test_notebook(film: Film) -> None:
+    shown = film._repr_html_()
+    assert shown.startswith("<iframe srcdoc=")
+    assert "<script>" not in shown
+
+
+def test_mp4(film: Film, tmp_path: Path) -> None:
+    if shutil.which("ffmpeg") is None:
+        pytest.skip("needs ffmpeg on the PATH")
+    path = film.save(tmp_path / "film.mp4")
+    command = ["ffmpeg", "-loglevel", "error", "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    decoded = subprocess.run(command, capture_output=True, check=True).stdout
+    shown = np.frombuffer(decoded, dtype=np.uint8).reshape(-1, *film.pictures[0].shape).astype(int)
+    # the last picture stays for two seconds, of which one is its own tenth
+    assert len(shown) == len(film) + 19
+    for k in (0, len(film) - 1, -1):
+        assert np.mean(np.abs(shown[k] - film.pictures[min(k, len(film) - 1)])) < 4
+
+
+def test_a_failing_ffmpeg_leaves_nothing(film: Film, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = tmp_path / "ffmpeg"
+    broken.write_text("#!/bin/sh\necho no such codec >&2\nexit 3\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/bin:/usr/bin")
+    with pytest.raises(OptionError, match="ffmpeg gave up: no such codec"):
+        film.save(tmp_path / "film.mp4")
+    assert [p.name for p in tmp_path.iterdir()] == ["ffmpeg"]
+
+
+def test_an_interrupted_film_leaves_the_old_one(film: Film, tmp_path: Path) -> None:
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    path = tmp_path / "film.gif"
+    path.write_bytes(b"old")
+    with pytest.raises(KeyboardInterrupt):
+        film.save(path, progress=interrupt)
+    assert path.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["film.gif"]
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "error", "words"),
+    [
+        ("gtsam", {}, OptionError, "estimator must be one of graph"),
+        ("graph", {"robust": "gnc"}, OptionError, "gnc solves many"),
+        ("isam2", {"robust": "gnc"}, GraphError, "graduated"),
+        ("isam2", {"edges": "virtual"}, GraphError, "motion edges"),
+        ("isam2", {"frame": "world"}, GraphError, "world frame"),
+    ],
+)
+def test_refused(log: Log, name: str, options: dict[str, str], error: type[SlamError], words: str) -> None:
+    with pytest.raises(error, match=words):
+        animate(log, name, RunOptions(**options))
+
+
+def test_refused_logs(log: Log) -> None:
+    with pytest.raises(OptionError, match="needs a map"):
+        animate(log.replace(true_landmarks=None), "mcl", FEW)
+    undriven = log.replace(controls=None, dt=None)
+    with pytest.raises(LogError, match="no controls"):
+        animate(undriven, "fastslam2", FEW)
+    with pytest.raises(OptionError, match="max_frames"):
+        animate(log, "graph", max_frames=1)
+    with pytest.raises(OptionError, match="fps"):
+        animate(log, "graph", fps=0)
+    blind = log.replace(steps=np.empty(0, int), landmarks=np.empty(0, int), sightings=np.empty((0, 3)))
+    with pytest.raises(GraphError, match="no sightings"):
+        animate(blind, "fastslam1", FEW)
+
+
+def test_without_truth_and_controls(log: Log) -> None:
+    film = animate(log.replace(controls=None, dt=None, true_poses=None, true_landmarks=None), "graph")
+    assert film.pictures[-1].min() < 255
+
+
+class TestCommandLine:
+    """The verb, from outside."""
+
+    def run(self, *arguments: object):  # type: ignore[no-untyped-def]
+        return CliRunner().invoke(app, ["animate", *map(str, arguments)])
+
+    def test_writes(self, log: Log, tmp_path: Path) -> None:
+        save(log, tmp_path / "log.npz")
+        out = tmp_path / "out.gif"
+        result = self.run(
+            tmp_path / "log.npz", out, "--estimator", "fastslam1", "--particles", "20", "--max-frames", "3"
+        )
+        assert result.exit_code == 0, result.output
+        assert f"Wrote {out}: 3 pictures, of 13 steps, 10 a second" in result.stdout
+        with Image.open(out) as image:
+            assert image.n_frames == 3
+
+    @pytest.mark.parametrize(
+        ("arguments", "words"),
+        [
+            (["film.avi"], "ends in .gif, .mp4 or .html"),
+            (["none.npz", "film.avi"], "ends in .gif, .mp4 or .html"),
+            (["none.npz", "film.gif"], "there is no such file"),
+            (["nowhere/film.gif"], "there is no such folder"),
+            (["film.gif", "--estimator", "gtsam"], "and none of 'gtsam'"),
+            (["film.gif", "--fps", "-1"], "fps must be a positive number"),
+            (["film.gif", "--robust", "gnc"], "gnc solves many"),
+        ],
+    )
+    def test_refuses(self, arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.chdir(tmp_path)
+        result = self.run(*arguments)
+        assert result.exit_code == 2
+        assert result.stderr.startswith("error: ")
+        assert words in result.stderr
+        assert result.stderr.count("\n") == 1
+        assert not list(tmp_path.iterdir())
+
+    def test_missing_ffmpeg_is_said_before_any_work(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("PATH", str(tmp_path))
+        monkeypatch.setattr("comparisons.films.animate.animate", None)
+        result = self.run(tmp_path / "film.mp4")
+        assert result.exit_code == 2
+        assert "needs the program ffmpeg: install it, or write a .gif or .html" in result.stderr
