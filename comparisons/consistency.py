@@ -47,6 +47,8 @@ PARTICLES = 1000
 
 #: the part of studies in which a truthful estimator lies inside the band
 CONFIDENCE = 0.95
+#: the least and the most noise, in units of the book's
+NOISE = (1e-3, 10.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +161,7 @@ def study_consistency(
 
     Args:
         logs: how many, with the seeds ``seed`` to ``seed`` + logs - 1.
-        noise: all standard deviations of the book's motion and sensor times this.
+        noise: all standard deviations of the book's motion and sensor times this, within `NOISE`.
         steps: T, the motions of each log.
         dimensions: 3 with psi, 2 without (where pairs and tempered have no constant information, but can be solved).
         estimators: of `ESTIMATORS`.
@@ -170,6 +172,11 @@ def study_consistency(
         OptionError: an option has an impossible value.
     """
     check_positive(noise=noise)
+    if not NOISE[0] <= noise <= NOISE[1]:
+        raise OptionError(
+            f"noise must lie between {NOISE[0]:g} and {NOISE[1]:g}, not {noise:g}: below, the anchor is less sure than the "
+            "sightings, and above nothing is nearly linear"
+        )
     for name, value in (("logs", logs), ("steps", steps), ("jobs", jobs)):
         if value < 1:
             raise OptionError(f"{name} must be at least 1, not {value}")
@@ -179,7 +186,8 @@ def study_consistency(
         raise OptionError(f"name at least one estimator: {', '.join(ESTIMATORS)}")
     for name in estimators:
         check_choice("estimators", name, ESTIMATORS)
-    work = partial(_one_log, noise=noise, steps=steps, dimensions=dimensions, estimators=tuple(estimators))
+    estimators = tuple(dict.fromkeys(estimators))
+    work = partial(_one_log, noise=noise, steps=steps, dimensions=dimensions, estimators=estimators)
     rows: list[dict[str, tuple[Array, float]]] = []
     seen: list[float] = []
     with mapping(jobs) as run:
@@ -247,6 +255,7 @@ def _one_log(
         try:
             graph = Graph.from_log(log, motion=motion, sensor=sensor, **GRAPHS[name])
             solution = solve(graph, initialize="auto", max_iterations=500)
+            covariances = solution.covariances()
         except GraphError:
             row[name] = failed
             continue
@@ -255,8 +264,7 @@ def _one_log(
             continue
         error = solution.poses - log.true_poses
         error[:, 2] = wrap(error[:, 2])
-        per_step = pose_nees(error[1:], solution.covariances()[1:])
-        row[name] = (per_step, joint_nees(solution, graph, log.true_poses))
+        row[name] = (pose_nees(error[1:], covariances[1:]), joint_nees(solution, graph, log.true_poses))
     return len(log.steps) / max(len(log.landmark_ids), 1), row
 
 

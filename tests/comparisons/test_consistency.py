@@ -100,6 +100,8 @@ def test_failures_are_counted_and_left_out():
         ({"logs": 0}, "logs must be at least 1"),
         ({"noise": -1.0}, "noise must be a positive"),
         ({"noise": float("nan")}, "noise must be a positive"),
+        ({"noise": 1e-6}, "noise must lie between"),
+        ({"noise": 1e300}, "noise must lie between"),
         ({"dimensions": 4}, "dimensions must be 2 or 3"),
         ({"estimators": ["kalman"]}, "estimators must be one of"),
         ({"estimators": []}, "name at least one"),
