@@ -15,4 +15,4 @@ def test_examples(number, capsys):
 
 
 def test_there_are_examples():
-    assert len(BLOCKS) == 3
+    assert len(BLOCKS) == 4
