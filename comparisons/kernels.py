@@ -13,14 +13,21 @@ import numpy as np
 
 
 def edges_and_filters() -> None:
-    """What a graph does before Omega is factorised, and the particle filters."""
+    """What a graph does before Omega is factorised, GTSAM's factor of a landmark, and the particle filters."""
     from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
     from graphslam import Graph, load, sample_log_path
+    from graphslam.factors import LandmarkFactor
+    from graphslam.gtsam_solver import to_values
 
     log = load(sample_log_path())
     graph = Graph.from_log(log)
     graph.linearize(graph.initial)
     graph.cost(graph.initial)
+    of_first = log.landmarks == log.landmarks[0]
+    factor = LandmarkFactor(log.steps[of_first].tolist(), log.sightings[of_first])
+    at = to_values(graph, log.initial_poses)
+    factor.error(at)
+    factor.linearize(at)
     for kind in (MonteCarloLocalization, FastSLAM1, FastSLAM2):
         kind(log, particles=10).run()
 
