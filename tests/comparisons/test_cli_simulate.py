@@ -15,8 +15,8 @@ from typer.testing import CliRunner, Result
 
 import graphslam
 from comparisons.cli import app
-from comparisons.cli import run as run_verb
-from comparisons.cli_simulate import simulate as simulate_verb
+from comparisons.cli.simulate import simulate as simulate_verb
+from comparisons.cli.verbs import run as run_verb
 from graphslam import MotionFaults, MotionModel, SensorFaults, SensorModel, load, simulate
 
 Invoke = Callable[..., Result]

@@ -13,7 +13,8 @@ import pytest
 from plotly import graph_objects
 from typer.testing import CliRunner
 
-from comparisons import cli
+from comparisons.cli import app
+from comparisons.cli.verbs import run
 from comparisons.comparison import Comparison, compare, with_models
 from comparisons.config import RunConfig
 from comparisons.estimator import EstimatorResult, RunOptions
@@ -380,12 +381,12 @@ def test_without_plotly_the_extra_is_named(comparison: Comparison, tmp_path: Pat
 
 
 def invoke(*arguments: object) -> Any:
-    return CliRunner().invoke(cli.app, [str(a) for a in arguments])
+    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def test_report_takes_what_run_takes() -> None:
-    ours = set(inspect.signature(cli.run).parameters)
-    command = next(c for c in cli.app.registered_commands if c.name == "report")
+    ours = set(inspect.signature(run).parameters)
+    command = next(c for c in app.registered_commands if c.name == "report")
     assert command.callback is not None
     theirs = set(inspect.signature(command.callback).parameters)
     assert ours - theirs == {"log", "out", "html", "figures"}

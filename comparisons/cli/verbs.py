@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .cli_animate import animate
-from .cli_backends import backends
-from .cli_calibrate import calibrate
-from .cli_config import ConfigFile
-from .cli_consistency import consistency
-from .cli_datasets import datasets
-from .cli_options import (
+from .animate import animate
+from .backends import backends
+from .calibrate import calibrate
+from .compared import compared
+from .config_file import ConfigFile
+from .consistency import consistency
+from .datasets import datasets
+from .options import (
     GRAPH,
     OUTPUT,
     Association,
@@ -51,18 +52,17 @@ from .cli_options import (
     SigmaV,
     Stride,
 )
-from .cli_parse import figure_formats, numbers
-from .cli_particles import particles
-from .cli_report import report_like
-from .cli_run import compared
-from .cli_simulate import simulate
-from .cli_study import study
-from .cli_support import DIFFERENT, INTERRUPTED, Output, examples, models, read_log, sentences
-from .cli_sweep import sweep
-from .cli_verb import verb
+from .parsing import figure_formats, numbers
+from .particles import particles
+from .report import report_like
+from .simulate import simulate
+from .study import study
+from .support import DIFFERENT, INTERRUPTED, Output, examples, models, read_log, sentences
+from .sweep import sweep
+from .verbosity import verb
 
 if TYPE_CHECKING:
-    from .solvers import SkippedVariant, VariantResult
+    from ..solvers import SkippedVariant, VariantResult
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -186,14 +186,14 @@ def run(
 ) -> None:  # fmt: skip
     """Run all estimators on one log: a table, a figure and the numbers as JSON."""
     with sentences():
-        from .results import RESULTS, check_can_make
-        from .tables import comparison_remarks, comparison_table
+        from ..results import RESULTS, check_can_make
+        from ..tables import comparison_remarks, comparison_table
 
         output = Output(json)
         check_can_make(RESULTS if out is None else out)
         formats = figure_formats(figures)
         if html is not None:
-            from .report import check_page, write_report
+            from ..report import check_page, write_report
 
             check_page(html)
         outcome, effective = compared(
@@ -283,8 +283,8 @@ def solvers(
     with sentences():
         from graphslam.graph import EDGES
 
-        from .solvers import compare_solvers, variants
-        from .tables import solvers_remarks, solvers_table, variant_line
+        from ..solvers import compare_solvers, variants
+        from ..tables import solvers_remarks, solvers_table, variant_line
 
         output = Output(json)
         weights = numbers("--motion-weights", motion_weights)

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .cli_options import JsonFile
-from .cli_support import DIFFERENT, INTERRUPTED, Advance, Output, sentences
+from .options import JsonFile
+from .support import DIFFERENT, INTERRUPTED, Advance, Output, sentences
 
 if TYPE_CHECKING:
-    from .studies.sweep import Progress
+    from ..studies.sweep import Progress
 
 
 def sweep(
@@ -34,8 +34,8 @@ def sweep(
     Stop it as you like, with Ctrl-C or worse: the same command goes on where it stopped. Exit status 1 if runs failed.
     """
     with sentences():
-        from .studies.plan import read_study
-        from .studies.sweep import sweep as execute
+        from ..studies.plan import read_study
+        from ..studies.sweep import sweep as execute
 
         output = Output(json)
         plan = read_study(study)
@@ -64,8 +64,8 @@ def sweep(
 
 
 def _told(advance: Advance, output: Output) -> Progress:
-    from .studies.outcome import DONE, Outcome
-    from .studies.plan import Run
+    from ..studies.outcome import DONE, Outcome
+    from ..studies.plan import Run
 
     failed = 0
 

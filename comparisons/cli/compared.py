@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from .cli_config import config_of, noise_options
-from .cli_support import Advance, Output, models, read_log, with_noise
+from .config_file import config_of, noise_options
+from .support import Advance, Output, models, read_log, with_noise
 
 if TYPE_CHECKING:
-    from .comparison import Comparison, Progress, Skipped
-    from .config import RunConfig
-    from .estimator import EstimatorResult
+    from ..comparison import Comparison, Progress, Skipped
+    from ..config import RunConfig
+    from ..estimator import EstimatorResult
 
 _READING = ("robot", "keep_every", "stride", "max_range")
 _NOISE = ("nn", "no", "on", "oo", "sigma_v", "sigma_omega", "epsilon", "range_rate", "range_std", "bearing_std",
@@ -47,10 +47,10 @@ def compared(
     Raises:
         SlamError: the log, an option, or a named estimator is at fault.
     """
-    from .comparison import compare, with_models
-    from .config import RunConfig, sha256_of
-    from .estimator import RunOptions
-    from .estimators import ESTIMATORS
+    from ..comparison import compare, with_models
+    from ..config import RunConfig, sha256_of
+    from ..estimator import RunOptions
+    from ..estimators import ESTIMATORS
 
     config_of(ctx, config, log)
     reading = {name: told.pop(name) for name in _READING}
@@ -73,8 +73,8 @@ def compared(
 
 def _progress(output: Output, advance: Advance) -> Progress:
     def report(name: str, outcome: EstimatorResult | Skipped | None) -> None:
-        from .estimator import EstimatorResult
-        from .tables import seconds
+        from ..estimator import EstimatorResult
+        from ..tables import seconds
 
         if outcome is None:
             advance(0, name)

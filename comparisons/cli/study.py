@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from .cli_options import OUTPUT, JsonFile
-from .cli_support import Output, sentences
+from .options import OUTPUT, JsonFile
+from .support import Output, sentences
 
 
 def study(
@@ -38,10 +38,10 @@ def study(
     with sentences():
         from graphslam.errors import check_choice
 
-        from .results import check_can_draw, check_can_write
-        from .studies.database import StudyDatabase
-        from .studies.summary import METRICS, summarise
-        from .studies.tables import differences_table, remarks, summary_table
+        from ..results import check_can_draw, check_can_write
+        from ..studies.database import StudyDatabase
+        from ..studies.summary import METRICS, summarise
+        from ..studies.tables import differences_table, remarks, summary_table
 
         output = Output(json)
         check_choice("--metric", metric, tuple(METRICS))
@@ -62,18 +62,18 @@ def study(
             output.say(f"{others} rows of runs that the study file no longer has are kept, and not shown.")
         written = []
         if figure is not None and rows:
-            from .plots import save_figure
-            from .studies.figure import study_figure
+            from ..plots import save_figure
+            from ..studies.figure import study_figure
 
             save_figure(study_figure(summary, metric), [figure])
             written.append(figure)
         if csv is not None:
-            from .studies.export import write_csv
+            from ..studies.export import write_csv
 
             write_csv(rows, csv)
             written.append(csv)
         if jsonl is not None:
-            from .studies.export import write_json_lines
+            from ..studies.export import write_json_lines
 
             write_json_lines(rows, jsonl)
             written.append(jsonl)
@@ -90,7 +90,7 @@ def _database(words: list[str]) -> Path:
     """The database that is meant by 'DATABASE', 'show DATABASE', or the study file in its place."""
     from graphslam import OptionError
 
-    from .studies.plan import read_study
+    from ..studies.plan import read_study
 
     if len(words) == 2 and words[0].lower() == "show":
         words = words[1:]

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .cli_options import OUTPUT, JsonFile
-from .cli_support import Output, sentences
+from .options import OUTPUT, JsonFile
+from .support import Output, sentences
 
 if TYPE_CHECKING:
-    from .backends import BackendRow
+    from ..backends import BackendRow
 
 
 def backends(
@@ -38,11 +38,11 @@ def backends(
 ) -> None:
     """Time this solver against GTSAM and g2o on pose graphs; chi2 of all by one evaluator."""
     with sentences():
-        from .backend_report import backends_figure, backends_remarks, backends_table
-        from .backends import BACKENDS, compare_backends
-        from .plots import save_figure
-        from .results import check_can_draw
-        from .tables import seconds
+        from ..backend_report import backends_figure, backends_remarks, backends_table
+        from ..backends import BACKENDS, compare_backends
+        from ..plots import save_figure
+        from ..results import check_can_draw
+        from ..tables import seconds
 
         output = Output(json)
         if figure is not None:

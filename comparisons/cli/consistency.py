@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from .cli_options import OUTPUT, JsonFile
-from .cli_support import Output, sentences
+from .options import OUTPUT, JsonFile
+from .support import Output, sentences
 
 
 def consistency(
@@ -35,10 +35,10 @@ def consistency(
 ) -> None:
     """Average normalised errors (ANEES) over many simulated logs, for each estimator and weight, with the 95 % band."""
     with sentences():
-        from .consistency import study_consistency
-        from .plots import save_figure
-        from .results import check_can_draw
-        from .tables import consistency_remarks, consistency_table
+        from ..consistency import study_consistency
+        from ..plots import save_figure
+        from ..results import check_can_draw
+        from ..tables import consistency_remarks, consistency_table
 
         output = Output(json)
         if figure is not None:
@@ -53,7 +53,7 @@ def consistency(
         output.say(*consistency_remarks(outcome))
         output.json(outcome.to_json())
         if figure is not None:
-            from .consistency_figure import consistency_figure
+            from ..consistency_figure import consistency_figure
 
             save_figure(consistency_figure(outcome), [figure])
             output.hint(f"Wrote {figure}.")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .cli_options import (
+from .options import (
     OUTPUT,
     Dimensions,
     JsonFile,
@@ -19,7 +19,7 @@ from .cli_options import (
     SensorOffset,
     Stride,
 )
-from .cli_support import Output, models, read_log, sentences
+from .support import Output, models, read_log, sentences
 
 
 def calibrate(
@@ -51,9 +51,9 @@ def calibrate(
     with sentences():
         from graphslam.calibration import calibrate as estimate
 
-        from .noise_files import write_noise
-        from .results import check_can_write
-        from .tables import calibration_remarks, calibration_table
+        from ..noise_files import write_noise
+        from ..results import check_can_write
+        from ..tables import calibration_remarks, calibration_table
 
         output = Output(json)
         if out is not None:

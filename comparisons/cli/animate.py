@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .cli_options import (
+from .options import (
     GRAPH,
     OUTPUT,
     Association,
@@ -33,7 +33,7 @@ from .cli_options import (
     SigmaV,
     Stride,
 )
-from .cli_support import Output, models, read_log, sentences
+from .support import Output, models, read_log, sentences
 
 
 def animate(
@@ -115,8 +115,8 @@ def animate(
         from graphslam import OptionError
         from graphslam.errors import check_positive
 
-        from .films.animate import FILMED
-        from .films.writers import check_can_film
+        from ..films.animate import FILMED
+        from ..films.writers import check_can_film
 
         output = Output(json)
         source: Path | None = log
@@ -154,9 +154,9 @@ def _film(
 ) -> None:  # fmt: skip
     import time
 
-    from .comparison import describe
-    from .estimator import RunOptions
-    from .films import animate as films
+    from ..comparison import describe
+    from ..estimator import RunOptions
+    from ..films import animate as films
 
     begin = time.perf_counter()
     data, path = read_log(source, **reading)

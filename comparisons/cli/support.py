@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import typer
 from rich.console import Console
 
-from .cli_verb import Verbosity
-from .shown import WIDTH
+from ..shown import WIDTH
+from .verbosity import Verbosity
 
 if TYPE_CHECKING:
     from graphslam import Log, MotionModel, SensorModel
@@ -60,7 +60,7 @@ class Output:
     def __init__(self, json: str | None) -> None:
         self._to_stdout, self._file = json == "-", None if json in (None, "-") else Path(str(json))
         if self._file is not None:
-            from .results import check_can_write
+            from ..results import check_can_write
 
             check_can_write(self._file)
         stream = sys.stderr if self._to_stdout else sys.stdout
@@ -74,7 +74,7 @@ class Output:
 
     def json(self, payload: Mapping[str, Any]) -> None:
         """Write the JSON where it was asked for, if anywhere."""
-        from .results import json_text, write_json
+        from ..results import json_text, write_json
 
         if self._to_stdout:
             typer.echo(json_text(payload), nl=False)
@@ -180,7 +180,7 @@ def with_noise(
     """
     said = {}
     if noise is not None:
-        from .noise_files import read_noise
+        from ..noise_files import read_noise
 
         found = read_noise(noise)
         log = found.apply(log)
@@ -205,7 +205,7 @@ def models(
     """
     from graphslam import MotionModel, SensorModel
 
-    from .cli_parse import numbers
+    from .parsing import numbers
 
     said = given(noise)
     book, timed = ("nn", "no", "on", "oo"), ("sigma_v", "sigma_omega")

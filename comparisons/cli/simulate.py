@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .cli_options import (
+from .options import (
     BearingStd,
     Epsilon,
     JsonFile,
@@ -24,8 +24,8 @@ from .cli_options import (
     SigmaV,
     plain,
 )
-from .cli_parse import check_faults, check_finite, numbers, places, points
-from .cli_support import Output, given, models, sentences
+from .parsing import check_faults, check_finite, numbers, places, points
+from .support import Output, given, models, sentences
 
 DRIVE, WORLD, CAMERA = "Drive", "World", "Camera"
 WHEELS, EYES = "Faults of the wheels", "Faults of the camera"
@@ -84,8 +84,8 @@ def simulate(
         import graphslam
         from graphslam.errors import check_choice
 
-        from .comparison import describe
-        from .results import check_can_write
+        from ..comparison import describe
+        from ..results import check_can_write
 
         output = Output(json)
         check_can_write(out)

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from .cli_run import compared
-from .cli_support import Output, sentences
+from .compared import compared
+from .support import Output, sentences
 
 #: parameters of ``run`` that say where its files go, and its argument LOG, which is one of the words here
 NOT_SHARED = ("log", "out", "html", "figures")
@@ -36,8 +36,8 @@ def report_like(run: Callable[..., None]) -> Callable[..., None]:
     def report(ctx: typer.Context, words: list[str], json: str | None, **told: Any) -> None:
         """Run all estimators on one log and write a page about it: one HTML file, to be opened from disk, offline."""
         with sentences():
-            from .report import check_page, write_report
-            from .tables import comparison_remarks, comparison_table
+            from ..report import check_page, write_report
+            from ..tables import comparison_remarks, comparison_table
 
             output = Output(json)
             log, page = _log_and_page(words, ctx)

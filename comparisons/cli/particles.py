@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .cli_options import (
+from .options import (
     OUTPUT,
     Association,
     BearingStd,
@@ -31,11 +31,11 @@ from .cli_options import (
     SigmaV,
     Stride,
 )
-from .cli_parse import numbers
-from .cli_support import Output, models, read_log, sentences
+from .parsing import numbers
+from .support import Output, models, read_log, sentences
 
 if TYPE_CHECKING:
-    from .particles import ParticleRun
+    from ..particles import ParticleRun
 
 
 def particles(
@@ -75,10 +75,10 @@ def particles(
     with sentences():
         from graphslam import OptionError
 
-        from .particles import particles_figure, study_particles
-        from .plots import save_figure
-        from .results import check_can_draw
-        from .tables import particles_table
+        from ..particles import particles_figure, study_particles
+        from ..plots import save_figure
+        from ..results import check_can_draw
+        from ..tables import particles_table
 
         output = Output(json)
         if figure is not None:

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from .cli_options import JsonFile
-from .cli_support import DIFFERENT, Output, sentences
+from .options import JsonFile
+from .support import DIFFERENT, Output, sentences
 
 
 def datasets(
@@ -24,8 +24,8 @@ def datasets(
     with sentences():
         from graphslam import OptionError
 
-        from .datasets import survey
-        from .tables import datasets_remarks, datasets_table
+        from ..datasets import survey
+        from ..tables import datasets_remarks, datasets_table
 
         output = Output(json)
         if folder is not None and not folder.is_dir():

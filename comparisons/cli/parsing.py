@@ -58,7 +58,7 @@ def figure_formats(text: str) -> tuple[str, ...]:
     """
     from graphslam.errors import check_choice
 
-    from .comparison import FIGURE_FORMATS
+    from ..comparison import FIGURE_FORMATS
 
     formats = tuple(dict.fromkeys(word.strip().lower() for word in text.split(",") if word.strip()))
     for kind in formats:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .cli_support import sentences
+from .support import sentences
 
 _META = "comparisons.config"
 
@@ -20,7 +20,7 @@ def _read(ctx: typer.Context, path: Path | None) -> Path | None:
     if path is None or ctx.resilient_parsing:
         return path
     with sentences():
-        from .config import read_config
+        from ..config import read_config
 
         flat = read_config(path)
         ctx.meta[_META] = flat
@@ -62,7 +62,7 @@ def config_of(ctx: typer.Context, config: Path | None, log: Path | None) -> dict
         from graphslam import sample_log_path
         from graphslam.files import check_file
 
-        from .config import check_unchanged
+        from ..config import check_unchanged
 
         path = sample_log_path() if log is None else log
         if not path.is_dir():
