@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -212,6 +213,7 @@ class Comparison(Shown):
         names |= {f"figure_{kind}" if i else "figure": f"comparison.{kind}" for i, kind in enumerate(formats)}
         if config is not None:
             names["config"] = "config.toml"
+        former = _written_before(directory)
         with fill_whole(directory, for_this_only=timed) as folder:
             for name, text in texts(self):
                 (folder / name).write_text(text, encoding="utf-8")
@@ -224,9 +226,22 @@ class Comparison(Shown):
             write_json(self.to_json(files), folder / names["json"])
             if config is not None:
                 (folder / names["config"]).write_text(config.to_toml(), encoding="utf-8")
+        for name in former - {path.name for path in files.values()}:
+            # of an earlier run into the same folder: beside these results they would look like theirs
+            (directory / name).unlink(missing_ok=True)
         if timed:
             point_latest(directory)
         return files
+
+
+def _written_before(directory: Path) -> set[str]:
+    """The names of the files that an earlier comparison left in a folder, as its comparison.json tells."""
+    try:
+        told = json.loads((directory / "comparison.json").read_text(encoding="utf-8"))["files"].values()
+        names = {Path(name).name for name in told if Path(name).parent.name == directory.name}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return set()
+    return {name for name in names if (directory / name).is_file()}
 
 
 #: called with a name when an estimator begins (None) and when it is done
@@ -310,7 +325,7 @@ def _with_warnings(result: EstimatorResult, caught: Sequence[warnings.WarningMes
 
 
 def _checked(estimators: Sequence[str]) -> tuple[str, ...]:
-    names = tuple(dict.fromkeys(estimators))
+    names = (estimators,) if isinstance(estimators, str) else tuple(dict.fromkeys(estimators))
     for name in names:
         if name not in ESTIMATORS:
             raise OptionError(f"there is no estimator {name!r}; the estimators are {', '.join(ESTIMATORS)}")

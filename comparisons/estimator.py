@@ -11,7 +11,7 @@ import numpy as np
 from fastslam.resampling import RESAMPLING_SCHEMES
 from fastslam.slam_filter import ASSOCIATIONS
 from graphslam import Log, MotionModel, OptionError, SensorModel
-from graphslam.errors import check_choice, check_positive
+from graphslam.errors import check_choice, check_count, check_positive
 from graphslam.graph import EDGES, FRAMES, WEIGHTS
 from graphslam.robust import KERNELS
 from graphslam.se2 import Array
@@ -66,10 +66,9 @@ class RunOptions:
         check_positive(motion_weight=self.motion_weight)
         check_choice("resampling", self.resampling, tuple(RESAMPLING_SCHEMES))
         check_choice("association", self.association, tuple(ASSOCIATIONS))
+        check_count(particles=self.particles, seed=self.seed)
         if self.particles < 1:
             raise OptionError(f"particles must be at least 1, not {self.particles}")
-        if self.seed < 0:
-            raise OptionError(f"seed must not be negative, but is {self.seed}")
 
     @property
     def kernel(self) -> str | None:

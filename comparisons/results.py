@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from graphslam import FormatError, OptionError
-from graphslam.files import write_whole
+from graphslam.files import check_place, write_whole
 
 #: where runs leave their folders unless told otherwise
 RESULTS = Path("results")
@@ -71,8 +71,8 @@ def write_json(payload: Mapping[str, Any], path: Path) -> None:
 
 def check_can_write(path: Path) -> None:
     """Raise `FormatError` now rather than after minutes of work if a file cannot be written at ``path``."""
-    if path.is_dir():
-        raise FormatError(path, None, "this is a folder; give the name of a file to write")
+    check_place(path)
+    path = path.resolve()
     if not path.parent.is_dir():
         raise FormatError(path, None, f"cannot write into {path.parent}: there is no such folder")
     if not os.access(path.parent, os.W_OK | os.X_OK):

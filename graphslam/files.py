@@ -11,8 +11,9 @@ from pathlib import Path
 from .errors import FormatError
 
 
-def check_file(path: Path) -> None:
+def check_file(path: str | os.PathLike[str]) -> None:
     """Raise `FormatError` unless ``path`` is a file that can be read."""
+    path = Path(path)
     if not path.exists():
         raise FormatError(path, None, "there is no such file")
     if path.is_dir():
@@ -25,12 +26,14 @@ def check_file(path: Path) -> None:
 def write_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path in the same folder; it takes the place of ``path`` only if the block ends well.
 
+    A link stays, and what it points to is replaced. Pipes and devices, which would be lost, are refused.
+
     Raises:
-        FormatError: the folder does not exist or cannot be written.
+        FormatError: the folder does not exist or cannot be written, or ``path`` is no place for a file.
     """
-    path = Path(path)
-    if path.is_dir():
-        raise FormatError(path, None, "this is a folder; give the name of a file to write")
+    named = Path(path)
+    check_place(named)
+    path = named.resolve()
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
         os.close(handle)
@@ -46,6 +49,16 @@ def write_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         with suppress(FileNotFoundError):
             temporary.unlink()
+
+
+def check_place(path: Path) -> None:
+    """Raise `FormatError` if ``path`` is a folder, or a pipe or device, which no file can take the place of."""
+    if path.is_dir():
+        raise FormatError(path, None, "this is a folder; give the name of a file to write")
+    if path.exists() and not path.is_file():
+        raise FormatError(
+            path, None, "this is a pipe or device and no file; use - for standard output, or a file's name"
+        )
 
 
 def _umask() -> int:

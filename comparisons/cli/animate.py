@@ -33,7 +33,7 @@ from .options import (
     SigmaV,
     Stride,
 )
-from .support import Output, models, read_log, sentences
+from .support import Output, models, quoted, read_log, sentences
 
 
 def animate(
@@ -169,12 +169,13 @@ def _film(
     seconds = time.perf_counter() - begin
     size = out.stat().st_size
     what = "iterations" if estimator == "graph" else "steps"
-    thinned = "" if len(film) == film.steps else f", of {film.steps} {what}"
+    thinned = "" if len(film) == film.steps else f", of the start and {film.steps - 1} {what}"
     output.say(*film.notes)
     output.hint(f"Wrote {out}: {len(film)} pictures{thinned}, {film.fps:g} a second, {size / 1e6:.1f} MB.")
-    again = "" if source is None else f"{source} "
-    other = "graph" if estimator.startswith("fastslam") else "fastslam1"
-    output.hint(f"Next: slam-compare animate {again}{other}{out.suffix} --estimator {other}")
+    other = "graph" if estimator.startswith("fastslam") or data.controls is None else "fastslam1"
+    if other != estimator:
+        words = quoted(source, f"{other}{out.suffix}")
+        output.hint(f"Next: slam-compare animate {words} --estimator {other}")
     output.json({
         "file": str(out), "log": describe(data, path), "estimator": estimator, "pictures": len(film),
         "steps": film.steps, "fps": film.fps, "bytes": size, "seconds": seconds, "notes": list(film.notes),

@@ -25,7 +25,7 @@ from .options import (
     plain,
 )
 from .parsing import check_faults, check_finite, numbers, places, points
-from .support import Output, given, models, sentences
+from .support import Output, given, models, quoted, sentences
 
 DRIVE, WORLD, CAMERA = "Drive", "World", "Camera"
 WHEELS, EYES = "Faults of the wheels", "Faults of the camera"
@@ -128,5 +128,5 @@ def simulate(
         graphslam.save(log if truth else log.replace(true_poses=None, true_landmarks=None), out, format=format)
         seen = len(log.landmark_ids)
         output.say(f"Wrote {out}: {log.num_poses} poses, {len(log.steps)} sightings of {seen} landmarks.")
-        output.hint(f"Next: slam-compare run {out}")
+        output.hint(f"Next: slam-compare run {quoted(out)}")
         output.json({"file": str(out), "log": describe(log, out)})

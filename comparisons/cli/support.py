@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import traceback
 import warnings
@@ -223,6 +224,12 @@ def models(
     if sensor_offset is not None:
         said["offset"] = numbers("--sensor-offset", sensor_offset, count=2)
     return motion, replace(of_log[1] or SensorModel(), **said)
+
+
+def quoted(*words: Path | str | None, before: str = "") -> str:
+    """Words for a command line that can be pasted; None is left out, and ``before`` only stands before something."""
+    text = shlex.join(str(word) for word in words if word is not None)
+    return before + text if text else ""
 
 
 def given(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -57,7 +57,7 @@ from .particles import particles
 from .report import report_like
 from .simulate import simulate
 from .study import study
-from .support import DIFFERENT, INTERRUPTED, Output, examples, models, read_log, sentences
+from .support import DIFFERENT, INTERRUPTED, Output, examples, models, quoted, read_log, sentences
 from .sweep import sweep
 from .verbosity import verb
 
@@ -219,11 +219,10 @@ def run(
         output.hint(f"Wrote {', '.join([*named, *exchanged])} into {folder}{os.sep}")
         if html is not None:
             output.hint(f"Wrote {html}: open it in a browser.")
-        output.hint(f"Again, bit for bit: slam-compare run --config {files['config']}")
+        output.hint(f"Again, bit for bit: slam-compare run --config {quoted(files['config'])}")
         output.hint(
-            "Next: slam-compare simulate my.npz --seed 7 && slam-compare run my.npz"
-            if log is None
-            else f"Next: slam-compare solvers {log} checks the solver against GTSAM in every variant"
+            f"Next: slam-compare report {quoted(log, 'page.html')} is a page to look into, and slam-compare animate "
+            f"{quoted(log, 'film.gif')} a film"
         )
 
 
@@ -310,6 +309,7 @@ def solvers(
         output.say(*solvers_remarks(outcome))
         if not outcome.problems:
             output.say(f"The solvers agree in all {len(outcome.variants)} variants.")
+            output.hint("Next: slam-compare consistency asks whether their covariances are true")
         output.json(outcome.to_json())
         if outcome.problems:
             raise typer.Exit(DIFFERENT)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from os import PathLike
 
-from graphslam import GraphError, Log, OptionError
+from graphslam import GraphError, Log, OptionError, load
 from graphslam.errors import check_choice, check_positive
 
 from ..comparison import with_models
@@ -21,7 +22,7 @@ MAX_FRAMES = 200
 
 
 def animate(
-    log: Log,
+    log: Log | str | PathLike[str],
     estimator: str = "graph",
     options: RunOptions | None = None,
     *,
@@ -32,7 +33,7 @@ def animate(
     """Run an estimator on a log and keep what it believed on the way.
 
     Args:
-        log: what the robot did and saw.
+        log: what the robot did and saw, or the file or folder of it.
         estimator: one of `FILMED`. The film of ``graph`` has one picture per iteration, its edges coloured by their
             Mahalanobis distances; the others have one per step: particles, ellipses and resamplings of a filter, the
             corrections that ``isam2`` makes to the path so far.
@@ -53,6 +54,8 @@ def animate(
         raise OptionError(f"max_frames must be at least 2, not {max_frames}")
     if fps is not None:
         check_positive(fps=fps)
+    if not isinstance(log, Log):
+        log = load(log)
     if len(log.steps) == 0:
         raise GraphError(f"{log.name} has no sightings at all, so there is nothing to estimate from")
     options = with_models(options or RunOptions(), log)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from html import escape
 from importlib.resources import files
+from os import PathLike
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -17,6 +18,7 @@ from graphslam.files import write_whole
 
 from ..comparison import Comparison, with_models
 from ..config import RunConfig, versions
+from ..estimator import RunOptions
 from ..plots import reference_of
 from ..results import check_can_write, jsonable
 from ..tables import comparison_remarks
@@ -50,18 +52,19 @@ def check_page(path: Path) -> None:
     check_plotly()
 
 
-def write_report(comparison: Comparison, path: Path, config: RunConfig | None = None) -> None:
+def write_report(comparison: Comparison, path: str | PathLike[str], config: RunConfig | None = None) -> None:
     """Write the page of a comparison, whole or not at all.
 
     Args:
         comparison: what to show.
         path: the file, .html.
-        config: what the run was told; default: the defaults.
+        config: what the run was told; default: the options of the comparison.
 
     Raises:
         FormatError: the name does not end in .html, or the place cannot be written.
         OptionError: the extra ``report`` is not installed.
     """
+    path = Path(path)
     check_page(path)
     text = page_of(comparison, config)
     with write_whole(path) as temporary:
@@ -74,7 +77,7 @@ def page_of(comparison: Comparison, config: RunConfig | None = None) -> str:
     Raises:
         OptionError: the extra ``report`` is not installed.
     """
-    config = config or RunConfig()
+    config = config or RunConfig(log=comparison.source, options=comparison.options or RunOptions())
     config = replace(config, options=with_models(config.options, comparison.log))
     script, plotly = plotly_script()
     view = view_of(comparison, config.options)

@@ -6,7 +6,7 @@ import asyncio
 import logging
 import socket
 from collections.abc import Iterator, Sequence
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -103,7 +103,9 @@ def _check_handshake(address: str) -> None:
         await comm.close()
 
     try:
-        asyncio.run(asyncio.wait_for(greet(), PATIENCE))
+        # in a thread of its own: notebooks have a running loop in this one
+        with ThreadPoolExecutor(1) as thread:
+            thread.submit(lambda: asyncio.run(asyncio.wait_for(greet(), PATIENCE))).result()
     except Exception as error:
         raise _no_scheduler(address, type(error).__name__) from None
 

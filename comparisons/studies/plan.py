@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,8 @@ class Run:
         """The run's identity: a digest of what decides its numbers.
 
         A file counts by its content, so a study can be moved to another folder or machine, and a changed log is a new
-        run. Names for tables do not count.
+        run. How the study names the log or world counts: two worlds of the same settings are two. How tables call the
+        method does not.
         """
         source = dict(self.source)
         if source.get("sha256") is not None:
@@ -76,12 +78,13 @@ class Study:
     runs: tuple[Run, ...]
 
 
-def read_study(path: Path) -> Study:
+def read_study(path: str | PathLike[str]) -> Study:
     """Read a study file (see docs/studies.md).
 
     Raises:
         FormatError: it is not valid TOML, has an unknown key, or a value that is impossible; with the line.
     """
+    path = Path(path)
     file = TomlFile(path)
     table = file.table
     file.check_keys(table, KEYS)

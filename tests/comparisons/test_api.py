@@ -6,7 +6,7 @@ import sys
 import pytest
 
 import comparisons
-from graphslam import OptionError, load, sample_log_path, simulate
+from graphslam import MotionModel, OptionError, load, sample_log_path, save, simulate
 
 
 @pytest.fixture(scope="module")
@@ -74,3 +74,31 @@ def test_other_verbs_show_themselves_too(tmp_path):
         assert str(outcome)
     figure = comparisons.study_particles(log, filters=("fastslam1",), particles=(10,), seeds=2).figure()
     assert figure.axes
+
+
+def test_the_page_of_a_comparison_says_what_it_was_told(tmp_path):
+    told = comparisons.run(
+        simulate(steps=15, seed=1), ["graph"], motion=MotionModel(nn=0.5), robust="huber", particles=77
+    )
+    comparisons.write_report(told, str(tmp_path / "page.html"))
+    page = (tmp_path / "page.html").read_text()
+    for line in ("nn = 0.5", "robust = &quot;huber&quot;", "particles = 77"):
+        assert line in page
+
+
+def test_paths_may_be_text(tmp_path):
+    save(simulate(steps=10, seed=1), tmp_path / "log.npz")
+    assert len(comparisons.animate(str(tmp_path / "log.npz"), "mcl", comparisons.RunOptions(particles=10))) == 11
+    (tmp_path / "study.toml").write_text('seeds = 1\nestimators = ["graph"]\n[simulate]\nsteps = 10\n')
+    assert len(comparisons.read_study(str(tmp_path / "study.toml")).runs) == 1
+
+
+def test_options_of_a_wrong_type_are_told():
+    for options, message in (
+        ({"particles": "10"}, "particles"),
+        ({"seed": 1.5}, "seed"),
+        ({"particles": 0}, "at least 1"),
+    ):
+        with pytest.raises(OptionError, match=message):
+            comparisons.run(None, ["mcl"], **options)
+    assert [row.name for row in comparisons.run(None, "graph").table] == ["graph"]

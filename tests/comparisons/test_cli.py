@@ -219,7 +219,7 @@ def test_run_leaves_a_figure_and_json(invoke: Invoke, log_file: Path, tmp_path: 
     for word in (
         *names,
         folder.name,
-        "Next: slam-compare solvers",
+        "Next: slam-compare report",
         "ATE",
         "[rad]",
         "graph and gtsam differ by at most",
@@ -290,7 +290,7 @@ def test_the_sample_log_is_the_default(invoke: Invoke) -> None:
     result = invoke("run", *QUICK)
     assert result.exit_code == 0
     assert "sample: " in result.stdout
-    assert "Next: slam-compare simulate" in result.stdout
+    assert "Next: slam-compare report page.html" in result.stdout
 
 
 def test_nothing_is_left_behind_when_a_run_breaks(

@@ -98,3 +98,13 @@ def test_the_same_data_makes_the_same_figures(tmp_path):
     for kind in ("png", "pdf", "svg"):
         one, two = ((tmp_path / folder / f"comparison.{kind}").read_bytes() for folder in ("one", "two"))
         assert one == two, kind
+
+
+def test_a_second_run_into_the_folder_leaves_nothing_of_the_first(tmp_path):
+    log = simulate(steps=15, seed=1)
+    mine = tmp_path / "notes.txt"
+    mine.write_text("mine")
+    comparisons.run(log, ["graph", "fastslam1"], particles=10).save(tmp_path, formats=("svg", "png"))
+    assert (tmp_path / "fastslam1.tum").exists()
+    files = comparisons.run(log, ["graph"]).save(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in files.values()} | {"notes.txt"}

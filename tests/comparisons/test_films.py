@@ -294,7 +294,7 @@ class TestCommandLine:
             tmp_path / "log.npz", out, "--estimator", "fastslam1", "--particles", "20", "--max-frames", "3"
         )
         assert result.exit_code == 0, result.output
-        assert f"Wrote {out}: 3 pictures, of 13 steps, 10 a second" in result.stdout
+        assert f"Wrote {out}: 3 pictures, of the start and 12 steps, 10 a second" in result.stdout
         with Image.open(out) as image:
             assert image.n_frames == 3
 

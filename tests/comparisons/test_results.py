@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 from datetime import datetime
 from pathlib import Path
 
@@ -122,3 +123,18 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
         check_can_write(tmp_path / "no" / "a.json")
     check_can_make(tmp_path / "new" / "out")
     check_can_write(tmp_path / "a.json")
+
+
+def test_pipes_and_devices_are_not_replaced_and_links_stay(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for refuse in (check_can_write, lambda path: write_json({}, path)):
+        with pytest.raises(FormatError, match="pipe or device"):
+            refuse(pipe)
+    assert pipe.is_fifo()
+    target, link = tmp_path / "target.json", tmp_path / "link.json"
+    target.write_text("old")
+    link.symlink_to(target)
+    write_json({"a": 1}, link)
+    assert link.is_symlink()
+    assert json.loads(target.read_text()) == {"a": 1}
