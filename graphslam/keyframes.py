@@ -91,8 +91,7 @@ def join(
         times = _filled(times, keep_every)
     controls, dt, starts, variances, gaps = divide(odometry, times, longest_gap)
     if gaps:
-        what = f"{len(gaps)} gap{'s' * (len(gaps) > 1)} of {min(gaps):.1f} to {max(gaps):.1f} s in the odometry"
-        said.append(f"{what}: bridged by the last control, with noise as large as the controls of the whole log differ")
+        said.append(told_of_gaps(gaps))
         warnings.warn(f"{name}: {said[-1]}", UserWarning, stacklevel=3)
     true_poses = None if truth is None else truth_at(times, truth, truth_gap)
     if true_poses is not None:
@@ -144,13 +143,33 @@ def divide(
         k = int(np.argmax(silence))
         raise LogError(
             f"the odometry is silent for {silence[k]:.1f} s after t = {odometry.times[row[k]]:.3f} s, longer than "
-            f"{longest_gap:g} s: cut the log there, or allow longer gaps"
+            f"{longest_gap:g} s: cut the log there"
         )
-    variances, bridged = None, silence > BRIDGED_GAP
-    if bridged.any():
-        variances = np.where(bridged[:, None], np.var(odometry.rows, axis=0), 0.0)
+    lasting = np.diff(cuts)
+    bridged = silence > BRIDGED_GAP
     gaps = silence[bridged][np.unique(row[bridged], return_index=True)[1]].tolist()
-    return odometry.rows[row], np.diff(cuts), np.searchsorted(cuts, times), variances, gaps
+    variances = bridging(odometry.rows, silence, lasting) if gaps else None
+    return odometry.rows[row], lasting, np.searchsorted(cuts, times), variances, gaps
+
+
+def bridging(controls: Array, silence: Array, lasting: Array) -> Array:
+    """The variances (S, 2) of control pieces that last ``lasting`` (S,) within a silence of ``silence`` (S,) seconds.
+
+    One unknown control holds throughout a silence: it moves the robot by an error of variance V silence², V the variance
+    of all controls. Pieces are independent in a log, and each adds V_piece lasting²; with V_piece = V silence / lasting
+    they sum up to the same, however many poses stand in the gap. Zero where there is no gap.
+    """
+    grown = np.where(silence > BRIDGED_GAP, silence / lasting, 0.0)
+    return grown[:, None] * np.var(controls, axis=0)
+
+
+def told_of_gaps(gaps: list[float]) -> str:
+    """The sentence about bridged gaps [s]."""
+    if len(gaps) == 1:
+        what = f"1 gap of {gaps[0]:.1f} s"
+    else:
+        what = f"{len(gaps)} gaps of {min(gaps):.1f} to {max(gaps):.1f} s"
+    return f"{what} in the odometry: bridged by the last control, with noise as large as the controls of the whole log differ"
 
 
 def truth_at(times: Array, truth: Stream, gap: float = TRUTH_GAP) -> Array:

@@ -218,7 +218,10 @@ class SensorModel:
             check_positive(range_std=self.range_std)
             if self.range_rate != 0:
                 check_positive(range_rate=self.range_rate)
-        offset = np.asarray(self.offset, dtype=float)
+        try:
+            offset = np.asarray(self.offset, dtype=float)
+        except (TypeError, ValueError):
+            offset = np.empty(0)
         if offset.ndim == 0:
             offset = np.array([float(offset), 0.0])
         if offset.shape != (2,) or not np.all(np.isfinite(offset)):

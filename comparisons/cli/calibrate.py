@@ -19,7 +19,7 @@ from .options import (
     SensorOffset,
     Stride,
 )
-from .support import Output, models, read_log, sentences
+from .support import Output, models, quoted, read_log, reread, sentences
 
 
 def calibrate(
@@ -68,6 +68,5 @@ def calibrate(
         output.json(found.to_json())
         if out is not None:
             write_noise(found, out, data.name)
-            again = ["slam-compare run", *([] if log is None else [str(log)]), f"--noise {out}"]
-            again += [] if robot is None else [f"--robot {robot}"]
-            output.say(f"Wrote {out}.", f"Next: {' '.join(again)}")
+            words = reread(log, format=format, robot=robot, keep_every=keep_every, stride=stride, max_range=max_range)
+            output.hint(f"Wrote {out}.", f"Next: slam-compare run {quoted(*words, '--noise', out)}")

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from .compared import compared
-from .support import Output, quoted, sentences
+from .support import Output, quoted, reread, sentences
 
 #: parameters of ``run`` that say where its files go, and its argument LOG, which is one of the words here
 NOT_SHARED = ("log", "out", "html", "figures")
@@ -48,7 +48,9 @@ def report_like(run: Callable[..., None]) -> Callable[..., None]:
             output.say(*comparison_remarks(comparison))
             output.json(comparison.to_json({"html": page}))
             output.hint(f"Wrote {page}: open it in a browser.")
-            output.hint(f"Next: slam-compare solvers{quoted(log, before=' ')} checks the solver against GTSAM")
+            read = {name: told.get(name) for name in ("format", "robot", "keep_every", "stride", "max_range")}
+            words = reread(log, **read)
+            output.hint(f"Next: slam-compare solvers{quoted(*words, before=' ')} checks the solver against GTSAM")
 
     parameters = [ctx, words, *shared]
     report.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]

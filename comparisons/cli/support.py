@@ -232,6 +232,16 @@ def quoted(*words: Path | str | None, before: str = "") -> str:
     return before + text if text else ""
 
 
+def reread(log: Path | None, **reading: Any) -> list[str]:
+    """The words that name a log and how it was read, for the next command: LOG --robot 1 --stride 5."""
+    usual = {None, 1}
+    words = [] if log is None else [str(log)]
+    for name, value in reading.items():
+        if value not in usual or (name == "robot" and value is not None):
+            words += [f"--{name.replace('_', '-')}", str(value)]
+    return words
+
+
 def given(options: Mapping[str, Any]) -> dict[str, Any]:
     """The options that are not None."""
     return {name: value for name, value in options.items() if value is not None}

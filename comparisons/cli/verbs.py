@@ -57,7 +57,7 @@ from .particles import particles
 from .report import report_like
 from .simulate import simulate
 from .study import study
-from .support import DIFFERENT, INTERRUPTED, Output, examples, models, quoted, read_log, sentences
+from .support import DIFFERENT, INTERRUPTED, Output, examples, models, quoted, read_log, reread, sentences
 from .sweep import sweep
 from .verbosity import verb
 
@@ -219,10 +219,11 @@ def run(
         output.hint(f"Wrote {', '.join([*named, *exchanged])} into {folder}{os.sep}")
         if html is not None:
             output.hint(f"Wrote {html}: open it in a browser.")
+        words = reread(log, format=format, robot=robot, keep_every=keep_every, stride=stride, max_range=max_range)
         output.hint(f"Again, bit for bit: slam-compare run --config {quoted(files['config'])}")
         output.hint(
-            f"Next: slam-compare report {quoted(log, 'page.html')} is a page to look into, and slam-compare animate "
-            f"{quoted(log, 'film.gif')} a film"
+            f"Next: slam-compare report {quoted(*words, 'page.html')} is a page to look into, and slam-compare animate "
+            f"{quoted(*words, 'film.gif')} a film"
         )
 
 

@@ -24,7 +24,7 @@ def read_columns(path: Path, columns: tuple[str, ...], *, times: bool = False) -
     """
     rows: Array | None
     try:
-        with path.open(encoding="utf-8") as stream:
+        with path.open(encoding="utf-8-sig") as stream:
             # loadtxt warns of files without rows, which is for the caller to judge
             lines = [line for line in stream if line.split("#", 1)[0].strip()]
         rows = np.loadtxt(lines, comments="#", ndmin=2) if lines else np.empty((0, len(columns)))
@@ -41,8 +41,13 @@ def read_columns(path: Path, columns: tuple[str, ...], *, times: bool = False) -
     return rows
 
 
+def line_of(path: Path, row: int) -> int:
+    """The line that a row of `read_columns` comes from, counted from 1."""
+    return _numbered(path)[row][0]
+
+
 def _numbered(path: Path) -> list[tuple[int, list[str]]]:
-    lines = enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+    lines = enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1)
     return [(number, words) for number, line in lines if (words := line.split("#", 1)[0].split())]
 
 
@@ -64,7 +69,5 @@ def _blame(path: Path, columns: tuple[str, ...]) -> FormatError:
 
 def _backwards(path: Path, times: Array) -> FormatError:
     k = int(np.argmax(np.diff(times) < 0)) + 1
-    number, _ = _numbered(path)[k]
-    return FormatError(
-        path, number, f"time runs backwards: {times[k]:.3f} s comes after {times[k - 1]:.3f} s; sort the lines by time"
-    )
+    told = f"time runs backwards: {times[k]:.3f} s comes after {times[k - 1]:.3f} s; sort the lines by time"
+    return FormatError(path, line_of(path, k), told)

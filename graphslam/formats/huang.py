@@ -81,6 +81,8 @@ def _read(folder: Path) -> Log:
     if near.any():
         notes.append(f"{near.sum()} of {len(seen)} sightings have a range not above zero: left out")
         seen = seen[~near]
+        if len(seen) == 0:
+            raise FormatError(path, None, "no sighting has a range above zero: nothing to estimate from")
     if (folder / "store_robotTrue.mat").is_file():
         truth = _variable(folder, "store_robotTrue", (3, len(speed) + 1)).T
     else:

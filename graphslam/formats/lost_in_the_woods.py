@@ -21,11 +21,13 @@ a pose, seen or not: `Log.at_steps` and `Log.where_seen` thin it, joining the mo
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import FormatError, LogError
+from ..keyframes import BRIDGED_GAP, LONGEST_GAP, bridging, told_of_gaps
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from .base import Format
@@ -60,6 +62,12 @@ def _read(path: Path) -> Log:
     if np.any(dt <= 0):
         k = int(np.argmax(dt <= 0)) + 1
         raise FormatError(path, None, f"the times t run backwards or stand still at row {k + 1}")
+    if np.any(dt > LONGEST_GAP):
+        k = int(np.argmax(dt > LONGEST_GAP))
+        raise FormatError(
+            path, None, f"the odometry is silent for {dt[k]:.1f} s after t = {series['t'][k]:.3f} s, longer than "
+            f"{LONGEST_GAP:g} s: cut the log there"
+        )  # fmt: skip
     if len(landmarks) != ranges.shape[1]:
         raise FormatError(path, None, f"l has {len(landmarks)} landmarks, but r has {ranges.shape[1]} columns")
     steps, columns = np.nonzero(ranges > 0)
@@ -71,11 +79,16 @@ def _read(path: Path) -> Log:
     if covered < count:
         notes.append(f"the truth covers {covered} of {count} poses")
     controls = np.column_stack([series["v"], series["om"]])[1:]
+    gaps = dt[dt > BRIDGED_GAP].tolist()
+    if gaps:
+        notes.append(told_of_gaps(gaps))
+        warnings.warn(f"{path}: {notes[-1]}", UserWarning, stacklevel=3)
     start = truth[0] if np.isfinite(truth[0, 0]) else np.zeros(3)
     try:
         return Log(
             dt=dt,
             controls=controls,
+            control_variances=bridging(controls, dt, dt) if gaps else None,
             steps=steps,
             landmarks=columns,
             sightings=np.column_stack([ranges[steps, columns], bearings[steps, columns]]),

@@ -30,7 +30,7 @@ from ..errors import FormatError, LogError, OptionError
 from ..keyframes import Stream, join
 from ..log import Log
 from .base import Format
-from .columns import read_columns
+from .columns import line_of, read_columns
 
 #: subjects up to this number are robots
 ROBOTS = 5
@@ -78,6 +78,15 @@ def _read(folder: Path, *, robot: int | None = None, keep_every: float | None = 
     seen_path = _required(folder, f"Robot{robot}_Measurement.dat")
     seen = read_columns(seen_path, ("time", "barcode", "range", "bearing"), times=True)
 
+    wrong = {
+        "the barcode should be a whole number": seen[:, 1] % 1 != 0,
+        "the range should be above zero": seen[:, 2] <= 0,
+    }
+    for what, rows in wrong.items():
+        if np.any(rows):
+            k = int(np.argmax(rows))
+            column = 1 if "barcode" in what else 2
+            raise FormatError(seen_path, line_of(seen_path, k), f"{what}, not {seen[k, column]:g}")
     subject = np.array([barcodes.get(int(code), 0) for code in seen[:, 1].tolist()], dtype=np.int64)
     notes = []
     for count, what in (

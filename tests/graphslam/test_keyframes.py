@@ -98,15 +98,25 @@ def gapped(length):
 
 def test_a_gap_in_the_odometry_is_bridged_with_grown_noise_and_a_warning():
     odometry = gapped(5.0)
-    with pytest.warns(UserWarning, match="1 gap of 5.0 to 5.0 s in the odometry"):
+    with pytest.warns(UserWarning, match="1 gap of 5.0 s in the odometry"):
         log = join(odometry, seen(0.5, 4.0, 6.2), np.zeros(3))
     np.testing.assert_allclose(log.controls[:, 0], [1, 2, 2, 1])
     bridged = np.var(odometry.rows, axis=0)
-    np.testing.assert_allclose(log.control_variances, [[0, 0], bridged, bridged, [0, 0]])
+    np.testing.assert_allclose(log.control_variances, [[0, 0], bridged * 5 / 3, bridged * 5 / 2, [0, 0]])
     quiet = MotionModel(0, 0, 0, 0, 1e-8)
     _, covariance = log.motions(quiet)
-    # three seconds of a control that is off by its usual spread, all the time
-    assert covariance[0, 2, 2] == pytest.approx(9 * bridged[1], rel=1e-6)
+    # five seconds of a control that is off by its usual spread, all the time: three here, two in the next motion
+    assert covariance[0, 2, 2] == pytest.approx(3 * 5 * bridged[1], rel=1e-6)
+    assert covariance[:, 2, 2].sum() == pytest.approx(25 * bridged[1], rel=1e-6)
+
+
+@pytest.mark.parametrize("poses", [1, 10, 100])
+def test_the_noise_of_a_gap_does_not_depend_on_the_poses_in_it(poses):
+    odometry = gapped(5.0)
+    with pytest.warns(UserWarning, match="bridged"):
+        log = join(odometry, seen(1.0, *np.linspace(1.0, 6.0, poses + 2)[1:-1], 6.0), np.zeros(poses + 2))
+    _, covariance = log.motions(MotionModel(0, 0, 0, 0, 1e-10))
+    assert covariance[:, 2, 2].sum() == pytest.approx(25 * np.var(odometry.rows[:, 1]), rel=1e-4)
 
 
 def test_too_long_a_gap_is_refused():

@@ -81,6 +81,7 @@ def test_huang_without_truth_or_noise(huang):
         ("sensor_data", np.zeros((0, 7)), "no sighting of any landmark|should be N x 7"),
         ("sensor_data", np.array([[5, 1, 1.0, 0, 0, 0, 0]]), "steps 1 to 4"),
         ("sensor_data", np.array([["no", "numbers"]]), "should be numbers"),
+        ("sensor_data", np.array([[1, 1, -1.0, 0, 0, 0, 0]]), "no sighting has a range above zero"),
     ],
 )
 def test_huang_with_another_content(huang, name, value, message):
@@ -122,12 +123,20 @@ def test_lost_in_the_woods(tmp_path):
         ({"r": np.zeros((4, 2))}, "no sighting of any landmark"),
         ({"b": np.zeros((4, 3))}, "'b' should be 4 x 2, but is 4 x 3"),
         ({"d": [[0.1, 0.2]]}, "'d' should be 1 x 1"),
+        ({"t": np.array([[0.0], [0.1], [60.1], [60.2]])}, r"silent for 60\.0 s after t = 0\.100 s"),
     ],
 )
 def test_lost_in_the_woods_with_another_content(tmp_path, changes, message):
     savemat(tmp_path / "dataset2.mat", woods(**changes))
     with pytest.raises(FormatError, match=message):
         load(tmp_path)
+
+
+def test_a_gap_in_lost_in_the_woods_is_bridged(tmp_path):
+    savemat(tmp_path / "dataset2.mat", woods(t=np.array([[0.0], [0.1], [9.1], [9.2]])))
+    with pytest.warns(UserWarning, match="1 gap of 9.0 s"):
+        log = load(tmp_path)
+    assert log.control_variances[:, 0].tolist() == [0.0, pytest.approx(np.var([1.0, 2.0, 3.0])), 0.0]
 
 
 def test_a_mat_of_another_layout(tmp_path):

@@ -243,3 +243,9 @@ def test_range_noise_has_a_constant_part():
 def test_an_impossible_offset_is_refused(offset):
     with pytest.raises(OptionError, match="offset must be"):
         SensorModel(offset=offset)
+
+
+@pytest.mark.parametrize("offset", [(0.3, "x"), "ahead", (1.0, 2.0, 3.0), (np.nan, 0.0)])
+def test_an_offset_is_two_numbers(offset):
+    with pytest.raises(OptionError, match="offset must be"):
+        SensorModel(offset=offset)

@@ -104,7 +104,8 @@ def test_a_missing_map_is_said(folder):
         ("Robot2_Odometry.dat", "1248444170.000 1.0 0.5", r":204: time runs backwards: 1248444170\.000 s comes after"),
         ("Robot2_Measurement.dat", "1248444170.000 63 1.0 0.5", ":8: time runs backwards"),
         ("Robot2_Groundtruth.dat", "1248444170.000 1 1 1", "time runs backwards"),
-        ("Robot2_Measurement.dat", "1248444178.900 63 0.0 0.5", "range must be above zero"),
+        ("Robot2_Measurement.dat", "1248444178.900 63 0.0 0.5", ":8: the range should be above zero, not 0"),
+        ("Robot2_Measurement.dat", "1248444178.900 63.7 1.0 0.5", ":8: the barcode should be a whole number, not 63.7"),
         ("Barcodes.dat", "9 63", "two subjects wear the same barcode"),
     ],
 )  # fmt: skip
@@ -138,3 +139,9 @@ def test_options_for_the_wrong_format(folder, tmp_path):
         load(tmp_path / "log.txt", robot=1)
     with pytest.raises(FormatError, match="not that of a known data set"):
         load(tmp_path)
+
+
+def test_a_byte_order_mark_is_no_number(folder):
+    for path in folder.glob("*.dat"):
+        path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert load(folder).num_poses > 1
