@@ -8,8 +8,8 @@ import numpy as np
 
 from ..errors import LogError
 from ..log import Log
-from ..models import SensorModel
-from ..se2 import between, wrap
+from ..models import MotionModel, SensorModel, sinc
+from ..se2 import Array, between, wrap
 from .parts import motion_parts, ordinary, sensor_parts
 from .variances import VarianceFit, fit_variances
 
@@ -43,10 +43,42 @@ def motion_noise(log: Log, degrees: float | None = None) -> VarianceFit:
         LogError: there are too few motions.
     """
     assert log.true_poses is not None
-    e = between(log.true_poses[:-1], log.true_poses[1:]) - log.motions()[0]
+    moved = between(log.true_poses[:-1], log.true_poses[1:])
+    e = moved - log.motions()[0]
     e[:, 2] = wrap(e[:, 2])
     counted = np.isfinite(e).all(axis=1) & ordinary(log)
-    return fit_variances(e[counted], {name: C[counted] for name, C in motion_parts(log).items()}, degrees=degrees)
+    parts = {name: C[counted] for name, C in motion_parts(log).items()}
+    fit = fit_variances(e[counted], parts, degrees=degrees)
+    if log.composite:
+        return fit
+    # noise that entered by the controls, or that the poses have: whichever explains the motions better
+    other = fit_variances(straightened(log, moved, e)[counted], parts, degrees=degrees)
+    return max(fit, other, key=lambda found: found.log_likelihood)
+
+
+def straightened(log: Log, moved: Array, e: Array) -> Array:
+    """The residuals (T, 3) of motions of one control each, by what the controls must have been.
+
+    The noise of a control enters the motion through its arc. To first order the residual is A du; to second order du's
+    two parts also push the robot sideways by their product, where A reaches nowhere and epsilon, which may be tiny, is
+    all there is: that would look like heavy tails. So du is found exactly, as the arc that turns as far as the robot
+    has and ends nearest to it, and the residual is A du and what is left beside the arc.
+
+    Args:
+        log: without composite motions.
+        moved: (T, 3) the true motions in the frames they start from.
+        e: (T, 3) their plain residuals.
+    """
+    assert log.controls is not None and log.dt is not None
+    dt, origin = log.dt, np.zeros(3)
+    turn = log.controls[:, 1] * dt + e[:, 2]
+    along = np.column_stack([np.cos(turn / 2), np.sin(turn / 2)])
+    length = np.einsum("ti,ti->t", moved[:, :2], along)
+    done = np.column_stack([length / (dt * sinc(turn / 2)), turn / dt])
+    straight = np.einsum("tij,tj->ti", MotionModel().A(origin, log.controls, dt), done - log.controls)
+    straight[:, :2] += moved[:, :2] - length[:, None] * along
+    # beyond a full turn no arc is the obvious one
+    return np.where((np.abs(turn) < np.pi)[:, None], straight, e)
 
 
 def sensor_noise(log: Log, sensor: SensorModel, degrees: float | None = None) -> tuple[VarianceFit, RangeLine]:

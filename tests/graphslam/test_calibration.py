@@ -213,3 +213,25 @@ def test_wrong_options() -> None:
         log.with_corrected_ranges(1.0, np.nan)
     with pytest.raises(LogError, match="below zero"):
         log.with_corrected_ranges(1.0, 50.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_that_enters_by_the_controls(seed):
+    """Speed and turn rate are off by noise, and the robot drives true arcs: nothing sideways but epsilon, 1e-8."""
+    rng, steps = np.random.default_rng(seed), 1500
+    true = MotionModel(0.05, 0.02, 0.04, 0.06, 1e-8, 0.03, 0.05)
+    u = np.column_stack([np.abs(rng.normal(0.5, 0.3, steps)), rng.normal(0, 0.5, steps)])
+    dt = np.full(steps, 0.5)
+    noise = rng.normal(size=(steps, 2)) * np.sqrt(np.diagonal(true.M(u, dt), axis1=1, axis2=2))
+    poses = np.zeros((steps + 1, 3))
+    for t in range(steps):
+        poses[t + 1] = true.f(poses[t], u[t] + noise[t], 0.5) + rng.normal(size=3) * 1e-4
+    landmark, sensor = np.array([3.0, 4.0, 0.5]), SensorModel()
+    z = sensor.h(poses, np.broadcast_to(landmark, poses.shape)) + rng.normal(size=poses.shape) * 0.05
+    z[:, 0] = np.abs(z[:, 0])
+    log = Log(dt=dt, controls=u, steps=np.arange(steps + 1), landmarks=np.zeros(steps + 1, dtype=int), sightings=z,
+              true_poses=poses, true_landmarks={0: landmark})  # fmt: skip
+    found = calibrate(log)
+    assert found.degrees["motion"] > 20
+    for name in ("nn", "no", "on", "oo", "sigma_v", "sigma_omega"):
+        assert abs(found.numbers[name] - getattr(true, name)) < 4 * found.errors[name], name
