@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shlex
+import shutil
 import sys
 import traceback
 import warnings
@@ -84,9 +86,9 @@ class Output:
             self.hint(f"Wrote {self._file}.")
 
     def hint(self, *sentences: str) -> None:
-        """Where files are and what comes next; not with --quiet."""
+        """Where files are and what comes next; not with --quiet. ``slam-compare`` is named so that it is found."""
         if not Verbosity.quiet:
-            self.say(*sentences)
+            self.say(*(sentence.replace("slam-compare ", f"{program()} ") for sentence in sentences))
 
     def detail(self, sentence: str) -> None:
         """A line on standard error about a step of the work, with --verbose."""
@@ -224,6 +226,14 @@ def models(
     if sensor_offset is not None:
         said["offset"] = numbers("--sensor-offset", sensor_offset, count=2)
     return motion, replace(of_log[1] or SensorModel(), **said)
+
+
+def program() -> str:
+    """How the user calls this program: by its name, or by its path where the name is not found (.venv not activated)."""
+    called = Path(sys.argv[0])
+    if called.name != "slam-compare" or shutil.which(called.name) is not None:
+        return "slam-compare"
+    return shlex.quote(os.path.relpath(called))
 
 
 def quoted(*words: Path | str | None, before: str = "") -> str:

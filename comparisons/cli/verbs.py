@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib.util import find_spec
 from inspect import unwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -222,8 +223,9 @@ def run(
         words = reread(log, format=format, robot=robot, keep_every=keep_every, stride=stride, max_range=max_range)
         output.hint(f"Again, bit for bit: slam-compare run --config {quoted(files['config'])}")
         output.hint(
-            f"Next: slam-compare report {quoted(*words, 'page.html')} is a page to look into, and slam-compare animate "
-            f"{quoted(*words, 'film.gif')} a film"
+            f"Next: slam-compare report {quoted(*words, 'page.html')} is a page to look into"
+            + ("" if find_spec("plotly") else " (after: pip install plotly)")
+            + f", slam-compare animate {quoted(*words, 'film.gif')} a film"
         )
 
 

@@ -445,3 +445,18 @@ def test_no_color_is_honoured() -> None:
     for env, expected in ((plain, True), (plain | {"NO_COLOR": "1"}, False)):
         done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=60)
         assert bool(coloured.search(done.stdout)) is expected
+
+
+def test_the_program_is_named_so_that_it_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from comparisons.cli.support import program
+
+    called = tmp_path / "my venv" / "bin" / "slam-compare"
+    called.parent.mkdir(parents=True)
+    called.write_text("#!/bin/sh\n")
+    called.chmod(0o755)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(called)])
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert program() == "'my venv/bin/slam-compare'"
+    monkeypatch.setenv("PATH", str(called.parent))
+    assert program() == "slam-compare"
