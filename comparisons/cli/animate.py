@@ -33,22 +33,17 @@ from .options import (
     SigmaV,
     Stride,
 )
-from .support import Output, models, quoted, read_log, sentences
+from .support import Output, log_and_output, models, quoted, read_log, sentences
 
 
 def animate(
-    log: Annotated[
-        Path,
-        typer.Argument(metavar="LOG", help="The log: a file, or the folder of a data set. Left out: the sample log."),
-    ],
-    out: Annotated[
-        Path | None,
+    words: Annotated[
+        list[str],
         typer.Argument(
-            metavar="OUT",
-            help="The film: .gif, .mp4 (needs ffmpeg) or .html (a page with its own player).",
-            show_default=False,
+            metavar="[LOG] OUT",
+            help="The log (default: the sample log of the package), and the film: .gif, .mp4 (needs ffmpeg) or .html.",
         ),
-    ] = None,
+    ],
     estimator: Annotated[
         str, typer.Option(help="Whose film: graph, fastslam1, fastslam2, mcl or isam2.")
     ] = "graph",
@@ -119,10 +114,7 @@ def animate(
         from ..films.writers import check_can_film
 
         output = Output(json)
-        source: Path | None = log
-        if out is None:
-            # one argument is the film
-            source, out = None, log
+        source, out = log_and_output(words, "slam-compare animate LOG OUT")
         # all that can be wrong with the options, before any work begins
         check_can_film(out)
         if estimator not in FILMED:

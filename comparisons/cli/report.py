@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from .compared import compared
-from .support import Output, quoted, reread, sentences
+from .support import Output, log_and_output, quoted, reread, sentences
 
 #: parameters of ``run`` that say where its files go, and its argument LOG, which is one of the words here
 NOT_SHARED = ("log", "out", "html", "figures")
@@ -64,11 +64,6 @@ def _log_and_page(words: list[str], ctx: typer.Context) -> tuple[Path | None, Pa
     Raises:
         OptionError: there are more words.
     """
-    from graphslam import OptionError
-
-    if len(words) > 2:
-        raise OptionError("give a log and a page, nothing more: slam-compare report LOG OUT.html")
-    if len(words) == 2:
-        return Path(words[0]), Path(words[1])
+    log, page = log_and_output(words, "slam-compare report LOG OUT.html")
     configured = (ctx.default_map or {}).get("log")
-    return None if configured is None else Path(configured), Path(words[0])
+    return Path(configured) if log is None and configured is not None else log, page

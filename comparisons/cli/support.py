@@ -228,6 +228,19 @@ def models(
     return motion, replace(of_log[1] or SensorModel(), **said)
 
 
+def log_and_output(words: list[str], form: str) -> tuple[Path | None, Path]:
+    """The log, or None, and the file to write, of the words '[LOG] OUT'.
+
+    Raises:
+        OptionError: there are more words; the message shows the form.
+    """
+    from graphslam import OptionError
+
+    if len(words) > 2:
+        raise OptionError(f"give a log and a file to write, nothing more: {form}")
+    return (Path(words[0]) if len(words) == 2 else None), Path(words[-1])
+
+
 def program() -> str:
     """How the user calls this program: by its name, or by its path where the name is not found (.venv not activated)."""
     called = Path(sys.argv[0])
