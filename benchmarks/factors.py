@@ -20,7 +20,7 @@ import numpy as np
 
 from graphslam import Graph, load
 from graphslam.factors import MotionFactor, VirtualMotionFactor, describe
-from graphslam.gtsam_solver import from_values, to_gtsam, to_values
+from graphslam.solvers.gtsam_solver import from_values, to_gtsam, to_values
 
 
 def main() -> None:

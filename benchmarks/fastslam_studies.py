@@ -9,9 +9,9 @@ from math import pi
 
 import numpy as np
 
-from comparisons.metrics import align, ate, landmark_rmse
 from fastslam import FastSLAM1, FastSLAM2
 from graphslam import Log, MotionModel, SensorModel, simulate
+from graphslam.metrics import align, ate, landmark_rmse
 
 SEEDS = range(50)
 

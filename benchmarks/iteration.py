@@ -19,7 +19,7 @@ import numpy as np
 
 from comparisons.peers import native_gtsam_graph
 from graphslam import Graph, load, solve, textbook
-from graphslam.gtsam_solver import to_values
+from graphslam.solvers.gtsam_solver import to_values
 
 HERE = Path(__file__).parents[2] / "shared" / "data"
 GRAPHS = ("input_INTEL_g2o.g2o", "CSAIL.g2o", "input_M3500_g2o.g2o", "dlr.g2o", "cityTrees10000.txt", "city10000.g2o")

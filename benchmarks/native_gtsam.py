@@ -15,9 +15,9 @@ import numpy as np
 from comparisons.estimator import EstimatorResult, RunOptions
 from comparisons.estimators import make_graph
 from graphslam import Log, SensorModel
-from graphslam.robust import KERNELS
+from graphslam.edges.robust import KERNELS
 from graphslam.se2 import Array, compose, inverse, rotation
-from graphslam.solver import starting_state
+from graphslam.solvers.solve import starting_state
 
 #: GTSAM's Levenberg-Marquardt stops when a step changes its error by less than this part of it
 TOLERANCE = 1e-10

@@ -14,8 +14,8 @@ from collections import defaultdict
 
 import numpy as np
 
-from comparisons.metrics import ate
 from graphslam import Graph, GraphError, Log, simulate, solve, solve_gnc
+from graphslam.metrics import ate
 
 VARIANTS = [{"weight": weight} for weight in ("pairs", "tempered", "marginal")] + [{"edges": "landmark+motion"}]
 KERNELS = (None, "huber", "cauchy", "geman-mcclure")

@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.datasets import data_folder
-from comparisons.metrics import ate
 from fastslam import FastSLAM1, FastSLAM2
 from graphslam import Graph, Log, MotionModel, SensorModel, load, solve
+from graphslam.metrics import ate
 from graphslam.se2 import Array
 
 #: the noise that a native GTSAM graph of MR.CLAM was once tried with, set by hand

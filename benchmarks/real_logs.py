@@ -2,7 +2,7 @@
 
     python benchmarks/real_logs.py [--data ../shared/data] [--only mrclam6] [--figures docs/img] [--json results.json]
 
-For each data set at hand: which noise, then a row per estimator with the errors of `comparisons.metrics`, NEES of the
+For each data set at hand: which noise, then a row per estimator with the errors of `graphslam.metrics`, NEES of the
 graph, and time. The reference row `gtsam-native` is the same problem in GTSAM's own factors (`native_gtsam`), from the
 same start. Calibrated noise is that of ``slam-compare calibrate`` on the log that the column names.
 """
@@ -23,11 +23,11 @@ from comparisons.comparison import Comparison, compare, with_models
 from comparisons.datasets import data_folder
 from comparisons.estimator import EstimatorResult, RunOptions
 from comparisons.estimators import make_graph
-from comparisons.metrics import Metrics
 from comparisons.plots import comparison_figure
 from comparisons.results import jsonable
 from graphslam import Log, MotionModel, SensorModel, load, solve
 from graphslam.calibration import Calibration, calibrate
+from graphslam.metrics import Metrics
 from graphslam.se2 import compose, inverse, rotation, wrap
 
 FILTERS = ("mcl", "fastslam1", "fastslam2")

@@ -16,7 +16,7 @@ from real_logs import BY_HAND, nees, read
 from comparisons.datasets import data_folder
 from comparisons.estimator import RunOptions
 from comparisons.estimators import graph_estimator, pair_count
-from comparisons.metrics import evaluate
+from graphslam.metrics import evaluate
 
 VARIANTS = (
     {"edges": "landmark+motion"},

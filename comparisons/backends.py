@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from graphslam import Graph, GraphError, OptionError, solve
-from graphslam.errors import check_choice
-from graphslam.solver import INITIALIZE
+from graphslam.checks import check_choice
+from graphslam.solvers.solve import INITIALIZE
 
 from .peers import PEERS, PeerRun
 from .shown import Shown
@@ -138,7 +138,7 @@ def compare_backends(
     for path in map(Path, files):
         graph = Graph.from_g2o(path, format)
         if same_start:
-            from graphslam.solver import starting_state
+            from graphslam.solvers.solve import starting_state
 
             graph, initialize = graph.with_initial(starting_state(graph, "auto")), "given"
         for name in backends or BACKENDS:

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from graphslam import GraphError, Log, MotionModel, OptionError, SensorModel, SlamError
-from graphslam.errors import check_choice
+from graphslam.checks import check_choice
+from graphslam.metrics import Metrics, evaluate
 from graphslam.se2 import wrap
 
 from .estimator import EstimatorResult, RunOptions
 from .estimators import ESTIMATORS
-from .metrics import Metrics, evaluate
 from .results import fill_whole, jsonable, new_directory, point_latest, write_json
 from .shown import Shown
 

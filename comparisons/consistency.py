@@ -23,7 +23,7 @@ from scipy.stats import chi2
 
 from fastslam import FastSLAM1, FastSLAM2, ParticleFilter
 from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorModel, Solution, simulate, solve
-from graphslam.errors import check_choice, check_positive
+from graphslam.checks import check_choice, check_positive
 from graphslam.se2 import Array, wrap
 
 from .results import jsonable

@@ -11,11 +11,11 @@ import numpy as np
 from fastslam.resampling import RESAMPLING_SCHEMES
 from fastslam.slam_filter import ASSOCIATIONS
 from graphslam import Log, MotionModel, OptionError, SensorModel
-from graphslam.errors import check_choice, check_count, check_positive
+from graphslam.checks import check_choice, check_count, check_positive
+from graphslam.edges.robust import KERNELS
 from graphslam.graph import EDGES, FRAMES, WEIGHTS
-from graphslam.robust import KERNELS
 from graphslam.se2 import Array
-from graphslam.solver import INITIALIZE
+from graphslam.solvers.solve import INITIALIZE
 
 #: what can be done against wrong sightings
 ROBUST = ("none", *KERNELS, "gnc")

@@ -29,7 +29,7 @@ from graphslam import (
 )
 from graphslam.graph import EDGES
 from graphslam.se2 import Array, wrap
-from graphslam.solver import starting_state
+from graphslam.solvers.solve import starting_state
 
 from .estimator import Estimator, EstimatorResult, RunOptions
 

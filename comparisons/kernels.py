@@ -17,7 +17,7 @@ def edges_and_filters() -> None:
     from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
     from graphslam import Graph, load, sample_log_path
     from graphslam.factors import LandmarkFactor
-    from graphslam.gtsam_solver import to_values
+    from graphslam.solvers.gtsam_solver import to_values
 
     log = load(sample_log_path())
     graph = Graph.from_log(log)
@@ -34,7 +34,7 @@ def edges_and_filters() -> None:
 
 def factorisation() -> None:
     """Ordering, structure, factorisation, solution and selected inverse of a small ring with a chord."""
-    from graphslam.cholesky import analyze
+    from graphslam.linear.cholesky import analyze
 
     n = 40
     rows = [[*({j - 1} if j else set()), *({0} if j == n - 1 else set()), j] for j in range(n)]

@@ -20,7 +20,7 @@ from typing import Any
 
 from graphslam import FormatError, Log, MotionModel, OptionError, SensorModel
 from graphslam.calibration import Calibration
-from graphslam.errors import check_positive
+from graphslam.checks import check_positive
 from graphslam.files import write_whole
 
 from .config import MODELS, models, read_model

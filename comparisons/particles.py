@@ -17,10 +17,10 @@ from matplotlib.figure import Figure
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, ParticleFilter
 from graphslam import Log, MotionModel, OptionError, SensorModel
-from graphslam.errors import check_choice
+from graphslam.checks import check_choice
+from graphslam.metrics import ate, evaluate
 from graphslam.se2 import Array
 
-from .metrics import ate, evaluate
 from .plots import paper_figure, style_of
 from .shown import Shown
 

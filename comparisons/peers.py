@@ -19,8 +19,8 @@ import numpy as np
 from graphslam import Graph, OptionError
 from graphslam.edges import RelativePointEdges, RelativePoseEdges
 from graphslam.factors import RelativePointFactor
-from graphslam.gtsam_solver import from_values, to_values
 from graphslam.se2 import Array, rotation
+from graphslam.solvers.gtsam_solver import from_values, to_values
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,11 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 
 from graphslam import Log, SensorModel
+from graphslam.metrics import align, position_errors
 from graphslam.se2 import Array, compose, inverse, transform
 
 from .comparison import Comparison
 from .estimator import EstimatorResult
-from .metrics import align, position_errors
 
 DRIFTING = "dead-reckoning"
 

@@ -25,11 +25,11 @@ from graphslam import (
     solve,
     solve_with_gtsam,
 )
-from graphslam.errors import check_choice
+from graphslam.checks import check_choice
+from graphslam.edges.robust import KERNELS
 from graphslam.graph import EDGES, FRAMES, WEIGHTS
-from graphslam.robust import KERNELS
 from graphslam.se2 import wrap
-from graphslam.solver import starting_state
+from graphslam.solvers.solve import starting_state
 
 from .results import jsonable
 from .shown import Shown

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
-from graphslam.errors import check_choice
+from graphslam.checks import check_choice
 from graphslam.se2 import Array
 
 Scheme = Callable[[Array, np.random.Generator], np.ndarray]

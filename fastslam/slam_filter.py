@@ -8,7 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam.errors import OptionError, check_choice
+from graphslam.checks import check_choice
+from graphslam.errors import OptionError
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array

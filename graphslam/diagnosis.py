@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .cholesky import SingularPivot
 from .errors import GraphError
 from .graph import Graph
+from .linear.cholesky import SingularPivot
 from .se2 import Array
 
 #: edges that a message lists

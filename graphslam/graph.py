@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
+from .checks import check_choice, check_positive, listed
 from .edges import (
     ANCHOR_INFORMATION,
     AnchorEdges,
@@ -24,13 +25,13 @@ from .edges import (
     VirtualMotionEdges,
     motion_edges,
 )
-from .errors import GraphError, OptionError, check_choice, check_positive, listed
+from .edges.robust import Kernel, kernel_of
+from .errors import GraphError, OptionError
 from .formats.pose_graph import PoseGraphFile, read_pose_graph, write_g2o
-from .information import BlockSystem
+from .linear.information import BlockSystem
 from .log import Log
 from .mapping import estimate_map
 from .models import MotionModel, SensorModel
-from .robust import Kernel, kernel_of
 from .se2 import Array
 
 EDGES = ("virtual", "virtual+motion", "landmark+motion")

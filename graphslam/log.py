@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import LogError, OptionError, check_positive
+from .checks import check_positive
+from .errors import LogError, OptionError
 from .models import MotionModel, SensorModel
 from .se2 import Array, wrap
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import OptionError, check_positive
+from .checks import check_positive
+from .errors import OptionError
 from .se2 import Array, transform, wrap
 
 

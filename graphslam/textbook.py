@@ -16,7 +16,8 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from .errors import GraphError, OptionError, check_choice
+from .checks import check_choice
+from .errors import GraphError, OptionError
 from .log import Log
 from .models import MotionModel, SensorModel
 from .se2 import Array

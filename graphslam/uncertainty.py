@@ -6,10 +6,10 @@ from functools import cached_property
 
 import numpy as np
 
-from .cholesky import Factor, SingularPivot
 from .diagnosis import undetermined
 from .edges.base import Linearization
 from .graph import Graph
+from .linear.cholesky import Factor, SingularPivot
 from .se2 import Array
 
 

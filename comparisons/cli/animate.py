@@ -108,7 +108,7 @@ def animate(
     """Film an estimator at work: a graph relaxing, particles and their maps, ISAM2 correcting as it drives."""
     with sentences():
         from graphslam import OptionError
-        from graphslam.errors import check_positive
+        from graphslam.checks import check_positive
 
         from ..films.animate import FILMED
         from ..films.writers import check_can_film

@@ -56,7 +56,7 @@ def figure_formats(text: str) -> tuple[str, ...]:
     Raises:
         OptionError: there is no such format.
     """
-    from graphslam.errors import check_choice
+    from graphslam.checks import check_choice
 
     from ..comparison import FIGURE_FORMATS
 

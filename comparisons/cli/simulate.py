@@ -82,7 +82,7 @@ def simulate(
     """
     with sentences():
         import graphslam
-        from graphslam.errors import check_choice
+        from graphslam.checks import check_choice
 
         from ..comparison import describe
         from ..results import check_can_write

@@ -36,7 +36,7 @@ def study(
     Works on a finished study, a stopped one, and one that is running.
     """
     with sentences():
-        from graphslam.errors import check_choice
+        from graphslam.checks import check_choice
 
         from ..results import check_can_draw, check_can_write
         from ..studies.database import StudyDatabase

@@ -146,7 +146,7 @@ def read_log(
     import numpy as np
 
     from graphslam import LogError, load, sample_log_path
-    from graphslam.errors import check_positive
+    from graphslam.checks import check_positive
 
     source = sample_log_path() if path is None else path
     with warnings.catch_warnings():

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from os import PathLike
 
 from graphslam import GraphError, Log, OptionError, load
-from graphslam.errors import check_choice, check_positive
+from graphslam.checks import check_choice, check_positive
 
 from ..comparison import with_models
 from ..estimator import RunOptions

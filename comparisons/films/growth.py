@@ -12,8 +12,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from graphslam import GraphError, Log, estimate_map, solve_online
-from graphslam.online import IncrementalSmoother
 from graphslam.se2 import Array
+from graphslam.solvers.online import IncrementalSmoother
 
 from ..estimator import RunOptions
 from ..estimators import default_edges

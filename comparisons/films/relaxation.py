@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from graphslam import Graph, GraphError, Log, OptionError, Solution, estimate_map, solve
 from graphslam.se2 import Array, wrap
-from graphslam.solver import METHODS, Iteration, starting_state
+from graphslam.solvers.solve import METHODS, Iteration, starting_state
 
 from ..estimator import RunOptions
 from ..estimators import make_graph

@@ -19,9 +19,9 @@ from matplotlib.patches import Patch, Polygon
 from matplotlib.ticker import MaxNLocator
 
 from graphslam import Log
+from graphslam.metrics import align
 from graphslam.se2 import Array, compose, transform
 
-from ..metrics import align
 from ..plots import DRIFTING, set_limits, style_of
 from .ellipses import map_of
 from .frame import Frame

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from graphslam import Graph
-from graphslam.cholesky import analyze
+from graphslam.linear.cholesky import analyze
 
 from .style import Figure, axis, layout
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from graphslam import Log, SensorModel
+from graphslam.metrics import position_errors
 from graphslam.se2 import Array, compose, rotation, transform
 
 from ..comparison import Comparison
 from ..estimator import EstimatorResult, RunOptions
-from ..metrics import position_errors
 from ..plots import frame_of, reference_of
 from .uncertainty import pose_covariances
 

@@ -28,7 +28,7 @@ class Outcome:
         status: `DONE`, `ERROR` or `TIMEOUT`.
         error: one sentence where the status is not `DONE`.
         converged, iterations, cost: as `comparisons.comparison.Row` has them.
-        ate_m, rpe_m, rpe_rad, landmark_rmse_m: errors against the truth, see `comparisons.metrics`.
+        ate_m, rpe_m, rpe_rad, landmark_rmse_m: errors against the truth, see `graphslam.metrics`.
         seconds: the estimation alone.
         total_seconds: the whole run, with reading the log, setting up and measuring.
         poses_sha256: the first 16 digits of the digest of the estimated poses: equal where they are equal bit for bit.

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from ..errors import LogError, check_choice
+from ..checks import check_choice
+from ..errors import LogError
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from .from_residuals import noise_from_residuals

@@ -31,7 +31,7 @@ from ..graph import Graph
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
-from ..solver import solve
+from ..solvers.solve import solve
 from ..uncertainty import Uncertainty
 from .parts import (
     LEAST_EPSILON,

@@ -19,10 +19,10 @@ import numpy as np
 from numba import njit
 
 from ..models import SensorModel
-from ..robust import Kernel, code_and_width, loss, weight
 from ..se2 import Array, rotation, wrap
 from .base import BlockSystem, Linearization, Relations
 from .relative_pose import turned
+from .robust import Kernel, code_and_width, loss, weight
 from .sightings import trusted
 
 

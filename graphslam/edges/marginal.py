@@ -28,9 +28,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from ..robust import loss, weight
 from ..se2 import Array
 from .base import BlockSystem, Linearization
+from .robust import loss, weight
 from .sightings import WORLD, LandmarkSightings, wrapped
 
 

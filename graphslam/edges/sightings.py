@@ -15,9 +15,9 @@ import numpy as np
 from numba import njit
 
 from ..models import SensorModel
-from ..robust import Kernel, code_and_width
 from ..se2 import Array, wrap
 from .base import Relations
+from .robust import Kernel, code_and_width
 
 Self = TypeVar("Self", bound="LandmarkSightings")
 

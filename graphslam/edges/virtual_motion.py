@@ -32,9 +32,9 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from ..robust import loss, weight
 from ..se2 import Array, rotation, wrap
 from .base import BlockSystem, Linearization
+from .robust import loss, weight
 from .sightings import BODY, BODY_WITHOUT_PSI, WORLD, LandmarkSightings, wrapped
 
 

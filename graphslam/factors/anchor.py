@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..robust import Kernel
+from ..edges.robust import Kernel
 from .layer import POSE, Coordinates, Factor, positive_definite, vector, wrapped
 
 
@@ -19,7 +19,7 @@ class AnchorFactor(Factor):
         key: of a `gtsam.Pose2`.
         pose: x̂ (3,).
         information: Omega_0 (3, 3); default: the lectures' 1e6 I.
-        kernel: a robust kernel around the noise model; see `graphslam.robust`.
+        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
         OptionError: a value is not what it must be.

@@ -15,10 +15,10 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from ..edges.robust import KERNELS, Kernel
 from ..errors import FactorError, FormatError, OptionError
 from ..files import write_whole
 from ..models import MotionModel, SensorModel
-from ..robust import KERNELS, Kernel
 
 _MODELS: dict[str, Any] = {model.__name__: model for model in (MotionModel, SensorModel)}
 _MODELS |= {type(kernel).__name__: type(kernel) for kernel in KERNELS.values()}

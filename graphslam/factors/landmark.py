@@ -9,9 +9,10 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import OptionError, check_choice
+from ..checks import check_choice
+from ..edges.robust import Kernel
+from ..errors import OptionError
 from ..models import SensorModel
-from ..robust import Kernel
 from ..se2 import Array, rotation, wrap
 from .landmark_kernels import compressed, pair_cost, pair_sums, placed
 from .layer import POSE, Coordinates, Factor, check_keys_listed, sensor_of

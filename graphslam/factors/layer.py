@@ -17,9 +17,9 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..edges.robust import Cauchy, GemanMcClure, Huber, Kernel, kernel_of
 from ..errors import FactorError, OptionError
 from ..models import SensorModel
-from ..robust import Cauchy, GemanMcClure, Huber, Kernel, kernel_of
 from ..se2 import Array
 from .description import FactorDescription, key_name
 

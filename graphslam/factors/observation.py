@@ -9,9 +9,10 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import FactorError, OptionError, check_choice, check_positive
+from ..checks import check_choice, check_positive
+from ..edges.robust import Kernel
+from ..errors import FactorError, OptionError
 from ..models import SensorModel
-from ..robust import Kernel
 from .layer import (
     POINT,
     POSE,
@@ -40,7 +41,7 @@ class ObservationFactor(Factor):
         z: (l, phi, psi) or (l, phi) [m, rad, rad].
         sensor: gives Q, at the measured range; default: the book's.
         weight: factor on the information.
-        kernel: a robust kernel around the noise model; see `graphslam.robust`.
+        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
         OptionError: a value is not what it must be.
@@ -125,7 +126,7 @@ class InverseObservationFactor(Factor):
         frame: "body" or "world".
         at: the pose x (3,) at which the world frame freezes the information.
         weight: factor on the information.
-        kernel: a robust kernel around the noise model; see `graphslam.robust`.
+        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
         OptionError: a value is not what it must be, or ``at`` is missing in the world frame.
@@ -189,7 +190,7 @@ class RelativePointFactor(Factor):
         pose_key, landmark_key: of a `gtsam.Pose2` and a `gtsam.Point2`.
         measured: z = (x, y) [m].
         information: Omega (2, 2).
-        kernel: a robust kernel around the noise model; see `graphslam.robust`.
+        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
         OptionError: a value is not what it must be.

@@ -9,9 +9,10 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import OptionError, check_choice, check_positive
+from ..checks import check_choice, check_positive
+from ..edges.robust import Kernel
+from ..errors import OptionError
 from ..models import MotionModel
-from ..robust import Kernel
 from ..se2 import Array, rotation
 from .layer import POSE, Coordinates, Factor, positive_definite, robust_noise, vector, wrapped
 
@@ -29,7 +30,7 @@ class RelativePoseFactor(Factor):
         information: Omega (3, 3).
         frame: "body" or "world".
         at: the pose x_1 (3,) at which the world frame freezes the information.
-        kernel: a robust kernel around the noise model; see `graphslam.robust`.
+        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
         OptionError: a value is not what it must be, or ``at`` is missing in the world frame.
@@ -132,7 +133,7 @@ class MotionFactor(RelativePoseFactor):
         frame: "body" or "world".
         at: the pose x_1 (3,) at which state-dependent information is evaluated.
         weight: lambda, the factor on the information.
-        kernel: a robust kernel around the noise model; see `graphslam.robust`.
+        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
         OptionError: a value is not what it must be, or ``at`` is missing in the world frame.

@@ -9,8 +9,9 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import OptionError, check_choice
-from ..robust import Kernel
+from ..checks import check_choice
+from ..edges.robust import Kernel
+from ..errors import OptionError
 from ..se2 import Array
 from .layer import KINDS, POSE, Coordinates, Factor, positive_definite
 
@@ -29,7 +30,7 @@ class ResidualFactor(Factor):
             must not jump (wrap angles around the value you expect, not at it).
         information: Omega (d, d).
         kinds: "pose" or "point" for each key; default: poses.
-        kernel: a robust kernel around the noise model; see `graphslam.robust`.
+        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
         OptionError: a value is not what it must be.

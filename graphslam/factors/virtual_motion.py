@@ -8,9 +8,10 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import OptionError, check_choice, check_positive
+from ..checks import check_choice, check_positive
+from ..edges.robust import Kernel
+from ..errors import OptionError
 from ..models import SensorModel
-from ..robust import Kernel
 from .layer import POSE, Coordinates, Factor, robust_noise, seen_from_robot, sensor_of, sighting, vector, wrapped
 
 
@@ -30,7 +31,7 @@ class VirtualMotionFactor(Factor):
         frame: "body" or "world".
         at: the two poses ((3,), (3,)) at which state-dependent information is evaluated.
         weight: factor on the information.
-        kernel: a robust kernel around the noise model; see `graphslam.robust`.
+        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
         OptionError: a value is not what it must be, or ``at`` is missing where the information depends on the poses.

@@ -9,7 +9,8 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
-from ..errors import FormatError, OptionError, check_choice
+from ..checks import check_choice
+from ..errors import FormatError, OptionError
 from ..files import check_file
 from ..log import Log
 from . import huang, lnpr, lost_in_the_woods, mrclam, npz, victoria_park

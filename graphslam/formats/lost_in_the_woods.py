@@ -27,9 +27,9 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FormatError, LogError
-from ..keyframes import BRIDGED_GAP, LONGEST_GAP, bridging, told_of_gaps
 from ..log import Log
 from ..models import MotionModel, SensorModel
+from ..sources.synchronize import BRIDGED_GAP, LONGEST_GAP, bridging, told_of_gaps
 from .base import Format
 from .mat import is_mat, numbers, read_mat, variables
 

@@ -27,8 +27,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FormatError, LogError, OptionError
-from ..keyframes import Stream, join
 from ..log import Log
+from ..sources.synchronize import Stream, join
 from .base import Format
 from .columns import line_of, read_columns
 

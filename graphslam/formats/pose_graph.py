@@ -31,7 +31,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FormatError, check_choice
+from ..checks import check_choice
+from ..errors import FormatError
 from ..files import check_file, write_whole
 from ..se2 import Array, compose, inverse, rotation, transform, wrap
 

@@ -26,10 +26,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FormatError, LogError
-from ..keyframes import Stream, join
 from ..log import UNIDENTIFIED, Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
+from ..sources.synchronize import Stream, join
 from .base import Format
 from .mat import is_mat, numbers, read_mat, variables
 

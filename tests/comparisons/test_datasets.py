@@ -115,7 +115,7 @@ def test_logs_are_thinned_and_cut_by_options(invoke: Invoke, data: Path) -> None
 
 
 def test_truth_that_tells_positions_only_gives_no_rpe() -> None:
-    from comparisons.metrics import evaluate
+    from graphslam.metrics import evaluate
 
     truth = np.column_stack([np.arange(5.0), np.arange(5.0) ** 2, np.full(5, np.nan)])
     truth[2] = np.nan

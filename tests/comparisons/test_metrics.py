@@ -7,7 +7,8 @@ from evo.core.trajectory import PosePath3D
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comparisons.metrics import (
+from graphslam import OptionError
+from graphslam.metrics import (  # fmt: skip
     Metrics,
     align,
     aligned,
@@ -18,8 +19,7 @@ from comparisons.metrics import (
     named_by_place,
     position_errors,
     rpe,
-)  # fmt: skip
-from graphslam import OptionError
+)
 from graphslam.se2 import Array, compose, transform, wrap
 
 ANGLE = st.floats(-3.14, 3.14)

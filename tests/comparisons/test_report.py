@@ -19,7 +19,6 @@ from comparisons.comparison import Comparison, compare, with_models
 from comparisons.config import RunConfig
 from comparisons.estimator import EstimatorResult, RunOptions
 from comparisons.estimators import make_graph
-from comparisons.metrics import position_errors
 from comparisons.report import matrix, page, page_of, plotly_bundle, trajectories, write_report
 from comparisons.report.convergence import plain_steps, stories
 from comparisons.report.costs import convergence_figure, costs_figure
@@ -29,8 +28,9 @@ from comparisons.report.style import dash_of
 from comparisons.report.uncertainty import dead_reckoning_covariances, pose_covariances
 from comparisons.report.view import view_of
 from graphslam import FormatError, Graph, Log, MotionModel, OptionError, SlamError, save, simulate, solve, textbook
-from graphslam.cholesky import analyze
+from graphslam.linear.cholesky import analyze
 from graphslam.log import UNIDENTIFIED
+from graphslam.metrics import position_errors
 
 EVIL = "</script><img src=x onerror=alert(1)> & \"quoted\" 'log' ${title} $$"
 

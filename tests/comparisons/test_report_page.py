@@ -13,10 +13,10 @@ from chromium import Chromium, find_browser
 from comparisons.comparison import Comparison, compare, with_models
 from comparisons.config import RunConfig
 from comparisons.estimator import RunOptions
-from comparisons.metrics import position_errors
 from comparisons.report import write_report
 from comparisons.report.view import View, view_of
 from graphslam import simulate
+from graphslam.metrics import position_errors
 
 BROWSER = find_browser()
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="needs a browser: apt-get install chromium")

@@ -11,8 +11,8 @@ from comparisons import comparison as comparison_module
 from comparisons import estimators
 from comparisons.comparison import Comparison, Skipped, compare
 from comparisons.estimator import Estimator, EstimatorResult, RunOptions
-from comparisons.metrics import ate
 from graphslam import GraphError, Log, OptionError, simulate
+from graphslam.metrics import ate
 from graphslam.se2 import wrap
 
 # the keys of an estimator's entry that DESIGN section 4 promises

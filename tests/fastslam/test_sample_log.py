@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from comparisons.metrics import ate
 from fastslam import FastSLAM1
 from graphslam import Graph, load, sample_log_path, solve
+from graphslam.metrics import ate
 
 
 def test_median_error_over_twenty_seeds_is_within_twice_the_graphs():

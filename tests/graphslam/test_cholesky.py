@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graphslam.cholesky import SingularPivot, amd, analyze
+from graphslam.linear.cholesky import SingularPivot, amd, analyze
 
 METHODS = ["supernodal", "dense", "auto"]
 

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from graphslam import Graph, MotionModel, SensorModel, simulate, solve, solver
-from graphslam.coarsening import coarse, filled
+from graphslam import Graph, MotionModel, SensorModel, simulate, solve
 from graphslam.edges import ObservationEdges, RelativePoseEdges
 from graphslam.se2 import between, compose, wrap
+from graphslam.solvers import solve as solver
+from graphslam.transform import coarse, filled
 
 
 @pytest.fixture(scope="module")

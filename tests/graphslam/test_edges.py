@@ -16,8 +16,8 @@ from graphslam.edges import (
     VirtualMotionEdges,
     motion_edges,
 )
-from graphslam.information import BlockSystem
-from graphslam.robust import Cauchy, GemanMcClure, Huber
+from graphslam.edges.robust import Cauchy, GemanMcClure, Huber
+from graphslam.linear.information import BlockSystem
 from graphslam.se2 import wrap
 
 seeds = st.integers(0, 2**32 - 1)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from graphslam import FormatError, MotionModel, OptionError, SensorModel
+from graphslam.edges.robust import Huber
 from graphslam.factors import (
     AnchorFactor,
     FactorDescription,
@@ -25,7 +26,6 @@ from graphslam.factors import (
     load_factors,
     save_factors,
 )
-from graphslam.robust import Huber
 
 sensor = SensorModel(range_rate=0.1)
 Z = [[1.0, 0.2, 0.3], [1.5, -0.2, 0.1], [2.0, 0.4, -0.5]]

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from graphslam import Graph, SensorModel, solve
+from graphslam.edges.robust import Cauchy, GemanMcClure, Huber
 from graphslam.factors import (
     AnchorFactor,
     LandmarkFactor,
@@ -13,9 +14,8 @@ from graphslam.factors import (
     VirtualMotionFactor,
     describe,
 )
-from graphslam.gtsam_solver import from_values, to_gtsam, to_values
-from graphslam.robust import Cauchy, GemanMcClure, Huber
 from graphslam.se2 import wrap
+from graphslam.solvers.gtsam_solver import from_values, to_gtsam, to_values
 
 sensor = SensorModel()
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.metrics import ate
 from graphslam import Graph, GraphError, OptionError, simulate, solve, solve_gnc
-from graphslam.gnc import truncated_trust
+from graphslam.metrics import ate
 from graphslam.se2 import wrap
+from graphslam.solvers.gnc import truncated_trust
 
 SEEDS = range(10)
 

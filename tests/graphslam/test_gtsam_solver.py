@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from graphslam import WORLDS, Graph, GraphError, MotionModel, load, sample_log_path, simulate, solve, solve_with_gtsam
-from graphslam.gtsam_solver import to_gtsam, to_values
 from graphslam.se2 import wrap
+from graphslam.solvers.gtsam_solver import to_gtsam, to_values
 
 #: a fifth of the book's motion noise, so that both solvers end in the same minimum of the landmark graphs
 GENTLE = MotionModel(nn=0.04, no=0.0002, on=0.026, oo=0.04)

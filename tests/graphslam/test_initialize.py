@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from graphslam import WORLDS, Graph, GraphError, MotionFaults, SensorFaults, load, sample_log_path, simulate, solve
-from graphslam.initialize import dead_reckoning, rotation_first
 from graphslam.se2 import wrap
+from graphslam.solvers.start import dead_reckoning, rotation_first
 
 PERFECT = {
     "motion_faults": MotionFaults(kicks_per_metre=0, velocity_bias_std=0),

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from graphslam import Graph, solve
-from graphslam.cholesky import analyze
 from graphslam.edges import RelativePoseEdges
+from graphslam.linear.cholesky import analyze
 from graphslam.se2 import between, inverse, rotation, wrap
 
 

@@ -5,11 +5,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from comparisons.metrics import ate
 from graphslam import Graph, OptionError, simulate, solve, solve_with_gtsam
-from graphslam.robust import Cauchy, GemanMcClure, Huber, kernel_of
+from graphslam.edges.robust import Cauchy, GemanMcClure, Huber, kernel_of
+from graphslam.metrics import ate
 from graphslam.se2 import wrap
-from graphslam.solver import starting_state
+from graphslam.solvers.solve import starting_state
 
 KERNELS = [None, Huber(), Cauchy(), GemanMcClure(3.0)]
 VARIANTS = [

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from graphslam import LogError, MotionModel, OptionError
-from graphslam.keyframes import Stream, divide, join, truth_at
+from graphslam.sources.synchronize import Stream, divide, join, truth_at
 
 DRIVE = Stream(np.arange(0.0, 10.01, 0.5), np.column_stack([np.linspace(0.5, 1.5, 21), np.linspace(-1, 1, 21)]))
 

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from graphslam import Graph, SensorModel, simulate, solve
 from graphslam.edges import MarginalEdges, ObservationEdges, VirtualMotionEdges
+from graphslam.edges.robust import Cauchy, GemanMcClure, Huber
 from graphslam.factors import LandmarkFactor
-from graphslam.information import BlockSystem
-from graphslam.robust import Cauchy, GemanMcClure, Huber
+from graphslam.linear.information import BlockSystem
 from graphslam.se2 import wrap
 
 sensor = SensorModel(range_std=0.1, offset=(0.3, 0.1))

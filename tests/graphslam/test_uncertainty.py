@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from graphslam import Graph, OptionError, load, sample_log_path, solve
-from graphslam.gtsam_solver import to_gtsam, to_values
+from graphslam.solvers.gtsam_solver import to_gtsam, to_values
 
 
 def in_world_axes(block, theta_i, theta_j):

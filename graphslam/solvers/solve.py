@@ -10,15 +10,16 @@ from numbers import Real
 import numpy as np
 from numba import njit
 
-from .cholesky import Factor, SingularPivot
-from .coarsening import coarse, filled
-from .diagnosis import undetermined
-from .errors import GraphError, OptionError, check_choice, check_count, check_positive
-from .fixed_point import AndersonMixing
-from .graph import Graph
-from .initialize import dead_reckoning, place_landmarks, rotation_first, without_landmarks
-from .se2 import Array
-from .solution import Solution, make_solution
+from ..checks import check_choice, check_count, check_positive
+from ..diagnosis import undetermined
+from ..errors import GraphError, OptionError
+from ..graph import Graph
+from ..linear.cholesky import Factor, SingularPivot
+from ..se2 import Array
+from ..solution import Solution, make_solution
+from ..transform import coarse, filled
+from .mixing import AndersonMixing
+from .start import dead_reckoning, place_landmarks, rotation_first, without_landmarks
 
 METHODS = ("gauss-newton", "levenberg-marquardt")
 INITIALIZE = ("given", "dead-reckoning", "rotation-first", "auto")

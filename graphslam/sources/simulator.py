@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from .errors import OptionError
-from .log import Log
-from .models import MotionModel, SensorModel
-from .se2 import Array, wrap
+from ..errors import OptionError
+from ..log import Log
+from ..models import MotionModel, SensorModel
+from ..se2 import Array, wrap
 
 #: the six landmarks of the book's logs, ids 0 to 5 [m]
 BOOK_LANDMARKS = ((-4.0, 2.0), (2.0, -3.0), (3.0, 3.0), (0.0, 4.0), (1.0, 1.0), (-3.0, -1.0))

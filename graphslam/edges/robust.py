@@ -16,8 +16,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from .errors import OptionError, check_choice, check_positive
-from .se2 import Array
+from ..checks import check_choice, check_positive
+from ..errors import OptionError
+from ..se2 import Array
 
 SQUARES, HUBER, CAUCHY, GEMAN_MCCLURE = 0, 1, 2, 3
 

@@ -10,7 +10,8 @@ from itertools import pairwise
 import gtsam
 import numpy as np
 
-from .edges import (
+from ..checks import check_choice, check_count, check_positive
+from ..edges import (
     AnchorEdges,
     EdgeFamily,
     LandmarkSightings,
@@ -20,8 +21,8 @@ from .edges import (
     RelativePoseEdges,
     VirtualMotionEdges,
 )
-from .errors import GraphError, check_choice, check_count, check_positive
-from .factors import (
+from ..errors import GraphError
+from ..factors import (
     AnchorFactor,
     InverseObservationFactor,
     LandmarkFactor,
@@ -31,10 +32,10 @@ from .factors import (
     VirtualMotionFactor,
     describe,
 )
-from .fixed_point import AndersonMixing
-from .graph import Graph
-from .se2 import Array, wrap
-from .solution import Solution, make_solution
+from ..graph import Graph
+from ..se2 import Array, wrap
+from ..solution import Solution, make_solution
+from .mixing import AndersonMixing
 
 #: how virtual-motion edges become factors
 FACTORS = ("fastest", "per-edge")

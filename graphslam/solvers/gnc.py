@@ -23,13 +23,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from .edges import MarginalEdges, ObservationEdges, VirtualMotionEdges
-from .errors import GraphError, OptionError
-from .graph import Graph
-from .initialize import place_landmarks, with_landmarks_eliminated
-from .se2 import Array
-from .solution import Solution
-from .solver import solve
+from ..edges import MarginalEdges, ObservationEdges, VirtualMotionEdges
+from ..errors import GraphError, OptionError
+from ..graph import Graph
+from ..se2 import Array
+from ..solution import Solution
+from .solve import solve
+from .start import place_landmarks, with_landmarks_eliminated
 
 #: mu grows by this factor from one graph to the next
 GROWTH = 1.4

@@ -17,8 +17,7 @@ from typing import cast
 import numpy as np
 from numba import njit
 
-from .cholesky import SingularPivot
-from .edges import (
+from ..edges import (
     AnchorEdges,
     EdgeFamily,
     MarginalEdges,
@@ -27,11 +26,12 @@ from .edges import (
     RelativePoseEdges,
     VirtualMotionEdges,
 )
-from .edges.base import BinaryEdges, Relations
-from .errors import GraphError
-from .graph import Graph
-from .information import BlockSystem
-from .se2 import Array, compose
+from ..edges.base import BinaryEdges, Relations
+from ..errors import GraphError
+from ..graph import Graph
+from ..linear.cholesky import SingularPivot
+from ..linear.information import BlockSystem
+from ..se2 import Array, compose
 
 
 def rotation_first(graph: Graph) -> Array:

@@ -15,9 +15,9 @@ import numpy as np
 import scipy.sparse as sp
 from numba import njit
 
+from ..edges.base import BinaryEdges
+from ..se2 import Array
 from .cholesky import Factor, Symbolic, analyze
-from .edges.base import BinaryEdges
-from .se2 import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .se2 import Array
+from ..se2 import Array
 
 
 class AndersonMixing:

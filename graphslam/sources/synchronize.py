@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import LogError, check_positive
-from .log import Log
-from .models import MotionModel
-from .se2 import Array, interpolate
+from ..checks import check_positive
+from ..errors import LogError
+from ..log import Log
+from ..models import MotionModel
+from ..se2 import Array, interpolate
 
 #: odometry that is silent for longer [s] is bridged with grown noise, or refused
 BRIDGED_GAP, LONGEST_GAP = 2.0, 30.0

@@ -10,15 +10,16 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import GraphError, OptionError, check_choice
-from .factors import AnchorFactor, LandmarkFactor, MotionFactor, ObservationFactor, RelativePoseFactor
-from .factors.layer import positive_definite
-from .graph import Graph
-from .log import Log
-from .models import MotionModel, SensorModel
-from .robust import Kernel, kernel_of
-from .se2 import Array, compose, wrap
-from .solution import Solution, make_solution
+from ..checks import check_choice
+from ..edges.robust import Kernel, kernel_of
+from ..errors import GraphError, OptionError
+from ..factors import AnchorFactor, LandmarkFactor, MotionFactor, ObservationFactor, RelativePoseFactor
+from ..factors.layer import positive_definite
+from ..graph import Graph
+from ..log import Log
+from ..models import MotionModel, SensorModel
+from ..se2 import Array, compose, wrap
+from ..solution import Solution, make_solution
 
 EDGES = ("virtual+motion", "landmark+motion")
 #: the most updates that relinearise everything

@@ -1,0 +1,1 @@
+"""The linear algebra of Omega and xi: blocks, slots and the sparse Cholesky factor. It knows nothing of robots."""
