@@ -1,15 +1,15 @@
 """Several estimators on one log: metrics, tables, figures and the command line ``slam-compare``.
 
-Everything that a verb of ``slam-compare`` does is a function here, which returns an object with its figures:
+Everything that a verb of ``slam-compare`` does is a function here, which returns an object with its results:
 
     import comparisons
 
-    comparison = comparisons.run("my.npz", ["graph", "fastslam1"], particles=5000)
+    comparison = comparisons.run("my.npz", estimators=["graph", "fastslam1"], particles=5000)
     comparison.table["graph"].ate_m
     comparison.figure()
     comparison.save("out")
 
-Names are found when they are first used, so that ``slam-compare --help`` answers at once.
+Modules are imported when a name is first used, so that ``slam-compare --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -17,39 +17,40 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from . import display
+
 if TYPE_CHECKING:
     from graphslam.calibration import calibrate
 
-    from .api import run
     from .backends import compare_backends
-    from .comparison import Comparison
+    from .comparison import Comparison, run
     from .consistency import study_consistency
     from .datasets import survey
-    from .estimator import RunOptions
-    from .films.animate import animate
+    from .options import RunOptions
     from .particles import study_particles
-    from .report import write_report
+    from .show.films import animate
+    from .show.report import write_report
     from .solvers import compare_solvers
     from .studies.plan import read_study
     from .studies.summary import summarise
     from .studies.sweep import sweep
 
-#: name, and the module that has it
+#: the public names, and the module that has each
 _HOMES = {
-    "run": ".api",
     "Comparison": ".comparison",
-    "RunOptions": ".estimator",
-    "animate": ".films.animate",
-    "compare_solvers": ".solvers",
-    "compare_backends": ".backends",
-    "study_particles": ".particles",
-    "study_consistency": ".consistency",
-    "survey": ".datasets",
-    "write_report": ".report",
-    "read_study": ".studies.plan",
-    "sweep": ".studies.sweep",
-    "summarise": ".studies.summary",
+    "RunOptions": ".options",
+    "animate": ".show.films",
     "calibrate": "graphslam.calibration",
+    "compare_backends": ".backends",
+    "compare_solvers": ".solvers",
+    "read_study": ".studies.plan",
+    "run": ".comparison",
+    "study_consistency": ".consistency",
+    "study_particles": ".particles",
+    "summarise": ".studies.summary",
+    "survey": ".datasets",
+    "sweep": ".studies.sweep",
+    "write_report": ".show.report",
 }
 
 __all__ = [
@@ -68,6 +69,9 @@ __all__ = [
     "sweep",
     "write_report",
 ]
+
+# the package stands above results and presentation: results ask it for their presentation
+display.load_renderers.append(lambda: import_module(".show", __name__))
 
 
 def __getattr__(name: str) -> Any:

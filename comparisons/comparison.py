@@ -1,37 +1,30 @@
-"""Several estimators on one log: `compare` runs them, `Comparison` holds, measures, shows and saves the outcome."""
+"""Several estimators on one log: `run` runs them, `Comparison` holds, measures and saves the outcome."""
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
 
 import numpy as np
 
-from graphslam import GraphError, Log, MotionModel, OptionError, SensorModel, SlamError
-from graphslam.checks import check_choice
+from graphslam import GraphError, Log, SlamError
 from graphslam.metrics import Metrics, evaluate
 from graphslam.se2 import wrap
 
-from .estimator import EstimatorResult, RunOptions
-from .estimators import ESTIMATORS
-from .results import fill_whole, jsonable, new_directory, point_latest, write_json
-from .shown import Shown
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from rich.table import Table
-
-    from .config import RunConfig
-
-
-#: the formats that figures can be written in; a run writes the first two unless told otherwise
-FIGURE_FORMATS = ("png", "pdf", "svg")
+from .config import config_text
+from .display import Displayed
+from .estimators import ESTIMATORS, check_estimators
+from .exchange import texts, write_pose_graph
+from .kernels import warm_up
+from .options import OutputOptions, RunOptions
+from .reading import prepare
+from .results import EstimatorResult
+from .saving import fill_results, jsonable, new_directory, write_json
 
 
 @dataclass(frozen=True)
@@ -44,7 +37,10 @@ class Skipped:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table; None where a figure does not exist or cannot be known."""
+    """One line of the table; None where a figure does not exist or cannot be known.
+
+    ``nees`` is the mean normalised error squared of the poses, 1 means consistent; see `EstimatorResult.nees`.
+    """
 
     name: str
     converged: bool | None = None
@@ -55,11 +51,12 @@ class Row:
     rpe_m: float | None = None
     rpe_rad: float | None = None
     landmark_rmse_m: float | None = None
+    nees: float | None = None
     skipped: str | None = None
 
 
 @dataclass(frozen=True)
-class ResultTable(Shown, Sequence[Row]):
+class ResultTable(Displayed, Sequence[Row]):
     """The rows of a comparison under their title; indexed by number or by the name of the estimator."""
 
     title: str
@@ -77,38 +74,42 @@ class ResultTable(Shown, Sequence[Row]):
             return {row.name: row for row in self.rows}[index]
         return self.rows[index]
 
-    def shown(self) -> tuple[list[Table], list[str]]:
-        """See `Shown`."""
-        from .tables import comparison_table
 
-        return [comparison_table(self)], []
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison(Shown):
-    """What several estimators made of one log. A notebook shows table, remarks and figure.
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Displayed):
+    """The results of several estimators on one log. A notebook shows table, remarks and figure.
 
     Attributes:
-        log: what they were given.
-        results: what came out, in the order of the estimators.
+        log: what the estimators worked on.
+        results: in the order of the estimators.
         skipped: the estimators of the default list that cannot run on this log.
-        source: the file of the log, where there is one.
-        options: what the estimators were told, noise models filled in.
+        source: the file or folder of the log, where there is one.
+        options: of the run, noise models filled in.
+        estimators: the names that were asked for; None for all.
     """
 
     log: Log
     results: tuple[EstimatorResult, ...]
     skipped: tuple[Skipped, ...] = ()
     source: Path | None = None
-    options: RunOptions | None = None
+    options: RunOptions = field(default_factory=RunOptions)
+    estimators: tuple[str, ...] | None = None
+
+    def __repr__(self) -> str:
+        return f"Comparison({self.log.name!r}: {', '.join(result.name for result in self.results)})"
 
     @cached_property
     def metrics(self) -> dict[str, Metrics]:
-        """The figures of every result against the truth, by name."""
+        """The metrics of every result against the ground truth, by name."""
         truth, landmarks = self.log.true_poses, self.log.true_landmarks
         return {
             r.name: evaluate(truth, landmarks, r.poses, r.landmarks, r.estimated, named=r.named) for r in self.results
         }
+
+    @cached_property
+    def nees(self) -> dict[str, float | None]:
+        """The mean NEES of every result, by name; None where truth or covariances are not known."""
+        return {result.name: result.nees(self.log.true_poses) for result in self.results}
 
     def __getitem__(self, name: str) -> EstimatorResult:
         """The result of an estimator.
@@ -126,31 +127,14 @@ class Comparison(Shown):
 
     @cached_property
     def table(self) -> ResultTable:
-        """The figures as a table, results and skipped estimators in the order of the registry."""
-        rows = [_row(result, self.metrics[result.name]) for result in self.results]
+        """The metrics as a table, results and skipped estimators in the order of the registry."""
+        rows = [_row(result, self.metrics[result.name], self.nees[result.name]) for result in self.results]
         rows += [Row(name=entry.name, skipped=entry.reason) for entry in self.skipped]
         order = list(ESTIMATORS)
         rows.sort(key=lambda row: order.index(row.name) if row.name in order else len(order))
         log = self.log
         title = f"{log.name}: {log.num_poses} poses, {len(log.steps)} sightings of {len(log.landmark_ids)} landmarks"
         return ResultTable(title, tuple(rows))
-
-    def figure(self) -> Figure:
-        """Paths and map on the left, errors (or convergence) on the right; see `plots.comparison_figure`."""
-        from .plots import comparison_figure  # matplotlib, only where a figure is wanted
-
-        return comparison_figure(self)
-
-    def shown(self) -> tuple[list[Table], list[str]]:
-        """See `Shown`."""
-        from .tables import comparison_remarks, comparison_table
-
-        return [comparison_table(self.table)], comparison_remarks(self)
-
-    def _repr_html_(self) -> str:
-        from .plots import png_as_html
-
-        return super()._repr_html_() + png_as_html(self.figure())
 
     def difference(self, first: str = "graph", second: str = "gtsam") -> float | None:
         """The largest difference of two results in any x, y [m] or heading [rad] that both estimated, or None."""
@@ -165,13 +149,16 @@ class Comparison(Shown):
         return float(np.max(np.abs(off)))
 
     def to_json(self, files: Mapping[str, Path] | None = None) -> dict[str, Any]:
-        """The comparison as plain data; what cannot be known is None, and skipped estimators have only a reason.
+        """The comparison as plain data; what cannot be known is None, and a skipped estimator has only a reason.
 
         Args:
             files: what was saved, {"figure": path, ...}.
         """
-        by_name = {r.name: _result_json(r, self.metrics[r.name]) for r in self.results}
-        by_name |= {entry.name: _skipped_json(entry) for entry in self.skipped}
+        by_name = {r.name: _result_json(r, self.metrics[r.name], self.nees[r.name]) for r in self.results}
+        unknown = dict.fromkeys(_result_json(_EMPTY, Metrics(), None))
+        by_name |= {
+            e.name: unknown | {"name": e.name, "options": {}, "reason": e.reason, "notes": []} for e in self.skipped
+        }
         payload = {
             "log": describe(self.log, self.source),
             "estimators": [by_name[row.name] for row in self.table],
@@ -179,130 +166,113 @@ class Comparison(Shown):
         }
         return jsonable(payload)
 
+    @property
+    def config(self) -> str:
+        """The configuration of this run as TOML; ``slam-compare run --config`` repeats the run from it."""
+        return config_text(self.source, self.estimators, self.options)
+
     def save(
-        self, directory: str | PathLike[str] | None = None, *, formats: Sequence[str] = FIGURE_FORMATS[:2],
-        config: RunConfig | None = None,
-    ) -> dict[str, Path]:  # fmt: skip
+        self, directory: str | PathLike[str] | None = None, *, figures: Sequence[str] = OutputOptions().figures
+    ) -> dict[str, Path]:
         """Write everything into a folder, all or nothing.
 
         comparison.json (docs/json.md), the figure, trajectories NAME.tum and maps NAME-map.csv (see `exchange`), the
-        graph as graph.g2o where pose-graph files can hold it, and, if given, the configuration.
+        graph as graph.g2o where pose-graph files can hold it, and the configuration as config.toml.
 
         Args:
-            directory: made if need be; default: a new ``results/<time>/``, to which ``results/latest`` then points.
-            formats: of the figure, from `FIGURE_FORMATS`.
-            config: what the run was told, for ``slam-compare run --config``.
+            directory: made where it does not exist; default: a new ``results/<time>/``, to which ``results/latest``
+                then points.
+            figures: the formats of the figure: png, pdf, svg.
 
         Returns:
-            {"json": path, "figure": path, ...}: "figure" in the first format, "figure_pdf" and so on in the others,
-            "config" where it was given, and the other files by their names.
+            {"json": path, "figure": path, "config": path, ...}: "figure" in the first format, "figure_pdf" and so on in
+            the others, and the other files by their names.
 
         Raises:
             OptionError: a format is unknown.
             FormatError: the folder cannot be made or written.
         """
-        from .exchange import texts, write_pose_graph
-        from .plots import save_figure  # matplotlib, only where a figure is wanted
-
-        formats = tuple(dict.fromkeys(formats))
-        for kind in formats:
-            check_choice("the format of a figure", kind, FIGURE_FORMATS)
+        figures = OutputOptions.of(figures=figures).figures
         timed = directory is None
         directory = new_directory() if directory is None else Path(directory)
         names = {"json": "comparison.json"}
-        names |= {f"figure_{kind}" if i else "figure": f"comparison.{kind}" for i, kind in enumerate(formats)}
-        if config is not None:
-            names["config"] = "config.toml"
-        former = _written_before(directory)
-        with fill_whole(directory, for_this_only=timed) as folder:
-            for name, text in texts(self):
+        names |= {f"figure_{kind}" if i else "figure": f"comparison.{kind}" for i, kind in enumerate(figures)}
+        names["config"] = "config.toml"
+        contents = dict(texts(self)) | {"config.toml": self.config}
+        with fill_results(directory, new=timed) as folder:
+            for name, text in contents.items():
                 (folder / name).write_text(text, encoding="utf-8")
-                names[name] = name
+            names |= {name: name for name in contents if name != "config.toml"}
             if write_pose_graph(self, folder / "graph.g2o") is None:
                 names["graph.g2o"] = "graph.g2o"
             files = {kind: directory / name for kind, name in names.items()}
-            if formats:
-                save_figure(self.figure(), [folder / f"comparison.{kind}" for kind in formats])
+            if figures:
+                self.save_figure([folder / f"comparison.{kind}" for kind in figures])
             write_json(self.to_json(files), folder / names["json"])
-            if config is not None:
-                (folder / names["config"]).write_text(config.to_toml(), encoding="utf-8")
-        for name in former - {path.name for path in files.values()}:
-            # of an earlier run into the same folder: beside these results they would look like theirs
-            (directory / name).unlink(missing_ok=True)
-        if timed:
-            point_latest(directory)
         return files
-
-
-def _written_before(directory: Path) -> set[str]:
-    """The names of the files that an earlier comparison left in a folder, as its comparison.json tells."""
-    try:
-        told = json.loads((directory / "comparison.json").read_text(encoding="utf-8"))["files"].values()
-        names = {Path(name).name for name in told if Path(name).parent.name == directory.name}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return set()
-    return {name for name in names if (directory / name).is_file()}
 
 
 #: called with a name when an estimator begins (None) and when it is done
 Progress = Callable[[str, EstimatorResult | Skipped | None], None]
 
 
-def compare(
-    log: Log,
-    estimators: Sequence[str] | None = None,
-    options: RunOptions | None = None,
+def run(
+    log: Log | str | PathLike[str] | None = None,
     *,
-    source: Path | None = None,
+    estimators: Sequence[str] | str | None = None,
     progress: Progress | None = None,
+    **options: Any,
 ) -> Comparison:
-    """Run estimators on a log.
+    """Run estimators on a log: ``run().table``, ``run("my.npz", estimators=["graph", "gtsam"], edges="virtual")``.
 
     Args:
-        log: what the robot did and saw.
-        estimators: names from `ESTIMATORS`; default: all. One that is named has to run. One of the default list that
-            cannot run on this log, or would take far too long, becomes a row with its reason; except ``graph``: a
-            comparison without it has nothing to say.
-        options: what they are told; default: the book's models, and the graph that fits the log.
-        source: the file of the log, for the record.
+        log: a log, the file or folder of one, or None for the sample log of the package.
+        estimators: names from `estimators.ESTIMATORS`; default: all. One that is named has to run. One of the default
+            list that cannot run on this log, or would take far too long, becomes a row with its reason; except
+            ``graph``: a comparison without it says nothing.
         progress: called with (name, None) before each estimator and (name, outcome) after it.
+        options: the fields of `options.RunOptions`: stride, noise, range_std, edges, kernel, particles, seed, ...
 
     Raises:
-        OptionError: there is no such estimator.
+        FormatError: a file cannot be read.
+        OptionError: an option or estimator is unknown or impossible.
         SlamError: a named estimator, or ``graph``, cannot run on this log.
     """
-    options = with_models(options or RunOptions(), log)
-    names = tuple(ESTIMATORS) if estimators is None else _checked(estimators)
-    if len(log.steps) == 0:
-        raise GraphError(f"{log.name} has no sightings at all, so there is nothing to estimate from")
+    return compare(log, RunOptions.of(**options), estimators=estimators, progress=progress)
+
+
+def compare(
+    log: Log | str | PathLike[str] | None,
+    options: RunOptions,
+    *,
+    estimators: Sequence[str] | str | None = None,
+    progress: Progress | None = None,
+) -> Comparison:
+    """The same as `run`, with the options as one object."""
+    names = None if estimators is None else check_estimators(estimators)
+    data, source, options = prepare(log, options)
+    if len(data.steps) == 0:
+        raise GraphError(f"{data.name} has no sightings at all, so there is nothing to estimate from")
     results: list[EstimatorResult] = []
     skipped: list[Skipped] = []
-    for name in names:
+    for name in names or ESTIMATORS:
         if progress is not None:
             progress(name, None)
-        outcome = _run_one(name, log, options, must_run=estimators is not None or name == "graph")
+        outcome = _run_one(name, data, options, must_run=names is not None or name == "graph")
         if isinstance(outcome, Skipped):
             skipped.append(outcome)
         else:
             results.append(outcome)
         if progress is not None:
             progress(name, outcome)
-    return Comparison(log, tuple(results), tuple(skipped), source, options)
-
-
-def with_models(options: RunOptions, log: Log) -> RunOptions:
-    """The options with the noise models that nobody gave: those of the log, else the book's."""
-    return replace(
-        options,
-        motion=options.motion or log.motion or MotionModel(),
-        sensor=options.sensor or log.sensor or SensorModel(),
-    )
+    return Comparison(data, tuple(results), tuple(skipped), source, options, names)
 
 
 def _run_one(name: str, log: Log, options: RunOptions, *, must_run: bool) -> EstimatorResult | Skipped:
     estimator = ESTIMATORS[name]
     if not must_run and (reason := estimator.too_slow(log)) is not None:
         return Skipped(name, reason)
+    warm_up(name)
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
@@ -315,7 +285,7 @@ def _run_one(name: str, log: Log, options: RunOptions, *, must_run: bool) -> Est
 
 
 def _with_warnings(result: EstimatorResult, caught: Sequence[warnings.WarningMessage]) -> EstimatorResult:
-    """What an estimator warned of becomes its notes; warnings meant for programmers go on their way."""
+    """The result with the warnings of its estimator as notes; warnings meant for programmers are raised again."""
     ours = [w for w in caught if issubclass(w.category, (UserWarning, RuntimeWarning))]
     for warning in caught:
         if warning not in ours:
@@ -324,17 +294,7 @@ def _with_warnings(result: EstimatorResult, caught: Sequence[warnings.WarningMes
     return replace(result, notes=(*result.notes, *texts)) if texts else result
 
 
-def _checked(estimators: Sequence[str]) -> tuple[str, ...]:
-    names = (estimators,) if isinstance(estimators, str) else tuple(dict.fromkeys(estimators))
-    for name in names:
-        if name not in ESTIMATORS:
-            raise OptionError(f"there is no estimator {name!r}; the estimators are {', '.join(ESTIMATORS)}")
-    if not names:
-        raise OptionError(f"name at least one estimator: {', '.join(ESTIMATORS)}")
-    return names
-
-
-def _row(result: EstimatorResult, metrics: Metrics) -> Row:
+def _row(result: EstimatorResult, metrics: Metrics, nees: float | None) -> Row:
     return Row(
         name=result.name,
         converged=result.converged,
@@ -345,6 +305,7 @@ def _row(result: EstimatorResult, metrics: Metrics) -> Row:
         rpe_m=metrics.rpe_m,
         rpe_rad=metrics.rpe_rad,
         landmark_rmse_m=metrics.landmark_rmse_m,
+        nees=nees,
     )
 
 
@@ -366,7 +327,7 @@ def describe(log: Log, source: Path | None = None) -> dict[str, Any]:
     }
 
 
-def _result_json(result: EstimatorResult, metrics: Metrics) -> dict[str, Any]:
+def _result_json(result: EstimatorResult, metrics: Metrics, nees: float | None) -> dict[str, Any]:
     return {
         "name": result.name,
         "converged": result.converged,
@@ -379,6 +340,7 @@ def _result_json(result: EstimatorResult, metrics: Metrics) -> dict[str, Any]:
         "rpe_rad": metrics.rpe_rad,
         "heading_rad": metrics.heading_rad,
         "landmark_rmse_m": metrics.landmark_rmse_m,
+        "nees": nees,
         "poses_counted": metrics.poses_counted,
         "poses": result.poses,
         "estimated": result.estimated,
@@ -390,16 +352,5 @@ def _result_json(result: EstimatorResult, metrics: Metrics) -> dict[str, Any]:
     }
 
 
-def _skipped_json(entry: Skipped) -> dict[str, Any]:
-    unknown = ("converged", "iterations", "step_norms", "cost", "seconds", "ate_m", "rpe_m", "rpe_rad")
-    unknown_too = (
-        "heading_rad",
-        "landmark_rmse_m",
-        "poses_counted",
-        "poses",
-        "estimated",
-        "landmarks",
-        "landmark_covariances",
-    )
-    figures: dict[str, Any] = dict.fromkeys((*unknown, *unknown_too))
-    return {"name": entry.name} | figures | {"options": {}, "reason": entry.reason, "notes": []}
+#: gives a skipped estimator the fields of the others
+_EMPTY = EstimatorResult(name="", poses=np.empty((0, 3)), estimated=np.empty(0, dtype=bool), seconds=0.0)

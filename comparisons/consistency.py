@@ -26,7 +26,7 @@ from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorMo
 from graphslam.checks import check_choice, check_positive
 from graphslam.se2 import Array, wrap
 
-from .results import jsonable
+from .saving import jsonable
 from .shown import Shown
 from .solvers import mapping
 

@@ -16,7 +16,7 @@ from graphslam import Graph, Log, SlamError, load
 from graphslam.edges import AnchorEdges
 from graphslam.formats import FORMATS, mrclam
 
-from .results import jsonable
+from .saving import jsonable
 from .shown import Shown
 
 if TYPE_CHECKING:

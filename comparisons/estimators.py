@@ -6,8 +6,8 @@ Add one by writing its function and naming it in `ESTIMATORS`; tables, figures a
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -27,24 +27,37 @@ from graphslam import (
     solve_with_gtsam,
     textbook,
 )
-from graphslam.graph import EDGES
-from graphslam.se2 import Array, wrap
+from graphslam.se2 import wrap
 from graphslam.solvers.solve import starting_state
 
-from .estimator import Estimator, EstimatorResult, RunOptions
+from .options import FilterOptions, GraphOptions, RunOptions
+from .results import EstimatorResult
 
-#: where the book's program stops, by the edges it has [norm of the whole correction]
+#: seconds per iteration above which an estimator is left out unless asked for by name
+PATIENCE = 0.5
+#: the step norm at which the book's program stops, by the edges it has
 TEXTBOOK_THRESHOLD = {"virtual": 0.01, "virtual+motion": 0.02}
 
 
-def default_edges(log: Log) -> str:
-    """The edges of the graph unless told otherwise: motion edges wherever the log has controls.
+@dataclass(frozen=True)
+class Estimator:
+    """An entry of the registry.
 
-    Without psi a virtual-motion edge has no constant information, and landmarks as nodes serve better.
+    Attributes:
+        run: the function; raises `graphslam.SlamError` where it cannot run on this log. The options have noise models.
+        uses: the names of the graph and filter options that it uses.
+        seconds_per_iteration: a forecast for estimators that are slow on large logs, or None.
     """
-    if log.controls is None:
-        return "virtual"
-    return "virtual+motion" if log.has_orientation or "landmark+motion" not in EDGES else "landmark+motion"
+
+    run: Callable[[Log, RunOptions], EstimatorResult]
+    uses: tuple[str, ...] = ()
+    seconds_per_iteration: Callable[[Log], float] | None = None
+
+    def too_slow(self, log: Log) -> str | None:
+        """Why the estimator should be left out unless asked for by name, or None."""
+        if self.seconds_per_iteration is None or (seconds := self.seconds_per_iteration(log)) <= PATIENCE:
+            return None
+        return f"it would take about {seconds:.0f} s per iteration on this log; name it in --estimators to run it"
 
 
 def make_graph(log: Log, options: RunOptions) -> Graph:
@@ -53,67 +66,77 @@ def make_graph(log: Log, options: RunOptions) -> Graph:
     Raises:
         GraphError: the log does not determine it.
     """
-    return Graph.from_log(
-        log,
-        motion=options.motion,
-        sensor=options.sensor,
-        edges=options.edges or default_edges(log),
-        frame=options.frame,
-        weight=options.weight,
-        motion_weight=options.motion_weight,
-        kernel=options.kernel,
-    )
+    return Graph.from_log(log, **graph_keywords(log, options))
+
+
+def graph_keywords(log: Log, options: RunOptions) -> dict[str, Any]:
+    """The keywords of `Graph.from_log` that the options ask for."""
+    given = {f.name: getattr(options, f.name) for f in fields(GraphOptions) if f.name != "initialize"}
+    kernel = None if options.kernel in ("none", "gnc") else options.kernel
+    models = {"motion": options.motion, "sensor": options.sensor}
+    return given | models | {"edges": options.edges or default_edges(log), "kernel": kernel}
+
+
+def default_edges(log: Log) -> str:
+    """The edges of the graph unless the options name them: with motion edges wherever the log has controls.
+
+    Without psi a virtual-motion edge has no constant information, and landmarks as nodes serve better.
+    """
+    if log.controls is None:
+        return "virtual"
+    return "virtual+motion" if log.has_orientation else "landmark+motion"
 
 
 def dead_reckoning(log: Log, options: RunOptions) -> EstimatorResult:
     """x_t = f(x_{t-1}, u_t) without noise; the log's own initial poses where it has no controls."""
-    notes: tuple[str, ...] = ()
     begin = time.perf_counter()
-    if log.controls is None or log.dt is None:
-        poses, notes = log.initial_poses, ("the log has no controls: these are its own initial poses",)
-    else:
-        poses = log.dead_reckoning(options.motion)
+    poses = log.initial_poses if log.controls is None else log.dead_reckoning(options.motion)
     seconds = time.perf_counter() - begin
-    return _with_map("dead-reckoning", log, options.sensor, poses, seconds=seconds, notes=notes)
+    notes = ("the log has no controls: these are its own initial poses",) if log.controls is None else ()
+    return _with_map(
+        log, options.sensor, poses, name="dead-reckoning", seconds=seconds, notes=notes, log=log, motion=options.motion
+    )
 
 
 def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
-    """The lectures' program as it stands, with the book's threshold; J is the world-frame one that it works on."""
+    """The lectures' program as it stands, with the book's threshold; J is the world-frame cost that it works on."""
     edges = options.edges
     if edges not in TEXTBOOK_THRESHOLD:
-        # unless told otherwise, or told of edges that the lectures have not
         edges = "virtual" if log.controls is None else "virtual+motion"
     threshold = TEXTBOOK_THRESHOLD[edges]
     models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
     begin = time.perf_counter()
     result = textbook.solve(log, edges=edges, threshold=threshold, **models)
     seconds = time.perf_counter() - begin
+    # J by the graph's own evaluator
+    graph = Graph.from_log(log, edges=edges, frame="world", **models)
+    state = np.asarray(result.poses, dtype=float)[graph.steps]
     last = f"{result.step_norms[-1]:.1e}" if len(result.step_norms) else "none"
     return _with_map(
-        "textbook",
         log,
         options.sensor,
         result.poses,
+        name="textbook",
         seconds=seconds,
         estimated=np.asarray(result.estimated, dtype=bool),
         converged=result.converged,
         iterations=result.iterations,
         step_norms=np.asarray(result.step_norms, dtype=float),
-        cost=_world_cost(log, edges, result.poses, models),
+        cost=float(graph.cost(state)),
         costs=np.asarray(result.costs, dtype=float),
         options={"edges": edges, "frame": "world", "weight": "pairs", "motion_weight": 1.0, "threshold": threshold},
-        reason=f"last step norm {last}, the book's threshold is {threshold:g}",
+        reason=f"the last step norm is {last}; the book's threshold is {threshold:g}",
+        origin=result,
+        graph=graph,
+        state=state,
     )
 
 
 def graph_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """The hand-written solver on the log's graph."""
     graph = make_graph(log, options)
-    # once ahead of the clock: whatever compiles at its first use compiles now
-    solve(graph, max_iterations=1, initialize=options.initialize)
-    if options.robust == "gnc":
-        return _of_solution("graph", log, options, solve_gnc(graph, initialize=options.initialize))
-    return _of_solution("graph", log, options, solve(graph, initialize=options.initialize))
+    solver = solve_gnc if options.kernel == "gnc" else solve
+    return _of_solution("graph", log, options, solver(graph, initialize=options.initialize))
 
 
 def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
@@ -126,49 +149,96 @@ def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 
 def isam2(log: Log, options: RunOptions) -> EstimatorResult:
     """ISAM2 on our factor types, step by step through the log, as a robot that drives could."""
+    keywords = online_keywords(log, options)
+    result = _of_solution("isam2", log, options, solve_online(log, **keywords))
+    return replace(result, converged=None)
+
+
+def online_keywords(log: Log, options: RunOptions) -> dict[str, Any]:
+    """The keywords of `solve_online` that the options ask for.
+
+    Raises:
+        GraphError: ISAM2 cannot do what they ask for.
+    """
     _no_gnc(options)
-    edges = options.edges or default_edges(log)
-    if options.frame != "body":
+    keywords = graph_keywords(log, options)
+    if keywords.pop("frame") != "body":
         raise GraphError("isam2 cannot re-evaluate the information of the world frame; use --frame body")
-    solution = solve_online(
-        log, motion=options.motion, sensor=options.sensor, edges=edges, weight=options.weight,
-        motion_weight=options.motion_weight, kernel=options.kernel,
-    )  # fmt: skip
-    result = _of_solution("isam2", log, options, solution)
-    return replace(result, converged=None, reason=solution.reason)
+    return keywords
 
 
 def _no_gnc(options: RunOptions) -> None:
-    if options.robust == "gnc":
-        raise GraphError("gtsam's graduated non-convexity cannot clone Python factors; the estimator graph has its own")
+    if options.kernel == "gnc":
+        raise GraphError(
+            "only the estimator graph has graduated non-convexity: choose a robust kernel, such as --kernel cauchy"
+        )
 
 
 def mcl(log: Log, options: RunOptions) -> EstimatorResult:
     """Monte Carlo localisation on the true map: what a robot could know that need not map. It estimates no map.
 
     Raises:
-        OptionError: the log does not have the map.
+        OptionError: the log does not have the true map.
     """
     if log.true_landmarks is None:
         raise OptionError(
             f"mcl localises on the true map of the landmarks, which {log.name} does not have: leave mcl out of the "
-            "estimators, or let fastslam1 or fastslam2 make a map"
+            "estimators, or let fastslam1 or fastslam2 estimate a map"
         )
-    return _particle_filter("mcl", MonteCarloLocalization, log, options)
+    return _particle_filter("mcl", log, options)
 
 
 def fastslam1(log: Log, options: RunOptions) -> EstimatorResult:
     """FastSLAM 1.0; trajectory and map of the best particle."""
-    return _particle_filter("fastslam1", FastSLAM1, log, options, association=options.association)
+    return _particle_filter("fastslam1", log, options)
 
 
 def fastslam2(log: Log, options: RunOptions) -> EstimatorResult:
     """FastSLAM 2.0, whose proposal is corrected by the sightings; trajectory and map of the best particle."""
-    return _particle_filter("fastslam2", FastSLAM2, log, options, association=options.association)
+    return _particle_filter("fastslam2", log, options)
+
+
+#: the particle filters by the name of their estimator
+FILTERS: dict[str, type[ParticleFilter]] = {
+    "mcl": MonteCarloLocalization,
+    "fastslam1": FastSLAM1,
+    "fastslam2": FastSLAM2,
+}
+
+
+def filter_keywords(name: str, options: RunOptions) -> dict[str, Any]:
+    """The keywords of a particle filter that the options ask for."""
+    keywords = {f.name: getattr(options, f.name) for f in fields(FilterOptions)}
+    if name == "mcl":
+        del keywords["association"]  # its landmarks are those of the map
+    return keywords | {"motion": options.motion, "sensor": options.sensor}
+
+
+def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResult:
+    keywords = filter_keywords(name, options)
+    begin = time.perf_counter()
+    result = FILTERS[name](log, **keywords).run()
+    seconds = time.perf_counter() - begin
+    # a filter that ignores the ids numbers its landmarks itself
+    named = name == "mcl" or options.association == "known"
+    maps = name != "mcl"
+    return EstimatorResult(
+        name=name,
+        poses=result.poses,
+        estimated=np.ones(log.num_poses, dtype=bool),
+        seconds=seconds,
+        landmarks=dict(result.landmarks) if maps else {},
+        landmark_covariances=dict(result.landmark_covariances) if maps else {},
+        named=named,
+        notes=() if named else ("landmarks are numbered by discovery, and matched to the true ones by position",),
+        options={key: value for key, value in keywords.items() if key not in ("motion", "sensor")},
+        reason=f"processed the log once with {options.particles} particles",
+        origin=result,
+    )
 
 
 def pair_count(log: Log) -> int:
-    """The number of virtual-motion edges of a log: over its landmarks, the sum of K (K-1) / 2."""
+    """The number of virtual-motion edges of a log: the sum of K (K-1) / 2 over its landmarks."""
     _, sightings = np.unique(log.landmarks, return_counts=True)
     return int(np.sum(sightings * (sightings - 1) // 2))
 
@@ -180,8 +250,8 @@ def _textbook_seconds(log: Log) -> float:
 
 def _gtsam_seconds(log: Log) -> float:
     # 15 us to linearise a Python factor, and its cost; a pair in a landmark's factor 0.3 us; a clique K³
-    _, seen = np.unique(log.landmarks, return_counts=True)
-    return 3e-5 * log.num_poses + 3e-7 * pair_count(log) + 3e-9 * float(np.sum((3.0 * seen) ** 3))
+    _, sightings = np.unique(log.landmarks, return_counts=True)
+    return 3e-5 * log.num_poses + 3e-7 * pair_count(log) + 3e-9 * float(np.sum((3.0 * sightings) ** 3))
 
 
 def _isam2_seconds(log: Log) -> float:
@@ -189,34 +259,39 @@ def _isam2_seconds(log: Log) -> float:
     return 1e-3 * log.num_poses + _gtsam_seconds(log)
 
 
-_OF_GRAPHS = ("edges", "frame", "weight", "motion_weight", "robust", "initialize")
-_OF_FILTERS = ("particles", "resampling")
+_GRAPH = tuple(f.name for f in fields(GraphOptions))
+_FILTER = tuple(f.name for f in fields(FilterOptions) if f.name != "seed")
 
 #: the estimators by name, in the order in which they run and are shown
 ESTIMATORS: dict[str, Estimator] = {
-    "dead-reckoning": Estimator(dead_reckoning, uses=()),
-    "textbook": Estimator(textbook_estimator, _textbook_seconds, uses=("edges",)),
-    "graph": Estimator(graph_estimator, uses=_OF_GRAPHS),
-    "gtsam": Estimator(gtsam_estimator, _gtsam_seconds, uses=_OF_GRAPHS),
-    "isam2": Estimator(isam2, _isam2_seconds, uses=tuple(name for name in _OF_GRAPHS if name != "initialize")),
-    "mcl": Estimator(mcl, uses=_OF_FILTERS),
-    "fastslam1": Estimator(fastslam1, uses=(*_OF_FILTERS, "association")),
-    "fastslam2": Estimator(fastslam2, uses=(*_OF_FILTERS, "association")),
+    "dead-reckoning": Estimator(dead_reckoning),
+    "textbook": Estimator(textbook_estimator, ("edges",), _textbook_seconds),
+    "graph": Estimator(graph_estimator, _GRAPH),
+    "gtsam": Estimator(gtsam_estimator, _GRAPH, _gtsam_seconds),
+    "isam2": Estimator(isam2, tuple(name for name in _GRAPH if name != "initialize"), _isam2_seconds),
+    "mcl": Estimator(mcl, tuple(name for name in _FILTER if name != "association")),
+    "fastslam1": Estimator(fastslam1, _FILTER),
+    "fastslam2": Estimator(fastslam2, _FILTER),
 }
 
 
-def _graph_options(log: Log, options: RunOptions) -> dict[str, Any]:
-    return {
-        "edges": options.edges or default_edges(log),
-        "frame": options.frame,
-        "weight": options.weight,
-        "robust": options.robust,
-        "motion_weight": options.motion_weight,
-        "initialize": options.initialize,
-    }
+def check_estimators(names: Any) -> tuple[str, ...]:
+    """The names of estimators, each once.
+
+    Raises:
+        OptionError: a name is unknown, or there is none.
+    """
+    names = (names,) if isinstance(names, str) else tuple(dict.fromkeys(names))
+    for name in names:
+        if name not in ESTIMATORS:
+            raise OptionError(f"estimators: there is no estimator {name!r}; the estimators are {', '.join(ESTIMATORS)}")
+    if not names:
+        raise OptionError(f"estimators: name at least one of {', '.join(ESTIMATORS)}")
+    return names
 
 
 def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -> EstimatorResult:
+    used = {f.name: getattr(options, f.name) for f in fields(GraphOptions)}
     return EstimatorResult(
         name=name,
         poses=solution.poses,
@@ -229,69 +304,19 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
         costs=np.asarray(solution.costs, dtype=float),
         landmarks=solution.landmarks,
         landmark_covariances=solution.landmark_covariances,
-        options=_graph_options(log, options),
+        options=used | {"edges": options.edges or default_edges(log)},
         reason=solution.reason,
         notes=tuple(solution.notes),
+        origin=solution,
+        graph=solution.graph,
+        state=solution.state,
     )
 
 
-def _with_map(
-    name: str, log: Log, sensor: SensorModel | None, poses: Array, *, estimated: np.ndarray | None = None, **rest: Any
-) -> EstimatorResult:
-    """A result whose map is put where the poses see it, the same way for every estimator that has none of its own."""
+def _with_map(source: Log, sensor: SensorModel | None, poses: Any, **rest: Any) -> EstimatorResult:
+    """A result whose map is computed from the poses, the same way for every estimator that has no map of its own."""
     poses = np.array(poses, dtype=float)
     poses[:, 2] = wrap(poses[:, 2])
-    estimated = np.ones(len(poses), dtype=bool) if estimated is None else estimated
-    landmarks = estimate_map(log, poses, sensor)
-    return EstimatorResult(
-        name=name,
-        poses=poses,
-        estimated=estimated,
-        landmarks=dict(landmarks),
-        landmark_covariances=landmarks.covariances,
-        **rest,
-    )
-
-
-def _world_cost(log: Log, edges: str, poses: Array, models: Mapping[str, Any]) -> float:
-    """J of the lectures' graph at a trajectory, by the graph's own evaluator."""
-    graph = Graph.from_log(log, edges=edges, frame="world", **models)
-    return float(graph.cost(np.asarray(poses, dtype=float)[graph.steps]))
-
-
-def _particle_filter(
-    name: str, kind: type[ParticleFilter], log: Log, options: RunOptions, **more: Any
-) -> EstimatorResult:
-    told: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor, "resampling": options.resampling}
-    told |= more
-    association = more.get("association")
-    if (head := _head(log)) is not None:
-        # the kernels compile at their first call; a few steps with two particles keep that out of the time
-        kind(head, particles=2, seed=0, **told).run()
-    begin = time.perf_counter()
-    result = kind(log, particles=options.particles, seed=options.seed, **told).run()
-    seconds = time.perf_counter() - begin
-    # a filter that ignores the ids numbers its landmarks itself
-    named = association != "maximum-likelihood"
-    return EstimatorResult(
-        name=name,
-        poses=result.poses,
-        estimated=np.ones(log.num_poses, dtype=bool),
-        seconds=seconds,
-        # on a known map there is none to estimate
-        landmarks=dict(result.landmarks) if association is not None else {},
-        landmark_covariances=dict(result.landmark_covariances) if association is not None else {},
-        named=named,
-        notes=() if named else ("landmarks are numbered by discovery, and matched to true ones by their places",),
-        options={"particles": options.particles, "seed": options.seed, "resampling": options.resampling} | more,
-        reason=f"went over the log once with {options.particles} particles",
-    )
-
-
-def _head(log: Log) -> Log | None:
-    """The log up to the first landmark seen again, or None where none is."""
-    first_of = np.unique(log.landmarks, return_index=True, return_inverse=True)
-    again = np.flatnonzero(log.steps > log.steps[first_of[1][first_of[2]]]) if len(log.steps) else np.empty(0, int)
-    if len(again) == 0 or log.controls is None:
-        return None
-    return log.at_steps(np.arange(int(log.steps[again[0]]) + 1)).replace(true_poses=None)
+    landmarks = estimate_map(source, poses, sensor)
+    rest.setdefault("estimated", np.ones(len(poses), dtype=bool))
+    return EstimatorResult(poses=poses, landmarks=dict(landmarks), landmark_covariances=landmarks.covariances, **rest)

@@ -10,7 +10,6 @@ maps are tables with commas. Both have numbers at full precision: read again the
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -79,31 +78,25 @@ def texts(comparison: Comparison) -> Iterator[tuple[str, str]]:
 
 
 def write_pose_graph(comparison: Comparison, path: Path) -> str | None:
-    """Write the graph of ``graph`` as g2o, with its solution as initial values, see `graphslam.relative`.
+    """Write the graph that ``graph`` solved as g2o, with its solution as initial values, see `graphslam.relative`.
+
+    It is the graph of the solution itself: sightings that graduated non-convexity rejected do not count in the file.
 
     Returns:
         None, or why there is no such file.
 
     Raises:
-        FormatError: the place cannot be written.
+        FormatError: the file cannot be written.
     """
-    from .estimators import make_graph
-
-    if comparison.options is None or "graph" not in comparison:
+    if "graph" not in comparison:
         return "the estimator graph did not run"
-    graph = make_graph(comparison.log, comparison.options)
-    if graph.num_edges > MOST_EDGES:
-        return f"the graph has {graph.num_edges} edges, more than {MOST_EDGES}"
+    result = comparison["graph"]
+    if result.graph is None:
+        return "the result has no graph"
+    if result.graph.num_edges > MOST_EDGES:
+        return f"the graph has {result.graph.num_edges} edges, more than {MOST_EDGES}"
     try:
-        relative = relative_graph(graph)
+        relative_graph(result.graph, result.state).save_g2o(path)
     except GraphError as error:
         return str(error)
-    # pose and landmark nodes at the solution; headings of landmarks only where they have one
-    result = comparison["graph"]
-    initial = relative.initial.copy()
-    initial[: len(graph.steps)] = result.poses[graph.steps]
-    for k, j in enumerate(graph.landmark_ids.tolist(), start=len(graph.steps)):
-        mean = result.landmarks[j]
-        initial[k, : len(mean)] = mean
-    replace(relative, initial=initial).save_g2o(path)
     return None

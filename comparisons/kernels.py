@@ -6,10 +6,18 @@ take half a minute. Nothing depends on this having been run.
 
 from __future__ import annotations
 
+import warnings
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
+from functools import cache
 from multiprocessing import get_context
 
 import numpy as np
+
+from graphslam import MotionModel, SensorModel, SlamError, simulate
+
+from .estimators import ESTIMATORS
+from .options import RunOptions
 
 
 def edges_and_filters() -> None:
@@ -46,6 +54,19 @@ def factorisation() -> None:
     factor = analyze(indptr, indices).factorize(values)
     factor.solve(np.ones((n, 3)))
     factor.diagonal_covariances()
+
+
+@cache
+def warm_up(estimator: str) -> None:
+    """Let an estimator compile or load its kernels on a tiny log, so that compiling is no part of its time.
+
+    What goes wrong here shows again, with its message, when the estimator runs on the user's log.
+    """
+    for orientation in (True, False):
+        log = simulate(steps=6, orientation=orientation)
+        with suppress(SlamError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            ESTIMATORS[estimator].run(log, RunOptions(particles=2, motion=MotionModel(), sensor=SensorModel()))
 
 
 def main() -> None:

@@ -1,168 +1,135 @@
-"""Where results go: folders that are filled whole or not at all, and JSON without NaN."""
+"""What one estimator makes of a log. A result keeps the object it was computed from, and asks it for more."""
 
 from __future__ import annotations
 
-import json
-import math
-import os
-import shutil
-import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from datetime import datetime
-from itertools import count
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from graphslam import FormatError, OptionError
-from graphslam.files import check_place, write_whole
-
-#: where runs leave their folders unless told otherwise
-RESULTS = Path("results")
-#: what figures can be written as, by suffix
-FIGURE_FORMATS = (".png", ".pdf", ".svg")
+from fastslam.state import FilterResult
+from graphslam import Graph, Log, MotionModel, SlamError, Solution
+from graphslam.se2 import Array, compose, inverse, rotation, wrap
+from graphslam.textbook import TextbookSolution
+from graphslam.uncertainty import Uncertainty
 
 
-def jsonable(value: Any) -> Any:
-    """The value as JSON can hold it: arrays as lists, keys as text, and what is not a finite number as null."""
-    if isinstance(value, np.ndarray):
-        return jsonable(value.tolist())
-    if isinstance(value, np.generic):
-        return jsonable(value.item())
-    if isinstance(value, Mapping):
-        return {str(key): jsonable(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [jsonable(entry) for entry in value]
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EstimatorResult:
+    """What one estimator makes of a log.
 
-
-def json_text(payload: Mapping[str, Any]) -> str:
-    """A JSON document: numbers to their last digit, each pose or other row on a line, never NaN or Infinity."""
-    return _laid_out(jsonable(payload), "\n") + "\n"
-
-
-def _laid_out(value: Any, line: str) -> str:
-    """Like json.dumps with indent, but what holds no further lists or objects stays on one line."""
-    entries = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    if not any(isinstance(entry, (dict, list)) for entry in entries):
-        return json.dumps(value, allow_nan=False, ensure_ascii=False)
-    inner = line + " "
-    if isinstance(value, dict):
-        parts = [f"{json.dumps(key, ensure_ascii=False)}: {_laid_out(entry, inner)}" for key, entry in value.items()]
-        return "{" + inner + f",{inner}".join(parts) + line + "}"
-    return "[" + inner + f",{inner}".join(_laid_out(entry, inner) for entry in value) + line + "]"
-
-
-def write_json(payload: Mapping[str, Any], path: Path) -> None:
-    """Write a JSON document whole or not at all.
-
-    Raises:
-        FormatError: the place cannot be written.
+    Attributes:
+        name: of the estimator.
+        poses: (T+1, 3) [m, m, rad], headings in [-pi, pi).
+        estimated: (T+1,) bool; False where a pose is only the initial guess. Such poses count in no metric.
+        seconds: the estimation alone, without reading, setting up or compiling.
+        converged: whether the stop rule was met; None where nothing is iterated.
+        iterations: the number of iterations; 0 where nothing is iterated.
+        step_norms: (iterations,) the norm of each correction.
+        cost: J at the end; None where nothing is minimised.
+        costs: J before the first step and after each, as far as the solver reports it.
+        landmarks, landmark_covariances: {id: (2,) or (3,)} and {id: (n, n)}; empty where no map is estimated.
+        named: whether the ids of the landmarks are those of the log; False where the estimator numbered them itself,
+            so that their true counterparts are known by position only.
+        options: the options that it used, for the record.
+        reason: why it ended, one sentence.
+        notes: what the user should know.
+        origin: what all this was computed from: a `Solution`, a `FilterResult`, a `TextbookSolution`, or None.
+        graph, state: the graph that was solved and the values (n, 3) of its nodes at the end; None without a graph.
+        log, motion: what dead reckoning was computed from; None for the other estimators.
     """
-    with write_whole(path) as temporary:
-        temporary.write_text(json_text(payload), encoding="utf-8")
+
+    name: str
+    poses: Array
+    estimated: np.ndarray
+    seconds: float
+    converged: bool | None = None
+    iterations: int = 0
+    step_norms: Array = field(default_factory=lambda: np.empty(0))
+    cost: float | None = None
+    costs: Array = field(default_factory=lambda: np.empty(0))
+    landmarks: Mapping[int, Array] = field(default_factory=dict)
+    landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
+    named: bool = True
+    options: Mapping[str, Any] = field(default_factory=dict)
+    reason: str = ""
+    notes: tuple[str, ...] = ()
+    origin: Solution | FilterResult | TextbookSolution | None = field(default=None, repr=False)
+    graph: Graph | None = field(default=None, repr=False)
+    state: Array | None = field(default=None, repr=False)
+    log: Log | None = field(default=None, repr=False)
+    motion: MotionModel | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        cost = "" if self.cost is None else f", J = {self.cost:.6g}"
+        return f"EstimatorResult({self.name}: {len(self.poses)} poses, {len(self.landmarks)} landmarks{cost})"
+
+    @cached_property
+    def pose_covariances(self) -> Array | None:
+        """The covariances (T+1, 3, 3) of the poses in world axes, NaN where a pose is not estimated.
+
+        Of a solved graph they are the diagonal blocks of Omega^-1 at the end, of dead reckoning the accumulated motion
+        noise. None where they are not known: a particle filter keeps paths and no covariance of past poses, and the
+        edges of a graph may not determine its poses.
+        """
+        if self.log is not None and self.log.controls is not None:
+            return dead_reckoning_covariances(self.log, self.motion)
+        if self.graph is None or self.state is None:
+            return None
+        try:
+            blocks = Uncertainty(self.graph, self.state).diagonal[: len(self.graph.steps)]
+        except SlamError:
+            return None
+        covariances = np.full((len(self.poses), 3, 3), np.nan)
+        covariances[self.graph.steps] = blocks
+        return covariances
+
+    def nees(self, truth: Array | None) -> float | None:
+        """The mean over the poses of e' P^-1 e / 3; 1 means consistent, above 1 overconfident.
+
+        e is the error of a pose relative to the first pose, which is held, so that no alignment is needed.
+
+        Args:
+            truth: (T+1, 3) true poses, NaN where unknown; or None.
+
+        Returns:
+            None where the truth of the first pose, or the covariances, are not known.
+        """
+        if truth is None or not np.isfinite(truth[0]).all() or self.pose_covariances is None:
+            return None
+        frame = compose(truth[0], inverse(self.poses[0]))
+        error = compose(frame, self.poses) - truth
+        error[:, 2] = wrap(error[:, 2])
+        turn = np.eye(3)
+        turn[:2, :2] = rotation(frame[2])
+        known = np.isfinite(error).all(axis=1) & np.isfinite(self.pose_covariances).all(axis=(1, 2))
+        known[0] = False
+        if not known.any():
+            return None
+        covariances = turn @ self.pose_covariances[known] @ turn.T
+        try:
+            weighted = np.linalg.solve(covariances, error[known][..., None])[..., 0]
+        except np.linalg.LinAlgError:
+            return None
+        return float(np.mean(np.einsum("ti,ti->t", error[known], weighted)) / 3)
 
 
-def check_can_write(path: Path) -> None:
-    """Raise `FormatError` now rather than after minutes of work if a file cannot be written at ``path``."""
-    check_place(path)
-    path = path.resolve()
-    if not path.parent.is_dir():
-        raise FormatError(path, None, f"cannot write into {path.parent}: there is no such folder")
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise FormatError(path, None, f"cannot write into {path.parent}: Permission denied")
+def dead_reckoning_covariances(log: Log, motion: MotionModel | None = None) -> Array:
+    """The accumulated motion noise (T+1, 3, 3) along a drive from a start that is known exactly, in world axes.
 
-
-def check_can_draw(path: Path) -> None:
-    """The same for a figure, whose suffix says in which format.
-
-    Raises:
-        OptionError: the suffix is none of `FIGURE_FORMATS`.
-        FormatError: no file can be written there.
+    Sigma_{t+1} = F Sigma F' + J Q J', where m is the motion in the axes of pose t, Q its covariance,
+    F = d compose(x, m) / dx and J = d compose(x, m) / dm.
     """
-    if path.suffix.lower() not in FIGURE_FORMATS:
-        raise OptionError(
-            f"{path}: a figure is written as {', '.join(FIGURE_FORMATS)}; give the file one of these endings"
-        )
-    check_can_write(path)
-
-
-def check_can_make(directory: Path) -> None:
-    """Raise `FormatError` now rather than after minutes of work if ``directory`` cannot be made or written into."""
-    for place in (directory, *directory.absolute().parents):
-        if place.is_dir():
-            if not os.access(place, os.W_OK | os.X_OK):
-                raise FormatError(directory, None, f"cannot write into {place}: Permission denied")
-            return
-        if os.path.lexists(place):
-            raise FormatError(directory, None, f"{place} is a file; give the name of a folder")
-
-
-def new_directory(root: Path = RESULTS, now: datetime | None = None) -> Path:
-    """Make the folder ``root/YYYY-mm-ddTHH-MM-SS`` (with -2, -3, ... where that exists) and return it.
-
-    Raises:
-        FormatError: the folder cannot be made.
-    """
-    stamp = (now or datetime.now()).strftime("%Y-%m-%dT%H-%M-%S")
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-        for attempt in count(1):
-            directory = root / (stamp if attempt == 1 else f"{stamp}-{attempt}")
-            # mkdir itself is the test: two runs of the same second never share a folder
-            with suppress(FileExistsError):
-                directory.mkdir()
-                return directory
-    except OSError as error:
-        raise FormatError(root, None, f"cannot make a folder here: {error.strerror}") from None
-    raise AssertionError("count() never ends")
-
-
-def point_latest(directory: Path) -> None:
-    """Let ``latest`` beside a results folder point to it, where links are possible and the name is free for it."""
-    link = directory.parent / "latest"
-    if os.path.lexists(link) and not link.is_symlink():
-        return
-    spare = directory.parent / f".latest-{directory.name}"
-    with suppress(OSError):
-        spare.symlink_to(directory.name, target_is_directory=True)
-        # replacing is atomic, so that a reader never finds the link missing
-        spare.replace(link)
-    with suppress(OSError):
-        spare.unlink()
-
-
-@contextmanager
-def fill_whole(directory: Path, *, for_this_only: bool = False) -> Iterator[Path]:
-    """Yield an empty folder; what the block puts there moves into ``directory`` only if the block ends well.
-
-    ``directory`` is made if it does not exist. If the block fails it is removed again, provided that it was made here
-    (or ``for_this_only`` says that the caller made it just for this) and is empty.
-
-    Raises:
-        FormatError: the folder cannot be made or written.
-    """
-    ours = for_this_only or not directory.exists()
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=directory))
-    except OSError as error:
-        raise FormatError(directory, None, f"cannot write into this folder: {error.strerror}") from None
-    try:
-        yield temporary
-        for path in sorted(temporary.iterdir()):
-            path.replace(directory / path.name)
-    except OSError as error:
-        raise FormatError(error.filename or directory, None, f"cannot be written: {error.strerror}") from None
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        with suppress(OSError):
-            # refuses, as it should, unless the folder is empty
-            if ours:
-                directory.rmdir()
+    motions, noise = log.motions(motion)
+    pose, covariance = log.initial_poses[0], np.zeros((3, 3))
+    covariances = [covariance]
+    for m, Q in zip(motions, noise):
+        after = compose(pose, m)
+        F = np.array([[1, 0, pose[1] - after[1]], [0, 1, after[0] - pose[0]], [0, 0, 1]])
+        J = np.eye(3)
+        J[:2, :2] = rotation(pose[2])
+        pose, covariance = after, F @ covariance @ F.T + J @ Q @ J.T
+        covariances.append(covariance)
+    return np.array(covariances)

@@ -31,7 +31,7 @@ from graphslam.graph import EDGES, FRAMES, WEIGHTS
 from graphslam.se2 import wrap
 from graphslam.solvers.solve import starting_state
 
-from .results import jsonable
+from .saving import jsonable
 from .shown import Shown
 
 if TYPE_CHECKING:

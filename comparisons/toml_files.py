@@ -1,39 +1,36 @@
-"""Configuration files in TOML: read with a clear word for what is wrong in them, and written again.
-
-Reading is the standard library's `tomllib`; it has no writer, and the few kinds of value that are written here need
-no further package.
-"""
+"""TOML files of options: read with a clear message that names the line, and written again by the package ``tomli-w``."""
 
 from __future__ import annotations
 
-import difflib
-import json
 import re
 import tomllib
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from graphslam import FormatError
+import tomli_w
+
+from graphslam import FormatError, OptionError
 from graphslam.files import check_file
 
-#: what TOML calls the types that Python reads from it
+from .options import MODELS, Option, nearest
+
+#: how messages name the types that a key may have
 _NAMES = {str: "text in quotes", int: "a whole number", float: "a number", bool: "true or false", list: "a list [..]",
           dict: "a table"}  # fmt: skip
-_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 class TomlFile:
-    """A TOML file and what it holds, able to say on which line a key stands.
+    """A TOML file and its content, which can name the line of a key.
 
     Args:
         path: of the file.
 
     Attributes:
-        path, text, table: the file, its text, and what it holds.
+        path, text, table: the file, its text, and its content.
 
     Raises:
-        FormatError: there is no such file, or it is no TOML; with the line.
+        FormatError: there is no such file, or it is not valid TOML; with the line.
     """
 
     def __init__(self, path: Path) -> None:
@@ -51,20 +48,26 @@ class TomlFile:
             raise FormatError(path, int(found[1]) if found else None, f"not valid TOML: {message}") from None
 
     def error(self, key: str, message: str) -> FormatError:
-        """The error of a key, ``table.key`` where it stands in a table, with its line where it is found."""
+        """The error of a key, "table.key" where it stands in a table, with its line where it can be determined."""
         return FormatError(self.path, self.line_of(key), message)
 
     def line_of(self, key: str) -> int | None:
-        """The first line that sets the last part of ``key`` (or opens a table of that name), or None."""
-        last = re.escape(key.rsplit(".", 1)[-1])
-        pattern = re.compile(rf"""^\s*(\[+[^\]]*\b{last}\s*\]|([\w.-]+\.)?["']?{last}["']?\s*(=|\.))""")
+        """The line that sets a key, "table.key" where it stands in a table, or opens the table of that name.
+
+        None where no line does, for instance because the key is set in an inline table.
+        """
+        wanted, header = key.split("."), []
         for number, line in enumerate(self.text.splitlines(), start=1):
-            if pattern.match(line):
+            if opened := re.match(r"\s*\[+([^\]]+)\]", line):
+                header = _parts(opened[1])
+                if header == wanted:
+                    return number
+            elif (name := re.match(r"\s*([\w.\"' -]+?)\s*=", line)) and _starts(wanted, [*header, *_parts(name[1])]):
                 return number
         return None
 
     def check_keys(self, table: Mapping[str, Any], known: Collection[str], where: str = "") -> None:
-        """Raise `FormatError` for the first key that is not known, naming the nearest one that is.
+        """Raise `FormatError` for the first key that is not known; the message names the nearest one that is.
 
         Args:
             table: whose keys are checked.
@@ -74,12 +77,13 @@ class TomlFile:
         for key in table:
             if key not in known:
                 place = f" in [{where}]" if where else ""
-                raise self.error(key, f"unknown key {key!r}{place}; did you mean {nearest(key, known)!r}?")
+                raise self.error(
+                    f"{where}.{key}" if where else key,
+                    f"unknown key {key!r}{place}; did you mean {nearest(key, known)!r}?",
+                )
 
     def value(self, table: Mapping[str, Any], key: str, *types: type, where: str = "") -> Any:
-        """The value of a key, None where it is absent.
-
-        A whole number stands for a float where a float is allowed; true and false stand for no number.
+        """The value of a key, None where it is absent. A whole number may stand for a float.
 
         Raises:
             FormatError: it is of none of the types.
@@ -90,50 +94,73 @@ class TomlFile:
         if float in types and type(value) is int:
             return float(value)
         place = f"{where}.{key}" if where else key
-        raise self.error(key, f"{place} should be {' or '.join(_NAMES[t] for t in types)}, not {value!r}")
+        raise self.error(place, f"{place} should be {' or '.join(_NAMES[t] for t in types)}, not {value!r}")
+
+    def options(self, table: Mapping[str, Any], known: Mapping[str, Option], where: str = "") -> dict[str, Any]:
+        """The options of a table, flat and checked; those of the noise models stand in tables [motion] and [sensor].
+
+        Args:
+            table: whose keys are read.
+            known: the options, by name; see `options.options_of`.
+            where: the name of the table, for messages.
+
+        Raises:
+            FormatError: a key is unknown or a value is impossible; with the line.
+        """
+        inside = {model: {n: o for n, o in known.items() if o.model == model} for model in MODELS}
+        plain = {n: o for n, o in known.items() if not o.model and o.only != "python"}
+        self.check_keys(table, (*plain, *(model for model in MODELS if inside[model])), where)
+        values: dict[str, Any] = {}
+        for key in table:
+            place = f"{where}.{key}" if where else key
+            if key in plain:
+                values[key] = self.checked(plain[key], table[key], place)
+            else:
+                values |= self.options_of_model(self.value(table, key, dict, where=where), inside[key], place)
+        return values
+
+    def options_of_model(self, table: Mapping[str, Any], known: Mapping[str, Option], where: str) -> dict[str, Any]:
+        """The numbers of one noise model in its table [motion] or [sensor], by the names of their options."""
+        names = {name.removeprefix("sensor_"): name for name in known}
+        self.check_keys(table, names, where)
+        return {names[key]: self.checked(known[names[key]], table[key], f"{where}.{key}") for key in table}
+
+    def checked(self, option: Option, value: Any, place: str) -> Any:
+        """The value of an option; ``place`` is its key.
+
+        Raises:
+            FormatError: the value is impossible; with the line.
+        """
+        try:
+            if option.each is not str and option.each is not Path and isinstance(value, str):
+                raise OptionError(f"{place} should be {_NAMES[option.each]}, not {value!r}")
+            return option.checked(value)
+        except OptionError as error:
+            raise self.error(place, str(error)) from None
 
 
-def nearest(word: str, known: Collection[str]) -> str:
-    """The known word that is most like a mistyped one."""
-    return difflib.get_close_matches(word, list(known), n=1, cutoff=0.0)[0]
+def _parts(dotted: str) -> list[str]:
+    return [part.strip().strip("\"'") for part in dotted.split(".")]
+
+
+def _starts(wanted: list[str], found: list[str]) -> bool:
+    """Whether a line that sets ``found`` sets the key, or a part of the table, that is wanted."""
+    return found[: len(wanted)] == wanted
 
 
 def to_toml(table: Mapping[str, Any], comment: str = "") -> str:
-    """A table as TOML that `tomllib` reads back equal: texts, numbers, true and false, lists of these, and tables.
+    """A table as TOML: text, numbers, true and false, lists of these, and tables.
 
     Args:
         table: keys with None are left out, because TOML has no such value.
         comment: lines for the head of the file.
     """
-    head = "".join(f"# {line}\n" for line in comment.splitlines())
-    return head + "".join(_lines(table, ()))
+    return "".join(f"# {line}\n" for line in comment.splitlines()) + tomli_w.dumps(_present(table))
 
 
-def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
-    lines = [f"\n[{'.'.join(map(_key, path))}]\n"] if path else []
-    present = {key: value for key, value in table.items() if value is not None}
-    # plain values first: what follows a [table] belongs to it
-    lines += [f"{_key(k)} = {_value(v)}\n" for k, v in present.items() if not isinstance(v, Mapping)]
-    for key, value in present.items():
-        if isinstance(value, Mapping):
-            lines += _lines(value, (*path, key))
-    return lines
-
-
-def _key(key: str) -> str:
-    return key if _BARE_KEY.fullmatch(key) else _text(key)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, (int, float)):
-        return repr(value)
+def _present(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _present(entry) for key, entry in value.items() if entry is not None}
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_value(entry) for entry in value) + "]"
-    return _text(str(value))
-
-
-def _text(text: str) -> str:
-    # JSON's escapes are TOML's, except that TOML also wants the delete character escaped
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+        return [_present(entry) for entry in value]
+    return str(value) if isinstance(value, Path) else value

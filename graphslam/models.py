@@ -9,7 +9,7 @@ chapters 5 to 9.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -69,6 +69,15 @@ class MotionModel:
     def constant(cls, sigma_v: float, sigma_omega: float, *, epsilon: float = 1e-4) -> MotionModel:
         """The model with noise of one size, M = diag(sigma_v², sigma_omega²) [m/s, rad/s]: nn = no = on = oo = 0."""
         return cls(0.0, 0.0, 0.0, 0.0, epsilon, sigma_v, sigma_omega)
+
+    def changed(self, **numbers: float) -> MotionModel:
+        """The model with other numbers; ``sigma_v`` and ``sigma_omega`` alone replace the book's four, and vice versa."""
+        book, timed = ("nn", "no", "on", "oo"), ("sigma_v", "sigma_omega")
+        if any(name in numbers for name in timed) and not any(name in numbers for name in book):
+            numbers |= dict.fromkeys(book, 0.0)
+        elif any(name in numbers for name in book) and not any(name in numbers for name in timed):
+            numbers |= dict.fromkeys(timed, 0.0)
+        return replace(self, **numbers)
 
     def f(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
         """The pose after the motion, f(x, u): the arc of length nu dt turning by omega dt; (..., 3).
@@ -228,6 +237,14 @@ class SensorModel:
         if offset.shape != (2,) or not np.all(np.isfinite(offset)):
             raise OptionError(f"offset must be (ahead, to the left) in m, or one number ahead, not {self.offset!r}")
         object.__setattr__(self, "offset", (float(offset[0]), float(offset[1])))
+
+    def changed(self, **numbers: float) -> SensorModel:
+        """The model with other numbers; ``range_std`` alone replaces ``range_rate``, and vice versa."""
+        if "range_std" in numbers:
+            numbers.setdefault("range_rate", 0.0)
+        elif "range_rate" in numbers:
+            numbers["range_std"] = 0.0
+        return replace(self, **numbers)
 
     @property
     def centred(self) -> bool:

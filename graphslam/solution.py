@@ -102,6 +102,11 @@ class Solution:
         return {j: block[:d, :d].copy() for j, block in zip(self.landmarks, blocks)}
 
     @property
+    def graph(self) -> Graph:
+        """The graph that was solved."""
+        return self._solved_graph
+
+    @property
     def _solved_graph(self) -> Graph:
         if self._graph is None:
             raise OptionError(f"the solver {self.solver} left no graph to take covariances from")

@@ -41,7 +41,7 @@ def backends(
         from ..backend_report import backends_figure, backends_remarks, backends_table
         from ..backends import BACKENDS, compare_backends
         from ..plots import save_figure
-        from ..results import check_can_draw
+        from ..saving import check_can_draw
         from ..tables import seconds
 
         output = Output(json)

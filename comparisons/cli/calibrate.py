@@ -52,7 +52,7 @@ def calibrate(
         from graphslam.calibration import calibrate as estimate
 
         from ..noise_files import write_noise
-        from ..results import check_can_write
+        from ..saving import check_can_write
         from ..tables import calibration_remarks, calibration_table
 
         output = Output(json)

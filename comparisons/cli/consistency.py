@@ -37,7 +37,7 @@ def consistency(
     with sentences():
         from ..consistency import study_consistency
         from ..plots import save_figure
-        from ..results import check_can_draw
+        from ..saving import check_can_draw
         from ..tables import consistency_remarks, consistency_table
 
         output = Output(json)

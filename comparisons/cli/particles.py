@@ -77,7 +77,7 @@ def particles(
 
         from ..particles import particles_figure, study_particles
         from ..plots import save_figure
-        from ..results import check_can_draw
+        from ..saving import check_can_draw
         from ..tables import particles_table
 
         output = Output(json)

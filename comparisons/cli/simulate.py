@@ -85,7 +85,7 @@ def simulate(
         from graphslam.checks import check_choice
 
         from ..comparison import describe
-        from ..results import check_can_write
+        from ..saving import check_can_write
 
         output = Output(json)
         check_can_write(out)

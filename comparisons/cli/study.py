@@ -38,7 +38,7 @@ def study(
     with sentences():
         from graphslam.checks import check_choice
 
-        from ..results import check_can_draw, check_can_write
+        from ..saving import check_can_draw, check_can_write
         from ..studies.database import StudyDatabase
         from ..studies.summary import METRICS, summarise
         from ..studies.tables import differences_table, remarks, summary_table

@@ -63,7 +63,7 @@ class Output:
     def __init__(self, json: str | None) -> None:
         self._to_stdout, self._file = json == "-", None if json in (None, "-") else Path(str(json))
         if self._file is not None:
-            from ..results import check_can_write
+            from ..saving import check_can_write
 
             check_can_write(self._file)
         stream = sys.stderr if self._to_stdout else sys.stdout
@@ -77,7 +77,7 @@ class Output:
 
     def json(self, payload: Mapping[str, Any]) -> None:
         """Write the JSON where it was asked for, if anywhere."""
-        from ..results import json_text, write_json
+        from ..saving import json_text, write_json
 
         if self._to_stdout:
             typer.echo(json_text(payload), nl=False)

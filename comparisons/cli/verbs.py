@@ -187,7 +187,7 @@ def run(
 ) -> None:  # fmt: skip
     """Run all estimators on one log: a table, a figure and the numbers as JSON."""
     with sentences():
-        from ..results import RESULTS, check_can_make
+        from ..saving import RESULTS, check_can_make
         from ..tables import comparison_remarks, comparison_table
 
         output = Output(json)

@@ -14,7 +14,7 @@ import matplotlib
 from graphslam import OptionError
 from graphslam.files import write_whole
 
-from ..results import check_can_write
+from ..saving import check_can_write
 from .palette import indexed
 from .player import page
 from .projector import Projector

@@ -20,7 +20,7 @@ from ..comparison import Comparison, with_models
 from ..config import RunConfig, versions
 from ..estimator import RunOptions
 from ..plots import reference_of
-from ..results import check_can_write, jsonable
+from ..saving import check_can_write, jsonable
 from ..tables import comparison_remarks
 from .convergence import remarks, stories
 from .costs import convergence_figure, costs_figure

@@ -10,7 +10,7 @@ from typing import Any
 
 from graphslam.files import write_whole
 
-from ..results import jsonable
+from ..saving import jsonable
 from .database import COLUMNS
 
 

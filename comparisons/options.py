@@ -1,0 +1,474 @@
+"""Every option of the project, declared once.
+
+An option is a field of one of the dataclasses below: its name, type and default are those of the field, its help, unit,
+choices and limits are the field's metadata. The command line, configuration files, study files, the printed next
+commands and the keywords of the Python functions all derive from these fields (`options_of`). The numbers of the noise
+models are the fields of `graphslam.MotionModel` and `graphslam.SensorModel`, and are not repeated here.
+
+To add an option, add a field here and use it where it takes effect.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import MISSING, dataclass, field, fields, replace
+from functools import cache
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Self, get_args, get_origin, get_type_hints
+
+from graphslam.errors import OptionError
+from graphslam.models import MotionModel, SensorModel
+
+#: the noise models: parameter name of an estimator and table of a TOML file -> the model
+MODELS: dict[str, type[MotionModel] | type[SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
+#: fields of the models that have another name among the options
+_RENAMED = {"offset": "sensor_offset"}
+
+READING, NOISE, GRAPH, FILTER, OUTPUT = "Reading the log", "Noise models", "Graph", "Particle filters", "Output"
+
+
+def option(
+    default: Any, help: str, *, unit: str = "", choices: tuple[str, ...] = (), minimum: float | None = None,
+    positive: bool = False, default_text: str = "", metavar: str = "", alias: str = "", panel: str = "", only: str = "",
+) -> Any:  # fmt: skip
+    """A field of an options dataclass.
+
+    Args:
+        default: the value where nothing is given; None where it depends on the log.
+        help: one sentence.
+        unit: of a number, "" for none.
+        choices: the values that a text may have.
+        minimum: the least value of a number.
+        positive: whether a number must be above zero.
+        default_text: how help names the default, where the value itself says too little.
+        metavar: how help names the value.
+        alias: a second name on the command line.
+        panel: the group in the help of a verb.
+        only: "python" for a field that is no option of the command line.
+    """
+    return field(default=default, metadata={
+        "help": help, "unit": unit, "choices": choices, "minimum": minimum, "positive": positive, "metavar": metavar,
+        "default_text": default_text, "alias": alias, "panel": panel, "only": only,
+    })  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Option:
+    """One option, as the command line, files and Python see it.
+
+    Attributes:
+        name: of the field.
+        kind: str, int, float, bool, Path, or for several values of a kind ``tuple``.
+        each: the kind of a single value.
+        default: where nothing is given.
+        model: "motion" or "sensor" for a number of a noise model, else "".
+    """
+
+    name: str
+    kind: type
+    each: type
+    default: Any
+    help: str = ""
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    minimum: float | None = None
+    positive: bool = False
+    default_text: str = ""
+    metavar: str = ""
+    alias: str = ""
+    panel: str = ""
+    only: str = ""
+    model: str = ""
+
+    @property
+    def flag(self) -> str:
+        """The option's name on the command line."""
+        return "--" + self.name.replace("_", "-")
+
+    def checked(self, value: Any) -> Any:
+        """The value in the option's type, from Python, TOML, or the text of the command line ("a,b" for several).
+
+        Raises:
+            OptionError: it has the wrong type, is none of the choices, or is out of range.
+        """
+        if value is None:
+            return None
+        if self.kind is tuple:
+            parts = [word.strip() for word in value.split(",") if word.strip()] if isinstance(value, str) else value
+            if not isinstance(parts, (list, tuple)) or (not parts and self.default):
+                raise OptionError(f"{self.name} must be {self._wanted}, not {value!r}")
+            return tuple(dict.fromkeys(map(self._single, parts)) if self.each is str else map(self._single, parts))
+        return self._single(value)
+
+    def _single(self, value: Any) -> Any:
+        if self.each in (int, float) and isinstance(value, str):
+            try:
+                value = self.each(value)
+            except ValueError:
+                raise OptionError(f"{self.name} must be {self._wanted}, not {value!r}") from None
+        elif self.each is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        elif self.each is Path and isinstance(value, str):
+            value = Path(value)
+        elif self.each in (int, float) and hasattr(value, "item"):
+            value = value.item()  # a NumPy number
+        if not isinstance(value, self.each) or (isinstance(value, bool) and self.each is not bool):
+            raise OptionError(f"{self.name} must be {self._wanted}, not {value!r}")
+        if self.choices and value not in self.choices:
+            raise OptionError(
+                f"{self.name} must be one of {', '.join(self.choices)}, not {value!r}; "
+                f"did you mean {nearest(str(value), self.choices)!r}?"
+            )
+        if isinstance(value, float) and (math.isnan(value) or math.isinf(value)):
+            raise OptionError(f"{self.name} must be a finite number, not {value!r}")
+        if self.minimum is not None and value < self.minimum:
+            raise OptionError(f"{self.name} must be at least {self.minimum:g}, not {value}")
+        if self.positive and value <= 0:
+            raise OptionError(f"{self.name} must be a positive number, not {value!r}")
+        return value
+
+    @property
+    def _wanted(self) -> str:
+        names = {str: "text", int: "a whole number", float: "a number", bool: "true or false", Path: "a path"}
+        return f"a list, each {names[self.each]}" if self.kind is tuple else names[self.each]
+
+    def text(self, value: Any) -> str:
+        """The value as one word of a command line."""
+        return ",".join(map(str, value)) if isinstance(value, (tuple, list)) else str(value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """The base of all option dataclasses: makes one from keywords, checks every value, and lists what was changed."""
+
+    @classmethod
+    def of(cls, **given: Any) -> Self:
+        """The options with the values given; None stands for the default.
+
+        Raises:
+            OptionError: there is no such option, or a value is impossible.
+        """
+        known = options_of(cls)
+        for name in given:
+            if name not in known:
+                raise OptionError(f"there is no option {name!r}; did you mean {nearest(name, known)!r}?")
+        return cls(**{name: value for name, value in given.items() if value is not None})
+
+    def __post_init__(self) -> None:
+        for each in options_of(type(self)).values():
+            if not each.model and each.name not in MODELS:
+                object.__setattr__(self, each.name, each.checked(getattr(self, each.name)))
+
+    def changed(self) -> Iterator[tuple[Option, Any]]:
+        """The options that differ from their defaults, with their values."""
+        for each in options_of(type(self)).values():
+            if not each.model and getattr(self, each.name) != each.default:
+                yield each, getattr(self, each.name)
+
+
+@cache
+def options_of(group: type) -> dict[str, Option]:
+    """The options of a dataclass by name, in their order; with `NoiseOptions` the numbers of the noise models, too."""
+    hints = get_type_hints(group)
+    found = {f.name: _option(f, hints[f.name]) for f in fields(group) if "help" in f.metadata or group in MODELS.values()}
+    if issubclass(group, NoiseOptions):
+        for model, kind in MODELS.items():
+            for each in options_of(kind).values():
+                name = _RENAMED.get(each.name, each.name)
+                found[name] = replace(each, name=name, model=model, panel=NOISE)
+    return found
+
+
+def _option(f: Any, hint: Any) -> Option:
+    if get_origin(hint) is UnionType:
+        (hint,) = (part for part in get_args(hint) if part is not NoneType)
+    kind, each = (tuple, get_args(hint)[0]) if get_origin(hint) is tuple else (hint, hint)
+    default = f.default if f.default_factory is MISSING else f.default_factory()
+    return Option(name=f.name, kind=kind, each=each, default=default, **f.metadata)
+
+
+def nearest(word: str, known: Collection[str]) -> str:
+    """The known word that is most like a mistyped one."""
+    return difflib.get_close_matches(word, list(known), n=1, cutoff=0.0)[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadingOptions(Options):
+    """How a log is read, and which part of it is kept."""
+
+    format: str | None = option(
+        None, "Format of the log: npz, lnpr, mrclam, huang, ...", default_text="by its content", panel=READING
+    )
+    robot: int | None = option(None, "The robot of a data set that has several.", minimum=0, panel=READING)
+    keep_every: float | None = option(
+        None, "Also keep a pose at least every so many seconds, even where nothing was seen.", unit="s", positive=True,
+        default_text="poses only where something was seen", panel=READING,
+    )  # fmt: skip
+    stride: int = option(1, "Keep every N-th pose and the sightings from it.", minimum=1, metavar="N", panel=READING)
+    max_range: float | None = option(
+        None, "Leave out sightings from farther away.", unit="m", positive=True, panel=READING
+    )
+    dimensions: int | None = option(
+        None, "3: require the orientation psi; 2: ignore it.", default_text="what the log has", minimum=2, panel=READING
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseOptions(Options):
+    """The noise models. Beside these fields every number of `MotionModel` and `SensorModel` is an option by its name.
+
+    Attributes:
+        motion, sensor: whole models, in Python only.
+        numbers: single numbers of the models, {"range_std": 0.12}; they take precedence over all else.
+    """
+
+    noise: Path | None = option(
+        None, "File of noise models (TOML), written by calibrate. Single numbers take precedence over it.",
+        metavar="FILE", default_text="the log's models, else the book's", panel=NOISE,
+    )  # fmt: skip
+    range_scale: float | None = option(
+        None, "Measured range = scale * range + bias; corrected before anything else.", default_text="1", positive=True,
+        panel=NOISE,
+    )  # fmt: skip
+    range_bias: float | None = option(None, "The bias of the measured range.", unit="m", default_text="0", panel=NOISE)
+    motion: MotionModel | None = option(None, "The motion model.", only="python", panel=NOISE)
+    sensor: SensorModel | None = option(None, "The sensor model.", only="python", panel=NOISE)
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, **given: Any) -> Self:
+        """The options with the values given, numbers of the noise models among them; see `Options.of`."""
+        known = options_of(cls)
+        numbers = dict(given.pop("numbers", {}))
+        numbers |= {name: given.pop(name) for name in list(given) if name in known and known[name].model}
+        given["numbers"] = {name: known[name].checked(n) for name, n in numbers.items() if n is not None} or None
+        numbers_of = given.pop("numbers")
+        made = super().of(**given)
+        return made if numbers_of is None else replace(made, numbers=numbers_of)
+
+    def models(
+        self, motion: MotionModel | None = None, sensor: SensorModel | None = None
+    ) -> tuple[MotionModel, SensorModel]:
+        """The noise models: those of the options, else those given (of a log), else the book's, with `numbers` in them.
+
+        Raises:
+            OptionError: a number is impossible.
+        """
+        known = options_of(type(self))
+        changes: dict[str, dict[str, Any]] = {name: {} for name in MODELS}
+        renamed = {new: old for old, new in _RENAMED.items()}
+        for name, value in self.numbers.items():
+            changes[known[name].model][renamed.get(name, name)] = value
+        base = (self.motion or motion or MotionModel(), self.sensor or sensor or SensorModel())
+        return base[0].changed(**changes["motion"]), base[1].changed(**changes["sensor"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphOptions(Options):
+    """The graph and how it is solved; see `graphslam.Graph.from_log` and `graphslam.solve`."""
+
+    edges: str | None = option(
+        None, "Edges of the graph.", choices=("virtual", "virtual+motion", "landmark+motion"),
+        default_text="what suits the log", panel=GRAPH,
+    )  # fmt: skip
+    frame: str = option("body", "Axes of the residuals.", choices=("body", "world"), panel=GRAPH)
+    weight: str = option(
+        "pairs", "Weight of virtual-motion edges: pairs as in the book; tempered and marginal count each sighting once.",
+        choices=("pairs", "tempered", "marginal"), panel=GRAPH,
+    )  # fmt: skip
+    motion_weight: float = option(1.0, "Factor lambda on the motion edges.", positive=True, panel=GRAPH)
+    kernel: str = option(
+        "none", "Robust kernel against wrong sightings; gnc is graduated non-convexity.",
+        choices=("none", "huber", "cauchy", "geman-mcclure", "gnc"), alias="robust", panel=GRAPH,
+    )  # fmt: skip
+    initialize: str = option(
+        "auto", "Where the iteration starts; auto tries several starts.",
+        choices=("auto", "given", "dead-reckoning", "rotation-first"), panel=GRAPH,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterOptions(Options):
+    """The particle filters; see `fastslam.FastSLAM1`."""
+
+    particles: int = option(1000, "Number of particles.", minimum=1, panel=FILTER)
+    seed: int = option(0, "Random seed; the same seed gives the same result.", minimum=0, panel=FILTER)
+    resampling: str = option(
+        "systematic",
+        "Resampling scheme.",
+        choices=("systematic", "stratified", "residual", "multinomial"),
+        panel=FILTER,
+    )
+    association: str = option(
+        "known", "Landmark ids of the sightings: known, or found by maximum likelihood.",
+        choices=("known", "maximum-likelihood"), panel=FILTER,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions(FilterOptions, GraphOptions, NoiseOptions, ReadingOptions):
+    """All options of a run: reading, noise, graph and filters. In Python: ``comparisons.run(log, kernel="huber")``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputOptions(Options):
+    """Where the results of a run go."""
+
+    out: Path | None = option(
+        None, "Folder for the results.", metavar="DIR", default_text="results/<time>", panel=OUTPUT
+    )
+    figures: tuple[str, ...] = option(
+        ("png", "pdf"), "Formats of the figure.", choices=("png", "pdf", "svg"), panel=OUTPUT
+    )
+    html: Path | None = option(None, "Also write the interactive report, one HTML file.", metavar="FILE", panel=OUTPUT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JsonOptions(Options):
+    """The JSON of every verb."""
+
+    json: str | None = option(
+        None, "Write the results as JSON to a file; - writes them to standard output, and nothing else there.",
+        metavar="FILE", panel=OUTPUT,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class FigureOptions(Options):
+    """The figure of a study."""
+
+    figure: Path | None = option(None, "Also write the figure (.png, .pdf, .svg).", metavar="FILE", panel=OUTPUT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobsOptions(Options):
+    """How much runs at a time."""
+
+    jobs: int | None = option(
+        None, "Local processes; 0 runs everything in this process.", minimum=0, default_text="one for each core"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverCheckOptions(JobsOptions, NoiseOptions, ReadingOptions):
+    """Which variants `solvers.compare_solvers` solves by hand and with GTSAM."""
+
+    motion_weights: tuple[float, ...] = option(
+        (1.0, 10.0), "Factors lambda on the motion edges to try.", positive=True, metavar="LAMBDA,..."
+    )
+    edges: tuple[str, ...] = option(
+        ("virtual", "virtual+motion", "landmark+motion"), "Kinds of graph to try.",
+        choices=("virtual", "virtual+motion", "landmark+motion"), metavar="EDGES,...",
+    )  # fmt: skip
+    kernel: tuple[str, ...] = option(
+        ("none",), "Robust kernels to try.", choices=("none", "huber", "cauchy", "geman-mcclure"), alias="kernels",
+        metavar="KERNEL,...",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackendOptions(Options):
+    """How `backends.compare_backends` times pose-graph solvers."""
+
+    backends: tuple[str, ...] | None = option(
+        None, "Solvers to time.", choices=("graphslam", "gtsam-lm", "gtsam-gn", "g2o-gn", "g2o-lm"), metavar="NAME,...",
+        default_text="all that are installed",
+    )  # fmt: skip
+    initialize: str = option(
+        "auto", "Where graphslam starts.", choices=("auto", "given", "dead-reckoning", "rotation-first")
+    )
+    same_start: bool = option(False, "All solvers start from the rotation-first state, not from the file's values.")
+    repeat: int = option(5, "The time is the median of this many runs.", minimum=1)
+    max_iterations: int = option(100, "Maximum number of iterations of every solver.", minimum=1)
+    format: str | None = option(
+        None, "Format of the files.", choices=("g2o", "toro", "isam"), default_text="by their tags"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParticleStudyOptions(JobsOptions, NoiseOptions, ReadingOptions):
+    """How `particles.study_particles` varies the number of particles."""
+
+    filters: tuple[str, ...] = option(
+        ("fastslam1", "fastslam2"), "Filters to run.", choices=("mcl", "fastslam1", "fastslam2"), metavar="NAME,..."
+    )
+    particles: tuple[int, ...] = option(
+        (10, 32, 100, 316, 1000, 3162, 10_000, 31_623, 100_000), "Numbers of particles.", minimum=1, metavar="N,..."
+    )
+    seeds: int = option(10, "Number of random seeds, starting from 0.", minimum=1)
+    resampling: str = option(
+        "systematic", "Resampling scheme.", choices=("systematic", "stratified", "residual", "multinomial")
+    )
+    association: str = option(
+        "known", "Landmark ids of the sightings: known, or found by maximum likelihood.",
+        choices=("known", "maximum-likelihood"),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConsistencyOptions(JobsOptions):
+    """What `consistency.study_consistency` simulates and tests."""
+
+    logs: int = option(200, "Number of simulated logs.", minimum=1)
+    noise: float = option(0.1, "Factor on all standard deviations of the book's models.", positive=True)
+    steps: int = option(62, "Motions of each log.", minimum=1)
+    dimensions: int = option(3, "3: sightings with orientation psi; 2: without.", minimum=2)
+    estimators: tuple[str, ...] = option(
+        ("landmark nodes", "marginal", "tempered", "pairs"), "Estimators to test.",
+        choices=("landmark nodes", "marginal", "tempered", "pairs", "fastslam1", "fastslam2"), metavar="NAME,...",
+    )  # fmt: skip
+    seed: int = option(0, "Random seed of the first log; the others follow.", minimum=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnimationOptions(Options):
+    """The animation of an estimator."""
+
+    estimator: str = option(
+        "graph", "Estimator to animate.", choices=("graph", "fastslam1", "fastslam2", "mcl", "isam2")
+    )
+    fps: float | None = option(
+        None, "Frames per second.", default_text="2 for iterations, 10 for steps", positive=True, panel=OUTPUT
+    )
+    max_frames: int = option(200, "Maximum number of frames; longer runs are thinned evenly.", minimum=2, panel=OUTPUT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationOptions(Options):
+    """How `graphslam.calibrate` estimates noise."""
+
+    source: str = option(
+        "auto", "Where the noise is measured: against the ground truth, or from residuals of the solved graph. auto "
+        "takes the ground truth where there is one.", choices=("auto", "truth", "residuals"),
+    )  # fmt: skip
+    gaussian: bool = option(
+        False, "Count every residual fully, those of wrong sightings too; the default is Student's t distribution."
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepOptions(JobsOptions):
+    """How `studies.sweep` executes a study."""
+
+    dask: str | None = option(
+        None, "Run on the cluster of this Dask scheduler instead, tcp://host:8786.", metavar="ADDRESS"
+    )
+    retry: bool = option(False, "Repeat the runs that failed or exceeded the time limit.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SummaryOptions(FigureOptions):
+    """What `studies.summarise` compares."""
+
+    baseline: str | None = option(
+        None, "Method that the others are compared with.", metavar="METHOD", default_text="graph, or the first"
+    )
+    metric: str = option(
+        "ate_m", "Metric of the figure.",
+        choices=("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m", "iterations", "seconds"),
+    )  # fmt: skip
+    csv: Path | None = option(None, "Write every run as CSV.", metavar="FILE", panel=OUTPUT)
+    jsonl: Path | None = option(None, "Write every run as a line of JSON.", metavar="FILE", panel=OUTPUT)

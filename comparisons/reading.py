@@ -1,0 +1,93 @@
+"""From the reading and noise options to the log that the estimators work on."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from graphslam import FormatError, Log, LogError, OptionError, load, sample_log_path
+
+from .noise_files import read_noise
+from .options import NoiseOptions, ReadingOptions, RunOptions
+
+#: options that only a file or folder has; a `Log` has been read already
+_OF_FILES = ("format", "robot", "keep_every")
+
+
+def prepare(log: Log | str | PathLike[str] | None, options: RunOptions) -> tuple[Log, Path | None, RunOptions]:
+    """The log as the options want it, its file or folder, and the options with the noise models filled in.
+
+    Args:
+        log: a log, a file or folder, or None for the sample log of the package.
+        options: their reading and noise options are applied.
+
+    Returns:
+        The log; where it came from, None for a `Log`; the options, whose noise models are those of the options, else
+        those of the noise file, else those of the log, else the book's. Its ``noise`` and ``numbers`` are empty.
+
+    Raises:
+        FormatError: a file cannot be read.
+        LogError: the log lacks what is asked for, or a corrected range would not be above zero.
+        OptionError: an option does not apply to this log.
+    """
+    data, source = read_log(log, options)
+    motion, sensor = data.motion, data.sensor
+    line = {"range_scale": 1.0, "range_bias": 0.0}
+    if options.noise is not None:
+        numbers, of_file = read_noise(options.noise)
+        motion, sensor = NoiseOptions.of(**numbers).models(motion, sensor)
+        line |= of_file
+    line |= {name: value for name in line if (value := getattr(options, name)) is not None}
+    if line != {"range_scale": 1.0, "range_bias": 0.0}:
+        data = data.with_corrected_ranges(line["range_scale"], line["range_bias"])
+    motion, sensor = options.models(motion, sensor)
+    return data, source, replace(options, motion=motion, sensor=sensor, noise=None, numbers={}, **line)
+
+
+def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> tuple[Log, Path | None]:
+    """The log that the reading options ask for, and its file or folder; None for a `Log`."""
+    source = None
+    if isinstance(log, Log):
+        data = log
+        for name in _OF_FILES:
+            if getattr(options, name) is not None:
+                raise OptionError(f"{name} applies when a file is read, and {log.name!r} is a Log that has been read")
+    else:
+        source = sample_log_path() if log is None else Path(log)
+        keywords = {name: getattr(options, name) for name in _OF_FILES}
+        with warnings.catch_warnings():
+            # the warnings of a reader are also notes of the log, which are shown
+            warnings.simplefilter("ignore", UserWarning)
+            data = load(source, **keywords)
+    if options.dimensions == 3 and not data.has_orientation:
+        raise LogError(
+            f"{source or data.name}: the sightings have no orientation psi, but dimensions = 3 requires it; use 2"
+        )
+    if options.stride > 1:
+        data = data.at_steps(np.arange(0, data.num_poses, options.stride))
+    if options.max_range is not None:
+        data = data.nearer_than(options.max_range)
+    return (data.without_orientation() if options.dimensions == 2 else data), source
+
+
+def sha256_of(path: Path) -> str:
+    """The SHA-256 of a file's content, in hexadecimal digits; of a folder, of the names and contents of its files.
+
+    Raises:
+        FormatError: a file cannot be read.
+    """
+    try:
+        if path.is_dir():
+            whole = hashlib.sha256()
+            for inner in sorted(each for each in path.iterdir() if each.is_file()):
+                whole.update(f"{inner.name}\n{sha256_of(inner)}\n".encode())
+            return whole.hexdigest()
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise FormatError(path, None, f"cannot be read: {error.strerror}") from None
