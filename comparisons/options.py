@@ -169,7 +169,6 @@ class Options:
             if not each.model and getattr(self, each.name) != each.default:
                 yield each, getattr(self, each.name)
 
-
     def keywords(self) -> dict[str, Any]:
         """The options that differ from their defaults, as keywords of a function that takes them."""
         return {option.name: value for option, value in self.changed()}

@@ -111,6 +111,11 @@ class Output:
         if self.verbose:
             self._errors.print(line, style="dim", markup=False, soft_wrap=True)
 
+    def progress(self, line: str) -> None:
+        """A line on standard error about work that takes a while; not with --quiet."""
+        if not self.quiet:
+            self._errors.print(line, markup=False, soft_wrap=True)
+
     @contextmanager
     def bar(self, what: str, total: int | None = None) -> Iterator[Advance]:
         """A progress bar with the remaining time on standard error, where that is a terminal; not with --quiet.
