@@ -299,9 +299,8 @@ def _with_warnings(result: EstimatorResult, caught: Sequence[warnings.WarningMes
 
 def _row(result: EstimatorResult, metrics: Metrics, nees: float | None) -> Row:
     values = {"nees": nees, "skipped": None}
-    for field in fields(Row):
-        if field.name not in values:
-            values[field.name] = getattr(metrics if hasattr(metrics, field.name) else result, field.name)
+    for name in (f.name for f in fields(Row) if f.name not in values):
+        values[name] = getattr(metrics if hasattr(metrics, name) else result, name)
     return Row(**values)  # type: ignore[arg-type]
 
 

@@ -11,12 +11,18 @@ import msgspec
 from comparisons.documents import DOCUMENTS
 
 DOCS = Path(__file__).parent
+#: arrays that have a name of their own on the page
+NAMES = {
+    "x [m], y [m], heading [rad]; null where unknown": "pose",
+    "x, y [m] and, where the landmark has one, heading [rad]": "position",
+    "n rows of n numbers, n as long as the mean": "covariance",
+}
 HEAD = """\
 # JSON of every verb
 
 Every verb takes `--json FILE` (or `-` for standard output, which then carries nothing else), and `run` always writes a
-`comparison.json`. [schema.json](schema.json) is the JSON Schema (draft 2020-12) of all of them, with one entry of `$defs` for each
-verb. Both this page and the schema are generated from `comparisons/documents.py` by `python docs/make_json.py`, and the tests
+`comparison.json`. [schema.json](schema.json) is the JSON Schema (draft 2020-12) of all of them, with one entry of `$defs` for
+each verb. Both this page and the schema are generated from `comparisons/documents.py` by `python docs/make_json.py`, and the tests
 validate the output of every verb. To validate a file yourself:
 
 ```python
@@ -32,10 +38,10 @@ jsonschema.validate(document, {"$ref": "#/$defs/run"} | schema)
 print(document["estimators"][0]["ate_m"])
 ```
 
-Numbers have all their digits, so that reading them gives the same values again. No number is NaN or infinite; `null` stands for
-an unknown value. Lengths are in metres, angles in radians, times in seconds. Poses are `[x, y, heading]` with the heading in
-[-pi, pi). Ids of landmarks are keys, and therefore text. Repeating a run (`--config`) writes the same JSON except for `seconds`
-and `files`.
+Numbers have all their digits, so that reading them gives the same values again. No number is NaN or infinite; `null`
+stands for an unknown value. Lengths are in metres, angles in radians, times in seconds. A pose is `[x, y, heading]` with
+the heading in [-pi, pi), a position `[x, y]` or `[x, y, heading]`, a covariance a list of rows. Ids of landmarks are keys,
+and therefore text. Repeating a run (`--config`) writes the same JSON except for `seconds` and `files`.
 """
 
 
@@ -45,7 +51,7 @@ def schema() -> dict[str, Any]:
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "What slam-compare writes as JSON",
-        "description": "One entry of $defs for each verb. No number is ever NaN or infinite: null stands for an unknown value.",
+        "description": "One entry of $defs for each verb. No number is NaN or infinite; null is an unknown value.",
         "$defs": dict(zip(DOCUMENTS, references)) | components,
     }
 
@@ -75,7 +81,8 @@ def kind(entry: dict[str, Any]) -> str:
     if "enum" in entry:
         return " or ".join(map(json.dumps, entry["enum"]))
     if entry.get("type") == "array":
-        return f"list of {kind(entry['items'])}"
+        inner = kind(entry["items"])
+        return NAMES.get(entry.get("description", ""), f"list of ({inner})" if " or " in inner else f"list of {inner}")
     if entry.get("type") == "object":
         inner = entry.get("additionalProperties")
         return f"{{key: {kind(inner)}}}" if isinstance(inner, dict) and inner else "object"
