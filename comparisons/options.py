@@ -304,11 +304,9 @@ class GraphOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FilterOptions(Options):
-    """The particle filters; see `fastslam.FastSLAM1`."""
+class FilterKindOptions(Options):
+    """What kind of particle filter runs; see `fastslam.FastSLAM1`."""
 
-    particles: int = option(1000, "Number of particles.", minimum=1, panel=FILTER)
-    seed: int = option(0, "Random seed; the same seed gives the same result.", minimum=0, panel=FILTER)
     resampling: str = option(
         "systematic",
         "Resampling scheme.",
@@ -319,6 +317,14 @@ class FilterOptions(Options):
         "known", "Landmark ids of the sightings: known, or found by maximum likelihood.",
         choices=("known", "maximum-likelihood"), panel=FILTER,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterOptions(FilterKindOptions):
+    """The particle filters; see `fastslam.FastSLAM1`."""
+
+    particles: int = option(1000, "Number of particles.", minimum=1, panel=FILTER)
+    seed: int = option(0, "Random seed; the same seed gives the same result.", minimum=0, panel=FILTER)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -412,7 +418,7 @@ class BackendOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ParticleStudyOptions(JobsOptions, NoiseOptions, ReadingOptions):
+class ParticleStudyOptions(JobsOptions, FilterKindOptions, NoiseOptions, ReadingOptions):
     """How `particles.study_particles` varies the number of particles."""
 
     filters: tuple[str, ...] = option(
@@ -422,13 +428,6 @@ class ParticleStudyOptions(JobsOptions, NoiseOptions, ReadingOptions):
         (10, 32, 100, 316, 1000, 3162, 10_000, 31_623, 100_000), "Numbers of particles.", minimum=1, metavar="N,..."
     )
     seeds: int = option(10, "Number of random seeds, starting from 0.", minimum=1)
-    resampling: str = option(
-        "systematic", "Resampling scheme.", choices=("systematic", "stratified", "residual", "multinomial")
-    )
-    association: str = option(
-        "known", "Landmark ids of the sightings: known, or found by maximum likelihood.",
-        choices=("known", "maximum-likelihood"),
-    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
