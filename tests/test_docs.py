@@ -38,6 +38,8 @@ def test_there_are_examples():
 @pytest.mark.parametrize("page", [DOCS.parent / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda page: page.name)
 def test_named_files_exist(page):
     """Every path of this repository that a page names in backquotes exists."""
-    named = re.findall(r"`((?:graphslam|fastslam|comparisons|docs|tests|benchmarks|examples)/[\w./-]*)`", page.read_text())
+    named = re.findall(
+        r"`((?:graphslam|fastslam|comparisons|docs|tests|benchmarks|examples)/[\w./-]*)`", page.read_text()
+    )
     missing = [name for name in named if not (DOCS.parent / name).exists()]
     assert not missing
