@@ -1,14 +1,14 @@
-"""GTSAM factor types for any graph of your own: virtual motion, motion, relative pose, observation, landmark, anchor.
+"""GTSAM factor types for your own graphs: virtual motion, motion, relative pose, observation, landmark, anchor.
 
-Every factor is a `gtsam.CustomFactor` whose residual and analytic Jacobians are those of the edges of this framework,
-derived here a second time, so that the two implementations check each other. GTSAM's ``error`` is one half of
-e' Omega e, or rho(r) under a robust kernel.
+Every factor is a `gtsam.CustomFactor` whose residual and analytic Jacobians are those of the edges of this framework.
+They are derived here a second time, so that the two implementations check each other. GTSAM's ``error`` is one half of
+e' Omega e, or rho(r) with a robust kernel.
 """
 
 from .anchor import AnchorFactor
 from .description import FactorDescription, describe, load_factors, save_factors
 from .landmark import LandmarkFactor
-from .observation import InverseObservationFactor, ObservationFactor, RelativePointFactor
+from .observation import InverseObservationFactor, ObservationFactor, RelativePointFactor, observation_factor
 from .relative_pose import MotionFactor, RelativePoseFactor
 from .residual import ResidualFactor
 from .virtual_motion import VirtualMotionFactor
@@ -26,5 +26,6 @@ __all__ = [
     "VirtualMotionFactor",
     "describe",
     "load_factors",
+    "observation_factor",
     "save_factors",
 ]

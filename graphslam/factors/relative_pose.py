@@ -1,4 +1,4 @@
-"""One pose measured from another: relative poses, and the motions that a control drives."""
+"""One pose measured from another: relative poses, and the motions that controls lead to."""
 
 from __future__ import annotations
 
@@ -9,69 +9,66 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_choice, check_positive
-from ..edges.robust import Kernel
+from ..checks import check_positive
 from ..errors import OptionError
 from ..models import MotionModel
 from ..se2 import Array, rotation
-from .layer import POSE, Coordinates, Factor, positive_definite, robust_noise, vector, wrapped
+from .arguments import PoseLike, frozen_at, in_world_frame, numbers, positive_definite
+from .base import POSE, Coordinates, Factor, KernelLike, Linearized, robust_noise, wrapped
 
 
 class RelativePoseFactor(Factor):
     """The pose at one key measured from another's: e = (R(theta_1)' (p_2 - p_1) - t, theta_2 - theta_1 - theta_z).
 
     The information belongs to the axes of pose 1. ``frame="world"`` leaves e in the world's axes, R(theta_1) e, and
-    freezes the information at the heading of ``at``. (GTSAM's own ``BetweenFactorPose2`` is the same residual turned by
-    theta_z, but its error is measured through the logarithm.)
+    freezes the information at the heading of ``at``. (GTSAM's own ``BetweenFactorPose2`` has the same residual turned by
+    theta_z, but measures its error through the logarithm.)
 
     Args:
         key_1, key_2: of two `gtsam.Pose2`.
-        measured: z = (x, y, theta) [m, m, rad], pose 2 seen from pose 1.
+        measured: z = (x, y, theta) [m, m, rad], or a `gtsam.Pose2`: pose 2 in the frame of pose 1.
         information: Omega (3, 3).
         frame: "body" or "world".
-        at: the pose x_1 (3,) at which the world frame freezes the information.
+        at: the pose x_1, (3,) or a `gtsam.Pose2`, at which the world frame freezes the information.
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
-        OptionError: a value is not what it must be, or ``at`` is missing in the world frame.
+        OptionError: an argument has an impossible value, or ``at`` is missing in the world frame.
     """
 
     def __init__(
         self,
         key_1: int,
         key_2: int,
-        measured: ArrayLike,
+        measured: PoseLike,
         information: ArrayLike,
-        frame: str = "body",
         *,
-        at: ArrayLike | None = None,
-        kernel: Kernel | str | None = None,
+        frame: str = "body",
+        at: PoseLike | None = None,
+        kernel: KernelLike = None,
     ) -> None:
-        told = {"measured": vector("measured", measured, (3,)), "information": positive_definite(information)}
-        self._make([key_1, key_2], told["measured"], told["information"], frame, at, told, kernel)
+        z, omega = numbers("measured", measured, (3,)), positive_definite(information)
+        self._make([key_1, key_2], z, omega, frame, at, kernel, measured=z, information=omega)
 
     def _make(
         self,
         keys: list[int],
-        measured: Array,
+        z: Array,
         omega: Array,
         frame: str,
-        at: ArrayLike | None,
-        arguments: dict[str, Any],
-        kernel: Kernel | str | None,
+        at: PoseLike | None,
+        kernel: KernelLike,
+        **arguments: Any,
     ) -> None:
-        check_choice("frame", frame, ("world", "body"))
-        (dx, dy, turned), world = measured.tolist(), frame == "world"
-        frozen_at = None
-        if world:
-            if at is None:
-                raise OptionError("with frame='world' the information depends on the pose x_1; give it as 'at'")
+        """Make the factor of a relative pose and its information; ``arguments`` are those of the factor type."""
+        (dx, dy, turned), world = z.tolist(), in_world_frame(frame)
+        frozen = frozen_at(at, needed=world)
+        if frozen is not None:
             turn = np.eye(3)
-            frozen_at = vector("at", at, (3,))
-            turn[:2, :2] = rotation(frozen_at[2])
+            turn[:2, :2] = rotation(frozen[2])
             omega = turn @ omega @ turn.T
 
-        def residual(a: Coordinates, b: Coordinates) -> tuple[list[float], tuple[list[list[float]], ...]]:
+        def residual(a: Coordinates, b: Coordinates) -> Linearized:
             # derivatives by GTSAM's perturbations, each pose's in its own axes
             c, s = cos(a[2]), sin(a[2])
             x, y, turn = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -91,32 +88,35 @@ class RelativePoseFactor(Factor):
                 return x - c * dx + s * dy, y - s * dx - c * dy, et
             return c * x + s * y - dx, -s * x + c * y - dy, et
 
-        arguments = arguments | {"frame": frame, "at": frozen_at}
         noise = gtsam.noiseModel.Gaussian.Information(omega)
-        Factor.__init__(self, keys, [POSE, POSE], noise, residual, arguments, kernel, in_own_axes=True, error=error)
+        arguments |= {"frame": frame, "at": frozen}
+        Factor.__init__(
+            self, keys, [POSE, POSE], noise, residual, kernel, arguments=arguments, in_own_axes=True, error=error
+        )
 
     def to_between(self) -> gtsam.BetweenFactorPose2:
-        """GTSAM's own factor of the same relative pose: C++ speed, and serialisation.
+        """GTSAM's own factor of the same relative pose, which has the speed of C++ and can be serialised.
 
         Its residual is this one turned by theta_z, so its information is turned, too; GTSAM measures the error through
         the logarithm of SE(2), which agrees where e = 0 and differs in the second order.
 
         Raises:
-            OptionError: in the world frame the information is frozen, and GTSAM's factor has it turn with the pose.
+            OptionError: in the world frame the information is frozen, and that of GTSAM's factor turns with the pose.
         """
-        measured, omega, frame, kernel = self._between
-        if frame == "world":
+        arguments = self.description.arguments
+        if arguments["frame"] == "world":
             raise OptionError("to_between needs frame='body': GTSAM's factor turns its information with the pose")
+        measured, omega = self._measurement(arguments)
         turn = np.eye(3)
         turn[:2, :2] = rotation(-measured[2])
-        noise = robust_noise(gtsam.noiseModel.Gaussian.Information(turn @ omega @ turn.T), kernel)
+        noise = robust_noise(gtsam.noiseModel.Gaussian.Information(turn @ omega @ turn.T), arguments["kernel"])
         key_1, key_2 = self.keys()
         return gtsam.BetweenFactorPose2(key_1, key_2, gtsam.Pose2(*measured), noise)
 
-    @property
-    def _between(self) -> tuple[Array, Array, str, Kernel | None]:
-        told = self.description.arguments
-        return told["measured"], told["information"], told["frame"], told.get("kernel")
+    @staticmethod
+    def _measurement(arguments: Any) -> tuple[Array, Array]:
+        """The relative pose and its information, from the factor's arguments."""
+        return arguments["measured"], arguments["information"]
 
 
 class MotionFactor(RelativePoseFactor):
@@ -131,12 +131,12 @@ class MotionFactor(RelativePoseFactor):
         dt: [s].
         motion: gives f, A, M and epsilon; default: the book's.
         frame: "body" or "world".
-        at: the pose x_1 (3,) at which state-dependent information is evaluated.
-        weight: lambda, the factor on the information.
+        at: the pose x_1, (3,) or a `gtsam.Pose2`, at which the world frame freezes the information.
+        scale: lambda, the factor on the information.
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
-        OptionError: a value is not what it must be, or ``at`` is missing in the world frame.
+        OptionError: an argument has an impossible value, or ``at`` is missing in the world frame.
 
     Source: the lectures, slides 9.3.
     """
@@ -148,26 +148,21 @@ class MotionFactor(RelativePoseFactor):
         control: ArrayLike,
         dt: float,
         motion: MotionModel | None = None,
-        frame: str = "body",
         *,
-        at: ArrayLike | None = None,
-        weight: float = 1.0,
-        kernel: Kernel | str | None = None,
+        frame: str = "body",
+        at: PoseLike | None = None,
+        scale: float = 1.0,
+        kernel: KernelLike = None,
     ) -> None:
-        check_positive(weight=weight, dt=dt)
-        motion, u = motion or MotionModel(), vector("control", control, (2,))
-        arguments = {"control": u, "dt": dt, "motion": motion, "weight": weight}
-        self._make([key_1, key_2], *_driven(motion, u, dt, weight), frame, at, arguments, kernel)
+        check_positive(scale=scale, dt=dt)
+        u = numbers("control", control, (2,))
+        arguments: dict[str, Any] = {"control": u, "dt": dt, "motion": motion or MotionModel(), "scale": scale}
+        self._make([key_1, key_2], *self._measurement(arguments), frame, at, kernel, **arguments)
 
-    @property
-    def _between(self) -> tuple[Array, Array, str, Kernel | None]:
-        told = self.description.arguments
-        driven = _driven(told["motion"], told["control"], told["dt"], told["weight"])
-        return *driven, told["frame"], told.get("kernel")
-
-
-def _driven(motion: MotionModel, control: Array, dt: float, weight: float) -> tuple[Array, Array]:
-    """The relative pose that a control leads to, and its information: f and its covariance turn with their start."""
-    origin = np.zeros(3)
-    information = weight * np.linalg.inv(motion.covariance(origin, control, dt))
-    return motion.f(origin, control, dt), (information + information.T) / 2
+    @staticmethod
+    def _measurement(arguments: Any) -> tuple[Array, Array]:
+        # f and its covariance turn with the pose that they start from
+        motion, control, dt = arguments["motion"], arguments["control"], arguments["dt"]
+        origin = np.zeros(3)
+        information = arguments["scale"] * np.linalg.inv(motion.covariance(origin, control, dt))
+        return motion.f(origin, control, dt), (information + information.T) / 2
