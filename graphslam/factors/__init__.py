@@ -8,7 +8,7 @@ e' Omega e, or rho(r) with a robust kernel.
 from .anchor import AnchorFactor
 from .description import FactorDescription, describe, load_factors, save_factors
 from .landmark import LandmarkFactor
-from .observation import InverseObservationFactor, ObservationFactor, RelativePointFactor, observation_factor
+from .observation import InverseObservationFactor, ObservationFactor, RelativePointFactor
 from .relative_pose import MotionFactor, RelativePoseFactor
 from .residual import ResidualFactor
 from .virtual_motion import VirtualMotionFactor
@@ -26,6 +26,5 @@ __all__ = [
     "VirtualMotionFactor",
     "describe",
     "load_factors",
-    "observation_factor",
     "save_factors",
 ]

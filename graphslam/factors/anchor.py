@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -36,5 +35,5 @@ class AnchorFactor(Factor):
             e = [a[0] - x, a[1] - y, wrapped(a[2] - theta)]
             return e, ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],)
 
-        noise = gtsam.noiseModel.Gaussian.Information(omega)
-        super().__init__([key], [POSE], noise, residual, kernel, arguments={"pose": held, "information": omega})
+        arguments = {"pose": held, "information": omega, "kernel": kernel}
+        super().__init__([key], [POSE], residual, arguments, information=omega)

@@ -17,6 +17,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..checks import check_positive
 from ..edges.robust import Cauchy, GemanMcClure, Huber, Kernel, kernel_of
 from ..errors import FactorError, OptionError
 from ..se2 import Array
@@ -38,15 +39,16 @@ class Factor(gtsam.CustomFactor):
     Args:
         keys: one for each argument of the residual.
         kinds: "pose" or "point" for each key.
-        noise: the noise model, without kernel.
         residual: called with one (x, y, theta) or (x, y) per key; returns e and one Jacobian (rows, 3 or 2) per key.
-        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
-        arguments: the other arguments that the factor type can be made from again.
+        arguments: all other arguments of the factor type, by name. Among them may be ``scale``, a factor on the
+            information, and ``kernel``, a robust kernel around the noise model; see `graphslam.edges.robust`.
+        covariance, information: (rows, rows), one of the two.
+        named_keys: the keys as the factor type takes them; default: ``keys``.
         in_own_axes: the Jacobians are by GTSAM's perturbations already, those of poses in their own axes.
         error: a faster way to an e of the same norm, for evaluations without Jacobians.
 
     Raises:
-        OptionError: a key is impossible, or there is no such kernel.
+        OptionError: a key is impossible, the scale is not positive, or there is no such kernel.
     """
 
     #: whether the constructor takes its keys as one list
@@ -60,22 +62,30 @@ class Factor(gtsam.CustomFactor):
         self,
         keys: Sequence[int],
         kinds: Sequence[str],
-        noise: gtsam.noiseModel.Base,
         residual: Callable[..., Linearized],
-        kernel: KernelLike,
-        *,
         arguments: Mapping[str, Any],
+        *,
+        covariance: Array | None = None,
+        information: Array | None = None,
+        named_keys: Sequence[int] | None = None,
         in_own_axes: bool = False,
         error: Callable[..., ArrayLike] | None = None,
     ) -> None:
         keys = checked_keys(type(self).__name__, keys)
-        arguments = {**arguments, "kernel": kernel_of(kernel)}
+        scale, kernel = arguments.get("scale", 1.0), kernel_of(arguments["kernel"])
+        check_positive(scale=scale)
+        if covariance is None:
+            noise = gtsam.noiseModel.Gaussian.Information(information * scale)
+        else:
+            noise = gtsam.noiseModel.Gaussian.Covariance(covariance / scale)
+        arguments = {**arguments, "kernel": kernel}
         for value in arguments.values():
             if isinstance(value, np.ndarray):
                 # a factor must not change when its maker goes on working with an array
                 value.flags.writeable = False
-        description = FactorDescription(type(self).__name__, tuple(keys), arguments)
-        callback = _guarded(description, kinds, noise.dim(), residual, in_own_axes, error)
+        named = keys if named_keys is None else map(index, named_keys)
+        description = FactorDescription(type(self).__name__, tuple(named), arguments)
+        callback = _guarded(description, keys, kinds, noise.dim(), residual, in_own_axes, error)
         super().__init__(robust_noise(noise, kernel), keys, callback)
 
     @property
@@ -92,6 +102,7 @@ class Factor(gtsam.CustomFactor):
 
 def _guarded(
     description: FactorDescription,
+    keys: Sequence[int],
     kinds: Sequence[str],
     rows: int,
     residual: Callable[..., Linearized],
@@ -99,7 +110,6 @@ def _guarded(
     error: Callable[..., ArrayLike] | None,
 ) -> Callable[..., Array]:
     """The callback of a `gtsam.CustomFactor` around a residual; the arguments are those of `Factor`."""
-    keys = description.keys
     ends = [(key, kind == POSE) for key, kind in zip(keys, kinds)]
     expected, shapes = (rows,), [(rows, KINDS[kind][0]) for kind in kinds]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import lapack
 
 from ..checks import check_choice
 from ..errors import OptionError
@@ -14,7 +14,7 @@ from ..models import SensorModel
 from ..se2 import Array, rotation, wrap
 from .arguments import PoseLike, frozen_at, in_world_frame, numbers, sensor_of
 from .base import POSE, Coordinates, Factor, KernelLike, Linearized, check_keys_listed
-from .landmark_kernels import compressed, pair_cost, pair_sums, placed
+from .landmark_kernels import pair_cost, pair_sums, placed
 
 WEIGHTS = ("pairs", "tempered", "marginal")
 #: the number of rows of e; the residual; e alone
@@ -43,7 +43,6 @@ class LandmarkFactor(Factor):
         at: (K, 3), or K `gtsam.Pose2`: the poses at which state-dependent information is evaluated, for
             ``frame="world"`` and for pairs without psi.
         trust: (K,) a factor above 0 on the information of each sighting. A pair has the product of its two factors.
-        of: (K,) for fewer keys than sightings: which of the keys each sighting belongs to.
         kernel: a robust kernel around the landmark as a whole. (For a kernel on every pair or every sighting use
             `VirtualMotionFactor`, `InverseObservationFactor` or `ObservationFactor`.)
 
@@ -63,21 +62,14 @@ class LandmarkFactor(Factor):
         weight: str = "pairs",
         at: ArrayLike | Sequence[PoseLike] | None = None,
         trust: ArrayLike | None = None,
-        of: ArrayLike | None = None,
         kernel: KernelLike = None,
     ) -> None:
         world = in_world_frame(frame)
         check_choice("weight", weight, WEIGHTS)
         check_keys_listed("LandmarkFactor", keys)
         sensor = sensor_of(sensor)
-        node = np.arange(len(keys)) if of is None else np.array(of)
-        if node.ndim != 1 or node.dtype.kind not in "iu" or not np.array_equal(np.unique(node), np.arange(len(keys))):
-            raise OptionError(
-                f"of must name each of the {len(keys)} keys, from 0 to {len(keys) - 1}, for every sighting"
-            )
-        if of is None:
-            place = {key: k for k, key in enumerate(dict.fromkeys(keys))}
-            keys, node = list(place), np.array([place[key] for key in keys], dtype=int)
+        place = {key: k for k, key in enumerate(dict.fromkeys(keys))}
+        node = np.array([place[key] for key in keys], dtype=int)
         z = numbers("sightings", sightings, (2, 3), rows=len(node))
         if len(z) == 0 or np.any(z[:, 0] <= 0):
             raise OptionError("LandmarkFactor needs at least one sighting, and ranges above zero")
@@ -92,12 +84,11 @@ class LandmarkFactor(Factor):
             rows, residual, error = _pairs(z, node, sensor, world, trusted, frozen, scale)
         arguments = {
             "sightings": z, "sensor": sensor, "frame": frame, "weight": weight, "at": frozen,
-            "trust": None if trust is None else trusted,
-            "of": None if len(keys) == len(z) else node,
+            "trust": None if trust is None else trusted, "kernel": kernel,
         }  # fmt: skip
         super().__init__(
-            keys, [POSE] * len(keys), gtsam.noiseModel.Unit.Create(rows), residual, kernel,
-            arguments=arguments, in_own_axes=True, error=error,
+            list(place), [POSE] * len(place), residual, arguments,
+            covariance=np.eye(rows), named_keys=keys, in_own_axes=True, error=error,
         )  # fmt: skip
 
 
@@ -140,22 +131,37 @@ def _pairs(
     return 3 * poses + 1, residual, error
 
 
+def compressed(omega: Array, slope: Array, squares: float) -> tuple[Array, Array]:
+    """Residuals e = (d, rest) (n+1,) and Jacobian R (n+1, n), with the same normal equations as b and A.
+
+    R'R = omega = A'A, R'e = slope = A'b and e'e = squares = b'b. R comes from a Cholesky factorisation with diagonal
+    pivoting, because omega is singular: nothing holds the poses as a whole. Directions with less than 1e-13 of the
+    largest pivot are rounding errors.
+    """
+    n = len(omega)
+    upper, order, rank, _ = lapack.dpstrf(omega, tol=1e-13 * float(omega.diagonal().max()))
+    order -= 1  # LAPACK counts from one
+    R, e = np.zeros((n + 1, n), order="F"), np.zeros(n + 1)
+    R[:rank, order] = np.triu(upper)[:rank]
+    e[:rank] = lapack.dtrtrs(upper[:rank, :rank], slope[order[:rank]], trans=1)[0].ravel()
+    e[n] = np.sqrt(max(squares - e @ e, 0.0))
+    return e, R
+
+
 def _marginal(
     z: Array, node: np.ndarray, sensor: SensorModel, world: bool, trust: Array, frozen: Array | None
 ) -> Evaluation:
     """The landmark eliminated."""
     (K, d), poses = z.shape, int(node.max()) + 1
-    looking = np.zeros((K, 3))
-    looking[:, 2] = -z[:, 1]
-    information = np.linalg.inv(sensor.landmark_covariance(looking if frozen is None else frozen, z))
+    information = np.linalg.inv(sensor.landmark_covariance(np.zeros((K, 3)) if frozen is None else frozen, z))
     information *= trust[:, None, None]
-    # W = L L', in the axes of the sighting, or the world's
+    # W = L L', in the axes of the robot, or the world's
     L_transposed = np.swapaxes(np.linalg.cholesky(information), 1, 2)
-    ahead = z[:, 1].copy()
+    ahead = np.zeros(K)
 
     def weighted(x: Array) -> tuple[Array, ...]:
         y, lever, c, s = placed(x, node, z, sensor.offset, ahead, not world)
-        # from the world's axes to those of the sighting
+        # from the world's axes to those of the robot
         axes = np.zeros((K, d, d))
         axes[:] = np.eye(d)
         axes[:, 0, 0] = axes[:, 1, 1] = c

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import atan2, cos, hypot, sin
 
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_positive
 from ..errors import FactorError
 from ..models import SensorModel
 from .arguments import (
@@ -21,7 +21,7 @@ from .arguments import (
     sensor_of,
     sighting,
 )
-from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, checked_keys, robust_noise, wrapped
+from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, robust_noise, wrapped
 
 
 class ObservationFactor(Factor):
@@ -38,8 +38,7 @@ class ObservationFactor(Factor):
     Raises:
         OptionError: an argument has an impossible value.
 
-    A landmark exactly at the sensor has no bearing: `FactorError` when the factor is evaluated there. See also
-    `observation_factor`.
+    A landmark exactly at the sensor has no bearing: `FactorError` when the factor is evaluated there.
     """
 
     def __init__(
@@ -52,7 +51,6 @@ class ObservationFactor(Factor):
         scale: float = 1.0,
         kernel: KernelLike = None,
     ) -> None:
-        check_positive(scale=scale)
         z, sensor = sighting("z", z), sensor_of(sensor)
         oriented = len(z) == 3
         length, bearing, orientation = (*z.tolist(), 0.0)[:3]
@@ -76,45 +74,34 @@ class ObservationFactor(Factor):
             by_pose.append([-p, -q, across])
             return e, (by_pose, [[c, s, 0.0], [p, q, 0.0], [p, q, -1.0]])
 
-        noise = gtsam.noiseModel.Gaussian.Covariance(sensor.Q(z) / scale)
-        arguments = {"z": z, "sensor": sensor, "scale": scale}
+        arguments = {"z": z, "sensor": sensor, "scale": scale, "kernel": kernel}
         kinds = [POSE, POSE if oriented else POINT]
-        super().__init__([pose_key, landmark_key], kinds, noise, residual, kernel, arguments=arguments)
+        super().__init__([pose_key, landmark_key], kinds, residual, arguments, covariance=sensor.Q(z))
 
+    def fastest(self) -> gtsam.NonlinearFactor:
+        """GTSAM's own `gtsam.BearingRangeFactor2D` where that is exactly equal, else this factor.
 
-def observation_factor(
-    pose_key: int,
-    landmark_key: int,
-    z: ArrayLike,
-    sensor: SensorModel | None = None,
-    *,
-    scale: float = 1.0,
-    kernel: KernelLike = None,
-) -> gtsam.NonlinearFactor:
-    """The fastest factor of a sighting: GTSAM's own `gtsam.BearingRangeFactor2D` where that is exactly equal.
-
-    It is equal without psi and with a sensor at the robot's pose. In all other cases the result is an
-    `ObservationFactor`, whose arguments and exceptions these are. `describe` and `save_factors` know an
-    `ObservationFactor` only; GTSAM itself can save and copy its own factor.
-    """
-    z, sensor = sighting("z", z), sensor_of(sensor)
-    if len(z) == 3 or not sensor.centred:
-        return ObservationFactor(pose_key, landmark_key, z, sensor, scale=scale, kernel=kernel)
-    check_positive(scale=scale)
-    key_1, key_2 = checked_keys("observation_factor", (pose_key, landmark_key))
-    # GTSAM puts the bearing first
-    deviations = np.sqrt(np.diag(sensor.Q(z)) / scale)[::-1].copy()
-    noise = robust_noise(gtsam.noiseModel.Diagonal.Sigmas(deviations), kernel)
-    return gtsam.BearingRangeFactor2D(key_1, key_2, gtsam.Rot2(z[1]), z[0], noise)
+        It is equal without psi and with the sensor at the robot's pose. GTSAM can save and copy its own factor; `describe`
+        and `save_factors` do not know it.
+        """
+        arguments = self.description.arguments
+        z, sensor = arguments["z"], arguments["sensor"]
+        if len(z) == 3 or not sensor.centred:
+            return self
+        # GTSAM puts the bearing first
+        deviations = np.sqrt(np.diag(sensor.Q(z)) / arguments["scale"])[::-1].copy()
+        noise = robust_noise(gtsam.noiseModel.Diagonal.Sigmas(deviations), arguments["kernel"])
+        pose_key, landmark_key = self.keys()
+        return gtsam.BearingRangeFactor2D(pose_key, landmark_key, gtsam.Rot2(z[1]), z[0], noise)
 
 
 class InverseObservationFactor(Factor):
     """A sighting as a measurement of the landmark's place: e = m - h^-1(x, z), information (R Q R')^-1.
 
     The same sighting as that of an `ObservationFactor`, with a residual in the plane and not in the sensor's
-    coordinates. It is linear in m. With
-    ``frame="body"`` the residual is turned into the axes of the sighting, R(theta + phi)' e, where the information is
-    constant, with psi or without; ``frame="world"`` keeps e in the world's axes and freezes the information at ``at``.
+    coordinates. It is linear in m. With ``frame="body"`` the residual is turned into the robot's axes, R(theta)' e, where
+    the information is constant, with psi or without; ``frame="world"`` keeps e in the world's axes and freezes the
+    information at ``at``.
     When the landmarks are eliminated, these factors become the marginal edges (`LandmarkFactor` with
     ``weight="marginal"``).
 
@@ -144,38 +131,13 @@ class InverseObservationFactor(Factor):
         scale: float = 1.0,
         kernel: KernelLike = None,
     ) -> None:
-        check_positive(scale=scale)
         z, sensor, world = sighting("z", z), sensor_of(sensor), in_world_frame(frame)
-        oriented = len(z) == 3
-        (_, bearing, orientation), (px, py) = (*z.tolist(), 0.0)[:3], in_robot_frame(z, sensor)
-        frozen = frozen_at(at, needed=world)
-        # in the body frame: a pose that looks along x at the landmark, theta + phi = 0
-        looking = np.array([0.0, 0.0, -bearing]) if frozen is None else frozen
-
-        def residual(x: Coordinates, m: Coordinates) -> Linearized:
-            ct, st = cos(x[2]), sin(x[2])
-            # from the pose to the landmark according to the sighting
-            vx, vy = ct * px - st * py, st * px + ct * py
-            ex, ey = m[0] - x[0] - vx, m[1] - x[1] - vy
-            if world:
-                e = [ex, ey]
-                by_pose = [[-1.0, 0.0, vy], [0.0, -1.0, -vx]]
-                by_landmark = [[1.0, 0.0], [0.0, 1.0]]
-            else:
-                c, s = cos(x[2] + bearing), sin(x[2] + bearing)
-                e = [c * ex + s * ey, -s * ex + c * ey]
-                by_pose = [[-c, -s, c * vy - s * vx + e[1]], [s, -c, -s * vy - c * vx - e[0]]]
-                by_landmark = [[c, s], [-s, c]]
-            if oriented:
-                e.append(wrapped(m[2] - x[2] - bearing + orientation))
-                by_pose.append([0.0, 0.0, -1.0])
-                by_landmark = [[*row, 0.0] for row in by_landmark] + [[0.0, 0.0, 1.0]]
-            return e, (by_pose, by_landmark)
-
-        noise = gtsam.noiseModel.Gaussian.Covariance(sensor.landmark_covariance(looking, z) / scale)
-        arguments = {"z": z, "sensor": sensor, "frame": frame, "at": frozen, "scale": scale}
-        kinds = [POSE, POSE if oriented else POINT]
-        super().__init__([pose_key, landmark_key], kinds, noise, residual, kernel, arguments=arguments)
+        frozen, kinds = frozen_at(at, needed=world), [POSE, POSE if len(z) == 3 else POINT]
+        # in the robot's axes the covariance is that seen from a pose at the origin
+        covariance = sensor.landmark_covariance(np.zeros(3) if frozen is None else frozen, z)
+        residual = _in_the_plane(*in_robot_frame(z, sensor), z[1] - z[2] if len(z) == 3 else None, world)
+        arguments = {"z": z, "sensor": sensor, "frame": frame, "at": frozen, "scale": scale, "kernel": kernel}
+        super().__init__([pose_key, landmark_key], kinds, residual, arguments, covariance=covariance)
 
 
 class RelativePointFactor(Factor):
@@ -201,14 +163,28 @@ class RelativePointFactor(Factor):
         kernel: KernelLike = None,
     ) -> None:
         z, omega = numbers("measured", measured, (2,)), positive_definite(information, 2)
-        zx, zy = z.tolist()
+        arguments = {"measured": z, "information": omega, "kernel": kernel}
+        residual = _in_the_plane(*z.tolist(), None, world=False)
+        super().__init__([pose_key, landmark_key], [POSE, POINT], residual, arguments, information=omega)
 
-        def residual(x: Coordinates, m: Coordinates) -> Linearized:
-            c, s = cos(x[2]), sin(x[2])
-            dx, dy = m[0] - x[0], m[1] - x[1]
-            sx, sy = c * dx + s * dy, -s * dx + c * dy
-            return [sx - zx, sy - zy], ([[-c, -s, sy], [s, -c, -sx]], [[c, s], [-s, c]])
 
-        noise = gtsam.noiseModel.Gaussian.Information(omega)
-        arguments = {"measured": z, "information": omega}
-        super().__init__([pose_key, landmark_key], [POSE, POINT], noise, residual, kernel, arguments=arguments)
+def _in_the_plane(px: float, py: float, turn: float | None, world: bool) -> Callable[..., Linearized]:
+    """The residual of a landmark measured at (px, py), and perhaps with the heading ``turn``, in the frame of a pose."""
+
+    def residual(x: Coordinates, m: Coordinates) -> Linearized:
+        c, s = cos(x[2]), sin(x[2])
+        dx, dy = m[0] - x[0], m[1] - x[1]
+        if world:
+            vx, vy = c * px - s * py, s * px + c * py
+            e, by_pose = [dx - vx, dy - vy], [[-1.0, 0.0, vy], [0.0, -1.0, -vx]]
+            by_landmark = [[1.0, 0.0], [0.0, 1.0]]
+        else:
+            rx, ry = c * dx + s * dy, -s * dx + c * dy
+            e, by_pose, by_landmark = [rx - px, ry - py], [[-c, -s, ry], [s, -c, -rx]], [[c, s], [-s, c]]
+        if turn is not None:
+            e.append(wrapped(m[2] - x[2] - turn))
+            by_pose.append([0.0, 0.0, -1.0])
+            by_landmark = [[*row, 0.0] for row in by_landmark] + [[0.0, 0.0, 1.0]]
+        return e, (by_pose, by_landmark)
+
+    return residual

@@ -48,21 +48,14 @@ class RelativePoseFactor(Factor):
         kernel: KernelLike = None,
     ) -> None:
         z, omega = numbers("measured", measured, (3,)), positive_definite(information)
-        self._make([key_1, key_2], z, omega, frame, at, kernel, measured=z, information=omega)
+        arguments = {"measured": z, "information": omega, "frame": frame, "at": at, "kernel": kernel}
+        self._make([key_1, key_2], z, omega, arguments)
 
-    def _make(
-        self,
-        keys: list[int],
-        z: Array,
-        omega: Array,
-        frame: str,
-        at: PoseLike | None,
-        kernel: KernelLike,
-        **arguments: Any,
-    ) -> None:
-        """Make the factor of a relative pose and its information; ``arguments`` are those of the factor type."""
-        (dx, dy, turned), world = z.tolist(), in_world_frame(frame)
-        frozen = frozen_at(at, needed=world)
+    def _make(self, keys: list[int], z: Array, omega: Array, arguments: dict[str, Any]) -> None:
+        """Make the factor of a relative pose (3,) and its information (3, 3), unscaled."""
+        self._between = z, omega
+        (dx, dy, turned), world = z.tolist(), in_world_frame(arguments["frame"])
+        frozen = frozen_at(arguments["at"], needed=world)
         if frozen is not None:
             turn = np.eye(3)
             turn[:2, :2] = rotation(frozen[2])
@@ -88,11 +81,8 @@ class RelativePoseFactor(Factor):
                 return x - c * dx + s * dy, y - s * dx - c * dy, et
             return c * x + s * y - dx, -s * x + c * y - dy, et
 
-        noise = gtsam.noiseModel.Gaussian.Information(omega)
-        arguments |= {"frame": frame, "at": frozen}
-        Factor.__init__(
-            self, keys, [POSE, POSE], noise, residual, kernel, arguments=arguments, in_own_axes=True, error=error
-        )
+        ends, arguments = [POSE, POSE], arguments | {"at": frozen}
+        Factor.__init__(self, keys, ends, residual, arguments, information=omega, in_own_axes=True, error=error)
 
     def to_between(self) -> gtsam.BetweenFactorPose2:
         """GTSAM's own factor of the same relative pose, which has the speed of C++ and can be serialised.
@@ -106,17 +96,11 @@ class RelativePoseFactor(Factor):
         arguments = self.description.arguments
         if arguments["frame"] == "world":
             raise OptionError("to_between needs frame='body': GTSAM's factor turns its information with the pose")
-        measured, omega = self._measurement(arguments)
-        turn = np.eye(3)
-        turn[:2, :2] = rotation(-measured[2])
-        noise = robust_noise(gtsam.noiseModel.Gaussian.Information(turn @ omega @ turn.T), arguments["kernel"])
+        (z, omega), turn = self._between, np.eye(3)
+        turn[:2, :2] = rotation(-z[2])
+        noise = gtsam.noiseModel.Gaussian.Information(turn @ omega @ turn.T * arguments.get("scale", 1.0))
         key_1, key_2 = self.keys()
-        return gtsam.BetweenFactorPose2(key_1, key_2, gtsam.Pose2(*measured), noise)
-
-    @staticmethod
-    def _measurement(arguments: Any) -> tuple[Array, Array]:
-        """The relative pose and its information, from the factor's arguments."""
-        return arguments["measured"], arguments["information"]
+        return gtsam.BetweenFactorPose2(key_1, key_2, gtsam.Pose2(*z), robust_noise(noise, arguments["kernel"]))
 
 
 class MotionFactor(RelativePoseFactor):
@@ -154,15 +138,11 @@ class MotionFactor(RelativePoseFactor):
         scale: float = 1.0,
         kernel: KernelLike = None,
     ) -> None:
-        check_positive(scale=scale, dt=dt)
-        u = numbers("control", control, (2,))
-        arguments: dict[str, Any] = {"control": u, "dt": dt, "motion": motion or MotionModel(), "scale": scale}
-        self._make([key_1, key_2], *self._measurement(arguments), frame, at, kernel, **arguments)
-
-    @staticmethod
-    def _measurement(arguments: Any) -> tuple[Array, Array]:
+        check_positive(dt=dt)
+        motion, u, origin = motion or MotionModel(), numbers("control", control, (2,)), np.zeros(3)
+        arguments = {
+            "control": u, "dt": dt, "motion": motion, "frame": frame, "at": at, "scale": scale, "kernel": kernel,
+        }  # fmt: skip
         # f and its covariance turn with the pose that they start from
-        motion, control, dt = arguments["motion"], arguments["control"], arguments["dt"]
-        origin = np.zeros(3)
-        information = arguments["scale"] * np.linalg.inv(motion.covariance(origin, control, dt))
-        return motion.f(origin, control, dt), (information + information.T) / 2
+        information = np.linalg.inv(motion.covariance(origin, u, dt))
+        self._make([key_1, key_2], motion.f(origin, u, dt), (information + information.T) / 2, arguments)

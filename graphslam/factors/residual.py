@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -67,9 +66,8 @@ class ResidualFactor(Factor):
             answer = residual(*values)
             return answer if isinstance(answer, tuple) else (answer, _Differences(residual, values))
 
-        noise = gtsam.noiseModel.Gaussian.Information(omega)
-        arguments = {"residual": residual, "information": omega, "kinds": tuple(kinds)}
-        super().__init__(keys, kinds, noise, evaluated, kernel, arguments=arguments)
+        arguments = {"residual": residual, "information": omega, "kinds": tuple(kinds), "kernel": kernel}
+        super().__init__(keys, kinds, evaluated, arguments, information=omega)
 
 
 class _Differences(Sequence[Array]):

@@ -7,7 +7,6 @@ from math import cos, sin
 import gtsam
 from numpy.typing import ArrayLike
 
-from ..checks import check_positive
 from ..errors import OptionError
 from ..models import SensorModel
 from .arguments import PoseLike, frozen_at, in_robot_frame, in_world_frame, sensor_of, sighting
@@ -51,7 +50,6 @@ class VirtualMotionFactor(Factor):
         scale: float = 1.0,
         kernel: KernelLike = None,
     ) -> None:
-        check_positive(scale=scale)
         sensor, body = sensor_of(sensor), not in_world_frame(frame)
         first, second = sighting("z_1", z_1), sighting("z_2", z_2)
         if len(first) != len(second):
@@ -86,9 +84,11 @@ class VirtualMotionFactor(Factor):
                 by_b.append([0.0, 0.0, 1.0])
             return e, (by_a, by_b)
 
-        noise = gtsam.noiseModel.Gaussian.Covariance(covariance / scale)
-        arguments = {"z_1": first, "z_2": second, "sensor": sensor, "frame": frame, "at": frozen, "scale": scale}
-        super().__init__([key_1, key_2], [POSE, POSE], noise, residual, kernel, arguments=arguments)
+        arguments = {
+            "z_1": first, "z_2": second, "sensor": sensor, "frame": frame, "at": frozen, "scale": scale,
+            "kernel": kernel,
+        }  # fmt: skip
+        super().__init__([key_1, key_2], [POSE, POSE], residual, arguments, covariance=covariance)
 
     def to_between(self) -> gtsam.BetweenFactorPose2:
         """GTSAM's own factor of the same two sightings, with the speed of C++: the relative pose z_12 = T_1 T_2^-1.

@@ -9,32 +9,15 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import Any
 
 import gtsam
 import numpy as np
 
+from .. import edges
+from .. import factors as factor_types
 from ..checks import check_choice, check_count, check_positive
-from ..edges import (
-    AnchorEdges,
-    EdgeFamily,
-    LandmarkSightings,
-    MarginalEdges,
-    ObservationEdges,
-    RelativePointEdges,
-    RelativePoseEdges,
-    VirtualMotionEdges,
-)
 from ..errors import GraphError
-from ..factors import (
-    AnchorFactor,
-    InverseObservationFactor,
-    LandmarkFactor,
-    RelativePointFactor,
-    RelativePoseFactor,
-    VirtualMotionFactor,
-    describe,
-    observation_factor,
-)
 from ..graph import Graph
 from ..se2 import Array, wrap
 from ..solution import Solution, make_solution
@@ -85,7 +68,7 @@ def solve_with_gtsam(
         if graph.frozen_information:
             state, norms, converged = _refrozen(started, tolerance, max_iterations, factors)
         else:
-            state, norms, converged = _optimize(started, made, started.initial, tolerance, max_iterations)
+            state, norms, converged = _optimize(started, made, tolerance, max_iterations)
     except RuntimeError as error:
         raise GraphError(f"gtsam failed: {str(error).strip().splitlines()[0]}") from None
     seconds = starting + time.perf_counter() - begin
@@ -104,7 +87,9 @@ def solve_with_gtsam(
 def _contents(factors: gtsam.NonlinearFactorGraph) -> str:
     """The number of factors of each type, as a note of a solution."""
     each = [factors.at(k) for k in range(factors.size())]
-    kinds = Counter(describe(f).kind if isinstance(f, gtsam.CustomFactor) else type(f).__name__ for f in each)
+    kinds = Counter(
+        factor_types.describe(f).kind if isinstance(f, gtsam.CustomFactor) else type(f).__name__ for f in each
+    )
     return "graph: " + ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in kinds.items())
 
 
@@ -129,51 +114,56 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
     return made
 
 
-def _factors_of(family: EdgeFamily, reference: Array, num_nodes: int, factors: str) -> Iterator[gtsam.NonlinearFactor]:
-    if isinstance(family, AnchorEdges):
-        yield from map(AnchorFactor, family.nodes.tolist(), family.values, family.information)
-    elif isinstance(family, RelativePoseEdges):
-        ends = zip(family.first.tolist(), family.second.tolist(), family.measured, family.information)
-        for i, j, z, information in ends:
-            yield RelativePoseFactor(i, j, z, information, frame=family.frame, at=reference[i])
-    elif isinstance(family, RelativePointEdges):
-        first, second = family.first.tolist(), family.second.tolist()
-        yield from map(RelativePointFactor, first, second, family.measured, family.information)
-    elif isinstance(family, ObservationEdges):
-        ends = zip(family.first.tolist(), family.second.tolist(), family.sightings, family.trusted.tolist())
-        for i, j, z, trust in ends:
-            yield observation_factor(i, j, z, family.sensor, scale=trust, kernel=family.kernel)
-    elif isinstance(family, MarginalEdges) and family.kernel is not None:
-        ends = zip(
-            family.nodes.tolist(), (num_nodes + family.group).tolist(), family.sightings, family.trusted.tolist()
-        )
-        for i, j, z, trust in ends:
-            yield InverseObservationFactor(
+def _factors_of(
+    family: edges.EdgeFamily, reference: Array, num_nodes: int, factors: str
+) -> Iterator[gtsam.NonlinearFactor]:
+    if isinstance(family, edges.AnchorEdges):
+        for node, pose, information in _rows(family.nodes, family.values, family.information):
+            yield factor_types.AnchorFactor(node, pose, information)
+    elif isinstance(family, edges.RelativePoseEdges):
+        for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
+            yield factor_types.RelativePoseFactor(i, j, z, information, frame=family.frame, at=reference[i])
+    elif isinstance(family, edges.RelativePointEdges):
+        for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
+            yield factor_types.RelativePointFactor(i, j, z, information)
+    elif isinstance(family, edges.ObservationEdges):
+        for i, j, z, trust in _rows(family.first, family.second, family.sightings, family.trusted):
+            factor = factor_types.ObservationFactor(i, j, z, family.sensor, scale=trust, kernel=family.kernel)
+            yield factor.fastest()
+    elif isinstance(family, edges.MarginalEdges) and family.kernel is not None:
+        for i, j, z, trust in _rows(family.nodes, num_nodes + family.group, family.sightings, family.trusted):
+            yield factor_types.InverseObservationFactor(
                 i, j, z, family.sensor, frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel
             )
-    elif isinstance(family, MarginalEdges):
+    elif isinstance(family, edges.MarginalEdges):
         yield from _landmark_factors(family, reference, "marginal")
-    elif isinstance(family, VirtualMotionEdges) and family.kernel is None and factors == "fastest":
+    elif isinstance(family, edges.VirtualMotionEdges) and family.kernel is None and factors == "fastest":
         yield from _landmark_factors(family, reference, "tempered" if family.tempered else "pairs")
-    elif isinstance(family, VirtualMotionEdges):
+    elif isinstance(family, edges.VirtualMotionEdges):
         a, b, group = family.pairs()
-        scales = (family.group_weights[group] * family.trusted[a] * family.trusted[b]).tolist()
-        z, nodes = family.sightings, family.nodes.tolist()
-        for k_1, k_2, scale in zip(a.tolist(), b.tolist(), scales):
-            i, j = nodes[k_1], nodes[k_2]
-            yield VirtualMotionFactor(
-                i, j, z[k_1], z[k_2], family.sensor,
+        scales = family.group_weights[group] * family.trusted[a] * family.trusted[b]
+        z, nodes = family.sightings, family.nodes
+        for i, j, z_1, z_2, scale in _rows(nodes[a], nodes[b], z[a], z[b], scales):
+            yield factor_types.VirtualMotionFactor(
+                i, j, z_1, z_2, family.sensor,
                 frame=family.frame, at=(reference[i], reference[j]), scale=scale, kernel=family.kernel,
             )  # fmt: skip
     else:
         raise GraphError(f"no gtsam factor is known for {type(family).__name__}")
 
 
-def _landmark_factors(family: LandmarkSightings, reference: Array, weight: str) -> Iterator[LandmarkFactor]:
+def _rows(*columns: Array) -> Iterator[tuple[Any, ...]]:
+    """The rows of several columns, one per edge; numbers as Python's own."""
+    return zip(*(column.tolist() if column.ndim == 1 else column for column in columns))
+
+
+def _landmark_factors(
+    family: edges.LandmarkSightings, reference: Array, weight: str
+) -> Iterator[factor_types.LandmarkFactor]:
     for start, end in pairwise(family.starts.tolist()):
         nodes = family.nodes[start:end]
         if len(np.unique(nodes)) > 1 or weight == "marginal":
-            yield LandmarkFactor(
+            yield factor_types.LandmarkFactor(
                 nodes.tolist(), family.sightings[start:end], family.sensor,
                 frame=family.frame, weight=weight, at=reference[nodes], trust=family.trusted[start:end],
             )  # fmt: skip
@@ -183,7 +173,7 @@ def eliminated_landmarks(graph: Graph, state: Array) -> gtsam.Values:
     """The values of the landmark nodes that `to_gtsam` adds for marginal edges with a kernel: their robust means."""
     values = gtsam.Values()
     for family in graph.families:
-        if isinstance(family, MarginalEdges) and family.kernel is not None:
+        if isinstance(family, edges.MarginalEdges) and family.kernel is not None:
             for key, (x, y, heading) in enumerate(family.landmarks(state, state).tolist(), start=graph.num_nodes):
                 oriented = family.sightings.shape[1] == 3
                 values.insert(key, gtsam.Pose2(x, y, heading) if oriented else gtsam.Point2(x, y))
@@ -192,25 +182,25 @@ def eliminated_landmarks(graph: Graph, state: Array) -> gtsam.Values:
 
 def to_values(graph: Graph, state: Array) -> gtsam.Values:
     """The values of all nodes (n, 3), keyed by node number: `gtsam.Pose2`, or `gtsam.Point2` for a point landmark."""
-    values = gtsam.Values()
+    values, poses = gtsam.Values(), _count_poses(graph)
     for node, (x, y, theta) in enumerate(state.tolist()):
-        if node < len(graph.steps) or graph.landmark_dimension == 3:
-            values.insert(node, gtsam.Pose2(x, y, theta))
-        else:
-            values.insert(node, gtsam.Point2(x, y))
+        values.insert(node, gtsam.Pose2(x, y, theta) if node < poses else gtsam.Point2(x, y))
     return values
 
 
 def from_values(graph: Graph, values: gtsam.Values) -> Array:
     """The state (n, 3) of values that `to_values` made and an optimiser moved."""
-    state = np.zeros((graph.num_nodes, 3))
-    points = len(graph.landmark_ids) and graph.landmark_dimension == 2
-    poses = len(graph.steps) if points else graph.num_nodes
+    state, poses = np.zeros((graph.num_nodes, 3)), _count_poses(graph)
     # the landmarks of `eliminated_landmarks` follow the graph's own nodes
     state[:poses] = gtsam.utilities.extractPose2(values)[:poses]
-    if points:
+    if poses < len(state):
         state[poses:, :2] = gtsam.utilities.extractPoint2(values)[: len(state) - poses]
     return state
+
+
+def _count_poses(graph: Graph) -> int:
+    """The number of nodes that are `gtsam.Pose2`: poses, and landmarks with a heading."""
+    return graph.num_nodes if graph.landmark_dimension == 3 else len(graph.steps)
 
 
 def _difference(a: Array, b: Array) -> Array:
@@ -222,7 +212,6 @@ def _difference(a: Array, b: Array) -> Array:
 def _optimize(
     graph: Graph,
     factors: gtsam.NonlinearFactorGraph,
-    initial: Array,
     tolerance: float,
     max_iterations: int,
     roughly: bool = False,
@@ -231,8 +220,8 @@ def _optimize(
 
     With ``roughly`` a short step counts even where damping may have shortened it.
     """
-    values = to_values(graph, initial)
-    values.insert(eliminated_landmarks(graph, initial))
+    values = to_values(graph, graph.initial)
+    values.insert(eliminated_landmarks(graph, graph.initial))
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setVerbosityLM("SILENT")
     parameters.setlambdaUpperBound(1e12)
@@ -268,8 +257,8 @@ def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str)
     while len(norms) < max_iterations:
         # every freezing changes the inner problem, so there is no use in solving it much more closely than that
         inner = max(tolerance / 10, 0.1 * norms[-1] if norms else 0.1)
-        made = to_gtsam(graph, state, factors=factors)
-        solved, _, _ = _optimize(graph, made, state, inner, max_iterations, roughly=True)
+        here = graph.with_initial(state)
+        solved, _, _ = _optimize(here, to_gtsam(here, factors=factors), inner, max_iterations, roughly=True)
         move = _difference(solved, state)
         norms.append(float(np.linalg.norm(move)))
         state = mixing.next(state, move)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..checks import check_choice
 from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError
-from ..factors import AnchorFactor, LandmarkFactor, MotionFactor, RelativePoseFactor, observation_factor
+from ..factors import AnchorFactor, LandmarkFactor, MotionFactor, ObservationFactor, RelativePoseFactor
 from ..factors.arguments import PoseLike, numbers, positive_definite
 from ..factors.landmark import WEIGHTS
 from ..graph import Graph
@@ -32,9 +32,9 @@ X, M = gtsam.symbol_shorthand.X, gtsam.symbol_shorthand.M
 class IncrementalSmoother:
     """ISAM2 fed step by step: call `move`, `observe`, and `update` when a step is complete.
 
-    With ``edges="landmark+motion"`` every sighting is a factor of its own, see `observation_factor`. With
-    ``edges="virtual+motion"`` every landmark has one `LandmarkFactor` of all its sightings, which a larger one replaces
-    whenever the landmark is seen again.
+    With ``edges="landmark+motion"`` every sighting is an `ObservationFactor`. With ``edges="virtual+motion"`` every
+    landmark has one `LandmarkFactor` of all its sightings, which a larger one replaces whenever the landmark is seen
+    again.
 
     Args:
         start: the first pose, (3,) or a `gtsam.Pose2`; it is anchored.
@@ -127,7 +127,8 @@ class IncrementalSmoother:
                     self._nodes[landmark] = M(len(self._nodes))
                     y = self.sensor.h_inverse(self._latest, z)
                     self._values.insert(self._nodes[landmark], gtsam.Pose2(*y) if len(z) == 3 else gtsam.Point2(*y))
-                self._factors.add(observation_factor(pose, self._nodes[landmark], z, self.sensor, kernel=self.kernel))
+                factor = ObservationFactor(pose, self._nodes[landmark], z, self.sensor, kernel=self.kernel)
+                self._factors.add(factor.fastest())
             keys, before = self._sightings.setdefault(landmark, ([], []))
             keys.append(pose)
             before.append(z)
@@ -183,15 +184,14 @@ class IncrementalSmoother:
         built again from the present estimate, with a threshold of zero.
         """
         held, values = self.isam.getFactorsUnsafe(), self.isam.calculateEstimate()
-        factors, slots = gtsam.NonlinearFactorGraph(), {}
-        for slot in range(held.size()):
-            factor = held.at(slot)
-            if factor is not None:
-                slots[slot] = factors.size()
-                factors.add(factor)
+        filled = [slot for slot in range(held.size()) if held.at(slot) is not None]
+        factors = gtsam.NonlinearFactorGraph()
+        for slot in filled:
+            factors.add(held.at(slot))
         self.isam = gtsam.ISAM2(_parameters(0.0))
         self.isam.update(factors, values)
-        self._slots = {landmark: slots[slot] for landmark, slot in self._slots.items()}
+        moved_to = dict(zip(filled, range(len(filled))))
+        self._slots = {landmark: moved_to[slot] for landmark, slot in self._slots.items()}
         before = self.poses
         for number in range(1, max_updates + 1):
             self.isam.update()
@@ -206,20 +206,16 @@ class IncrementalSmoother:
     @property
     def poses(self) -> Array:
         """The estimate of all poses so far, (t+1, 3)."""
-        # by key: all landmarks, which may be poses too, and then the poses
+        # sorted by key: landmarks with a heading come first
         return gtsam.utilities.extractPose2(self.isam.calculateEstimate())[-self.num_poses :]
 
     @property
     def landmarks(self) -> dict[int, Array]:
         """{id: (x, y) or (x, y, heading)} of landmark nodes; empty with virtual-motion edges."""
-        values, estimates = self.isam.calculateEstimate(), {}
-        for landmark, node in sorted(self._nodes.items()):
-            if len(self._sightings[landmark][1][0]) == 3:
-                pose = values.atPose2(node)
-                estimates[landmark] = np.array([pose.x(), pose.y(), pose.theta()])
-            else:
-                estimates[landmark] = values.atPoint2(node)
-        return estimates
+        values = self.isam.calculateEstimate()
+        points = gtsam.utilities.extractPoint2(values)
+        estimates = points if len(points) else gtsam.utilities.extractPose2(values)[: -self.num_poses]
+        return dict(sorted(zip(self._nodes, estimates)))
 
 
 def solve_online(
