@@ -29,7 +29,6 @@ from graphslam import (
 )
 from graphslam.graph import EDGES
 from graphslam.se2 import Array, wrap
-from graphslam.solvers.solve import starting_state
 
 from .estimator import Estimator, EstimatorResult, RunOptions
 
@@ -120,8 +119,7 @@ def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """GTSAM's Levenberg-Marquardt on the very same graph, made of our factor types, from the same start."""
     _no_gnc(options)
     graph = make_graph(log, options)
-    graph = graph.with_initial(starting_state(graph, options.initialize))
-    return _of_solution("gtsam", log, options, solve_with_gtsam(graph))
+    return _of_solution("gtsam", log, options, solve_with_gtsam(graph, initialize=options.initialize))
 
 
 def isam2(log: Log, options: RunOptions) -> EstimatorResult:

@@ -164,11 +164,11 @@ class RelativePointFactor(Factor):
     ) -> None:
         z, omega = numbers("measured", measured, (2,)), positive_definite(information, 2)
         arguments = {"measured": z, "information": omega, "kernel": kernel}
-        residual = _in_the_plane(*z.tolist(), None, world=False)
+        residual = _in_the_plane(z[0], z[1])
         super().__init__([pose_key, landmark_key], [POSE, POINT], residual, arguments, information=omega)
 
 
-def _in_the_plane(px: float, py: float, turn: float | None, world: bool) -> Callable[..., Linearized]:
+def _in_the_plane(px: float, py: float, turn: float | None = None, world: bool = False) -> Callable[..., Linearized]:
     """The residual of a landmark measured at (px, py), and perhaps with the heading ``turn``, in the frame of a pose."""
 
     def residual(x: Coordinates, m: Coordinates) -> Linearized:
