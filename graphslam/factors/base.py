@@ -21,7 +21,7 @@ from ..checks import check_positive
 from ..edges.robust import Cauchy, GemanMcClure, Huber, Kernel, kernel_of
 from ..errors import FactorError, OptionError
 from ..se2 import Array
-from .description import FACTOR_TYPES, FactorDescription, describe, key_name
+from .description import FACTOR_TYPES, FactorDescription, key_name
 
 #: the value at a key: a `gtsam.Pose2`, given to residuals as (x, y, theta), or a `gtsam.Point2`, given as (x, y)
 POSE, POINT = "pose", "point"
@@ -72,26 +72,17 @@ class Factor(gtsam.CustomFactor):
         error: Callable[..., ArrayLike] | None = None,
     ) -> None:
         keys = checked_keys(type(self).__name__, keys)
-        scale, kernel = arguments.get("scale", 1.0), kernel_of(arguments["kernel"])
-        check_positive(scale=scale)
-        if covariance is None:
-            noise = gtsam.noiseModel.Gaussian.Information(information * scale)
-        else:
-            noise = gtsam.noiseModel.Gaussian.Covariance(covariance / scale)
-        arguments = {**arguments, "kernel": kernel}
+        noise = noise_model(arguments, covariance=covariance, information=information)
+        arguments = {**arguments, "kernel": kernel_of(arguments["kernel"])}
         for value in arguments.values():
             if isinstance(value, np.ndarray):
                 # a factor must not change when its maker goes on working with an array
                 value.flags.writeable = False
         named = keys if named_keys is None else map(index, named_keys)
-        description = FactorDescription(type(self).__name__, tuple(named), arguments)
-        callback = _guarded(description, keys, kinds, noise.dim(), residual, in_own_axes, error)
-        super().__init__(robust_noise(noise, kernel), keys, callback)
-
-    @property
-    def description(self) -> FactorDescription:
-        """What the factor was made from; see `describe`."""
-        return describe(self)
+        #: what the factor was made from; `describe` reads it also from a factor that only a graph holds
+        self.description = FactorDescription(type(self).__name__, tuple(named), arguments)
+        callback = _guarded(self.description, keys, kinds, noise.dim(), residual, in_own_axes, error)
+        super().__init__(noise, keys, callback)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return FactorDescription.build, (self.description,)
@@ -175,9 +166,20 @@ def turned(by_world: Any, theta: float) -> Any:
     return own
 
 
-def robust_noise(noise: gtsam.noiseModel.Base, kernel: KernelLike) -> gtsam.noiseModel.Base:
-    """A noise model with a robust kernel around it; the noise model itself without one."""
-    kernel = kernel_of(kernel)
+def noise_model(
+    arguments: Mapping[str, Any], *, covariance: Array | None = None, information: Array | None = None
+) -> gtsam.noiseModel.Base:
+    """The noise model of a covariance or an information matrix, with the scale and the kernel among the arguments.
+
+    Raises:
+        OptionError: the scale is not positive, or there is no such kernel.
+    """
+    scale, kernel = arguments.get("scale", 1.0), kernel_of(arguments["kernel"])
+    check_positive(scale=scale)
+    if covariance is None:
+        noise = gtsam.noiseModel.Gaussian.Information(information * scale)
+    else:
+        noise = gtsam.noiseModel.Gaussian.Covariance(covariance / scale)
     if kernel is None:
         return noise
     estimators = gtsam.noiseModel.mEstimator
@@ -194,11 +196,12 @@ def checked_keys(name: str, keys: Sequence[Any]) -> list[int]:
     checked = []
     for key in keys:
         try:
-            number = index(key)
+            number = -1 if isinstance(key, bool) else index(key)
         except TypeError:
-            raise OptionError(f"{name}: a key must be an integer such as gtsam.symbol('x', 1), not {key!r}") from None
-        if isinstance(key, bool) or not 0 <= number < 2**64:
-            raise OptionError(f"{name}: a key must be an integer from 0 to 2^64 - 1, not {key!r}")
+            number = -1
+        if not 0 <= number < 2**64:
+            example = "such as gtsam.symbol('x', 1)"
+            raise OptionError(f"{name}: a key must be an integer from 0 to 2^64 - 1, {example}, not {key!r}")
         checked.append(number)
     if len(set(checked)) < len(checked):
         raise OptionError(f"{name}: its keys must differ, but are {', '.join(map(key_name, checked))}")

@@ -138,12 +138,12 @@ def load_factors(path: str | Path) -> gtsam.NonlinearFactorGraph:
         data = json.loads(path.read_text())
         if data["format"] != "graphslam factors" or data["version"] != 1:
             raise KeyError("format")
-        described = list(data["factors"])
+        described = enumerate(data["factors"])
     except OSError as error:
         raise FormatError(path, None, f"cannot be read: {error.strerror}") from None
     except (ValueError, KeyError, TypeError):
         raise FormatError(path, None, "is no file of save_factors, version 1") from None
-    for number, each in enumerate(described):
+    for number, each in described:
         name = f"factor {number}"
         try:
             description = FactorDescription.from_dict(each)

@@ -82,10 +82,8 @@ class LandmarkFactor(Factor):
         else:
             scale = 2 / trusted.sum() if weight == "tempered" else 1.0
             rows, residual, error = _pairs(z, node, sensor, world, trusted, frozen, scale)
-        arguments = {
-            "sightings": z, "sensor": sensor, "frame": frame, "weight": weight, "at": frozen,
-            "trust": None if trust is None else trusted, "kernel": kernel,
-        }  # fmt: skip
+        options = {"frame": frame, "weight": weight, "at": frozen, "kernel": kernel}
+        arguments = {"sightings": z, "sensor": sensor, "trust": None if trust is None else trusted} | options
         super().__init__(
             list(place), [POSE] * len(place), residual, arguments,
             covariance=np.eye(rows), named_keys=keys, in_own_axes=True, error=error,
@@ -99,17 +97,13 @@ def _pairs(
     poses = int(node.max()) + 1
     a, b = np.triu_indices(len(z), k=1)
     a, b = a[node[a] != node[b]], b[node[a] != node[b]]
+    at_a, at_b, ahead = np.zeros((len(a), 3)), np.zeros((len(a), 3)), np.zeros(len(z))
     if frozen is not None:
-        covariance = sensor.landmark_covariance(frozen, z)
-        covariance = covariance[a] + covariance[b]
-        ahead = -frozen[:, 2]
+        at_a, at_b, ahead = frozen[a], frozen[b], -frozen[:, 2]
     else:
-        # in the axes of the first sighting: that one looks along x, the second along psi_2 - psi_1
-        along_x, other = np.zeros((2, len(a), 3))
-        along_x[:, 2] = -z[a, 1]
-        other[:, 2] = z[b, 2] - z[a, 2] - z[b, 1]
-        covariance = sensor.landmark_covariance(along_x, z[a]) + sensor.landmark_covariance(other, z[b])
-        ahead = z[:, 1].copy()
+        # poses that see the landmark in the axes of the first pose
+        at_b[:, 2] = z[a, 1] - z[a, 2] - z[b, 1] + z[b, 2]
+    covariance = sensor.landmark_covariance(at_a, z[a]) + sensor.landmark_covariance(at_b, z[b])
     # without psi the third row and column stay zero
     information = np.zeros((len(a), 3, 3))
     information[:, : z.shape[1], : z.shape[1]] = (

@@ -21,7 +21,7 @@ from .arguments import (
     sensor_of,
     sighting,
 )
-from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, robust_noise, wrapped
+from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, noise_model, wrapped
 
 
 class ObservationFactor(Factor):
@@ -89,8 +89,7 @@ class ObservationFactor(Factor):
         if len(z) == 3 or not sensor.centred:
             return self
         # GTSAM puts the bearing first
-        deviations = np.sqrt(np.diag(sensor.Q(z)) / arguments["scale"])[::-1].copy()
-        noise = robust_noise(gtsam.noiseModel.Diagonal.Sigmas(deviations), arguments["kernel"])
+        noise = noise_model(arguments, covariance=sensor.Q(z)[::-1, ::-1])
         pose_key, landmark_key = self.keys()
         return gtsam.BearingRangeFactor2D(pose_key, landmark_key, gtsam.Rot2(z[1]), z[0], noise)
 

@@ -14,7 +14,7 @@ from ..errors import OptionError
 from ..models import MotionModel
 from ..se2 import Array, rotation
 from .arguments import PoseLike, frozen_at, in_world_frame, numbers, positive_definite
-from .base import POSE, Coordinates, Factor, KernelLike, Linearized, robust_noise, wrapped
+from .base import POSE, Coordinates, Factor, KernelLike, Linearized, noise_model, wrapped
 
 
 class RelativePoseFactor(Factor):
@@ -56,10 +56,7 @@ class RelativePoseFactor(Factor):
         self._between = z, omega
         (dx, dy, turned), world = z.tolist(), in_world_frame(arguments["frame"])
         frozen = frozen_at(arguments["at"], needed=world)
-        if frozen is not None:
-            turn = np.eye(3)
-            turn[:2, :2] = rotation(frozen[2])
-            omega = turn @ omega @ turn.T
+        omega = omega if frozen is None else _turned_information(omega, frozen[2])
 
         def residual(a: Coordinates, b: Coordinates) -> Linearized:
             # derivatives by GTSAM's perturbations, each pose's in its own axes
@@ -96,11 +93,10 @@ class RelativePoseFactor(Factor):
         arguments = self.description.arguments
         if arguments["frame"] == "world":
             raise OptionError("to_between needs frame='body': GTSAM's factor turns its information with the pose")
-        (z, omega), turn = self._between, np.eye(3)
-        turn[:2, :2] = rotation(-z[2])
-        noise = gtsam.noiseModel.Gaussian.Information(turn @ omega @ turn.T * arguments.get("scale", 1.0))
+        z, omega = self._between
+        noise = noise_model(arguments, information=_turned_information(omega, -z[2]))
         key_1, key_2 = self.keys()
-        return gtsam.BetweenFactorPose2(key_1, key_2, gtsam.Pose2(*z), robust_noise(noise, arguments["kernel"]))
+        return gtsam.BetweenFactorPose2(key_1, key_2, gtsam.Pose2(*z), noise)
 
 
 class MotionFactor(RelativePoseFactor):
@@ -140,9 +136,15 @@ class MotionFactor(RelativePoseFactor):
     ) -> None:
         check_positive(dt=dt)
         motion, u, origin = motion or MotionModel(), numbers("control", control, (2,)), np.zeros(3)
-        arguments = {
-            "control": u, "dt": dt, "motion": motion, "frame": frame, "at": at, "scale": scale, "kernel": kernel,
-        }  # fmt: skip
+        options = {"frame": frame, "at": at, "scale": scale, "kernel": kernel}
+        arguments = {"control": u, "dt": dt, "motion": motion} | options
         # f and its covariance turn with the pose that they start from
         information = np.linalg.inv(motion.covariance(origin, u, dt))
         self._make([key_1, key_2], motion.f(origin, u, dt), (information + information.T) / 2, arguments)
+
+
+def _turned_information(information: Array, theta: float) -> Array:
+    """The information (3, 3) of a pose in axes turned by -theta."""
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(theta)
+    return turn @ information @ turn.T

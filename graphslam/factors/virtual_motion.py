@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ..errors import OptionError
 from ..models import SensorModel
 from .arguments import PoseLike, frozen_at, in_robot_frame, in_world_frame, sensor_of, sighting
-from .base import POSE, Coordinates, Factor, KernelLike, Linearized, robust_noise, wrapped
+from .base import POSE, Coordinates, Factor, KernelLike, Linearized, noise_model, wrapped
 
 
 class VirtualMotionFactor(Factor):
@@ -51,18 +51,17 @@ class VirtualMotionFactor(Factor):
         kernel: KernelLike = None,
     ) -> None:
         sensor, body = sensor_of(sensor), not in_world_frame(frame)
-        first, second = sighting("z_1", z_1), sighting("z_2", z_2)
-        if len(first) != len(second):
+        z_1, z_2 = sighting("z_1", z_1), sighting("z_2", z_2)
+        if len(z_1) != len(z_2):
             raise OptionError("z_1 and z_2 must both have psi, or both lack it")
-        oriented = len(first) == 3
-        (_, phi1, psi1), (_, phi2, psi2) = ((*z, 0.0)[:3] for z in (first.tolist(), second.tolist()))
+        oriented = len(z_1) == 3
+        (_, phi1, psi1), (_, phi2, psi2) = ((*z, 0.0)[:3] for z in (z_1.tolist(), z_2.tolist()))
         frozen = frozen_at(at, needed=not (body and oriented), rows=2)
         # poses that see the landmark in the axes of the first sighting, if the information does not depend on the poses
-        constant = [[0.0, 0.0, -phi1], [0.0, 0.0, psi2 - psi1 - phi2]]
-        x_1, x_2 = constant if frozen is None else frozen.tolist()
-        covariance = sensor.landmark_covariance(x_1, first) + sensor.landmark_covariance(x_2, second)
+        x_1, x_2 = [[0.0, 0.0, -phi1], [0.0, 0.0, psi2 - psi1 - phi2]] if frozen is None else frozen.tolist()
+        covariance = sensor.landmark_covariance(x_1, z_1) + sensor.landmark_covariance(x_2, z_2)
         # the landmark in the frame of the robot, by each sighting
-        (px, py), (qx, qy) = (in_robot_frame(z, sensor) for z in (first, second))
+        (px, py), (qx, qy) = (in_robot_frame(z, sensor) for z in (z_1, z_2))
         # the angle from the heading of the first pose to the axes of e in the body frame
         ahead = phi1 if oriented else -x_1[2]
 
@@ -84,10 +83,8 @@ class VirtualMotionFactor(Factor):
                 by_b.append([0.0, 0.0, 1.0])
             return e, (by_a, by_b)
 
-        arguments = {
-            "z_1": first, "z_2": second, "sensor": sensor, "frame": frame, "at": frozen, "scale": scale,
-            "kernel": kernel,
-        }  # fmt: skip
+        options = {"frame": frame, "at": frozen, "scale": scale, "kernel": kernel}
+        arguments = {"z_1": z_1, "z_2": z_2, "sensor": sensor} | options
         super().__init__([key_1, key_2], [POSE, POSE], residual, arguments, covariance=covariance)
 
     def to_between(self) -> gtsam.BetweenFactorPose2:
@@ -102,15 +99,14 @@ class VirtualMotionFactor(Factor):
             OptionError: without psi two sightings measure no relative pose.
         """
         arguments = self.description.arguments
-        first, second, sensor = arguments["z_1"], arguments["z_2"], arguments["sensor"]
-        if len(first) != 3:
+        z_1, z_2, sensor = arguments["z_1"], arguments["z_2"], arguments["sensor"]
+        if len(z_1) != 3:
             raise OptionError("without psi two sightings of a landmark measure no relative pose")
-        landmark_1, landmark_2 = (gtsam.Pose2(*in_robot_frame(z, sensor), z[1] - z[2]) for z in (first, second))
+        landmark_1, landmark_2 = (gtsam.Pose2(*in_robot_frame(z, sensor), z[1] - z[2]) for z in (z_1, z_2))
         # a pose whose theta + phi is psi sees the landmark in the landmark's own axes
-        covariance = sum(sensor.landmark_covariance([0.0, 0.0, z[2] - z[1]], z) for z in (first, second))
+        covariance = sum(sensor.landmark_covariance([0.0, 0.0, z[2] - z[1]], z) for z in (z_1, z_2))
         adjoint = landmark_2.AdjointMap()
-        covariance = adjoint @ covariance @ adjoint.T / arguments["scale"]
-        noise = gtsam.noiseModel.Gaussian.Covariance((covariance + covariance.T) / 2)
-        between = landmark_1.compose(landmark_2.inverse())
+        covariance = adjoint @ covariance @ adjoint.T
+        noise = noise_model(arguments, covariance=(covariance + covariance.T) / 2)
         key_1, key_2 = self.keys()
-        return gtsam.BetweenFactorPose2(key_1, key_2, between, robust_noise(noise, arguments["kernel"]))
+        return gtsam.BetweenFactorPose2(key_1, key_2, landmark_1.compose(landmark_2.inverse()), noise)

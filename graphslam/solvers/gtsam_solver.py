@@ -118,8 +118,7 @@ def _factors_of(
     family: edges.EdgeFamily, reference: Array, num_nodes: int, factors: str
 ) -> Iterator[gtsam.NonlinearFactor]:
     if isinstance(family, edges.AnchorEdges):
-        for node, pose, information in _rows(family.nodes, family.values, family.information):
-            yield factor_types.AnchorFactor(node, pose, information)
+        yield from map(factor_types.AnchorFactor, family.nodes.tolist(), family.values, family.information)
     elif isinstance(family, edges.RelativePoseEdges):
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
             yield factor_types.RelativePoseFactor(i, j, z, information, frame=family.frame, at=reference[i])
