@@ -133,7 +133,7 @@ def compressed(omega: Array, slope: Array, squares: float) -> tuple[Array, Array
     largest pivot are rounding errors.
     """
     n = len(omega)
-    upper, order, rank, _ = lapack.dpstrf(omega, tol=1e-13 * float(omega.diagonal().max()))
+    upper, order, rank, _ = lapack.dpstrf(omega, tol=1e-13 * float(omega.max()))
     order -= 1  # LAPACK counts from one
     R, e = np.zeros((n + 1, n), order="F"), np.zeros(n + 1)
     R[:rank, order] = np.triu(upper)[:rank]
