@@ -87,9 +87,6 @@ class Factor(gtsam.CustomFactor):
     def __reduce__(self) -> tuple[Any, ...]:
         return FactorDescription.build, (self.description,)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
-        return self.description.build()
-
 
 def _guarded(
     description: FactorDescription,

@@ -41,7 +41,8 @@ def solve_with_gtsam(
     GTSAM's noise models are fixed. Where the information depends on the state (``frame="world"``, or no psi) an outer
     loop freezes it, solves, and freezes it again at the result, until that moves by less than the tolerance. As this
     converges slowly, Anderson acceleration mixes its iterates (`AndersonMixing`). ``iterations`` and ``step_norms``
-    count the outer loop then, and GTSAM's own iterations otherwise.
+    count the outer loop then, and GTSAM's own iterations otherwise. ``seconds`` counts the start, as for `solve`, but
+    not the first translation of the graph into factors.
 
     Args:
         graph: what to solve.

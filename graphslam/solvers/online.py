@@ -71,7 +71,10 @@ class IncrementalSmoother:
             raise OptionError("isam2 takes a kernel with edges='landmark+motion' only")
         self.motion, self.sensor = motion or MotionModel(), sensor or SensorModel()
         self.edges, self.weight, self.motion_weight = edges, weight, motion_weight
-        self.isam = gtsam.ISAM2(_parameters(0.01, params))
+        params = _parameters(0.01) if params is None else params
+        # a factor that was removed leaves a slot for the next one
+        params.findUnusedFactorSlots = True
+        self.isam = gtsam.ISAM2(params)
         self.num_poses = 1
         #: per landmark the keys of the poses that saw it, and its sightings
         self._sightings: dict[int, tuple[list[int], list[Array]]] = {}
@@ -183,15 +186,10 @@ class IncrementalSmoother:
         ISAM2's own ``force_relinearize`` skips variables that move by less than its threshold. So the Bayes tree is
         built again from the present estimate, with a threshold of zero.
         """
-        held, values = self.isam.getFactorsUnsafe(), self.isam.calculateEstimate()
-        filled = [slot for slot in range(held.size()) if held.at(slot) is not None]
-        factors = gtsam.NonlinearFactorGraph()
-        for slot in filled:
-            factors.add(held.at(slot))
+        factors, values = gtsam.NonlinearFactorGraph(self.isam.getFactorsUnsafe()), self.isam.calculateEstimate()
         self.isam = gtsam.ISAM2(_parameters(0.0))
+        # the empty slots of factors that were removed are passed on, so that every factor keeps its slot
         self.isam.update(factors, values)
-        moved_to = dict(zip(filled, range(len(filled))))
-        self._slots = {landmark: moved_to[slot] for landmark, slot in self._slots.items()}
         before = self.poses
         for number in range(1, max_updates + 1):
             self.isam.update()
@@ -276,12 +274,9 @@ def solve_online(
     )  # fmt: skip
 
 
-def _parameters(threshold: float, params: gtsam.ISAM2Params | None = None) -> gtsam.ISAM2Params:
-    """Parameters of ISAM2: those given, or relinearisation at every step of what moves by more than a threshold."""
-    if params is None:
-        params = gtsam.ISAM2Params()
-        params.relinearizeSkip = 1
-        params.setRelinearizeThreshold(threshold)
-    # a factor that was removed leaves a slot for the next one
-    params.findUnusedFactorSlots = True
+def _parameters(threshold: float) -> gtsam.ISAM2Params:
+    """Parameters of ISAM2 that relinearise at every step what moves by more than a threshold."""
+    params = gtsam.ISAM2Params()
+    params.relinearizeSkip = 1
+    params.setRelinearizeThreshold(threshold)
     return params

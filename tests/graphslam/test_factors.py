@@ -117,6 +117,21 @@ def test_a_graph_of_somebody_else():
     assert result.atPose2(x2).equals(truth[1], 1e-6)
 
 
+def test_what_may_be_given_by_position():
+    """Keys, measurements and their models by position; everything else by name, so that no two numbers are confused."""
+    z_1, z_2 = [1.0, 0.1, 0.2], [1.5, 0.2, 0.1]
+    factor = VirtualMotionFactor(x1, x2, z_1, z_2, sensor, frame="body")
+    assert factor.description == VirtualMotionFactor(x1, x2, z_1=z_1, z_2=z_2, sensor=sensor).description
+    for make in (
+        lambda: VirtualMotionFactor(x1, x2, z_1, z_2, sensor, "body"),
+        lambda: MotionFactor(x1, x2, [1, 0], 1.0, motion, "body"),
+        lambda: RelativePoseFactor(x1, x2, [1, 0, 0], np.eye(3), "body"),
+        lambda: AnchorFactor(x1, [0, 0, 0], np.eye(3), "huber"),
+    ):
+        with pytest.raises(TypeError, match="positional argument"):
+            make()
+
+
 def test_factors_are_collected():
     class Canary(SensorModel):
         pass

@@ -65,9 +65,20 @@ def test_fed_step_by_step_it_knows_the_poses_so_far(clean_log):
     assert smoother.landmarks == {}
     # it continues after everything was relinearised
     smoother.settle()
-    smoother.move(log.controls[30], log.dt[30])
-    smoother.update()
-    assert len(smoother.poses) == 32
+    for step in (31, 32, 33):
+        smoother.move(log.controls[step - 1], log.dt[step - 1])
+        now = log.steps == step
+        assert now.any()
+        smoother.observe(log.landmarks[now], log.sightings[now])
+        smoother.update()
+    past = log.steps <= 33
+    so_far = log.replace(
+        dt=log.dt[:33], controls=log.controls[:33], initial_poses=log.initial_poses[:34], true_poses=None,
+        steps=log.steps[past], landmarks=log.landmarks[past], sightings=log.sightings[past],
+    )  # fmt: skip
+    batch = solve(Graph.from_log(so_far, weight="marginal"), initialize="given")
+    smoother.settle()
+    np.testing.assert_allclose(wrap(smoother.poses - batch.poses), 0, atol=1e-6)
 
 
 def test_given_parameters(book_log):
