@@ -197,8 +197,7 @@ def checked_keys(name: str, keys: Sequence[Any]) -> list[int]:
         except TypeError:
             number = -1
         if not 0 <= number < 2**64:
-            example = "such as gtsam.symbol('x', 1)"
-            raise OptionError(f"{name}: a key must be an integer from 0 to 2^64 - 1, {example}, not {key!r}")
+            raise OptionError(f"{name}: a key must be an integer from 0 to 2^64 - 1 (gtsam.symbol), not {key!r}")
         checked.append(number)
     if len(set(checked)) < len(checked):
         raise OptionError(f"{name}: its keys must differ, but are {', '.join(map(key_name, checked))}")

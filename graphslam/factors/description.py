@@ -166,6 +166,5 @@ def _plain(kind: str, name: str, value: Any) -> Any:
 
 def _revived(value: Any) -> Any:
     if isinstance(value, dict):
-        fields = dict(value)
-        return _MODELS[fields.pop("type")](**fields)
+        return _MODELS[value["type"]](**{name: part for name, part in value.items() if name != "type"})
     return value

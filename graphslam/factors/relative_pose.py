@@ -71,15 +71,8 @@ class RelativePoseFactor(Factor):
                 e, by_a = [sx - dx, sy - dy, et], [[-1.0, 0.0, sy], [0.0, -1.0, -sx], [0.0, 0.0, -1.0]]
             return e, (by_a, [[cb, -sb, 0.0], [sb, cb, 0.0], [0.0, 0.0, 1.0]])
 
-        def error(a: Coordinates, b: Coordinates) -> tuple[float, float, float]:
-            c, s = cos(a[2]), sin(a[2])
-            x, y, et = b[0] - a[0], b[1] - a[1], wrapped(b[2] - a[2] - turned)
-            if world:
-                return x - c * dx + s * dy, y - s * dx - c * dy, et
-            return c * x + s * y - dx, -s * x + c * y - dy, et
-
-        ends, arguments = [POSE, POSE], arguments | {"at": frozen}
-        Factor.__init__(self, keys, ends, residual, arguments, information=omega, in_own_axes=True, error=error)
+        arguments |= {"at": frozen}
+        Factor.__init__(self, keys, [POSE, POSE], residual, arguments, information=omega, in_own_axes=True)
 
     def to_between(self) -> gtsam.BetweenFactorPose2:
         """GTSAM's own factor of the same relative pose, which has the speed of C++ and can be serialised.

@@ -70,13 +70,12 @@ class VirtualMotionFactor(Factor):
             # from each pose to the landmark; a turn of the pose moves that end at right angles
             ux, uy, vx, vy = ca * px - sa * py, sa * px + ca * py, cb * qx - sb * qy, sb * qx + cb * qy
             ex, ey = b[0] + vx - a[0] - ux, b[1] + vy - a[1] - uy
-            ax, ay, bx, by = uy, -ux, -vy, vx
-            e, by_a, by_b = [ex, ey], [[-1.0, 0.0, ax], [0.0, -1.0, ay]], [[1.0, 0.0, bx], [0.0, 1.0, by]]
+            e, by_a, by_b = [ex, ey], [[-1.0, 0.0, uy], [0.0, -1.0, -ux]], [[1.0, 0.0, -vy], [0.0, 1.0, vx]]
             if body:
                 c, s = cos(a[2] + ahead), sin(a[2] + ahead)
                 e = [c * ex + s * ey, -s * ex + c * ey]
-                by_a = [[-c, -s, c * ax + s * ay + e[1]], [s, -c, -s * ax + c * ay - e[0]]]
-                by_b = [[c, s, c * bx + s * by], [-s, c, -s * bx + c * by]]
+                by_a = [[-c, -s, c * uy - s * ux + e[1]], [s, -c, -s * uy - c * ux - e[0]]]
+                by_b = [[c, s, s * vx - c * vy], [-s, c, s * vy + c * vx]]
             if oriented:
                 e.append(wrapped(b[2] + phi2 - psi2 - a[2] - phi1 + psi1))
                 by_a.append([0.0, 0.0, -1.0])

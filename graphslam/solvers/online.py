@@ -19,7 +19,7 @@ from ..factors.landmark import WEIGHTS
 from ..graph import Graph
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, compose, wrap
+from ..se2 import Array, between, compose
 from ..solution import Solution, make_solution
 
 EDGES = ("virtual+motion", "landmark+motion")
@@ -190,15 +190,12 @@ class IncrementalSmoother:
         self.isam = gtsam.ISAM2(_parameters(0.0))
         # the empty slots of factors that were removed are passed on, so that every factor keeps its slot
         self.isam.update(factors, values)
-        before = self.poses
+        now = self.poses
         for number in range(1, max_updates + 1):
             self.isam.update()
-            now = self.poses
-            moved = now - before
-            moved[:, 2] = wrap(moved[:, 2])
-            if np.abs(moved).max() < tolerance:
+            before, now = now, self.poses
+            if np.abs(between(before, now)).max() < tolerance:
                 return number
-            before = now
         return max_updates
 
     @property
