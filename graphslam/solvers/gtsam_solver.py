@@ -9,7 +9,6 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any
 
 import gtsam
 import numpy as np
@@ -152,7 +151,7 @@ def _factors_of(
         raise GraphError(f"no gtsam factor is known for {type(family).__name__}")
 
 
-def _rows(*columns: Array) -> Iterator[tuple[Any, ...]]:
+def _rows(*columns: Array) -> Iterator[tuple]:
     """The rows of several columns, one per edge; numbers as Python's own."""
     return zip(*(column.tolist() if column.ndim == 1 else column for column in columns))
 
