@@ -291,7 +291,8 @@ def _attempt(
     solver: Callable[..., Solution], graph: Graph, max_iterations: int = MAX_ITERATIONS, **options: str
 ) -> tuple[Solution | None, GraphError | None]:
     try:
-        return solver(graph, tolerance=STEP_TOLERANCE, max_iterations=max_iterations, **options), None
+        start = {"initialize": "given"} | options
+        return solver(graph, tolerance=STEP_TOLERANCE, max_iterations=max_iterations, **start), None
     except GraphError as error:
         return None, error
 
