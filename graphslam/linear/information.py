@@ -15,7 +15,6 @@ import numpy as np
 import scipy.sparse as sp
 from numba import njit
 
-from ..edges.base import BinaryEdges
 from ..se2 import Array
 from .cholesky import Factor, Symbolic, analyze
 
@@ -33,9 +32,7 @@ class BlockSystem:
     xi: Array
     workspace: np.ndarray
     _held: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict, repr=False)
-    _slots: dict[int, tuple[BinaryEdges, tuple[np.ndarray, np.ndarray, np.ndarray]]] = field(
-        default_factory=dict, repr=False
-    )
+    _slots: dict[tuple[int, int], tuple[np.ndarray, ...]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def from_cliques(cls, num_nodes: int, cliques: Iterable[tuple[np.ndarray, np.ndarray]]) -> BlockSystem:
@@ -99,20 +96,16 @@ class BlockSystem:
         """The scalar diagonal of Omega, (n, 3)."""
         return np.diagonal(self.values[self.diagonal_slots], axis1=1, axis2=2)
 
-    def slots(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """The slots of blocks (row, column), row <= column, which must be in the pattern; shapes (E,)."""
-        return _slots(self.indptr, self.indices, rows, columns)
+    def slots_of(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The slots of (first, first), (second, second) and of the pair's upper block for edges between nodes (E,).
 
-    def slots_of(self, edges: BinaryEdges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The slots of (first, first), (second, second) and the pair for each edge; looked up once per family."""
-        # the family is kept with its slots, so that its id cannot pass to another object
-        if id(edges) not in self._slots:
-            self._slots[id(edges)] = (edges, self.edge_slots(edges))
-        return self._slots[id(edges)][1]
-
-    def edge_slots(self, edges: BinaryEdges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same for edges that are not kept, such as the relations of a start."""
-        return _edge_slots(self.indptr, self.indices, edges.first, edges.second)
+        Looked up once for each two arrays, which must not change afterwards.
+        """
+        key = (id(first), id(second))
+        if key not in self._slots:
+            # the arrays are kept with the slots, so that their ids cannot pass to other objects
+            self._slots[key] = (*_edge_slots(self.indptr, self.indices, first, second), first, second)
+        return self._slots[key][:3]  # type: ignore[return-value]
 
     def to_sparse(self) -> sp.csc_matrix:
         """Omega whole, both triangles, as a SciPy matrix (3n, 3n)."""
@@ -210,15 +203,10 @@ def _rest(values, diagonal, nodes, coordinate):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _slots(indptr, indices, rows, columns):  # type: ignore[no-untyped-def]
-    slots = np.empty(len(rows), dtype=np.int64)
-    for k in range(len(rows)):
-        low, high = indptr[columns[k]], indptr[columns[k] + 1]
-        slots[k] = low + np.searchsorted(indices[low:high], rows[k])
-    return slots
-
-
-@njit(cache=True)
 def _edge_slots(indptr, indices, first, second):  # type: ignore[no-untyped-def]
-    at_first, at_second = indptr[first + 1] - 1, indptr[second + 1] - 1
-    return at_first, at_second, _slots(indptr, indices, np.minimum(first, second), np.maximum(first, second))
+    pair = np.empty(len(first), dtype=np.int64)
+    for k in range(len(first)):
+        row, column = min(first[k], second[k]), max(first[k], second[k])
+        low, high = indptr[column], indptr[column + 1]
+        pair[k] = low + np.searchsorted(indices[low:high], row)
+    return indptr[first + 1] - 1, indptr[second + 1] - 1, pair
