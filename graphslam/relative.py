@@ -1,4 +1,4 @@
-"""A log's graph in the edges that pose-graph files know: relative poses and relative points.
+"""The graph of a log with the edges that pose-graph files have: relative poses and relative points.
 
 Two sightings of a landmark with psi measure the relative pose z_ab = T_a T_b^-1, T = h^-1(0, z) the landmark as a pose
 seen from the robot; one sighting measures T itself. The noise C that the landmark has in its own axes is carried over
@@ -7,7 +7,7 @@ to the residual of `edges.relative`, to first order: with J = de_virtual / de_re
     Omega_ab = J' (C_a + C_b)^-1 J,   J = R(-gamma_a) [I, R(theta_ab) (-T_b,y, T_b,x); 0, 1],  gamma_a = phi_a - psi_a.
 
 So both graphs have the same Omega where the sightings are free of noise, and optima that differ by second order of it
-elsewhere. Motion edges are relative poses as they stand.
+elsewhere. Motion edges already are relative poses.
 """
 
 from __future__ import annotations
@@ -48,14 +48,8 @@ def relative_graph(graph: Graph, *, state: Array | None = None) -> Graph:
         return replace(graph, initial=initial, families=families, log=None, sensor=None, notes=())
     landmarks = int(graph.pose_ids.max()) + 1 + np.arange(len(graph.landmark_ids))
     ids = np.concatenate([graph.pose_ids, landmarks])
-    return Graph(
-        initial,
-        families=families,
-        steps=np.arange(graph.num_nodes),
-        trajectory=initial,
-        pose_ids=ids,
-        fixed=graph.fixed,
-    )
+    steps = np.arange(graph.num_nodes)
+    return Graph(initial, families=families, steps=steps, trajectory=initial, pose_ids=ids, fixed=graph.fixed)
 
 
 def _relative(family: EdgeFamily) -> EdgeFamily:
@@ -78,14 +72,14 @@ def _relative(family: EdgeFamily) -> EdgeFamily:
 def _of_pairs(family: VirtualMotionEdges) -> RelativePoseEdges:
     a, b, group = family.pairs()
     # the landmark as a pose in the robot's frame
-    seen = family.sensor.h_inverse(np.zeros((len(family.nodes), 3)), family.sightings)
-    measured = between(inverse(seen[a]), inverse(seen[b]))
+    landmark = family.sensor.h_inverse(np.zeros((len(family.nodes), 3)), family.sightings)
+    measured = between(inverse(landmark[a]), inverse(landmark[b]))
     # at e = 0 the information of the world frame is the same
     own = replace(family, frame="body").covariances(np.zeros((0, 3)))
     factor = family.group_weights[group] * family.trusted[a] * family.trusted[b]
     J = np.tile(np.eye(3), (len(a), 1, 1))
-    J[:, :2, 2] = np.einsum("eij,ej->ei", rotation(measured[:, 2]), perpendicular(seen[b, :2]))
-    J = turn_matrix(-seen[a, 2]) @ J
+    J[:, :2, 2] = np.einsum("eij,ej->ei", rotation(measured[:, 2]), perpendicular(landmark[b, :2]))
+    J = turn_matrix(-landmark[a, 2]) @ J
     information = np.swapaxes(J, 1, 2) @ np.linalg.inv(own[a] + own[b]) @ J * factor[:, None, None]
     return RelativePoseEdges(family.nodes[a], family.nodes[b], measured, _symmetric(information))
 

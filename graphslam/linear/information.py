@@ -1,8 +1,8 @@
-"""The sparse system Omega Delta = xi: the pattern of Omega once per graph, its numbers at every step.
+"""The sparse system Omega Delta = xi: the pattern of Omega is computed once per graph, its numbers at every step.
 
 Omega is symmetric, of 3 x 3 blocks, and kept as upper block-CSC in the order of the nodes: column j has the row nodes
 ``indices[indptr[j]:indptr[j+1]]`` <= j in increasing order, the diagonal always last, and block k is ``values[k]``.
-The module knows blocks and slots, not robots.
+A slot is the number k of a block.
 """
 
 from __future__ import annotations
@@ -41,13 +41,8 @@ class BlockSystem:
         nodes = np.concatenate([np.zeros(0, dtype=np.int64)] + [nodes for _, nodes in parts])
         sizes = np.concatenate([np.zeros(0, dtype=np.int64)] + [starts[1:] - starts[:-1] for starts, _ in parts])
         indptr, indices = _pattern(num_nodes, sizes, nodes)
-        return cls(
-            indptr,
-            indices,
-            np.zeros((len(indices), 3, 3)),
-            np.zeros((num_nodes, 3)),
-            np.zeros(num_nodes, dtype=np.int64),
-        )
+        values, xi, workspace = np.zeros((len(indices), 3, 3)), np.zeros((num_nodes, 3)), np.zeros(num_nodes, np.int64)
+        return cls(indptr, indices, values, xi, workspace)
 
     @property
     def num_nodes(self) -> int:
@@ -56,7 +51,7 @@ class BlockSystem:
 
     @cached_property
     def symbolic(self) -> Symbolic:
-        """Ordering and structure of the factor, found once for the pattern."""
+        """Ordering and structure of the factor, computed once for the pattern."""
         return analyze(self.indptr, self.indices)
 
     @cached_property
@@ -84,7 +79,7 @@ class BlockSystem:
         _hold(self.values, self.xi, self._held[key], nodes, self.diagonal_slots)
 
     def rest(self, nodes: np.ndarray, coordinate: int) -> None:
-        """Keep coordinates that no edge touches, ``coordinate`` and those behind it, where they are."""
+        """Hold the coordinates of nodes from ``coordinate`` on, which no edge may touch: their diagonal becomes 1."""
         _rest(self.values, self.diagonal_slots, nodes, coordinate)
 
     def clear(self) -> None:
@@ -99,7 +94,7 @@ class BlockSystem:
     def slots_of(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The slots of (first, first), (second, second) and of the pair's upper block for edges between nodes (E,).
 
-        Looked up once for each two arrays, which must not change afterwards.
+        They are looked up once for each pair of arrays, which must not change afterwards.
         """
         key = (id(first), id(second))
         if key not in self._slots:
@@ -135,7 +130,7 @@ def _pattern(num_nodes, sizes, nodes):  # type: ignore[no-untyped-def]
         if fill:
             low, high = np.empty(count.sum(), dtype=np.int64), np.empty(count.sum(), dtype=np.int64)
             mark[:] = -1
-        found = 0
+        total = 0
         for j in range(num_nodes):
             mark[j] = j
             for here in occurrence[by_node[j] : by_node[j + 1]]:
@@ -144,10 +139,10 @@ def _pattern(num_nodes, sizes, nodes):  # type: ignore[no-untyped-def]
                     if mark[i] != j:
                         mark[i] = j
                         if fill:
-                            low[found], high[found] = i, j
+                            low[total], high[total] = i, j
                         else:
                             count[j] += 1
-                        found += 1
+                        total += 1
     # ... and a stable sort by the neighbour, then by the node, brings them into columns with increasing rows
     _, by_low = _sorted_by(num_nodes, low)
     start, by_high = _sorted_by(num_nodes, high[by_low])
@@ -178,12 +173,12 @@ def _sorted_by(num_keys, keys):  # type: ignore[no-untyped-def]
 def _slots_in_rows_and_columns(indptr, indices, nodes):  # type: ignore[no-untyped-def]
     held = np.zeros(len(indptr) - 1, dtype=np.bool_)
     held[nodes] = True
-    found = []
+    slots = []
     for j in range(len(held)):
         for k in range(indptr[j], indptr[j + 1]):
             if held[j] or held[indices[k]]:
-                found.append(k)
-    return np.array(found)
+                slots.append(k)
+    return np.array(slots)
 
 
 @njit(cache=True)

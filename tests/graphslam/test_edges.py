@@ -1,5 +1,6 @@
 """Every edge family against finite differences, and its fast summation against its edges one by one."""
 
+import inspect
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,8 @@ from hypothesis import strategies as st
 from graphslam import MotionModel, SensorModel, textbook
 from graphslam.edges import (
     AnchorEdges,
+    EdgeFamily,
+    MarginalEdges,
     ObservationEdges,
     RelativePointEdges,
     RelativePoseEdges,
@@ -190,6 +193,14 @@ def test_body_frame_is_the_designs_formula(seed):
         omega = np.linalg.inv(l1 @ sensor.Q(z1) @ l1.T + l2 @ sensor.Q(z2) @ l2.T)
         omega *= factor_of(edges, a[k], b[k], group[k])
         assert at.mahalanobis[k] == pytest.approx(e @ omega @ e, rel=1e-8, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    "family", [AnchorEdges, ObservationEdges, RelativePointEdges, RelativePoseEdges, MarginalEdges]
+)
+def test_every_public_method_has_a_docstring_perhaps_inherited(family):
+    public = [name for name in vars(EdgeFamily) if not name.startswith("_")]
+    assert all(inspect.getdoc(getattr(family, name)) for name in public)
 
 
 def test_count_leaves_out_pairs_within_one_node():
