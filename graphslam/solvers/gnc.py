@@ -28,8 +28,9 @@ from ..errors import GraphError, OptionError
 from ..graph import Graph
 from ..se2 import Array
 from ..solution import Solution
+from ..transform import with_landmarks_eliminated
 from .solve import solve
-from .start import place_landmarks, with_landmarks_eliminated
+from .start import place_landmarks
 
 #: mu grows by this factor from one graph to the next
 GROWTH = 1.4
@@ -109,7 +110,7 @@ def _judged(graph: Graph, probability: float, tolerance: float, max_rounds: int,
     assert isinstance(f, MarginalEdges)
     limit = float(chi2.ppf(probability, f.sightings.shape[1]))
     walks = [_walk(graph, limit, tolerance, max_rounds, initialize)]
-    pairs = VirtualMotionEdges(f.starts, f.nodes, f.sightings, f.sensor, "body")
+    pairs = VirtualMotionEdges(f.starts, f.nodes, f.sightings, f.sensor)
     try:
         aside = _walk(_exchanged(graph, pairs), limit, tolerance, max_rounds, initialize)
     except GraphError:
@@ -180,7 +181,7 @@ def _eliminated(graph: Graph) -> tuple[Graph, np.ndarray]:
         return exchanged
     f = _sighting_edges(graph)
     assert isinstance(f, VirtualMotionEdges | MarginalEdges)
-    marginal = MarginalEdges(f.starts, f.nodes, f.sightings, f.sensor, "body")
+    marginal = MarginalEdges(f.starts, f.nodes, f.sightings, f.sensor)
     return _exchanged(graph, marginal), np.arange(len(f.sightings))
 
 
@@ -204,5 +205,5 @@ def _with_trust(graph: Graph, trust: Array) -> Graph:
 def _squares(family: SightingEdges, trust: Array, state: Array) -> Array:
     """r² (M,) of every sighting, as if it were trusted, about a mean of the trusted ones."""
     assert not isinstance(family, ObservationEdges)
-    marginal = MarginalEdges(family.starts, family.nodes, family.sightings, family.sensor, "body", trust=trust)
+    marginal = MarginalEdges(family.starts, family.nodes, family.sightings, family.sensor, trust=trust)
     return marginal.squares(state, state)

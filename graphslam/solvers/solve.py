@@ -17,9 +17,9 @@ from ..graph import Graph
 from ..linear.cholesky import Factor, SingularPivot
 from ..se2 import Array
 from ..solution import Solution, make_solution
-from ..transform import coarse, filled
+from ..transform import coarse, filled, without_landmarks
 from .mixing import AndersonMixing
-from .start import dead_reckoning, place_landmarks, rotation_first, without_landmarks
+from .start import dead_reckoning, place_landmarks, rotation_first
 
 METHODS = ("gauss-newton", "levenberg-marquardt")
 INITIALIZE = ("given", "dead-reckoning", "rotation-first", "auto")

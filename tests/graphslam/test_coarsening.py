@@ -1,4 +1,4 @@
-"""A drive seen from afar: joined motions, what lies between, and the same answer."""
+"""Coarse graphs: joined motions, the poses between the kept ones, and the same solution."""
 
 import numpy as np
 import pytest

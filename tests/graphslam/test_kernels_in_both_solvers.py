@@ -54,7 +54,7 @@ def test_both_solvers_agree(variant, log):
 
 
 def test_kernels_by_name_and_formula():
-    assert kernel_of("huber") == Huber(1.345) and kernel_of(None) is None
+    assert kernel_of("huber") == Huber(1.345) and kernel_of(None) is kernel_of("none") is None
     r = np.array([0.0, 0.5, 1.0, 2.0, 10.0])
     np.testing.assert_allclose(Huber(1.0).loss(r * r), [0, 0.25, 1, 3, 19])
     np.testing.assert_allclose(Cauchy(2.0).loss(r * r), 4 * np.log1p(r * r / 4))

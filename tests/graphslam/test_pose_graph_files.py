@@ -284,5 +284,5 @@ def test_a_state_that_is_none_is_not_written(tmp_path):
     graph = Graph.from_g2o(written(tmp_path, SQUARE))
     for state in (graph.initial[:-1], np.full_like(graph.initial, np.nan)):
         with pytest.raises(OptionError, match="state must be"):
-            graph.save_g2o(tmp_path / "bad.g2o", state)
+            graph.save_g2o(tmp_path / "bad.g2o", state=state)
     assert not (tmp_path / "bad.g2o").exists()
