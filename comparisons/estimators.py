@@ -242,7 +242,7 @@ def _with_map(
     poses = np.array(poses, dtype=float)
     poses[:, 2] = wrap(poses[:, 2])
     estimated = np.ones(len(poses), dtype=bool) if estimated is None else estimated
-    landmarks = estimate_map(log, poses, sensor)
+    landmarks = estimate_map(log, poses, sensor=sensor)
     return EstimatorResult(
         name=name,
         poses=poses,

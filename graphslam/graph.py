@@ -177,7 +177,7 @@ class Graph:
             node_of_landmark = log.num_poses + np.searchsorted(ids, log.landmarks)
             seen = ObservationEdges(log.steps, node_of_landmark, log.sightings, sensor, kernel)
             start = np.zeros((len(ids), 3))
-            start[:, : log.sightings.shape[1]] = list(estimate_map(log, log.initial_poses, sensor).values())
+            start[:, : log.sightings.shape[1]] = list(estimate_map(log, log.initial_poses, sensor=sensor).values())
             return cls(
                 np.concatenate([initial, start]), (anchor, seen, *driven), notes=tuple(notes), landmark_ids=ids,
                 landmark_dimension=log.sightings.shape[1], sighting_rows=np.arange(len(log.steps)), **common,

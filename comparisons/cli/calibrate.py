@@ -62,7 +62,7 @@ def calibrate(
             log, format, dimensions, robot=robot, keep_every=keep_every, stride=stride, max_range=max_range
         )  # fmt: skip
         _, sensor = models(data, sensor_offset=sensor_offset)
-        found = estimate(data, source, sensor=sensor, degrees=float("inf") if gaussian else None)
+        found = estimate(data, source=source, sensor=sensor, degrees=float("inf") if gaussian else None)
         output.console.print(calibration_table(found, data.name))
         output.say(*calibration_remarks(found))
         output.json(found.to_json())

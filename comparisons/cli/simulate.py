@@ -121,10 +121,10 @@ def simulate(
             "sensor_faults": graphslam.SensorFaults(**camera) if camera else None,
         })  # fmt: skip
         check_finite(changes)
-        options = graphslam.WORLDS[world] | changes
         log = graphslam.simulate(
-            **options, orientation=orientation, clean=clean, motion=motion, sensor=sensor, seed=seed, name=out.stem
-        )
+            graphslam.WORLDS[world], **changes, orientation=orientation, clean=clean, motion=motion, sensor=sensor,
+            seed=seed, name=out.stem,
+        )  # fmt: skip
         graphslam.save(log if truth else log.replace(true_poses=None, true_landmarks=None), out, format=format)
         seen = len(log.landmark_ids)
         output.say(f"Wrote {out}: {log.num_poses} poses, {len(log.steps)} sightings of {seen} landmarks.")
