@@ -189,7 +189,7 @@ def _draw_errors(axes: Axes, comparison: Comparison) -> None:
     curves = {}
     for result in comparison.results:
         if np.count_nonzero(result.estimated) >= 2:
-            curves[result.name] = position_errors(truth, result.poses, result.estimated)
+            curves[result.name] = position_errors(truth, result.poses, mask=result.estimated)
     for name, errors in curves.items():
         style = style_of(name, len(errors))
         # errors cross each other more often than paths do
@@ -230,7 +230,7 @@ def frame_of(comparison: Comparison, result: EstimatorResult) -> Array:
         # without a true heading it leaves from where the log has it
         known = np.flatnonzero(np.isfinite(truth).all(axis=1))
         return compose(truth[known[0]], inverse(result.poses[known[0]])) if len(known) else np.zeros(3)
-    return align(truth, result.poses, result.estimated)
+    return align(truth, result.poses, mask=result.estimated)
 
 
 def reference_of(comparison: Comparison) -> EstimatorResult | None:

@@ -239,7 +239,7 @@ def _solve_both(
         # Landmark graphs have many minima, and pose graphs some: the two are compared on the way to one of them.
         start = starting_state(graph, "auto")
         if variant.kernel is not None:
-            start = solve(make(kernel="huber").with_initial(start), tolerance=1e-3).state
+            start = solve(make(kernel="huber").with_initial(start), tolerance=1e-3, initialize="given").state
         graph = graph.with_initial(start)
     except GraphError as error:
         return SkippedVariant(variant.name, str(error))

@@ -84,7 +84,7 @@ def _frame(log: Log, smoother: IncrementalSmoother, step: int, before: Grown | N
     past = log.replace(steps=log.steps[so_far], landmarks=log.landmarks[so_far], sightings=log.sightings[so_far])
     # the steps to come have no pose yet, and nothing was seen from them
     trajectory = np.concatenate([poses, np.zeros((log.num_poses - len(poses), 3))])
-    placed = estimate_map(past, trajectory, smoother.sensor)
+    placed = estimate_map(past, trajectory, sensor=smoother.sensor)
     seen = log.sightings[log.steps == step]
     return Grown(
         number=step,

@@ -89,7 +89,9 @@ class _Run:
 def _run(graph: Graph, initialize: str, method: str = "gauss-newton", max_iterations: int = 100) -> _Run:
     start = starting_state(graph, initialize)
     seen: list[Iteration] = []
-    solution = solve(graph.with_initial(start), method, max_iterations=max_iterations, callback=seen.append)
+    solution = solve(
+        graph.with_initial(start), method=method, max_iterations=max_iterations, initialize="given", callback=seen.append
+    )
     # a run that left the numbers ends where it still had some
     finite = [step for step in seen if np.isfinite(step.state).all()]
     return _Run(
@@ -134,7 +136,7 @@ def _frame(graph: Graph, log: Log, strain: Strain, run: _Run, number: int, cost:
     state, norm = run.states[number], run.step_norms[number]
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])
-    placed = estimate_map(log, poses, graph.sensor)
+    placed = estimate_map(log, poses, sensor=graph.sensor)
     nodes = state[len(graph.steps) :, : graph.landmark_dimension]
     edges, distances = strain(state)
     begun = "start" if run.begun == "given" else f"start ({run.begun})"

@@ -41,7 +41,7 @@ def placement_of(log: Log, poses: Array, estimated: np.ndarray | None = None) ->
     usable = log.covered if estimated is None else log.covered & estimated
     if log.true_poses is None or not usable.any():
         return np.zeros(3)
-    return align(log.true_poses, poses, usable)
+    return align(log.true_poses, poses, mask=usable)
 
 
 class Stage:

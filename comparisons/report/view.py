@@ -109,7 +109,7 @@ def _estimate(
     if judge is not None:
         counted = result.estimated & np.isfinite(judge[:, 0])
         if np.count_nonzero(counted) >= 2:
-            errors = position_errors(judge, result.poses, counted)
+            errors = position_errors(judge, result.poses, mask=counted)
     turn = rotation(frame[2])
     covariances = pose_covariances(result, comparison.log, options)
     if covariances is not None:

@@ -21,7 +21,7 @@ from ..graph import Graph
 from ..se2 import Array, wrap
 from ..solution import Solution, make_solution
 from .mixing import AndersonMixing
-from .solve import starting_state
+from .starting import starting_state
 
 #: how virtual-motion edges become factors
 FACTORS = ("fastest", "per-edge")

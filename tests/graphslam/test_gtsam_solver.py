@@ -24,7 +24,7 @@ LOGS = {
     "book": None,
     "sample": lambda: load(sample_log_path()),
     "clean": lambda: simulate(seed=4, clean=True),
-    "faulty": lambda: simulate(**(WORLDS["garden"] | {"steps": 80}), seed=11),
+    "faulty": lambda: simulate(WORLDS["garden"], steps=80, seed=11),
 }
 
 
@@ -38,7 +38,7 @@ LANDMARK_LOGS = [("book", 3), ("book", 2), ("gentle", 3), ("gentle", 2)]
 
 @pytest.mark.parametrize(("name", "dimensions"), LANDMARK_LOGS)
 def test_landmark_nodes_agree(book_log, name, dimensions):
-    log = book_log if name == "book" else simulate(**WORLDS["garden"], seed=5, clean=True, motion=GENTLE)
+    log = book_log if name == "book" else simulate(WORLDS["garden"], seed=5, clean=True, motion=GENTLE)
     graph = Graph.from_log(log, edges="landmark+motion", dimensions=dimensions)
     ours, theirs = both(graph)
     assert ours.converged
