@@ -32,7 +32,8 @@ READING, NOISE, GRAPH, FILTER, OUTPUT = "Reading the log", "Noise models", "Grap
 
 def option(
     default: Any, help: str, *, unit: str = "", choices: tuple[str, ...] = (), minimum: float | None = None,
-    positive: bool = False, default_text: str = "", metavar: str = "", alias: str = "", panel: str = "", only: str = "",
+    maximum: float | None = None, positive: bool = False, default_text: str = "", metavar: str = "", alias: str = "",
+    panel: str = "", only: str = "",
 ) -> Any:  # fmt: skip
     """A field of an options dataclass.
 
@@ -41,7 +42,7 @@ def option(
         help: one sentence.
         unit: of a number, "" for none.
         choices: the values that a text may have.
-        minimum: the least value of a number.
+        minimum, maximum: the least and the greatest value of a number.
         positive: whether a number must be above zero.
         default_text: how help names the default, where the value itself says too little.
         metavar: how help names the value.
@@ -50,8 +51,8 @@ def option(
         only: "python" for a field that is no option of the command line.
     """
     return field(default=default, metadata={
-        "help": help, "unit": unit, "choices": choices, "minimum": minimum, "positive": positive, "metavar": metavar,
-        "default_text": default_text, "alias": alias, "panel": panel, "only": only,
+        "help": help, "unit": unit, "choices": choices, "minimum": minimum, "maximum": maximum, "positive": positive,
+        "metavar": metavar, "default_text": default_text, "alias": alias, "panel": panel, "only": only,
     })  # fmt: skip
 
 
@@ -75,6 +76,7 @@ class Option:
     unit: str = ""
     choices: tuple[str, ...] = ()
     minimum: float | None = None
+    maximum: float | None = None
     positive: bool = False
     default_text: str = ""
     metavar: str = ""
@@ -126,6 +128,8 @@ class Option:
             raise OptionError(f"{self.name} must be a finite number, not {value!r}")
         if self.minimum is not None and value < self.minimum:
             raise OptionError(f"{self.name} must be at least {self.minimum:g}, not {value}")
+        if self.maximum is not None and value > self.maximum:
+            raise OptionError(f"{self.name} must be at most {self.maximum:g}, not {value}")
         if self.positive and value <= 0:
             raise OptionError(f"{self.name} must be a positive number, not {value!r}")
         return value
@@ -173,7 +177,9 @@ class Options:
 def options_of(group: type) -> dict[str, Option]:
     """The options of a dataclass by name, in their order; with `NoiseOptions` the numbers of the noise models, too."""
     hints = get_type_hints(group)
-    found = {f.name: _option(f, hints[f.name]) for f in fields(group) if "help" in f.metadata or group in MODELS.values()}
+    found = {
+        f.name: _option(f, hints[f.name]) for f in fields(group) if "help" in f.metadata or group in MODELS.values()
+    }
     if issubclass(group, NoiseOptions):
         for model, kind in MODELS.items():
             for each in options_of(kind).values():
@@ -212,8 +218,9 @@ class ReadingOptions(Options):
         None, "Leave out sightings from farther away.", unit="m", positive=True, panel=READING
     )
     dimensions: int | None = option(
-        None, "3: require the orientation psi; 2: ignore it.", default_text="what the log has", minimum=2, panel=READING
-    )
+        None, "3: require the orientation psi; 2: ignore it.", default_text="what the log has", minimum=2, maximum=3,
+        panel=READING,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,6 +274,11 @@ class NoiseOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class LogOptions(NoiseOptions, ReadingOptions):
+    """What `reading.prepare` needs to know of a log."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class GraphOptions(Options):
     """The graph and how it is solved; see `graphslam.Graph.from_log` and `graphslam.solve`."""
 
@@ -309,7 +321,7 @@ class FilterOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions(FilterOptions, GraphOptions, NoiseOptions, ReadingOptions):
+class RunOptions(FilterOptions, GraphOptions, LogOptions):
     """All options of a run: reading, noise, graph and filters. In Python: ``comparisons.run(log, kernel="huber")``."""
 
 
@@ -353,7 +365,7 @@ class JobsOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SolverCheckOptions(JobsOptions, NoiseOptions, ReadingOptions):
+class SolverCheckOptions(JobsOptions, LogOptions):
     """Which variants `solvers.compare_solvers` solves by hand and with GTSAM."""
 
     motion_weights: tuple[float, ...] = option(
@@ -389,7 +401,7 @@ class BackendOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ParticleStudyOptions(JobsOptions, NoiseOptions, ReadingOptions):
+class ParticleStudyOptions(JobsOptions, LogOptions):
     """How `particles.study_particles` varies the number of particles."""
 
     filters: tuple[str, ...] = option(
@@ -413,9 +425,9 @@ class ConsistencyOptions(JobsOptions):
     """What `consistency.study_consistency` simulates and tests."""
 
     logs: int = option(200, "Number of simulated logs.", minimum=1)
-    noise: float = option(0.1, "Factor on all standard deviations of the book's models.", positive=True)
+    noise: float = option(0.1, "Factor on all standard deviations of the book's models.", minimum=1e-3, maximum=10.0)
     steps: int = option(62, "Motions of each log.", minimum=1)
-    dimensions: int = option(3, "3: sightings with orientation psi; 2: without.", minimum=2)
+    dimensions: int = option(3, "3: sightings with orientation psi; 2: without.", minimum=2, maximum=3)
     estimators: tuple[str, ...] = option(
         ("landmark nodes", "marginal", "tempered", "pairs"), "Estimators to test.",
         choices=("landmark nodes", "marginal", "tempered", "pairs", "fastslam1", "fastslam2"), metavar="NAME,...",
