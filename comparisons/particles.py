@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fastslam.state import FilterResult
-from graphslam import Log, OptionError
+from graphslam import Log
 from graphslam.metrics import ate, evaluate
 from graphslam.se2 import Array
 
@@ -126,8 +126,6 @@ def study_particles(
         LogError: the log has no controls.
     """
     data, _, given = prepare(log, ParticleStudyOptions.of(**options))
-    if not given.filters or not given.particles:
-        raise OptionError("a study needs at least one filter and one number of particles")
     common = {f.name for f in fields(given)} & {f.name for f in fields(RunOptions)} - {"particles"}
     of_run = RunOptions(**{name: getattr(given, name) for name in common})
     tasks = [

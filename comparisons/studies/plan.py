@@ -145,9 +145,9 @@ def _files(file: TomlFile, patterns: tuple[str, ...]) -> Iterator[tuple[str, dic
 
 def _worlds(file: TomlFile) -> Iterator[tuple[str, dict[str, Any]]]:
     """Names and sources of the simulated logs, one for each combination of settings."""
-    tables = file.value(file.table, "simulate", dict, list) or []
+    tables = file.value(file.table, "simulate", dict, list)
     names: set[str] = set()
-    for number, table in enumerate(tables if isinstance(tables, list) else [tables], start=1):
+    for number, table in enumerate([tables] if isinstance(tables, dict) else tables or [], start=1):
         if not isinstance(table, dict):
             raise file.error(
                 "simulate", f"simulate should be a table [simulate], or several [[simulate]], not {table!r}"
