@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fastslam.resampling import RESAMPLING_SCHEMES
-from fastslam.slam_filter import ASSOCIATIONS
+from fastslam.options import ASSOCIATIONS, RESAMPLING
 from graphslam import Log, MotionModel, OptionError, SensorModel
 from graphslam.checks import check_choice, check_count, check_positive
 from graphslam.edges.robust import KERNELS
@@ -64,8 +63,8 @@ class RunOptions:
         check_choice("robust", self.robust, ROBUST)
         check_choice("initialize", self.initialize, INITIALIZE)
         check_positive(motion_weight=self.motion_weight)
-        check_choice("resampling", self.resampling, tuple(RESAMPLING_SCHEMES))
-        check_choice("association", self.association, tuple(ASSOCIATIONS))
+        check_choice("resampling", self.resampling, RESAMPLING)
+        check_choice("association", self.association, ASSOCIATIONS)
         check_count(particles=self.particles, seed=self.seed)
         if self.particles < 1:
             raise OptionError(f"particles must be at least 1, not {self.particles}")
