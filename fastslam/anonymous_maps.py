@@ -91,7 +91,7 @@ class AnonymousLandmarks:
         self._pool[fresh, kernels.EVIDENCE] = 0.0
         self._threads.run(
             kernels.associate, belief, poses, drawn, key, self._pool, candidates, np.array(fresh), rows,
-            1.0 if n == 3 else 0.0, log_new, self._gate, step, PERMANENT, log_likelihood,
+            float(n == 3), log_new, self._gate, step, PERMANENT, log_likelihood,
         )  # fmt: skip
         level = self._genealogy.level()
         created = {self._created + k: _Slice(index, level, (0.0,) * 4) for k, index in enumerate(fresh)}

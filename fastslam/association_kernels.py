@@ -94,7 +94,7 @@ def associate(
             z, variances = get_three(sightings, 0, k), get_three(sightings, 3, k)
             if chosen[k] < 0:
                 rows = pool[fresh[k]]
-                landmark = initial_landmark(pose, z, variances, third)
+                landmark = initial_landmark(pose, z, variances)
                 rows[EVIDENCE, i] = 1.0
             else:
                 rows = pool[candidates[chosen[k]]]
@@ -108,7 +108,7 @@ def associate(
 def count_misses(
     lo: int, hi: int, poses: Array, pool: Array, candidates: np.ndarray, step: int, view: Array, kept: float
 ) -> None:
-    """Lower the evidence for landmarks that were in view in this step and not seen by 1, except for permanent ones.
+    """Lower the evidence by 1 for landmarks that were in view in this step without a sighting, except for permanent ones.
 
     Args:
         view: smallest range, largest range [m] and largest bearing [rad] at which a landmark should be seen.

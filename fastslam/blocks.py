@@ -39,18 +39,23 @@ def copy_in(block: Array, first: int, source: Array, start: int, n: int) -> None
 
 @njit(**INLINED)
 def copy_out(block: Array, first: int, target: Array, start: int, n: int) -> None:
-    """Copy the rows first, first + 1, ... of a block to particles start to start + n of target."""
+    """Copy the rows first, first + 1, ... of a block to particles start to start + n of target.
+
+    A target of five rows takes those of a landmark without heading out of nine.
+    """
     for k in range(target.shape[0]):
+        row = first + (WITHOUT_HEADING[k] if target.shape[0] == 5 else k)
         for i in range(n):
-            target[k, start + i] = block[first + k, i]
+            target[k, start + i] = block[row, i]
 
 
 @njit(**INLINED)
 def gather(block: Array, first: int, source: Array, slots: np.ndarray, start: int, n: int) -> None:
-    """Copy the rows of source at the slots of particles start to start + n into the rows first, first + 1, ..."""
+    """Copy the columns of source at the slots of particles start to start + n into a block, five rows as `copy_out`."""
     for k in range(source.shape[0]):
+        row = first + (WITHOUT_HEADING[k] if source.shape[0] == 5 else k)
         for i in range(n):
-            block[first + k, i] = source[k, slots[start + i]]
+            block[row, i] = source[k, slots[start + i]]
 
 
 @njit(**INLINED)

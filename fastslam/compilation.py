@@ -15,6 +15,7 @@ from .fastslam2 import FastSLAM2
 from .mcl import MonteCarloLocalization
 from .options import ASSOCIATIONS, FilterOptions
 from .particle_filter import ParticleFilter
+from .resampling import RESAMPLING_SCHEMES
 
 
 def warm_up(particles: ParticleFilter | None = None) -> None:
@@ -30,8 +31,9 @@ def warm_up(particles: ParticleFilter | None = None) -> None:
         return
     kinds: tuple[type[ParticleFilter], ...] = (MonteCarloLocalization, FastSLAM1, FastSLAM2)
     for kind, columns, composite, association in product(kinds, (2, 3), (False, True), ASSOCIATIONS):
-        options = FilterOptions(association=association, resampling="stratified" if composite else "systematic")
-        _run(kind, columns, composite, SensorModel(), options)
+        _run(kind, columns, composite, SensorModel(), FilterOptions(association=association))
+    for scheme in RESAMPLING_SCHEMES.values():
+        scheme(np.array([0.2, 0.8]), np.random.default_rng(0))
 
 
 def _run(

@@ -10,7 +10,7 @@ import numpy as np
 
 from graphslam.se2 import Array
 
-from . import landmark_kernels, motion_kernels
+from . import landmark_kernels, motions
 from .anonymous_maps import AnonymousLandmarks
 from .identified_maps import IdentifiedLandmarks
 from .slam_filter import FastSLAM
@@ -48,7 +48,7 @@ class FastSLAM2(FastSLAM):
             proposal.append(self._motion.predict(belief))
             for j, k in leading.items():
                 proposal.append((landmark_kernels.correct, (belief, *maps.read(j), sightings[k], q[k], log_likelihood)))
-            proposal.append((motion_kernels.draw, (belief, self._motion.key, poses)))
+            proposal.append((motions.draw, (belief, self._motion.key, poses)))
         weighed = bool(leading)
         for k, j in enumerate(ids.tolist()):
             if j not in maps:

@@ -3,7 +3,7 @@
 The tree is stored in flat arrays with one row per particle and *level*: the particle's pose, the row of its parent in the
 level before, and the particle's index at that level. A level is a step. Resampling copies nothing; it only changes the
 row to which each living particle points. Data written elsewhere at a level, by particle index (landmark columns, for
-example), is found again through the ancestors.
+example), can be read through the ancestors.
 
 Rows without living descendants are removed whenever the number of rows has about doubled since the last removal. The
 cost is constant per particle and step, and the memory is proportional to the tree of survivors, about T + N log N rows
@@ -136,10 +136,10 @@ class Genealogy:
         self._limit = 2 * self.stored_rows + MINIMUM_GROWTH * len(self._identity)
 
     def _grow(self, rows: int, capacity: int) -> None:
-        poses, parents, particles = np.empty((3, capacity)), np.empty(capacity, np.int32), np.empty(capacity, np.int32)
-        poses[:, :rows] = self._poses[:, :rows]
-        parents[:rows], particles[:rows] = self._parents[:rows], self._particles[:rows]
-        self._poses, self._parents, self._particles = poses, parents, particles
+        more = capacity - rows
+        self._poses = np.concatenate([self._poses[:, :rows], np.empty((3, more))], axis=1)
+        self._parents = np.concatenate([self._parents[:rows], np.empty(more, np.int32)])
+        self._particles = np.concatenate([self._particles[:rows], np.empty(more, np.int32)])
 
 
 @njit(**OPTIONS)
@@ -148,11 +148,9 @@ def _append(
     particles: np.ndarray,
 ) -> None:  # fmt: skip
     """Write a level from row ``rows`` on, and let every particle point to its own new row."""
-    for k in range(3):
-        for i in range(lo, hi):
-            poses[k, rows + i] = source[k, i]
+    poses[:, rows + lo : rows + hi] = source[:, lo:hi]
+    parents[rows + lo : rows + hi] = line[lo:hi]
     for i in range(lo, hi):
-        parents[rows + i] = line[i]
         particles[rows + i] = i
         line[i] = rows + i
 
@@ -206,14 +204,10 @@ def _indices(
 ) -> np.ndarray:
     """Return the index of each row's ancestor at the level of rows first to second, for the rows of line."""
     index = np.empty(end - first, np.int64)
-    for row in range(first, second):
-        index[row - first] = particles[row]
+    index[: second - first] = particles[first:second]
     for row in range(second, end):
         index[row - first] = index[parents[row] - first]
-    ancestors = np.empty(len(line), np.int64)
-    for i in range(len(line)):
-        ancestors[i] = index[line[i] - first]
-    return ancestors
+    return index[line - first]
 
 
 @njit(**OPTIONS)

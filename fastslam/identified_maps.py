@@ -64,12 +64,12 @@ class IdentifiedLandmarks:
 
     def update(self, landmark: int, poses: Array, z: Array, q: Array, log_likelihood: Array) -> None:
         """Schedule a later sighting: add log N(z; h(m), V) to log_likelihood (N,), then the Kalman update."""
-        column, kernel = self._columns[landmark], kernels.update_2d if self.coordinates == 2 else kernels.update_3d
+        column = self._columns[landmark]
         slots, source = self.read(landmark)
         # where no particle was replaced since, each reads and writes its own place
         in_place = self._genealogy.is_living(column.level)
         target = source if in_place else self._take_spare()
-        self._jobs.append((kernel, (poses, slots, source, target, z, q, log_likelihood)))
+        self._jobs.append((kernels.update, (poses, slots, source, target, z, q, log_likelihood)))
         if not in_place:
             self._read.append(source)
         column.level, column.numbers = self._genealogy.level(), target

@@ -8,8 +8,8 @@ and det V is the product of the d_k.
 A sighting that cannot be weighed, because the particle stands on the landmark or a number overflows, has the log
 likelihood -inf and changes nothing.
 
-Gaussians are nine numbers as in `blocks`. Without psi ``third`` is 0 instead of 1, the third variance is 1 and the
-numbers of the heading are 0. The third row is then a residual of zero on which nothing depends.
+Gaussians are nine numbers as in `blocks`. Without psi the numbers of a landmark's heading have no meaning, and the third
+row is replaced by a residual of zero with variance 1, on which nothing depends.
 """
 
 from __future__ import annotations
@@ -95,11 +95,14 @@ def update_landmark(landmark: Nine, pose: Three, z: Three, q: Three, third: floa
     cx, cy, ch = cx - l20 * ax, cy - l20 * ay, ch - l20 * ah
     d1 = (ux * by - uy * bx) * inverse + q[1]
     l21 = (ux * cy - uy * cx) * inverse * (1.0 / d1)
-    cx, cy, ch = cx - l21 * bx, cy - l21 * by, ch - l21 * bh
-    d2 = third * ((ux * cy - uy * cx) * inverse - ch) + q[2]
-    return weigh_and_update(
-        landmark, (ax, ay, ah), (bx, by, bh), (cx, cy, ch), e, (l10, l20, l21), (d0, d1, d2), third, r, 1.0
-    )
+    c = cx - l21 * bx, cy - l21 * by, ch - l21 * bh
+    d2 = third * ((ux * c[1] - uy * c[0]) * inverse - c[2]) + q[2]
+    a, b = (ax, ay, ah), (bx, by, bh)
+    if third > 0.0:
+        return weigh_and_update(landmark, a, b, c, e, (l10, l20, l21), (d0, d1, d2), third, r, 1.0)
+    # constants, so that the compiler leaves the third row out where it knows that there is none
+    c, e = (0.0, 0.0, 0.0), (e[0], e[1], 0.0)
+    return weigh_and_update(landmark, a, b, c, e, (l10, 0.0, 0.0), (d0, d1, 1.0), 0.0, r, 1.0)
 
 
 @njit(**INLINED)
@@ -146,21 +149,21 @@ def update_pose(belief: Nine, landmark: Nine, z: Three, q: Three, third: float) 
 
 
 @njit(**INLINED)
-def initial_landmark(pose: Three, z: Three, q: Three, third: float) -> Nine:
+def initial_landmark(pose: Three, z: Three, q: Three) -> Nine:
     """Return the Gaussian of a landmark after its first sighting: mean h^-1(x, z), covariance (H' Q^-1 H)^-1 = R Q R'."""
     s, c = sincos(pose[2] + z[1])
     across = z[0] * z[0] * q[1]
-    bearing = third * (z[0] * q[1])
+    bearing = z[0] * q[1]
     return (
         pose[0] + z[0] * c,
         pose[1] + z[0] * s,
-        third * wrap_angle(pose[2] + z[1] - z[2]),
+        wrap_angle(pose[2] + z[1] - z[2]),
         c * c * q[0] + s * s * across,
         c * s * (q[0] - across),
         -s * bearing,
         s * s * q[0] + c * c * across,
         c * bearing,
-        third * (q[1] + q[2]),
+        q[1] + q[2],
     )
 
 

@@ -14,7 +14,7 @@ from numba import njit
 
 from graphslam.se2 import Array
 
-from .blocks import BLOCK, WITHOUT_HEADING, copy_in, copy_out, gather, get_nine, get_three, padded, put_nine
+from .blocks import BLOCK, copy_in, copy_out, gather, get_nine, get_three, padded, put_nine
 from .fast_math import OPTIONS, atan2, wrap_angle
 from .kalman import LOG_2PI, initial_landmark, log_density, update_landmark, update_pose
 
@@ -46,81 +46,38 @@ def weigh_known(lo: int, hi: int, poses: Array, landmark: Array, z: Array, q: Ar
 @njit(**OPTIONS)
 def initialize(lo: int, hi: int, poses: Array, z: Array, q: Array, target: Array) -> None:
     """First sighting: mean h^-1(x, z), covariance (H' Q^-1 H)^-1 = R Q R'."""
-    third, sighting, variances = 1.0 if len(z) == 3 else 0.0, padded(z, 0.0), padded(q, 1.0)
+    sighting, variances = padded(z, 0.0), padded(q, 1.0)
     b = np.empty((12, BLOCK))
     for start in range(lo, hi, BLOCK):
         n = min(BLOCK, hi - start)
         copy_in(b, 0, poses, start, n)
         for i in range(n):
-            put_nine(b, 3, i, initial_landmark(get_three(b, 0, i), sighting, variances, third))
-        for k in range(target.shape[0]):
-            row = 3 + (k if third else WITHOUT_HEADING[k])
-            for i in range(n):
-                target[k, start + i] = b[row, i]
+            put_nine(b, 3, i, initial_landmark(get_three(b, 0, i), sighting, variances))
+        copy_out(b, 3, target, start, n)
 
 
 @njit(**OPTIONS)
-def update_2d(
+def update(
     lo: int, hi: int, poses: Array, slots: np.ndarray, source: Array, target: Array, z: Array, q: Array,
     log_likelihood: Array,
 ) -> None:  # fmt: skip
-    """Add log N(z; h(m), V = H S H' + Q) to log_likelihood (N,), then update (m, S), of a landmark without heading.
-
-    The equations are those of `kalman.update_landmark` without the third row: a third of the work.
-    """
-    z0, z1, q0, q1 = z[0], z[1], q[0], q[1]
-    b = np.empty((14, BLOCK))
-    for start in range(lo, hi, BLOCK):
-        n = min(BLOCK, hi - start)
-        gather(b, 0, source, slots, start, n)
-        copy_in(b, 5, poses, start, n)
-        for i in range(n):
-            mx, my, sxx, sxy, syy = b[0, i], b[1, i], b[2, i], b[3, i], b[4, i]
-            dx, dy = mx - b[5, i], my - b[6, i]
-            r = sqrt(dx * dx + dy * dy)
-            inverse = 1.0 / r
-            ux, uy = dx * inverse, dy * inverse
-            e0 = z0 - r
-            e1 = wrap_angle(z1 - atan2(dy, dx) + b[7, i])
-            # the columns of S H', one per row of H = [[ux, uy], [-uy/r, ux/r]]
-            ax, ay = sxx * ux + sxy * uy, sxy * ux + syy * uy
-            bx, by = (sxy * ux - sxx * uy) * inverse, (syy * ux - sxy * uy) * inverse
-            d0 = ux * ax + uy * ay + q0
-            i0 = 1.0 / d0
-            l10 = (ux * bx + uy * by) * i0
-            bx, by = bx - l10 * ax, by - l10 * ay
-            d1 = (ux * by - uy * bx) * inverse + q1
-            i1 = 1.0 / d1
-            y1 = e1 - l10 * e0
-            g0, g1 = e0 * i0, y1 * i1
-            value = log_density(e0 * g0 + y1 * g1, d0 * d1, LOG_2PI, r)
-            possible = value > -np.inf
-            b[8, i] = value
-            b[9, i] = mx + ax * g0 + bx * g1 if possible else mx
-            b[10, i] = my + ay * g0 + by * g1 if possible else my
-            b[11, i] = sxx - ax * ax * i0 - bx * bx * i1 if possible else sxx
-            b[12, i] = sxy - ax * ay * i0 - bx * by * i1 if possible else sxy
-            b[13, i] = syy - ay * ay * i0 - by * by * i1 if possible else syy
-        for i in range(n):
-            log_likelihood[start + i] += b[8, i]
-        copy_out(b, 9, target, start, n)
-
-
-@njit(**OPTIONS)
-def update_3d(
-    lo: int, hi: int, poses: Array, slots: np.ndarray, source: Array, target: Array, z: Array, q: Array,
-    log_likelihood: Array,
-) -> None:  # fmt: skip
-    """Add log N(z; h(m), V = H S H' + Q) to log_likelihood (N,), then update (m, S), of a landmark with a heading."""
+    """Add log N(z; h(m), V = H S H' + Q) to log_likelihood (N,), then do the Kalman update of (m, S)."""
     sighting, variances = padded(z, 0.0), padded(q, 1.0)
     b = np.empty((22, BLOCK))
     for start in range(lo, hi, BLOCK):
         n = min(BLOCK, hi - start)
         gather(b, 0, source, slots, start, n)
         copy_in(b, 9, poses, start, n)
-        for i in range(n):
-            b[12, i], moved = update_landmark(get_nine(b, 0, i), get_three(b, 9, i), sighting, variances, 1.0)
-            put_nine(b, 13, i, moved)
+        # one loop each, so that the compiler leaves the third row out of the first: a third of the work
+        if len(z) == 2:
+            for i in range(n):
+                landmark = (b[0, i], b[1, i], 0.0, b[3, i], b[4, i], 0.0, b[6, i], 0.0, 0.0)
+                b[12, i], moved = update_landmark(landmark, get_three(b, 9, i), sighting, variances, 0.0)
+                b[13, i], b[14, i], b[16, i], b[17, i], b[19, i] = moved[0], moved[1], moved[3], moved[4], moved[6]
+        else:
+            for i in range(n):
+                b[12, i], moved = update_landmark(get_nine(b, 0, i), get_three(b, 9, i), sighting, variances, 1.0)
+                put_nine(b, 13, i, moved)
         for i in range(n):
             log_likelihood[start + i] += b[12, i]
         copy_out(b, 13, target, start, n)
@@ -138,10 +95,7 @@ def correct(
     b = np.zeros((28, BLOCK))
     for start in range(lo, hi, BLOCK):
         n = min(BLOCK, hi - start)
-        for k in range(source.shape[0]):
-            row = k if third else WITHOUT_HEADING[k]
-            for i in range(n):
-                b[row, i] = source[k, slots[start + i]]
+        gather(b, 0, source, slots, start, n)
         copy_in(b, 9, belief, start, n)
         for i in range(n):
             b[18, i], moved = update_pose(get_nine(b, 9, i), get_nine(b, 0, i), sighting, variances, third)

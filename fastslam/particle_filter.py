@@ -19,10 +19,9 @@ from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
 
-from . import motion_kernels
 from .checks import finite, index, measurements, real
 from .genealogy import Genealogy
-from .motions import ControlMotion, GaussianMotion, check_motion, robot_poses, sensor_motions
+from .motions import ControlMotion, GaussianMotion, check_motion, pick, robot_poses, sensor_motions
 from .noise import draw_key
 from .options import FilterKeywords, FilterOptions
 from .resampling import RESAMPLING_SCHEMES
@@ -154,7 +153,9 @@ class ParticleFilter(ABC):
                 1e-50 and 1e50: covariances would leave the range of floating point.
         """
         if ids is None and self._needs_ids:
-            raise OptionError("ids may be None only with maximum-likelihood association: give the id of each sighting")
+            raise OptionError(
+                "ids may be None only if they are ignored (maximum-likelihood association); give the id of each sighting"
+            )
         ids, z = measurements(ids, sightings)
         if len(z) == 0:
             self._observed = True
@@ -338,7 +339,7 @@ class ParticleFilter(ABC):
         self._best = copy
         self._genealogy.branch(ancestors)
         survivors = np.empty_like(self._poses)
-        self._threads.run_light(motion_kernels.pick, self._poses, ancestors, survivors)
+        self._threads.run_light(pick, self._poses, ancestors, survivors)
         self._poses = _read_only(survivors)
         self._log_weights = self._uniform
         self._resampled = self._resampled_history[-1] = True

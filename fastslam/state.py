@@ -83,7 +83,7 @@ class ParticleState:
     def mixture_map(self, *, provisional: bool = False) -> dict[int, LandmarkEstimate]:
         """Return mean and covariance of the mixture over all particles, {id: estimate}: E[S] + Cov[m].
 
-        With unknown association: the landmarks that particles of half the weight or more have confirmed (with
+        If the association is unknown, these are the landmarks that particles of half the weight or more have confirmed (with
         ``provisional``: have at all), over the particles that have them.
 
         Raises:

@@ -261,7 +261,7 @@ def effective_sample_size(particles: list[Particle]) -> float:
 
 
 def resample(particles: list[Particle], rng: np.random.Generator) -> list[Particle]:
-    """Systematic resampling: N positions 1/N apart, with one random offset, on the cumulative sum of the weights.
+    """Resample systematically at N positions 1/N apart, with one random offset, on the cumulative sum of the weights.
 
     Every survivor is copied with its map and its path, so that two particles never share them.
     """

@@ -298,5 +298,5 @@ def test_options() -> None:
         FastSLAM2(new_landmark_threshold=0.0)
     with pytest.raises(OptionError, match="new_landmark_threshold must be a number"):
         FastSLAM2(new_landmark_threshold="few")
-    with pytest.raises(OptionError, match="ids may be None only with"):
+    with pytest.raises(OptionError, match="ids may be None only if"):
         FastSLAM1().observe(None, [[1.0, 0.0]])

@@ -200,8 +200,8 @@ def test_never_resampled_keeps_weights() -> None:
 
 def test_threshold_one_resamples_after_every_weighed_step(clean_log: Log) -> None:
     result = FastSLAM1(clean_log, particles=20, ess_threshold=1.0).run()
-    seen: set[int] = set()
+    known: set[int] = set()
     for t in range(clean_log.num_poses):
         ids = set(clean_log.landmarks[clean_log.steps == t].tolist())
-        assert result.resampled[t] == bool(ids & seen)
-        seen |= ids
+        assert result.resampled[t] == bool(ids & known)
+        known |= ids

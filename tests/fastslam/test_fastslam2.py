@@ -122,7 +122,7 @@ def test_without_sightings_it_is_1() -> None:
 @pytest.mark.parametrize("omega", [0.0, 1e-9, 0.05, 0.29, 0.31, 1.7, -2.5])
 def test_prediction_is_the_motion_models_gaussian(omega: float) -> None:
     """A M A' + epsilon I on both sides of every branch of the compiled prediction."""
-    from fastslam.motion_kernels import chord_gaussian, predict
+    from fastslam.motions import chord_gaussian, predict
 
     motion, poses = MotionModel(), np.random.default_rng(0).normal(0, 2, (7, 3))
     poses[:, 2] = wrap(poses[:, 2])

@@ -159,7 +159,9 @@ def test_nothing_seen(cls: type) -> None:
 
 def test_turn_out_of_range() -> None:
     slam = FastSLAM1()
-    with pytest.raises(OptionError, match="turn it by up to 1.0002e.06 rad; more than 1e.09 m or 100000 rad is refused"):
+    with pytest.raises(
+        OptionError, match="turn it by up to 1.0002e.06 rad; more than 1e.09 m or 100000 rad is refused"
+    ):
         slam.move((0.1, 1e6), 1.0)
     assert slam.state.step == 0
 

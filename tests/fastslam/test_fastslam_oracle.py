@@ -83,10 +83,10 @@ def test_localization(log: Log) -> None:
     for t, _ in enumerate(fast):
         if t > 0:
             textbook.motion_update(slow, log.controls[t - 1], log.dt[t - 1], fast.motion, rng)
-        seen = log.steps == t
-        if np.any(seen):
+        now = log.steps == t
+        if np.any(now):
             textbook.localization_update(
-                slow, log.landmarks[seen].tolist(), log.sightings[seen], log.true_landmarks, fast.sensor
+                slow, log.landmarks[now].tolist(), log.sightings[now], log.true_landmarks, fast.sensor
             )
             slow = textbook.resample(slow, rng)
         assert_same(fast, slow, maps=False)
