@@ -19,6 +19,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
+from fastslam.options import FilterOptions
 from graphslam.errors import OptionError
 from graphslam.models import MotionModel, SensorModel
 from graphslam.sources.simulator import MotionFaults, SensorFaults
@@ -177,6 +178,8 @@ class Options:
     """
 
     components: ClassVar[Mapping[str, tuple[type, str]]] = {}
+    #: fields of components that are no options here
+    hidden: ClassVar[tuple[str, ...]] = ()
     numbers: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -227,7 +230,8 @@ def options_of(group: type) -> dict[str, Option]:
     for component, (kind, panel) in components.items():
         for each in options_of(kind).values():
             name = _RENAMED.get(each.name, each.name)
-            found[name] = replace(each, name=name, model=component, panel=panel)
+            if name not in found and name not in group.hidden:
+                found[name] = replace(each, name=name, model=component, panel=panel)
     return found
 
 
@@ -332,32 +336,19 @@ class GraphOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FilterKindOptions(Options):
-    """What kind of particle filter runs; see `fastslam.FastSLAM1`."""
-
-    resampling: str = option(
-        "systematic",
-        "Resampling scheme.",
-        choices=("systematic", "stratified", "residual", "multinomial"),
-        panel=FILTER,
-    )
-    association: str = option(
-        "known", "Landmark ids of the sightings: known, or found by maximum likelihood.",
-        choices=("known", "maximum-likelihood"), panel=FILTER,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True)
-class FilterOptions(FilterKindOptions):
-    """The particle filters; see `fastslam.FastSLAM1`."""
-
-    particles: int = option(1000, "Number of particles.", minimum=1, panel=FILTER)
-    seed: int = option(0, "Random seed; the same seed gives the same result.", minimum=0, panel=FILTER)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunOptions(FilterOptions, GraphOptions, LogOptions):
+class RunOptions(GraphOptions, LogOptions):
     """All options of a run: reading, noise, graph and filters. In Python: ``comparisons.run(log, kernel="huber")``."""
+
+    components = LogOptions.components | {"filter": (FilterOptions, FILTER)}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.filter  # checks the values
+
+    @property
+    def filter(self) -> FilterOptions:
+        """The options of the particle filters."""
+        return FilterOptions(**self.of_component("filter"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -446,9 +437,11 @@ class BackendOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ParticleStudyOptions(JobsOptions, FilterKindOptions, LogOptions):
+class ParticleStudyOptions(JobsOptions, LogOptions):
     """How `particles.study_particles` varies the number of particles."""
 
+    components = LogOptions.components | {"filter": (FilterOptions, FILTER)}
+    hidden = ("seed",)
     filters: tuple[str, ...] = option(
         ("fastslam1", "fastslam2"), "Filters to run.", choices=("mcl", "fastslam1", "fastslam2"), metavar="NAME,..."
     )
