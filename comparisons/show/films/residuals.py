@@ -1,4 +1,4 @@
-"""How far each edge of a graph is stretched: its Mahalanobis distance sqrt(e' Omega e), and where to draw it."""
+"""The residuals of a graph's edges as Mahalanobis distances sqrt(e' Omega e), and where to draw them."""
 
 from __future__ import annotations
 
@@ -6,29 +6,33 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from matplotlib.colors import LinearSegmentedColormap
 
 from graphslam import Graph
 from graphslam.edges import AnchorEdges, EdgeFamily, MarginalEdges, VirtualMotionEdges
 from graphslam.se2 import Array
 
-#: more edges of a family than this are thinned out: beyond it lines only fill the picture
+from ..style import RESIDUALS
+
+#: of a family with more edges some are drawn, evenly spread: more lines would only fill the picture
 MOST_EDGES = 4000
+COLORS = LinearSegmentedColormap.from_list("residuals", RESIDUALS)
 
 
-class Strain:
-    """The edges of a graph as lines, the more stretched ones last.
+class Residuals:
+    """The edges of a graph as lines, those with the largest residuals last.
 
-    Of virtual-motion edges, whose number is quadratic in the sightings, each landmark's sightings are thinned first, so
-    that they need not be listed; of other families every so manieth edge is left.
+    The number of virtual-motion edges is quadratic in the sightings, so each landmark's sightings are thinned before the
+    edges are listed. Of the other families every N-th edge is drawn.
 
     Attributes:
-        shown, count: how many edges are drawn, and how many there are.
+        drawn, count: how many edges are drawn, and how many there are.
     """
 
     def __init__(self, graph: Graph) -> None:
         self._families = [_thinned(f) for f in graph.families if not isinstance(f, AnchorEdges)]
         self.count = graph.num_edges
-        self.shown = len(self(graph.initial)[1])
+        self.drawn = len(self(graph.initial)[1])
 
     def __call__(self, state: Array) -> tuple[Array, Array]:
         """At a state (n, 3): the lines (E, 2, 2) [m] and their Mahalanobis distances (E,), increasing."""
@@ -48,7 +52,7 @@ class Strain:
 
 
 def _thinned(family: EdgeFamily) -> tuple[EdgeFamily, Array, int]:
-    """A family that is quick to list, the factor (E,) or (1,) on its e' Omega e, and every how manieth edge to draw."""
+    """A family that is quick to list, the factor (E,) or (1,) on its e' Omega e, and N where every N-th edge is drawn."""
     one = np.ones(1)
     if not isinstance(family, VirtualMotionEdges):
         return family, one, max(1, math.ceil(family.count / MOST_EDGES))
@@ -60,5 +64,5 @@ def _thinned(family: EdgeFamily) -> tuple[EdgeFamily, Array, int]:
     starts = np.concatenate([[0], np.cumsum(np.bincount(family.group[left], minlength=len(family.starts) - 1))])
     trust = None if family.trust is None else family.trust[left]
     fewer = replace(family, starts=starts, nodes=family.nodes[left], sightings=family.sightings[left], trust=trust)
-    # a tempered pair weighs 2/K, K of all sightings
+    # the weight of a tempered pair is 2/K, with K of all sightings
     return fewer, (family.group_weights / fewer.group_weights)[fewer.pairs()[2]], 1
