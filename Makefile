@@ -1,16 +1,22 @@
-# make compare: the main job on the bundled sample log. make test: everything that must hold.
-# Both set up .venv by themselves; PYTHON names the interpreter to build it with.
+# make compare: the main job on the bundled sample log. make test: everything that must hold. make check: its quick part.
+# All set up .venv by themselves; PYTHON names the interpreter to build it with.
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
-.PHONY: compare test lint clean
+.PHONY: compare test check lint clean
 
 compare: .venv/.compiled
 	$(BIN)/slam-compare run
 
-test: lint
-	$(BIN)/python -m pytest
+# two processes; the tests of a file stay together, because they share its fixtures
+PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+
+test: lint .venv/.compiled
+	$(PYTEST)
+
+check: lint .venv/.compiled
+	$(PYTEST) -m "not slow and not browser and not cluster"
 
 lint: .venv/.installed-test
 	$(BIN)/ruff check .

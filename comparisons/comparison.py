@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -18,13 +18,14 @@ from graphslam.se2 import wrap
 
 from .config import config_text
 from .display import Displayed
+from .documents import EstimatorDocument, LogDocument, RunDocument, document
 from .estimators import ESTIMATORS, check_estimators
 from .exchange import texts, write_pose_graph
 from .kernels import warm_up
 from .options import OutputOptions, RunOptions
 from .reading import prepare
 from .results import EstimatorResult
-from .saving import fill_results, jsonable, new_directory, write_json
+from .saving import fill_results, new_directory, write_json
 
 
 @dataclass(frozen=True)
@@ -154,17 +155,16 @@ class Comparison(Displayed):
         Args:
             files: what was saved, {"figure": path, ...}.
         """
-        by_name = {r.name: _result_json(r, self.metrics[r.name], self.nees[r.name]) for r in self.results}
-        unknown = dict.fromkeys(_result_json(_EMPTY, Metrics(), None))
-        by_name |= {
-            e.name: unknown | {"name": e.name, "options": {}, "reason": e.reason, "notes": []} for e in self.skipped
+        by_name = {
+            r.name: document(EstimatorDocument, r, self.metrics[r.name], nees=self.nees[r.name]) for r in self.results
         }
-        payload = {
-            "log": describe(self.log, self.source),
-            "estimators": [by_name[row.name] for row in self.table],
-            "files": {kind: str(path) for kind, path in (files or {}).items()},
-        }
-        return jsonable(payload)
+        by_name |= {entry.name: _SKIPPED | {"name": entry.name, "reason": entry.reason} for entry in self.skipped}
+        return document(
+            RunDocument,
+            log=describe(self.log, self.source),
+            estimators=[by_name[row.name] for row in self.table],
+            files={kind: str(path) for kind, path in (files or {}).items()},
+        )
 
     @property
     def config(self) -> str:
@@ -211,6 +211,9 @@ class Comparison(Displayed):
             write_json(self.to_json(files), folder / names["json"])
         return files
 
+
+#: the fields of an estimator that did not run
+_SKIPPED = dict.fromkeys(EstimatorDocument.__struct_fields__) | {"options": {}, "notes": []}
 
 #: called with a name when an estimator begins (None) and when it is done
 Progress = Callable[[str, EstimatorResult | Skipped | None], None]
@@ -295,62 +298,23 @@ def _with_warnings(result: EstimatorResult, caught: Sequence[warnings.WarningMes
 
 
 def _row(result: EstimatorResult, metrics: Metrics, nees: float | None) -> Row:
-    return Row(
-        name=result.name,
-        converged=result.converged,
-        iterations=result.iterations,
-        seconds=result.seconds,
-        cost=result.cost,
-        ate_m=metrics.ate_m,
-        rpe_m=metrics.rpe_m,
-        rpe_rad=metrics.rpe_rad,
-        landmark_rmse_m=metrics.landmark_rmse_m,
-        nees=nees,
-    )
+    values = {"nees": nees, "skipped": None}
+    for name in (f.name for f in fields(Row) if f.name not in values):
+        values[name] = getattr(metrics if hasattr(metrics, name) else result, name)
+    return Row(**values)  # type: ignore[arg-type]
 
 
 def describe(log: Log, source: Path | None = None) -> dict[str, Any]:
-    """A log in a few numbers and with its truth, for JSON."""
-    return {
-        "name": log.name,
-        "file": source,
-        "poses": log.num_poses,
-        "sightings": len(log.steps),
-        "landmarks": len(log.landmark_ids),
-        "dimensions": log.sightings.shape[1],
-        "has_controls": log.controls is not None,
-        "controls": None if log.controls is None else len(log.controls),
-        "poses_covered": int(np.count_nonzero(log.covered)),
-        "true_poses": log.true_poses,
-        "true_landmarks": log.true_landmarks,
-        "notes": list(log.notes),
-    }
-
-
-def _result_json(result: EstimatorResult, metrics: Metrics, nees: float | None) -> dict[str, Any]:
-    return {
-        "name": result.name,
-        "converged": result.converged,
-        "iterations": result.iterations,
-        "step_norms": result.step_norms,
-        "cost": result.cost,
-        "seconds": result.seconds,
-        "ate_m": metrics.ate_m,
-        "rpe_m": metrics.rpe_m,
-        "rpe_rad": metrics.rpe_rad,
-        "heading_rad": metrics.heading_rad,
-        "landmark_rmse_m": metrics.landmark_rmse_m,
-        "nees": nees,
-        "poses_counted": metrics.poses_counted,
-        "poses": result.poses,
-        "estimated": result.estimated,
-        "landmarks": result.landmarks,
-        "landmark_covariances": result.landmark_covariances,
-        "options": result.options,
-        "reason": result.reason,
-        "notes": list(result.notes),
-    }
-
-
-#: gives a skipped estimator the fields of the others
-_EMPTY = EstimatorResult(name="", poses=np.empty((0, 3)), estimated=np.empty(0, dtype=bool), seconds=0.0)
+    """A log in a few numbers and with its ground truth, for JSON."""
+    return document(
+        LogDocument,
+        log,
+        file=source,
+        poses=log.num_poses,
+        sightings=len(log.steps),
+        landmarks=len(log.landmark_ids),
+        dimensions=log.sightings.shape[1],
+        has_controls=log.controls is not None,
+        controls=None if log.controls is None else len(log.controls),
+        poses_covered=int(np.count_nonzero(log.covered)),
+    )

@@ -17,6 +17,7 @@ from graphslam import OptionError
 from graphslam.files import check_file
 from graphslam.sources.worlds import sample_log_path
 
+from .estimators import check_estimators
 from .options import MODELS, RunOptions, options_of
 from .reading import sha256_of
 from .toml_files import TomlFile, to_toml
@@ -50,6 +51,11 @@ def read_config(path: Path) -> dict[str, Any]:
     plain = [name for name, each in known.items() if not each.model and each.only != "python"]
     file.check_keys(rest, (*of_run, *plain, *MODELS))
     values |= file.options(rest, known)
+    if "estimators" in values:
+        try:
+            check_estimators(values["estimators"])
+        except OptionError as error:
+            raise file.error("estimators", str(error)) from None
     for key in ("log", "noise"):
         if key in values:
             values[key] = path.parent / values[key]

@@ -30,7 +30,7 @@ from graphslam import (
 from graphslam.se2 import wrap
 from graphslam.solvers.solve import starting_state
 
-from .options import FilterOptions, GraphOptions, RunOptions
+from .options import FilterOptions, GraphOptions, RunOptions, nearest
 from .results import EstimatorResult
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
@@ -284,7 +284,10 @@ def check_estimators(names: Any) -> tuple[str, ...]:
     names = (names,) if isinstance(names, str) else tuple(dict.fromkeys(names))
     for name in names:
         if name not in ESTIMATORS:
-            raise OptionError(f"estimators: there is no estimator {name!r}; the estimators are {', '.join(ESTIMATORS)}")
+            raise OptionError(
+                f"estimators: there is no estimator {name!r}; did you mean {nearest(str(name), ESTIMATORS)!r}? The "
+                f"estimators are {', '.join(ESTIMATORS)}"
+            )
     if not names:
         raise OptionError(f"estimators: name at least one of {', '.join(ESTIMATORS)}")
     return names

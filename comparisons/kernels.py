@@ -11,9 +11,12 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from functools import cache
 from multiprocessing import get_context
+from pathlib import Path
 
+import numba
 import numpy as np
 
+import graphslam
 from graphslam import MotionModel, SensorModel, SlamError, simulate
 
 from .estimators import ESTIMATORS
@@ -54,6 +57,12 @@ def factorisation() -> None:
     factor = analyze(indptr, indices).factorize(values)
     factor.solve(np.ones((n, 3)))
     factor.diagonal_covariances()
+
+
+def compiled() -> bool:
+    """Whether numba has compiled kernels of this installation before."""
+    folder = Path(numba.config.CACHE_DIR or Path(graphslam.__file__).parent)
+    return any(folder.rglob("*.nbi"))
 
 
 @cache

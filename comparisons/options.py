@@ -96,20 +96,21 @@ class Option:
         """
         if value is None:
             return None
-        if self.kind is tuple:
-            parts = [word.strip() for word in value.split(",") if word.strip()] if isinstance(value, str) else value
-            if not isinstance(parts, (list, tuple)) or (not parts and self.default):
-                raise OptionError(f"{self.name} must be {self._wanted}, not {value!r}")
-            return tuple(dict.fromkeys(map(self._single, parts)) if self.each is str else map(self._single, parts))
-        return self._single(value)
-
-    def _single(self, value: Any) -> Any:
-        if self.each in (int, float) and isinstance(value, str):
+        if self.kind is not tuple:
+            return self._single(value)
+        parts = value
+        if isinstance(value, str):
+            words = [word.strip() for word in value.split(",")]
             try:
-                value = self.each(value)
+                parts = [self.each(word) for word in words if word or self.each is not str]
             except ValueError:
                 raise OptionError(f"{self.name} must be {self._wanted}, not {value!r}") from None
-        elif self.each is float and isinstance(value, int) and not isinstance(value, bool):
+        if not isinstance(parts, (list, tuple)) or not (parts or self.name == "figures"):
+            raise OptionError(f"{self.name} must be {self._wanted}, at least one, not {value!r}")
+        return tuple(dict.fromkeys(map(self._single, parts)) if self.each is str else map(self._single, parts))
+
+    def _single(self, value: Any) -> Any:
+        if self.each is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         elif self.each is Path and isinstance(value, str):
             value = Path(value)
@@ -168,12 +169,18 @@ class Options:
             if not each.model and getattr(self, each.name) != each.default:
                 yield each, getattr(self, each.name)
 
+    def keywords(self) -> dict[str, Any]:
+        """The options that differ from their defaults, as keywords of a function that takes them."""
+        return {option.name: value for option, value in self.changed()}
+
 
 @cache
 def options_of(group: type) -> dict[str, Option]:
     """The options of a dataclass by name, in their order; with `NoiseOptions` the numbers of the noise models, too."""
     hints = get_type_hints(group)
-    found = {f.name: _option(f, hints[f.name]) for f in fields(group) if "help" in f.metadata or group in MODELS.values()}
+    found = {
+        f.name: _option(f, hints[f.name]) for f in fields(group) if "help" in f.metadata or group in MODELS.values()
+    }
     if issubclass(group, NoiseOptions):
         for model, kind in MODELS.items():
             for each in options_of(kind).values():
@@ -249,6 +256,12 @@ class NoiseOptions(Options):
         made = super().of(**given)
         return made if numbers_of is None else replace(made, numbers=numbers_of)
 
+    def changed(self) -> Iterator[tuple[Option, Any]]:
+        """The options that differ from their defaults, numbers of the noise models among them."""
+        yield from super().changed()
+        known = options_of(type(self))
+        yield from ((known[name], value) for name, value in self.numbers.items())
+
     def models(
         self, motion: MotionModel | None = None, sensor: SensorModel | None = None
     ) -> tuple[MotionModel, SensorModel]:
@@ -291,11 +304,9 @@ class GraphOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FilterOptions(Options):
-    """The particle filters; see `fastslam.FastSLAM1`."""
+class FilterKindOptions(Options):
+    """What kind of particle filter runs; see `fastslam.FastSLAM1`."""
 
-    particles: int = option(1000, "Number of particles.", minimum=1, panel=FILTER)
-    seed: int = option(0, "Random seed; the same seed gives the same result.", minimum=0, panel=FILTER)
     resampling: str = option(
         "systematic",
         "Resampling scheme.",
@@ -309,8 +320,26 @@ class FilterOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class FilterOptions(FilterKindOptions):
+    """The particle filters; see `fastslam.FastSLAM1`."""
+
+    particles: int = option(1000, "Number of particles.", minimum=1, panel=FILTER)
+    seed: int = option(0, "Random seed; the same seed gives the same result.", minimum=0, panel=FILTER)
+
+
+@dataclass(frozen=True, kw_only=True)
 class RunOptions(FilterOptions, GraphOptions, NoiseOptions, ReadingOptions):
     """All options of a run: reading, noise, graph and filters. In Python: ``comparisons.run(log, kernel="huber")``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimatorOptions(Options):
+    """Which estimators run."""
+
+    estimators: tuple[str, ...] | None = option(
+        None, "Estimators to run: dead-reckoning, textbook, graph, gtsam, isam2, mcl, fastslam1, fastslam2.",
+        metavar="NAME,...", default_text="all that can run on the log",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -389,7 +418,7 @@ class BackendOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ParticleStudyOptions(JobsOptions, NoiseOptions, ReadingOptions):
+class ParticleStudyOptions(JobsOptions, FilterKindOptions, NoiseOptions, ReadingOptions):
     """How `particles.study_particles` varies the number of particles."""
 
     filters: tuple[str, ...] = option(
@@ -399,13 +428,6 @@ class ParticleStudyOptions(JobsOptions, NoiseOptions, ReadingOptions):
         (10, 32, 100, 316, 1000, 3162, 10_000, 31_623, 100_000), "Numbers of particles.", minimum=1, metavar="N,..."
     )
     seeds: int = option(10, "Number of random seeds, starting from 0.", minimum=1)
-    resampling: str = option(
-        "systematic", "Resampling scheme.", choices=("systematic", "stratified", "residual", "multinomial")
-    )
-    association: str = option(
-        "known", "Landmark ids of the sightings: known, or found by maximum likelihood.",
-        choices=("known", "maximum-likelihood"),
-    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,9 @@ from graphslam import MotionModel, OptionError, load, sample_log_path, save, sim
 
 @pytest.fixture(scope="module")
 def comparison():
-    return comparisons.run(simulate(steps=20, seed=2), ["dead-reckoning", "graph", "fastslam1"], particles=20)
+    return comparisons.run(
+        simulate(steps=20, seed=2), estimators=["dead-reckoning", "graph", "fastslam1"], particles=20
+    )
 
 
 def test_every_name_is_there_and_listed():
@@ -32,10 +34,10 @@ def test_run_takes_a_log_a_file_or_nothing(comparison):
     assert [result.name for result in comparison.results] == ["dead-reckoning", "graph", "fastslam1"]
     of_file = comparisons.run(str(sample_log_path()), ["graph"])
     assert of_file.source == sample_log_path()
-    assert of_file["graph"].cost == comparisons.run(None, ["graph"])["graph"].cost
+    assert of_file["graph"].cost == comparisons.run(None, estimators=["graph"])["graph"].cost
     assert of_file["graph"].cost == comparisons.run(load(sample_log_path()), ["graph"])["graph"].cost
     with pytest.raises(OptionError, match="did you mean 'particles'"):
-        comparisons.run(None, ["graph"], particle=3)
+        comparisons.run(None, estimators=["graph"], particle=3)
 
 
 def test_the_table_is_a_sequence_of_rows_that_also_knows_names(comparison):
@@ -58,7 +60,7 @@ def test_outcomes_show_themselves(comparison):
     assert "data:image/png;base64," in page
     assert "converged" in page  # its heading is broken into two lines on a terminal only
     assert "data:image" not in comparison.table._repr_html_()
-    named = comparisons.run(simulate(steps=20, seed=2).replace(name="<b>&"), ["graph"])
+    named = comparisons.run(simulate(steps=20, seed=2).replace(name="<b>&"), estimators=["graph"])
     assert "&lt;b&gt;&amp;" in named._repr_html_()
 
 
@@ -77,18 +79,18 @@ def test_other_verbs_show_themselves_too(tmp_path):
 
 
 def test_the_page_of_a_comparison_says_what_it_was_told(tmp_path):
-    told = comparisons.run(
-        simulate(steps=15, seed=1), ["graph"], motion=MotionModel(nn=0.5), robust="huber", particles=77
+    comparison = comparisons.run(
+        simulate(steps=15, seed=1), estimators=["graph"], motion=MotionModel(nn=0.5), kernel="huber", particles=77
     )
-    comparisons.write_report(told, str(tmp_path / "page.html"))
+    comparisons.write_report(comparison, str(tmp_path / "page.html"))
     page = (tmp_path / "page.html").read_text()
-    for line in ("nn = 0.5", "robust = &quot;huber&quot;", "particles = 77"):
+    for line in ("nn = 0.5", "kernel = &quot;huber&quot;", "particles = 77"):
         assert line in page
 
 
 def test_paths_may_be_text(tmp_path):
     save(simulate(steps=10, seed=1), tmp_path / "log.npz")
-    assert len(comparisons.animate(str(tmp_path / "log.npz"), "mcl", comparisons.RunOptions(particles=10))) == 11
+    assert len(comparisons.animate(str(tmp_path / "log.npz"), estimator="mcl", particles=10)) == 11
     (tmp_path / "study.toml").write_text('seeds = 1\nestimators = ["graph"]\n[simulate]\nsteps = 10\n')
     assert len(comparisons.read_study(str(tmp_path / "study.toml")).runs) == 1
 
@@ -100,5 +102,5 @@ def test_options_of_a_wrong_type_are_told():
         ({"particles": 0}, "at least 1"),
     ):
         with pytest.raises(OptionError, match=message):
-            comparisons.run(None, ["mcl"], **options)
-    assert [row.name for row in comparisons.run(None, "graph").table] == ["graph"]
+            comparisons.run(None, estimators=["mcl"], **options)
+    assert [row.name for row in comparisons.run(None, estimators="graph").table] == ["graph"]

@@ -219,7 +219,7 @@ def test_run_leaves_a_figure_and_json(invoke: Invoke, log_file: Path, tmp_path: 
     for word in (
         *names,
         folder.name,
-        "Next: slam-compare report",
+        "slam-compare report",
         "ATE",
         "[rad]",
         "graph and gtsam differ by at most",
@@ -254,7 +254,7 @@ def test_options_reach_the_estimators(invoke: Invoke, log_file: Path) -> None:
         "3",
         "--edges",
         "virtual+motion",
-        "--robust",
+        "--kernel",
         "cauchy",
     ]
     command = [
@@ -272,7 +272,7 @@ def test_options_reach_the_estimators(invoke: Invoke, log_file: Path) -> None:
     ]
     graph, fastslam = json.loads(invoke(*command).stdout)["estimators"]
     expected = {"edges": "virtual+motion", "frame": "world", "weight": "tempered", "motion_weight": 3.0}
-    assert graph["options"] == expected | {"initialize": "given", "robust": "cauchy"}
+    assert graph["options"] == expected | {"initialize": "given", "kernel": "cauchy"}
     assert fastslam["options"] == {"particles": 20, "seed": 5, "resampling": "systematic", "association": "known"}
     noisy = json.loads(invoke("run", log_file, *QUICK, "--range-rate", "0.5", "--json", "-").stdout)["estimators"][1]
     assert noisy["cost"] != pytest.approx(graph["cost"])
@@ -290,7 +290,7 @@ def test_the_sample_log_is_the_default(invoke: Invoke) -> None:
     result = invoke("run", *QUICK)
     assert result.exit_code == 0
     assert "sample: " in result.stdout
-    assert "Next: slam-compare report page.html" in result.stdout
+    assert "slam-compare report report.html" in result.stdout
 
 
 def test_nothing_is_left_behind_when_a_run_breaks(
@@ -299,7 +299,7 @@ def test_nothing_is_left_behind_when_a_run_breaks(
     def breaks(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("comparisons.plots.comparison_figure", breaks)
+    monkeypatch.setattr("comparisons.comparison.Comparison.figure", breaks)
     result = invoke("run", log_file, *QUICK, "--out", "here")
     assert isinstance(result.exception, ZeroDivisionError)
     assert [p.name for p in tmp_path.iterdir()] == ["log.npz"]
@@ -335,7 +335,7 @@ def test_only_the_graphs_that_are_named(invoke: Invoke, log_file: Path) -> None:
 def test_solvers_that_differ_exit_with_one(invoke: Invoke, log_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sloppy = solvers.solve
     monkeypatch.setattr(solvers, "solve", lambda graph, **_: sloppy(graph, tolerance=1e-3))
-    result = invoke("solvers", log_file, "--motion-weights", "1", "--jobs", 1, "--json", "-")
+    result = invoke("solvers", log_file, "--motion-weights", "1", "--jobs", 0, "--json", "-")
     assert result.exit_code == 1
     assert "DIFFERENT" in result.stderr
     assert not all(entry["agree"] for entry in json.loads(result.stdout)["variants"])
@@ -362,7 +362,7 @@ def test_version(invoke: Invoke) -> None:
 def test_the_command_line_imports_nothing_heavy() -> None:
     code = """if True:
         import sys, comparisons.cli, comparisons.__main__
-        heavy = {"numpy", "scipy", "matplotlib", "numba", "gtsam", "graphslam", "fastslam"} & set(sys.modules)
+        heavy = {"scipy", "matplotlib", "numba", "gtsam", "rich.table", "comparisons.show"} & set(sys.modules)
         sys.exit(str(heavy) if heavy else 0)
     """
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
@@ -408,11 +408,11 @@ def test_quiet_leaves_the_result_alone(invoke: Invoke, log_file: Path) -> None:
     said = invoke("run", log_file, *QUICK, "--out", "here")
     quiet = invoke("run", log_file, *QUICK, "--out", "here", "--quiet")
     assert "ATE" in quiet.stdout
-    for hint in ("Next:", "Wrote", "Again"):
+    for hint in ("Repeat this run:", "Wrote", "Animation:"):
         assert hint in said.stdout
         assert hint not in quiet.stdout
     # nothing is left of it in the next run
-    assert "Next:" in invoke("run", log_file, *QUICK, "--out", "here").stdout
+    assert "Repeat this run:" in invoke("run", log_file, *QUICK, "--out", "here").stdout
 
 
 def test_verbose_tells_each_step_and_where_errors_arise(invoke: Invoke, log_file: Path) -> None:
@@ -448,7 +448,7 @@ def test_no_color_is_honoured() -> None:
 
 
 def test_the_program_is_named_so_that_it_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from comparisons.cli.support import program
+    from comparisons.cli.output import program
 
     called = tmp_path / "my venv" / "bin" / "slam-compare"
     called.parent.mkdir(parents=True)

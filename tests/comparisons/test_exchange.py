@@ -18,7 +18,7 @@ from graphslam import Graph, OptionError, simulate, solve
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
     comparison = comparisons.run(
-        simulate(steps=40, seed=4), ["dead-reckoning", "graph", "gtsam", "fastslam1"], particles=50
+        simulate(steps=40, seed=4), estimators=["dead-reckoning", "graph", "gtsam", "fastslam1"], particles=50
     )
     folder = tmp_path_factory.mktemp("saved")
     return comparison, folder, comparison.save(folder)
@@ -82,19 +82,21 @@ def test_the_graph_as_g2o_starts_at_the_solution(saved):
 
 def test_a_graph_that_g2o_cannot_hold_is_left_out(tmp_path):
     log = simulate(steps=15, seed=1)
-    files = comparisons.run(log, ["graph"], weight="marginal", edges="virtual+motion").save(tmp_path, formats=["svg"])
+    files = comparisons.run(log, estimators=["graph"], weight="marginal", edges="virtual+motion").save(
+        tmp_path, figures=["svg"]
+    )
     assert "graph.g2o" not in files
     assert not (tmp_path / "graph.g2o").exists()
     assert files["figure"].name == "comparison.svg"
     with pytest.raises(OptionError, match="png, pdf, svg"):
-        comparisons.run(log, ["graph"]).save(tmp_path, formats=["bmp"])
+        comparisons.run(log, estimators=["graph"]).save(tmp_path, figures=["bmp"])
 
 
 def test_the_same_data_makes_the_same_figures(tmp_path):
     log = simulate(steps=15, seed=1)
-    comparison = comparisons.run(log, ["dead-reckoning", "graph"])
+    comparison = comparisons.run(log, estimators=["dead-reckoning", "graph"])
     for folder in ("one", "two"):
-        comparison.save(tmp_path / folder, formats=("png", "pdf", "svg"))
+        comparison.save(tmp_path / folder, figures=("png", "pdf", "svg"))
     for kind in ("png", "pdf", "svg"):
         one, two = ((tmp_path / folder / f"comparison.{kind}").read_bytes() for folder in ("one", "two"))
         assert one == two, kind
@@ -104,7 +106,7 @@ def test_a_second_run_into_the_folder_leaves_nothing_of_the_first(tmp_path):
     log = simulate(steps=15, seed=1)
     mine = tmp_path / "notes.txt"
     mine.write_text("mine")
-    comparisons.run(log, ["graph", "fastslam1"], particles=10).save(tmp_path, formats=("svg", "png"))
+    comparisons.run(log, estimators=["graph", "fastslam1"], particles=10).save(tmp_path, figures=("svg", "png"))
     assert (tmp_path / "fastslam1.tum").exists()
-    files = comparisons.run(log, ["graph"]).save(tmp_path)
+    files = comparisons.run(log, estimators=["graph"]).save(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in files.values()} | {"notes.txt"}

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons import comparison as comparison_module
 from comparisons import estimators
-from comparisons.comparison import Comparison, Skipped, compare
-from comparisons.estimator import Estimator, EstimatorResult, RunOptions
+from comparisons.comparison import Comparison, Skipped, run
+from comparisons.estimators import Estimator
+from comparisons.options import RunOptions
+from comparisons.results import EstimatorResult
 from graphslam import GraphError, Log, OptionError, simulate
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
@@ -27,7 +28,7 @@ def log() -> Log:
 
 @pytest.fixture(scope="module")
 def comparison(log: Log) -> Comparison:
-    return compare(log, options=RunOptions(particles=50))
+    return run(log, particles=50)
 
 
 def made_up(name: str, poses: np.ndarray, **rest: object) -> EstimatorResult:
@@ -35,7 +36,7 @@ def made_up(name: str, poses: np.ndarray, **rest: object) -> EstimatorResult:
 
 
 def registered(monkeypatch: pytest.MonkeyPatch, name: str, function: object, **rest: object) -> None:
-    monkeypatch.setitem(comparison_module.ESTIMATORS, name, Estimator(function, **rest))  # type: ignore[arg-type]
+    monkeypatch.setitem(estimators.ESTIMATORS, name, Estimator(function, **rest))  # type: ignore[arg-type]
 
 
 def test_all_estimators_run_on_a_full_log(comparison: Comparison, log: Log) -> None:
@@ -61,21 +62,21 @@ def test_json_is_what_the_design_says(comparison: Comparison, log: Log) -> None:
 
 
 def test_without_truth_the_errors_are_null(log: Log) -> None:
-    bare = compare(log.replace(true_poses=None), ["graph"])
+    bare = run(log.replace(true_poses=None), estimators=["graph"])
     (entry,) = bare.to_json()["estimators"]
     assert [entry[k] for k in ("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m")] == [None] * 4
     assert entry["converged"] is True
 
 
 def test_poses_outside_the_graph_do_not_count(log: Log) -> None:
-    outcome = compare(log, ["graph"], RunOptions(edges="virtual"))
+    outcome = run(log, estimators=["graph"], edges="virtual")
     estimated = outcome["graph"].estimated
     assert not estimated.all()
     assert outcome.metrics["graph"].ate_m == ate(log.true_poses, outcome["graph"].poses, estimated)  # type: ignore[arg-type]
 
 
 def test_those_that_cannot_run_are_rows_with_their_reason(log: Log) -> None:
-    outcome = compare(log.replace(true_landmarks=None), options=RunOptions(particles=50))
+    outcome = run(log.replace(true_landmarks=None), particles=50)
     assert [entry.name for entry in outcome.skipped] == ["mcl"]
     row = next(row for row in outcome.table if row.name == "mcl")
     assert "map" in str(row.skipped)
@@ -88,33 +89,36 @@ def test_those_that_cannot_run_are_rows_with_their_reason(log: Log) -> None:
 
 def test_those_that_were_named_have_to_run(log: Log) -> None:
     with pytest.raises(OptionError, match="map"):
-        compare(log.replace(true_landmarks=None), ["graph", "mcl"])
+        run(log.replace(true_landmarks=None), estimators=["graph", "mcl"])
 
 
 def test_without_the_graph_there_is_no_comparison(log: Log) -> None:
     with pytest.raises(GraphError, match="one landmark"):
-        compare(log.without_orientation(), options=RunOptions(edges="virtual"))
+        run(log.without_orientation(), edges="virtual")
     nothing = log.replace(steps=[], landmarks=[], sightings=np.empty((0, 3)))
     with pytest.raises(GraphError, match="no sightings"):
-        compare(nothing, ["dead-reckoning"])
+        run(nothing, estimators=["dead-reckoning"])
 
 
 def test_slow_ones_run_only_when_named(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     registered(
         monkeypatch, "slow", lambda log, _: made_up("slow", log.initial_poses), seconds_per_iteration=lambda _: 9.0
     )
-    outcome = compare(log, options=RunOptions(particles=50))
+    outcome = run(log, particles=50)
     assert outcome.skipped == (Skipped("slow", outcome.skipped[0].reason),)
     assert "9 s" in outcome.skipped[0].reason
-    assert "slow" in compare(log, ["slow"])
+    assert "slow" in run(log, estimators=["slow"])
 
 
 def test_names_are_checked(log: Log) -> None:
     with pytest.raises(OptionError, match="no estimator 'graf'.*graph"):
-        compare(log, ["graph", "graf"])
+        run(log, estimators=["graph", "graf"])
     with pytest.raises(OptionError, match="at least one"):
-        compare(log, [])
-    assert [r.name for r in compare(log, ["graph", "dead-reckoning", "graph"]).results] == ["graph", "dead-reckoning"]
+        run(log, estimators=[])
+    assert [r.name for r in run(log, estimators=["graph", "dead-reckoning", "graph"]).results] == [
+        "graph",
+        "dead-reckoning",
+    ]
 
 
 def test_warnings_become_notes(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,7 +128,7 @@ def test_warnings_become_notes(log: Log, monkeypatch: pytest.MonkeyPatch) -> Non
         return made_up("loud", log.initial_poses, notes=("mine",))
 
     registered(monkeypatch, "loud", loud)
-    assert compare(log, ["loud"])["loud"].notes == ("mine", "step 3: impossible")
+    assert run(log, estimators=["loud"])["loud"].notes == ("mine", "step 3: impossible")
 
 
 def test_warnings_for_programmers_stay_warnings(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,7 +138,7 @@ def test_warnings_for_programmers_stay_warnings(log: Log, monkeypatch: pytest.Mo
 
     registered(monkeypatch, "old", old)
     with pytest.warns(DeprecationWarning, match="go away"):
-        assert compare(log, ["old"])["old"].notes == ()
+        assert run(log, estimators=["old"])["old"].notes == ()
 
 
 def test_bugs_are_not_swallowed(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,13 +147,17 @@ def test_bugs_are_not_swallowed(log: Log, monkeypatch: pytest.MonkeyPatch) -> No
 
     registered(monkeypatch, "broken", broken)
     with pytest.raises(ZeroDivisionError):
-        compare(log)
+        run(log)
 
 
 def test_progress_tells_of_begin_and_end(log: Log) -> None:
-    told: list[tuple[str, bool]] = []
-    compare(log, ["dead-reckoning", "graph"], progress=lambda name, outcome: told.append((name, outcome is None)))
-    assert told == [("dead-reckoning", True), ("dead-reckoning", False), ("graph", True), ("graph", False)]
+    calls: list[tuple[str, bool]] = []
+    run(
+        log,
+        estimators=["dead-reckoning", "graph"],
+        progress=lambda name, outcome: calls.append((name, outcome is None)),
+    )
+    assert calls == [("dead-reckoning", True), ("dead-reckoning", False), ("graph", True), ("graph", False)]
 
 
 def test_difference_is_wrapped_and_masked(log: Log) -> None:
@@ -189,7 +197,7 @@ def test_nothing_is_left_when_the_figure_fails(
         raise MemoryError
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("comparisons.plots.save_figure", fails)
+    monkeypatch.setattr("comparisons.comparison.Comparison.save_figure", fails)
     for directory in (None, tmp_path / "out"):
         with pytest.raises(MemoryError):
             comparison.save(directory)

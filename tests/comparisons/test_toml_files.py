@@ -42,15 +42,15 @@ def test_an_unknown_key_is_told_with_its_line_and_the_nearest_known_one(tmp_path
 
 def test_types(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
-    path.write_text('a = 1\nb = true\nc = "x"\n')
+    path.write_text('a = 1\nb = true\n[t]\nc = "x"\n')
     file = TomlFile(path)
     assert file.value(file.table, "a", int) == 1
     assert isinstance(file.value(file.table, "a", float), float)
     assert file.value(file.table, "d", float) is None
     with pytest.raises(FormatError, match=r":2: b should be a number, not True"):
         file.value(file.table, "b", float)
-    with pytest.raises(FormatError, match=r":3: t\.c should be a whole number or a list \[\.\.\], not 'x'"):
-        file.value(file.table, "c", int, list, where="t")
+    with pytest.raises(FormatError, match=r":4: t\.c should be a whole number or a list \[\.\.\], not 'x'"):
+        file.value(file.table["t"], "c", int, list, where="t")
 
 
 @pytest.mark.parametrize(("content", "word"), [(b"a = \n", ":1: not valid TOML"), (b"\xff\xfe", "UTF-8")])
@@ -61,3 +61,11 @@ def test_what_is_no_toml(tmp_path: Path, content: bytes, word: str) -> None:
         TomlFile(path)
     with pytest.raises(FormatError, match="no such file"):
         TomlFile(tmp_path / "b.toml")
+
+
+def test_the_line_of_a_key_is_that_of_its_own_table(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text("range_std = 1\n[other]\nrange_std = 2\n[sensor]\nbearing_std = 1\nrange_std = -3\n")
+    file = TomlFile(path)
+    lines = {key: file.line_of(key) for key in ("range_std", "other.range_std", "sensor.range_std", "sensor", "x")}
+    assert lines == {"range_std": 1, "other.range_std": 3, "sensor.range_std": 6, "sensor": 4, "x": None}

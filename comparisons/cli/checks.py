@@ -1,0 +1,61 @@
+"""The verbs that check and time solvers: solvers, backends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..options import BackendOptions, FigureOptions, SolverCheckOptions
+from .output import DIFFERENT, Output
+from .verb import LogFile
+
+if TYPE_CHECKING:
+    from ..backends import BackendRow
+    from ..solvers import SkippedVariant, VariantResult
+
+
+def solvers(output: Output, log: LogFile = None, *, options: SolverCheckOptions) -> None:
+    """Check the hand-written solver against GTSAM on every graph that a log allows; exit status 1 if they differ."""
+    from ..solvers import compare_solvers
+
+    with output.bar("variants") as advance:
+
+        def progress(variant: VariantResult | SkippedVariant, total: int) -> None:
+            advance(1, variant.name, total)
+            output.detail(f"{variant.name}: done")
+
+        outcome = compare_solvers(log, progress=progress, **options.keywords())
+    output.show(outcome)
+    if not outcome.problems:
+        output.say(f"The solvers agree in all {len(outcome.variants)} variants.")
+        output.hint("Next: slam-compare consistency tests whether the covariances are consistent")
+    output.json(outcome.to_json())
+    if outcome.problems:
+        raise typer.Exit(DIFFERENT)
+
+
+def backends(
+    output: Output,
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Pose graphs: g2o, TORO or iSAM text.")],
+    *,
+    options: BackendOptions,
+    drawing: FigureOptions,
+) -> None:
+    """Time this solver against GTSAM and g2o on pose graphs; one evaluator computes the chi2 of all."""
+    from ..backends import BACKENDS, compare_backends
+    from ..saving import FIGURE_FORMATS, check_can_write
+
+    if drawing.figure is not None:
+        check_can_write(drawing.figure, endings=FIGURE_FORMATS)
+    with output.bar("backends", len(files) * len(options.backends or BACKENDS)) as advance:
+
+        def progress(row: BackendRow) -> None:
+            advance(1, f"{Path(row.file).name} {row.backend}")
+            output.detail(f"{Path(row.file).name} {row.backend}: {row.seconds:.3g} s, {row.reason}")
+
+        outcome = compare_backends(files, progress=progress, **options.keywords())
+    output.show(outcome)
+    output.json(outcome.to_json())
+    output.draw(outcome, drawing.figure)

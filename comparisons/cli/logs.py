@@ -1,0 +1,75 @@
+"""The verbs about logs: calibrate, datasets, simulate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..options import OUTPUT, CalibrationOptions, NoiseOptions, ReadingOptions
+from .output import DIFFERENT, Output
+from .verb import LogFile, command
+
+
+def calibrate(
+    output: Output,
+    log: LogFile = None,
+    *,
+    calibration: CalibrationOptions,
+    reading: ReadingOptions,
+    noise: NoiseOptions,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Write the noise models there (TOML), for run --noise.", rich_help_panel=OUTPUT
+        ),
+    ] = None,
+) -> None:
+    """Estimate motion and sensor noise, range scale and range bias from a log, by maximum likelihood."""
+    from graphslam.calibration import calibrate as estimate
+
+    from ..noise_files import write_noise
+    from ..reading import read_log
+    from ..saving import check_can_write
+
+    if out is not None:
+        check_can_write(out)
+    data, _ = read_log(log, reading)
+    _, sensor = noise.models(data.motion, data.sensor)
+    degrees = float("inf") if calibration.gaussian else None
+    result = estimate(data, source=calibration.source, sensor=sensor, degrees=degrees)
+    output.show(result, name=data.name)
+    output.json(result.to_json())
+    if out is not None:
+        write_noise(result, out, data.name)
+        output.hint(f"Wrote {out}.", f"Next: {command('run', log, '--noise', out, options=reading)}")
+
+
+def datasets(
+    output: Output,
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Where to look.", show_default="the folder named by SLAM_DATA, or ../shared/data"
+        ),
+    ] = None,
+) -> None:
+    """List the known data sets, where they are published and how they must be laid out; find and check local copies."""
+    from graphslam import OptionError
+
+    from ..datasets import survey
+
+    if folder is not None and not folder.is_dir():
+        raise OptionError(f"--folder {folder}: there is no such folder")
+    with output.bar("data sets") as advance:
+
+        def progress(path: Path) -> None:
+            advance(1, path.name)
+            output.detail(f"reading {path}")
+
+        outcome = survey(folder, progress=progress)
+    output.show(outcome)
+    output.json(outcome.to_json())
+    if outcome.problems:
+        raise typer.Exit(DIFFERENT)

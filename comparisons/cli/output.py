@@ -1,0 +1,149 @@
+"""Where a verb writes: tables and sentences to standard output, progress to standard error, JSON where it is asked for."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import sys
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import typer
+
+#: exit statuses
+DIFFERENT, WRONG_INPUT, INTERRUPTED = 1, 2, 130
+#: the width of tables that are not written to a terminal
+WIDTH = 140
+
+
+class Advance(Protocol):
+    """Moves a progress bar."""
+
+    def __call__(self, steps: int, doing: str = "", total: int | None = None) -> None:
+        """Move the bar by ``steps``, name the current work, and set the total where it is known only now."""
+
+
+@contextmanager
+def sentences(verbose: bool) -> Iterator[None]:
+    """Turn user errors into one sentence and exit status 2, and Ctrl-C into 130; other errors keep their traceback."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        typer.echo("interrupted", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    except Exception as error:
+        from graphslam.errors import SlamError
+
+        if not isinstance(error, SlamError):
+            raise
+        if verbose:
+            traceback.print_exc()
+        typer.echo(f"error: {error}", err=True)
+        raise typer.Exit(WRONG_INPUT) from None
+
+
+class Output:
+    """The output of a verb.
+
+    Args:
+        json: the file of the JSON; "-" for standard output, which then carries nothing else; None for no JSON.
+        quiet: results only: no progress, no hints.
+        verbose: also each step of the work, and the traceback of errors.
+
+    Raises:
+        FormatError: the JSON file could not be written later.
+    """
+
+    def __init__(self, json: str | None, *, quiet: bool = False, verbose: bool = False) -> None:
+        from rich.console import Console
+
+        from ..saving import check_can_write
+
+        self._to_stdout, self._file = json == "-", None if json in (None, "-") else Path(str(json))
+        self.quiet, self.verbose = quiet, verbose
+        if self._file is not None:
+            check_can_write(self._file)
+        stream = sys.stderr if self._to_stdout else sys.stdout
+        self.console = Console(file=stream, width=None if stream.isatty() else WIDTH, highlight=False)
+        self._errors = Console(stderr=True, highlight=False)
+
+    def show(self, result: Any, **options: Any) -> None:
+        """Write the tables of a result and the remarks below them."""
+        from ..show.tables import tables_of
+
+        tables, remarks = tables_of(result, **options)
+        for table in tables:
+            self.console.print(table)
+        self.say(*remarks)
+
+    def draw(self, result: Any, path: Path | None, **options: Any) -> None:
+        """Write the figure of a result, if it is wanted."""
+        if path is not None:
+            result.save_figure([path], **options)
+            self.hint(f"Wrote {path}.")
+
+    def say(self, *lines: str) -> None:
+        """Write sentences, one a line, without markup."""
+        for line in lines:
+            self.console.print(line, markup=False, soft_wrap=True)
+
+    def json(self, payload: Mapping[str, Any]) -> None:
+        """Write the JSON where it was asked for, if anywhere."""
+        from ..saving import json_text, write_json
+
+        if self._to_stdout:
+            typer.echo(json_text(payload), nl=False)
+        elif self._file is not None:
+            write_json(payload, self._file)
+            self.hint(f"Wrote {self._file}.")
+
+    def hint(self, *lines: str) -> None:
+        """Where the files are and what could come next; not with --quiet. ``slam-compare`` is named so that it runs."""
+        if not self.quiet:
+            self.say(*(line.replace("slam-compare ", f"{program()} ") for line in lines))
+
+    def detail(self, line: str) -> None:
+        """A line on standard error about a step of the work, with --verbose."""
+        if self.verbose:
+            self._errors.print(line, style="dim", markup=False, soft_wrap=True)
+
+    def progress(self, line: str) -> None:
+        """A line on standard error about work that takes a while; not with --quiet."""
+        if not self.quiet:
+            self._errors.print(line, markup=False, soft_wrap=True)
+
+    @contextmanager
+    def bar(self, what: str, total: int | None = None) -> Iterator[Advance]:
+        """A progress bar with the remaining time on standard error, where that is a terminal; not with --quiet.
+
+        Args:
+            what: the work.
+            total: how many steps there are; None where nobody knows.
+        """
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+        from rich.progress import TimeRemainingColumn as Remaining
+
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        hidden = self.quiet or not self._errors.is_terminal
+        left = (TextColumn("remaining"), Remaining())
+        with Progress(*columns, *left, console=self._errors, transient=True, disable=hidden) as progress:
+            task = progress.add_task(what, total=total)
+
+            def advance(steps: int, doing: str = "", total: int | None = None) -> None:
+                progress.update(task, advance=steps, description=f"{what}: {doing}" if doing else what)
+                if total is not None:
+                    progress.update(task, total=total)
+
+            yield advance
+
+
+def program() -> str:
+    """How the user calls this program: by its name, or by its path where the shell does not find the name."""
+    called = Path(sys.argv[0])
+    if called.name != "slam-compare" or shutil.which(called.name) is not None:
+        return "slam-compare"
+    return shlex.quote(os.path.relpath(called))

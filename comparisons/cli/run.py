@@ -1,0 +1,146 @@
+"""The verbs that run estimators on a log: run, report, animate."""
+
+from __future__ import annotations
+
+import os
+import time
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..options import AnimationOptions, EstimatorOptions, OutputOptions, RunOptions
+from .output import Advance, Output
+from .verb import LogFile, command
+
+if TYPE_CHECKING:
+    from ..comparison import Comparison, Progress, Skipped
+    from ..results import EstimatorResult
+
+
+def run(
+    output: Output, log: LogFile = None, *, chosen: EstimatorOptions, options: RunOptions, saving: OutputOptions
+) -> None:
+    """Run all estimators on one log: a table, a figure and the results as JSON."""
+    from ..saving import RESULTS, check_can_make
+
+    check_can_make(RESULTS if saving.out is None else saving.out)
+    if saving.html is not None:
+        from ..show.report import check_page
+
+        check_page(saving.html)
+    outcome = _compared(output, log, chosen, options)
+    files = outcome.save(saving.out, figures=saving.figures)
+    output.show(outcome)
+    if saving.html is not None:
+        _write_page(output, outcome, saving.html)
+        files |= {"html": saving.html}
+    output.json(outcome.to_json(files))
+    folder = files["json"].parent
+    named = [p.name for kind, p in files.items() if not kind.endswith((".tum", ".csv", ".g2o")) and kind != "html"]
+    named += ["trajectories (*.tum)", "maps (*-map.csv)", *(["graph.g2o"] if "graph.g2o" in files else [])]
+    output.hint(f"Wrote {', '.join(named)} into {folder}{os.sep}")
+    output.hint(f"Repeat this run:     {command('run', '--config', files['config'])}")
+    plotly = "" if find_spec("plotly") else " (first: pip install plotly)"
+    output.hint(f"Interactive report:  {command('report', log, 'report.html', options=options)}{plotly}")
+    output.hint(f"Animation:           {command('animate', log, 'animation.gif', options=options)}")
+
+
+def report(
+    output: Output,
+    words: Annotated[
+        list[str],
+        typer.Argument(metavar="[LOG] OUT.html", help="The log (default: the sample log of the package), and the page."),
+    ],
+    *,
+    chosen: EstimatorOptions,
+    options: RunOptions,
+) -> None:  # fmt: skip
+    """Run all estimators on one log and write an interactive report: one HTML file that works offline."""
+    from ..show.report import check_page
+
+    log, page = log_and_file(words, "slam-compare report LOG OUT.html")
+    check_page(page)
+    outcome = _compared(output, log, chosen, options)
+    output.show(outcome)
+    _write_page(output, outcome, page)
+    output.json(outcome.to_json({"html": page}))
+    output.hint(f"Next: {command('run', log, options=options)}")
+
+
+def animate(
+    output: Output,
+    words: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="[LOG] OUT",
+            help="The log (default: the sample log of the package), and the animation: .gif, .mp4 (needs ffmpeg) or .html.",
+        ),
+    ],
+    *,
+    animation: AnimationOptions,
+    options: RunOptions,
+) -> None:  # fmt: skip
+    """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives."""
+    from ..comparison import describe
+    from ..show.films import animate as film_of
+    from ..show.films import check_can_film
+
+    log, out = log_and_file(words, "slam-compare animate LOG OUT")
+    check_can_film(out)
+    begin = time.perf_counter()
+    with output.bar(animation.estimator) as advance:
+        film = film_of(log, progress=lambda: advance(1), **animation.keywords(), **options.keywords())
+    with output.bar("drawing", len(film)) as advance:
+        film.save(out, progress=lambda: advance(1))
+    seconds, size = time.perf_counter() - begin, out.stat().st_size
+    output.say(*film.notes)
+    output.hint(f"Wrote {out}: {len(film)} of {film.steps} frames, {film.fps:g} per second, {size / 1e6:.1f} MB.")
+    output.json({
+        "file": str(out), "log": describe(film.log, film.source), "estimator": animation.estimator,
+        "pictures": len(film), "steps": film.steps, "fps": film.fps, "bytes": size, "seconds": seconds,
+        "notes": list(film.notes), "poses": film.frames[-1].poses,
+    })  # fmt: skip
+
+
+def log_and_file(words: list[str], form: str) -> tuple[Path | None, Path]:
+    """The log, or None, and the file to write, of the words '[LOG] OUT'.
+
+    Raises:
+        OptionError: there are more words; the message shows the form.
+    """
+    from graphslam import OptionError
+
+    if len(words) > 2:
+        raise OptionError(f"give at most a log and a file to write: {form}")
+    return (Path(words[0]) if len(words) == 2 else None), Path(words[-1])
+
+
+def _compared(output: Output, log: Path | None, chosen: EstimatorOptions, options: RunOptions) -> Comparison:
+    from ..comparison import compare
+    from ..estimators import ESTIMATORS
+    from ..kernels import compiled
+
+    if not compiled():
+        output.progress("Compiling the numerical kernels. This happens once and takes about half a minute.")
+    with output.bar("estimators", len(chosen.estimators or ESTIMATORS)) as advance:
+        return compare(log, options, estimators=chosen.estimators, progress=_progress(output, advance))
+
+
+def _progress(output: Output, advance: Advance) -> Progress:
+    def report(name: str, outcome: EstimatorResult | Skipped | None) -> None:
+        from ..results import EstimatorResult
+
+        advance(0 if outcome is None else 1, name)
+        if isinstance(outcome, EstimatorResult):
+            output.detail(f"{name}: {outcome.seconds:.3g} s" + (f", {outcome.reason}" if outcome.reason else ""))
+
+    return report
+
+
+def _write_page(output: Output, outcome: Comparison, page: Path) -> None:
+    from ..show.report import write_report
+
+    write_report(outcome, page)
+    output.hint(f"Wrote the interactive report {page}: open it in a browser.")

@@ -1,0 +1,154 @@
+"""The verbs that run many times and summarise: particles, consistency, sweep, study."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..options import ConsistencyOptions, FigureOptions, ParticleStudyOptions, SummaryOptions, SweepOptions
+from .output import DIFFERENT, INTERRUPTED, Advance, Output
+from .verb import LogFile
+
+if TYPE_CHECKING:
+    from ..particles import ParticleRun
+    from ..studies.outcome import Outcome
+    from ..studies.plan import Run
+    from ..studies.sweep import Progress
+
+
+def particles(output: Output, log: LogFile = None, *, options: ParticleStudyOptions, drawing: FigureOptions) -> None:
+    """Error, effective sample size, ancestors and time over the number of particles, for many random seeds."""
+    from ..particles import study_particles
+
+    check_figure(drawing.figure)
+    runs = len(options.filters) * len(options.particles) * options.seeds
+    with output.bar("runs", runs) as advance:
+
+        def progress(run: ParticleRun) -> None:
+            advance(1, f"{run.name} N={run.particles}")
+            output.detail(f"{run.name} N={run.particles} seed {run.seed}: {run.seconds:.2f} s")
+
+        outcome = study_particles(log, progress=progress, **options.keywords())
+    output.show(outcome)
+    output.json(outcome.to_json())
+    output.draw(outcome, drawing.figure)
+
+
+def consistency(output: Output, *, options: ConsistencyOptions, drawing: FigureOptions) -> None:
+    """Average normalised errors (ANEES) over many simulated logs, for each estimator and weight, with the 95 % band."""
+    from ..consistency import study_consistency
+
+    check_figure(drawing.figure)
+    with output.bar("logs", options.logs) as advance:
+        outcome = study_consistency(progress=lambda _: advance(1), **options.keywords())
+    output.show(outcome)
+    output.json(outcome.to_json())
+    output.draw(outcome, drawing.figure)
+    if options.noise == ConsistencyOptions().noise:
+        output.hint("Next: slam-compare consistency --noise 0.5 shows the effect of the models' curvature")
+
+
+def sweep(
+    output: Output,
+    study: Annotated[
+        Path, typer.Argument(metavar="STUDY", help="The study file, TOML (examples/study.toml, docs/studies.md).")
+    ],
+    *,
+    options: SweepOptions,
+) -> None:
+    """Run a study: logs x simulator settings x seeds x estimators x options, one database row for each run.
+
+    It can be stopped at any time, by Ctrl-C or otherwise: the same command continues it. Exit status 1 if runs failed.
+    """
+    from ..studies.sweep import sweep as execute
+
+    with output.bar("runs") as advance:
+        outcome = execute(study, progress=_progress(advance, output), **options.keywords())
+    output.say(
+        f"{outcome.database}: {outcome.before + outcome.ran} of {outcome.planned} runs, {outcome.ran} done now"
+        + (f", {outcome.failed} of these failed." if outcome.failed else ".")
+    )
+    if outcome.interrupted:
+        output.say(f"Interrupted; finished runs are kept. To continue: slam-compare sweep {study}")
+    elif outcome.failed:
+        output.hint(f"Repeat the failed runs: slam-compare sweep {study} --retry")
+    output.hint(f"Next: slam-compare study {outcome.database}")
+    output.json({"study": str(study), **outcome.to_json()})
+    if outcome.interrupted:
+        raise typer.Exit(INTERRUPTED)
+    if outcome.failed:
+        raise typer.Exit(DIFFERENT)
+
+
+def study(
+    output: Output,
+    words: Annotated[
+        list[str],
+        typer.Argument(metavar="[show] DATABASE", help="The database of a study, or the study file that names it."),
+    ],
+    *,
+    options: SummaryOptions,
+) -> None:
+    """Summarise a study: medians with bootstrap intervals, and paired differences on the same seeds.
+
+    Works on a finished study, an interrupted one, and one that is running.
+    """
+    from graphslam import OptionError
+
+    from ..saving import check_can_write
+    from ..studies.export import write_csv, write_json_lines
+    from ..studies.summary import read_summary
+
+    if len(words) == 2 and words[0].lower() == "show":
+        words = words[1:]
+    if len(words) != 1:
+        raise OptionError("give one database: slam-compare study study.sqlite")
+    check_figure(options.figure)
+    for path in (options.csv, options.jsonl):
+        if path is not None:
+            check_can_write(path)
+    found = read_summary(words[0], baseline=options.baseline)
+    output.show(found.summary)
+    if found.others:
+        output.say(f"{found.others} rows of runs that are no longer part of the study file are kept, and not shown.")
+    for path, write in ((options.csv, write_csv), (options.jsonl, write_json_lines)):
+        if path is not None:
+            write(found.rows, path)
+            output.hint(f"Wrote {path}.")
+    if found.rows:
+        output.draw(found.summary, options.figure, metric=options.metric)
+    output.json({"database": str(found.database), "study": found.study, **found.summary.to_json()})
+    missing = found.summary.planned - found.summary.done
+    if missing:
+        output.hint(f"Next: slam-compare sweep {found.study} (executes the other {missing} runs)")
+    elif options.figure is None:
+        output.hint(f"Next: slam-compare study {found.database} --figure study.png --csv runs.csv")
+
+
+def check_figure(path: Path | None) -> None:
+    """Raise now, rather than after the work, if a figure is wanted and cannot be written."""
+    from ..saving import FIGURE_FORMATS, check_can_write
+
+    if path is not None:
+        check_can_write(path, endings=FIGURE_FORMATS)
+
+
+def _progress(advance: Advance, output: Output) -> Progress:
+    from ..studies.outcome import DONE
+
+    failed = 0
+
+    def report(done: int, planned: int, run: Run | None, outcome: Outcome | None) -> None:
+        nonlocal failed
+        if run is None or outcome is None:
+            # rows of earlier sweeps took no time of this one
+            advance(0, total=planned - done)
+            return
+        failed += outcome.status != DONE
+        advance(1, f"{failed} failed" if failed else "")
+        error = f", {outcome.error}" if outcome.error else ""
+        output.detail(f"{run.log} {run.method} seed {run.seed}: {outcome.status}{error}")
+
+    return report

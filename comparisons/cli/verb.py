@@ -1,0 +1,175 @@
+"""How a verb of ``slam-compare`` is made from a function and the dataclasses of its options.
+
+A parameter of the function that is annotated with a dataclass of `comparisons.options` becomes all the options of that
+dataclass; the function receives the dataclass, checked. ``output`` is the verb's `Output`. Other parameters are arguments of
+typer. Every verb has --json, --quiet and --verbose; a verb that reads a log has --config, too.
+"""
+
+from __future__ import annotations
+
+import inspect
+import shlex
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import typer
+
+from ..options import JsonOptions, NoiseOptions, Option, Options, ReadingOptions, options_of
+from .output import Output, sentences
+
+#: the argument LOG of most verbs
+LogFile = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="LOG", help="The log: a file, or the folder of a data set.",
+        show_default="the sample log of the package",
+    ),
+]  # fmt: skip
+_META = "comparisons.config"
+
+
+def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) -> None:
+    """Add a function as a verb of its name to the command line.
+
+    Args:
+        app: the command line.
+        function: its docstring is the help.
+        examples: command lines for the end of the help.
+    """
+    hints = get_type_hints(function, include_extras=True)
+    parameters = [p for p in inspect.signature(function).parameters.values() if p.name != "output"]
+    groups = {p.name: hints[p.name] for p in parameters if _is_options(hints[p.name])}
+    options: dict[str, Option] = {}
+    for group in (*groups.values(), JsonOptions):
+        options |= {name: each for name, each in options_of(group).items() if each.only != "python"}
+    arguments = [p.replace(annotation=hints[p.name]) for p in parameters if p.name not in groups]
+    configurable = any(issubclass(group, ReadingOptions) for group in groups.values())
+
+    def command(ctx: typer.Context, quiet: bool, verbose: bool, config: Path | None = None, **values: Any) -> None:
+        with sentences(verbose):
+            values = _without_outranked(ctx, values, options)
+            if config is not None:
+                _check_log(ctx, values.get("log"))
+            output = Output(values.pop("json"), quiet=quiet, verbose=verbose)
+            for name, group in groups.items():
+                values[name] = group.of(**{o: values.pop(o) for o in options_of(group) if o in values})
+            function(output=output, **values)
+
+    context = inspect.Parameter("ctx", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=typer.Context)
+    extra = [_CONFIG] if configurable else []
+    signature = [context, *arguments, *extra, *map(_parameter, options.values()), *_VERBOSITY]
+    signature = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in signature]
+    command.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
+    command.__annotations__ = {p.name: p.annotation for p in signature}
+    command.__doc__ = function.__doc__
+    # blank lines between, because neighbouring lines are joined
+    epilog = "\n\n".join(["Examples:", *(f"  {line}" for line in examples)])
+    app.command(function.__name__, epilog=epilog)(command)
+
+
+def _is_options(hint: Any) -> bool:
+    return isinstance(hint, type) and issubclass(hint, Options)
+
+
+def _parameter(option: Option) -> inspect.Parameter:
+    """The option as a parameter that typer understands; its default None stands for the option's own."""
+    # several values are one word with commas
+    kind: Any = str if option.kind is tuple or option.each is Path else option.each
+    flag = f"{option.flag}/--no-{option.flag[2:]}" if option.kind is bool and option.default else option.flag
+    flags = [flag, *([f"--{option.alias}"] if option.alias else [])]
+    text = option.help.removesuffix(".") + (f" [{option.unit}]." if option.unit else ".")
+    if not all(choice in option.help for choice in option.choices):
+        text += f" One of: {', '.join(option.choices)}."
+    default = option.default_text or (option.default not in (None, False) and option.text(option.default))
+    metavar = option.metavar or None
+    settings = typer.Option(
+        *flags,
+        help=text.replace("[", r"\["),
+        metavar=metavar,
+        show_default=default,
+        rich_help_panel=option.panel or None,
+    )
+    annotation = Annotated[kind | None, settings]
+    return inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+
+
+def _flag(name: str, short: str, text: str) -> inspect.Parameter:
+    annotation = Annotated[bool, typer.Option(f"--{name}", short, help=text)]
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=annotation)
+
+
+_VERBOSITY = [
+    _flag("quiet", "-q", "Results only: no progress, no hints."),
+    _flag("verbose", "-v", "Also report each step of the work, and the traceback of an error."),
+]
+
+
+def _read_config(ctx: typer.Context, path: Path | None) -> Path | None:
+    """Make the values of a configuration file the defaults of the options, so that the command line takes precedence."""
+    if path is not None and not ctx.resilient_parsing:
+        with sentences(verbose=False):
+            from ..config import read_config
+
+            values = read_config(path)
+        ctx.meta[_META] = values
+        ctx.default_map = {
+            name: ",".join(map(str, value)) if isinstance(value, (list, tuple)) else value
+            for name, value in values.items()
+        }
+    return path
+
+
+_CONFIG = inspect.Parameter(
+    "config", inspect.Parameter.KEYWORD_ONLY, default=None,
+    annotation=Annotated[
+        Path | None,
+        typer.Option(
+            "--config", metavar="FILE", show_default=False, callback=_read_config, is_eager=True,
+            help="A TOML file of options, such as the config.toml of an earlier run. Options of the command line take "
+            "precedence.",
+        ),
+    ],
+)  # fmt: skip
+
+
+def _check_log(ctx: typer.Context, log: Path | None) -> None:
+    """Raise `OptionError` where the log of the configuration has changed since it was saved."""
+    values = ctx.meta[_META]
+    if "log_sha256" in values and log == values.get("log"):
+        from ..config import check_unchanged
+
+        check_unchanged(log, values["log_sha256"])
+
+
+def _without_outranked(ctx: typer.Context, values: dict[str, Any], options: dict[str, Option]) -> dict[str, Any]:
+    """The values without the noise numbers of a configuration file where --noise names another file."""
+
+    def typed(name: str) -> bool:
+        source = ctx.get_parameter_source(name)
+        return source is not None and source.name == "COMMANDLINE"
+
+    if not ("noise" in options and typed("noise")):
+        return values
+    of_noise = {name for name, each in options_of(NoiseOptions).items() if each.only != "python"}
+    return {name: value if name not in of_noise or typed(name) else None for name, value in values.items()}
+
+
+def command(verb: str, *words: Path | str | None, options: Options | None = None, leave_out: Sequence[str] = ()) -> str:
+    """A command line that can be pasted: the verb, the words that are not None, and all options off their defaults.
+
+    Args:
+        verb: of ``slam-compare``.
+        words: arguments of the verb.
+        options: those of the run that the command continues.
+        leave_out: names of options that the verb does not have.
+    """
+    parts = [str(word) for word in words if word is not None]
+    for option, value in options.changed() if options is not None else ():
+        if option.only == "python" or option.name in leave_out:
+            continue
+        if option.kind is bool:
+            parts.append(option.flag if value else f"--no-{option.flag[2:]}")
+        else:
+            parts += [option.flag, option.text(value)]
+    return f"slam-compare {shlex.join([verb, *parts])}"

@@ -1,0 +1,401 @@
+"""The JSON of every verb as typed models. What the verbs write and its schema (docs/schema.json) both come from here.
+
+`document` fills a model from result objects whose attributes have the names of its fields. The docstring of a model and the
+descriptions of its fields are those of the schema and of docs/json.md.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from .saving import jsonable
+
+_MISSING = object()
+
+
+class Document(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    """The base of all models."""
+
+
+def document(model: type[Document], *sources: object, **values: Any) -> dict[str, Any]:
+    """The fields of a model as plain data for JSON, in their order.
+
+    Args:
+        model: names the fields.
+        sources: objects; a field takes the attribute of its name from the first that has one.
+        values: fields that are given here.
+
+    Raises:
+        AttributeError: no source has a field that is not given.
+    """
+    content = {}
+    for field in msgspec.structs.fields(model):
+        value = values.get(field.name, _MISSING)
+        for source in sources:
+            if value is _MISSING:
+                value = getattr(source, field.name, _MISSING)
+        if value is _MISSING:
+            raise AttributeError(f"{model.__name__} needs a value for {field.name}")
+        content[field.name] = value
+    return jsonable(content)
+
+
+def about(text: str) -> msgspec.Meta:
+    """The description of a field."""
+    return msgspec.Meta(description=text)
+
+
+Count = Annotated[int, msgspec.Meta(ge=0)]
+Id = Annotated[str, msgspec.Meta(pattern="^-?[0-9]+$")]
+Dimensions = Annotated[Literal[2, 3], about("columns of a sighting: 2 for range and bearing, 3 with orientation psi")]
+Pose = Annotated[
+    list[float | None],
+    msgspec.Meta(min_length=3, max_length=3, description="x [m], y [m], heading [rad]; null where unknown"),
+]
+Position = Annotated[
+    list[float | None],
+    msgspec.Meta(min_length=2, max_length=3, description="x, y [m] and, where the landmark has one, heading [rad]"),
+]
+Covariance = Annotated[
+    list[list[float]],
+    msgspec.Meta(min_length=2, max_length=3, description="n rows of n numbers, n as long as the mean"),
+]
+Band = Annotated[list[float], msgspec.Meta(min_length=2, max_length=2, description="lower and upper end")]
+Quartiles = Annotated[
+    list[float], msgspec.Meta(min_length=3, max_length=3, description="25 %, 50 % and 75 % over the seeds")
+]
+
+
+class LogDocument(Document):
+    """The log that the estimators worked on."""
+
+    name: Annotated[str, about("name of the log")]
+    file: Annotated[str | None, about("file or folder it was read from")]
+    poses: Annotated[Count, about("number of poses, T + 1")]
+    sightings: Annotated[Count, about("number of sightings")]
+    landmarks: Annotated[Count, about("number of landmarks seen")]
+    dimensions: Dimensions
+    has_controls: Annotated[bool, about("whether there is odometry")]
+    controls: Annotated[Count | None, about("number of controls")]
+    poses_covered: Annotated[Count, about("number of poses whose ground truth is known")]
+    true_poses: Annotated[list[Pose] | None, about("the true trajectory")]
+    true_landmarks: Annotated[dict[Id, Position] | None, about("the true map, by id")]
+    notes: Annotated[list[str], about("remarks of the reader")]
+
+
+class EstimatorDocument(Document):
+    """The result of one estimator. Every metric is null where it cannot be known, or the estimator did not run."""
+
+    name: Annotated[str, about("name of the estimator")]
+    converged: Annotated[bool | None, about("whether the stop rule was met; null where nothing is iterated")]
+    iterations: Annotated[Count | None, about("number of iterations")]
+    step_norms: Annotated[list[float | None] | None, about("norm of the correction of each iteration")]
+    cost: Annotated[float | None, about("J at the end")]
+    seconds: Annotated[float | None, about("time of the estimation alone [s]")]
+    ate_m: Annotated[float | None, about("absolute trajectory error [m]")]
+    rpe_m: Annotated[float | None, about("relative pose error per step [m]")]
+    rpe_rad: Annotated[float | None, about("relative pose error per step [rad]")]
+    heading_rad: Annotated[float | None, about("error of the headings after alignment [rad]")]
+    landmark_rmse_m: Annotated[float | None, about("error of the map in the frame of the aligned trajectory [m]")]
+    nees: Annotated[
+        float | None, about("mean normalised error squared of the poses per degree of freedom; 1: consistent")
+    ]
+    poses_counted: Annotated[Count | None, about("number of poses that the metrics are of")]
+    poses: Annotated[list[Pose] | None, about("the trajectory, T + 1 poses")]
+    estimated: Annotated[
+        list[bool] | None, about("false where a pose is only the initial guess; such poses do not count")
+    ]
+    landmarks: Annotated[dict[Id, Position] | None, about("the map, by id")]
+    landmark_covariances: Annotated[dict[Id, Covariance] | None, about("covariances of the map, by id")]
+    options: Annotated[dict[str, Any], about("the options that the estimator used")]
+    reason: Annotated[str, about("why it ended, or why it did not run")]
+    notes: Annotated[list[str], about("remarks of the estimator")]
+
+
+class RunDocument(Document):
+    """`slam-compare run` and `report`, comparison.json."""
+
+    log: LogDocument
+    estimators: Annotated[list[EstimatorDocument], about("in the order of the table")]
+    files: Annotated[
+        dict[str, str],
+        about("the files written: json, figure, figure_pdf, config, html, and the others by their names"),
+    ]
+
+
+class SimulateDocument(Document):
+    """`slam-compare simulate`."""
+
+    file: Annotated[str, about("the file written")]
+    log: LogDocument
+
+
+class VariantDocument(Document):
+    """One graph, solved by both solvers."""
+
+    name: Annotated[str, about("edges, frame, weight, dimensions, factor on the motion edges, kernel")]
+    pose_difference: Annotated[float | None, about("largest difference in any x, y [m] or heading [rad]")]
+    cost_difference: Annotated[float | None, about("relative difference of J")]
+    cost: Annotated[float | None, about("J of the hand-written solver")]
+    iterations: Annotated[Count, about("of the hand-written solver")]
+    gtsam_iterations: Annotated[Count, about("of GTSAM")]
+    seconds: Annotated[float | None, about("of the hand-written solver [s]")]
+    gtsam_seconds: Annotated[float | None, about("of GTSAM [s]")]
+    converged: Annotated[bool, about("whether the hand-written solver converged")]
+    gtsam_converged: Annotated[bool, about("whether GTSAM converged")]
+    failure: Annotated[str | None, about("why a solver failed")]
+    agree: Annotated[bool, about("whether poses differ by less than 1e-6 and J by less than 1e-9 of it")]
+
+
+class ReasonDocument(Document):
+    """A graph that the log does not determine."""
+
+    name: Annotated[str, about("as in `variants`")]
+    reason: Annotated[str, about("why it was left out")]
+
+
+class SolversDocument(Document):
+    """`slam-compare solvers`."""
+
+    variants: Annotated[list[VariantDocument], about("the graphs that were solved")]
+    skipped: Annotated[list[ReasonDocument], about("the graphs that the log does not determine")]
+
+
+class BackendDocument(Document):
+    """One solver on one pose graph."""
+
+    file: Annotated[str, about("the pose graph")]
+    backend: Annotated[str, about("graphslam, gtsam-lm, gtsam-gn, g2o-gn or g2o-lm")]
+    chi2: Annotated[float | None, about("at the end, by one evaluator for all; null where the solver failed")]
+    iterations: Annotated[Count, about("number of iterations")]
+    seconds: Annotated[float | None, about("from the initial values to the stop rule [s], median")]
+    converged: Annotated[bool, about("whether it met its stop rule")]
+    reason: Annotated[str, about("why it ended")]
+    ratio: Annotated[
+        float | None, about("time of graphslam over the time of this solver, where both reached the best chi2")
+    ]
+
+
+class BackendsDocument(Document):
+    """`slam-compare backends`."""
+
+    rows: Annotated[list[BackendDocument], about("a row for each file and solver")]
+    geometric_means: Annotated[dict[str, float | None], about("geometric mean of `ratio` over the files, by solver")]
+
+
+class ParticleRunDocument(Document):
+    """One filter, number of particles and random seed."""
+
+    name: Annotated[str, about("name of the filter")]
+    particles: Annotated[Count, about("number of particles N")]
+    seed: Annotated[Count, about("random seed")]
+    ate_m: Annotated[float | None, about("error of the best particle [m]")]
+    mean_ate_m: Annotated[float | None, about("error of the weighted mean of the histories [m]")]
+    landmark_rmse_m: Annotated[float | None, about("error of the map [m]")]
+    ess_share: Annotated[float | None, about("effective sample size over N, mean over the steps")]
+    ancestors: Annotated[Count, about("distinct particles half-way that have descendants at the end")]
+    seconds: Annotated[float, about("time of the run [s]")]
+
+
+class ParticleBandDocument(Document):
+    """Quartiles over the seeds of one filter and number of particles; null where a metric is not known."""
+
+    name: Annotated[str, about("name of the filter")]
+    particles: Annotated[Count, about("number of particles N")]
+    ate_m: Quartiles | None
+    mean_ate_m: Quartiles | None
+    landmark_rmse_m: Quartiles | None
+    ess_share: Quartiles | None
+    ancestors: Quartiles | None
+    seconds: Quartiles | None
+
+
+class ParticlesDocument(Document):
+    """`slam-compare particles`."""
+
+    log: Annotated[str, about("name of the log")]
+    runs: Annotated[list[ParticleRunDocument], about("every run")]
+    bands: Annotated[list[ParticleBandDocument], about("quartiles over the seeds")]
+
+
+class ConsistencyEstimatorDocument(Document):
+    """The normalised estimation error squared (NEES) of one estimator."""
+
+    name: Annotated[str, about("estimator, or weight of the graph")]
+    logs: Annotated[Count, about("number of logs that count")]
+    failed: Annotated[Count, about("number of logs on which it failed")]
+    anees: Annotated[
+        float | None, about("average NEES of the whole trajectory per degree of freedom; null without joint covariance")
+    ]
+    band: Annotated[Band, about("95 % band of `anees`")]
+    consistent: Annotated[bool | None, about("whether `anees` lies in `band`")]
+    anees_per_step: Annotated[list[float | None], about("average NEES of each pose per degree of freedom")]
+    step_band: Annotated[Band, about("95 % band of each entry of `anees_per_step`")]
+    steps_inside: Annotated[float | None, about("share of the steps inside `step_band`")]
+
+
+class ConsistencyDocument(Document):
+    """`slam-compare consistency`."""
+
+    logs: Annotated[Count, about("number of simulated logs")]
+    noise: Annotated[float, about("factor on the book's noise")]
+    steps: Annotated[Count, about("motions of each log")]
+    dimensions: Dimensions
+    seed: Annotated[Count, about("random seed of the first log")]
+    sightings_per_landmark: Annotated[float, about("mean over the logs")]
+    estimators: Annotated[list[ConsistencyEstimatorDocument], about("the estimators that were tested")]
+
+
+class FoundDocument(Document):
+    """A log or pose graph that was found and read."""
+
+    path: Annotated[str, about("file or folder")]
+    robot: Annotated[int | None, about("the robot, where a folder has several")]
+    poses: Annotated[Count, about("number of poses")]
+    sightings: Annotated[Count, about("number of sightings; of a pose graph, of all edges")]
+    landmarks: Annotated[Count, about("number of landmarks")]
+    controls: Annotated[Count | None, about("number of controls")]
+    seconds: Annotated[float | None, about("from the first pose to the last [s]")]
+    poses_covered: Annotated[Count | None, about("number of poses whose ground truth is known")]
+    notes: Annotated[list[str], about("remarks of the reader")]
+    error: Annotated[str | None, about("why it cannot be read")]
+
+
+class DataSetDocument(Document):
+    """A known data set."""
+
+    name: Annotated[str, about("short name")]
+    title: Annotated[str, about("full name")]
+    source: Annotated[str, about("where it is published")]
+    terms: Annotated[str, about("terms of use")]
+    layout: Annotated[str, about("files that the folder must have")]
+    is_graph: Annotated[bool, about("whether it has pose graphs instead of logs")]
+    found: Annotated[list[FoundDocument], about("the local copies")]
+
+
+class DatasetsDocument(Document):
+    """`slam-compare datasets`."""
+
+    folder: Annotated[str, about("the folder that was searched")]
+    exists: Annotated[bool, about("whether there is such a folder")]
+    sets: Annotated[list[DataSetDocument], about("the known data sets")]
+
+
+class MedianDocument(Document):
+    """A median and its bootstrap interval."""
+
+    median: Annotated[float, about("of the values")]
+    low: Annotated[float | None, about("lower end of the interval")]
+    high: Annotated[float | None, about("upper end of the interval")]
+    count: Annotated[Count, about("number of values")]
+
+
+class MedianFiguresDocument(Document):
+    """The median of each metric, see the estimator document; null where it is not known."""
+
+    ate_m: MedianDocument | None
+    rpe_m: MedianDocument | None
+    rpe_rad: MedianDocument | None
+    landmark_rmse_m: MedianDocument | None
+    iterations: MedianDocument | None
+    seconds: MedianDocument | None
+
+
+class MethodDocument(Document):
+    """One method on one log, or on all logs."""
+
+    log: Annotated[str, about("name of the log")]
+    method: Annotated[str, about("estimator and varied options")]
+    runs: Annotated[Count, about("number of rows")]
+    failed: Annotated[Count, about("number of runs that failed")]
+    timeouts: Annotated[Count, about("number of runs that exceeded the time limit")]
+    converged: Annotated[float | None, about("share of the runs that converged, of those that iterate")]
+    figures: Annotated[MedianFiguresDocument, about("medians of the metrics")]
+
+
+class DifferenceDocument(Document):
+    """A method minus the baseline on the same log and random seed."""
+
+    log: Annotated[str, about("name of the log")]
+    method: Annotated[str, about("estimator and varied options")]
+    baseline: Annotated[str, about("the method it is compared with")]
+    figures: Annotated[MedianFiguresDocument, about("medians of the differences")]
+    lower: Annotated[dict[str, Count], about("number of pairs in which the method has the lower value, by metric")]
+
+
+class StudyDocument(Document):
+    """`slam-compare study`."""
+
+    database: Annotated[str, about("the SQLite file")]
+    study: Annotated[str | None, about("the study file")]
+    planned: Annotated[Count, about("number of runs of the study")]
+    done: Annotated[Count, about("number of runs that have a row")]
+    baseline: Annotated[str | None, about("the method that the others are compared with")]
+    methods: Annotated[list[MethodDocument], about("every method on every log, and on all logs")]
+    differences: Annotated[list[DifferenceDocument], about("paired differences from the baseline")]
+    errors: Annotated[dict[str, Count], about("number of runs that ended with each error")]
+
+
+class SweepDocument(Document):
+    """`slam-compare sweep`."""
+
+    study: Annotated[str, about("the study file")]
+    database: Annotated[str, about("the SQLite file")]
+    planned: Annotated[Count, about("number of runs of the study")]
+    before: Annotated[Count, about("number of rows that existed before")]
+    ran: Annotated[Count, about("number of runs done now")]
+    failed: Annotated[Count, about("number of these that failed")]
+    interrupted: Annotated[bool, about("whether Ctrl-C ended it")]
+    missing: Annotated[Count, about("number of runs without a row")]
+
+
+class AnimateDocument(Document):
+    """`slam-compare animate`."""
+
+    file: Annotated[str, about("the file written")]
+    log: LogDocument
+    estimator: Annotated[str, about("the estimator that is animated")]
+    pictures: Annotated[Count, about("number of frames")]
+    steps: Annotated[Count, about("number of iterations or steps, the start included")]
+    fps: Annotated[float, about("frames per second")]
+    bytes: Annotated[Count, about("size of the file")]
+    seconds: Annotated[float, about("time of estimation and drawing [s]")]
+    notes: Annotated[list[str], about("remarks of the estimator")]
+    poses: Annotated[list[Pose], about("the trajectory in the last frame")]
+
+
+class CalibrateDocument(Document):
+    """`slam-compare calibrate`."""
+
+    source: Annotated[Literal["truth", "residuals"], about("what the noise was estimated from")]
+    motion: Annotated[
+        dict[str, Any] | None, about("fields of `graphslam.MotionModel`; null where the log has no controls")
+    ]
+    sensor: Annotated[dict[str, Any], about("fields of `graphslam.SensorModel`")]
+    range_scale: Annotated[float, about("measured range = range_scale * range + range_bias")]
+    range_bias: Annotated[float, about("the bias of that line [m]")]
+    errors: Annotated[dict[str, float | None], about("standard error of each number, by its name")]
+    degrees: Annotated[
+        dict[str, float | None],
+        about("degrees of freedom of Student's t of each residual; null for a normal distribution"),
+    ]
+    counts: Annotated[dict[str, Count], about("number of motions and sightings that were used")]
+    notes: Annotated[list[str], about("remarks of the calibration")]
+
+
+#: the document that each verb writes
+DOCUMENTS: dict[str, type[Document]] = {
+    "run": RunDocument,
+    "simulate": SimulateDocument,
+    "solvers": SolversDocument,
+    "backends": BackendsDocument,
+    "particles": ParticlesDocument,
+    "consistency": ConsistencyDocument,
+    "datasets": DatasetsDocument,
+    "study": StudyDocument,
+    "sweep": SweepDocument,
+    "animate": AnimateDocument,
+    "calibrate": CalibrateDocument,
+}
