@@ -8,18 +8,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from graphslam import Graph, GraphError, OptionError, solve
 from graphslam.checks import check_choice
 from graphslam.solvers.solve import INITIALIZE
 
+from .display import Displayed
 from .peers import PEERS, PeerRun
-from .shown import Shown
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from rich.table import Table
 
 #: the names of the backends, ours first
 BACKENDS = ("graphslam", *PEERS)
@@ -53,7 +49,7 @@ class BackendRow:
 
 
 @dataclass(frozen=True)
-class BackendComparison(Shown):
+class BackendComparison(Displayed):
     """The outcome of `compare_backends`."""
 
     rows: tuple[BackendRow, ...]
@@ -83,18 +79,6 @@ class BackendComparison(Shown):
         rows = [{k: v for k, v in vars(row).items() if k != "trace"} | {"ratio": self.ratio(row)} for row in self.rows]
         names = dict.fromkeys(row.backend for row in self.rows if row.backend != "graphslam")
         return {"rows": rows, "geometric_means": {name: self.geometric_mean(name) for name in names}}
-
-    def figure(self) -> Figure:
-        """Cost over time; see `backend_report.backends_figure`."""
-        from .backend_report import backends_figure
-
-        return backends_figure(self)
-
-    def shown(self) -> tuple[list[Table], list[str]]:
-        """See `Shown`."""
-        from .backend_report import backends_remarks, backends_table
-
-        return [backends_table(self)], backends_remarks(self)
 
 
 def compare_backends(

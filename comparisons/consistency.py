@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse.linalg as spla
@@ -26,13 +26,9 @@ from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorMo
 from graphslam.checks import check_choice, check_positive
 from graphslam.se2 import Array, wrap
 
+from .display import Displayed
 from .saving import jsonable
-from .shown import Shown
 from .solvers import mapping
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from rich.table import Table
 
 #: what can be judged: options of the graph, or a filter
 GRAPHS: dict[str, dict[str, Any]] = {
@@ -109,7 +105,7 @@ class Consistency:
 
 
 @dataclass(frozen=True, eq=False)
-class ConsistencyStudy(Shown):
+class ConsistencyStudy(Displayed):
     """The outcome of `study_consistency`: what was simulated, and every estimator's NEES."""
 
     logs: int
@@ -132,18 +128,6 @@ class ConsistencyStudy(Shown):
             for r in self.results
         ]  # fmt: skip
         return jsonable(told | {"estimators": results})
-
-    def figure(self) -> Figure:
-        """ANEES over the steps; see `consistency_figure.consistency_figure`."""
-        from .consistency_figure import consistency_figure
-
-        return consistency_figure(self)
-
-    def shown(self) -> tuple[list[Table], list[str]]:
-        """See `Shown`."""
-        from .tables import consistency_remarks, consistency_table
-
-        return [consistency_table(self)], consistency_remarks(self)
 
 
 def study_consistency(

@@ -10,17 +10,14 @@ import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from graphslam import Graph, Log, SlamError, load
 from graphslam.edges import AnchorEdges
 from graphslam.formats import FORMATS, mrclam
 
+from .display import Displayed
 from .saving import jsonable
-from .shown import Shown
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 #: how far below the folder of the data is looked, and files larger than this [bytes] are not opened to see what they are
 DEPTH, LARGEST = 3, 200_000_000
@@ -112,7 +109,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Survey(Shown):
+class Survey(Displayed):
     """What `survey` found below a folder, by the name of the data set."""
 
     folder: Path
@@ -127,12 +124,6 @@ class Survey(Shown):
         """The survey as plain data: {"folder", "exists", "sets": [{"name", ..., "found": [...]}]}."""
         sets = [vars(known) | {"found": [vars(entry) for entry in self.found[known.name]]} for known in DATA_SETS]
         return jsonable({"folder": self.folder, "exists": self.folder.is_dir(), "sets": sets})
-
-    def shown(self) -> tuple[list[Table], list[str]]:
-        """See `Shown`."""
-        from .tables import datasets_remarks, datasets_table
-
-        return [datasets_table(self)], datasets_remarks(self)
 
 
 def survey(folder: Path | None = None, progress: Callable[[Path], None] | None = None) -> Survey:

@@ -9,11 +9,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, ParticleFilter
 from graphslam import Log, MotionModel, OptionError, SensorModel
@@ -21,11 +19,7 @@ from graphslam.checks import check_choice
 from graphslam.metrics import ate, evaluate
 from graphslam.se2 import Array
 
-from .plots import paper_figure, style_of
-from .shown import Shown
-
-if TYPE_CHECKING:
-    from rich.table import Table
+from .display import Displayed
 
 FILTERS: dict[str, type[ParticleFilter]] = {
     "mcl": MonteCarloLocalization,
@@ -74,7 +68,7 @@ class ParticleRun:
 
 
 @dataclass(frozen=True, eq=False)
-class ParticleStudy(Shown):
+class ParticleStudy(Displayed):
     """All runs of a study, and the name of the log."""
 
     log: str
@@ -119,16 +113,6 @@ class ParticleStudy(Shown):
                 band[figure] = quartiles[:, at[0]].tolist() if len(at) else None
             bands.append(band)
         return {"log": self.log, "runs": [asdict(run) for run in self.runs], "bands": bands}
-
-    def figure(self) -> Figure:
-        """Figures over the number of particles; see `particles_figure`."""
-        return particles_figure(self)
-
-    def shown(self) -> tuple[list[Table], list[str]]:
-        """See `Shown`."""
-        from .tables import particles_table
-
-        return [particles_table(self)], []
 
     def _medians(self, name: str, figure: str) -> tuple[list[int], list[float]]:
         numbers, quartiles = self.bands(name, figure)
@@ -184,23 +168,6 @@ def study_particles(
     return ParticleStudy(log.name, tuple(runs))
 
 
-def particles_figure(outcome: ParticleStudy) -> Figure:
-    """The figure of a study: one panel per figure, median lines with bands from quartile to quartile over the seeds."""
-    known = [figure for figure in FIGURES if any(len(outcome.bands(name, figure)[0]) for name in outcome.names())]
-    with paper_figure((7.16, 2.4 * -(-len(known) // 3))) as figure:
-        panels = figure.subplots(-(-len(known) // 3), 3, squeeze=False, sharex=True).ravel()
-        for axes, quantity in zip(panels, known, strict=False):
-            _draw(axes, outcome, quantity)
-        for axes in panels[len(known) :]:
-            axes.set_visible(False)
-        for axes in panels[max(len(known) - 3, 0) : len(known)]:
-            axes.set_xlabel("particles")
-            axes.tick_params(labelbottom=True)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-    return figure
-
-
 def _run(log: Log, name: str, particles: int, seed: int, options: dict[str, Any]) -> ParticleRun:
     begin = time.perf_counter()
     result = FILTERS[name](log, particles=particles, seed=seed, **options).run()
@@ -221,16 +188,3 @@ def _run(log: Log, name: str, particles: int, seed: int, options: dict[str, Any]
         ancestors=int(result.ancestors[len(result.ancestors) // 2]),
         seconds=seconds,
     )
-
-
-def _draw(axes: Axes, outcome: ParticleStudy, figure: str) -> None:
-    for name in outcome.names():
-        numbers, quartiles = outcome.bands(name, figure)
-        if len(numbers) == 0:
-            continue
-        style = style_of(name, len(numbers))
-        axes.plot(numbers, quartiles[1], label=name, **style)
-        axes.fill_between(numbers, quartiles[0], quartiles[2], color=style["color"], alpha=0.2, linewidth=0)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.set_title(FIGURES[figure])

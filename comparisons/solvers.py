@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -31,11 +31,8 @@ from graphslam.graph import EDGES, FRAMES, WEIGHTS
 from graphslam.se2 import wrap
 from graphslam.solvers.solve import starting_state
 
+from .display import Displayed
 from .saving import jsonable
-from .shown import Shown
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 #: what two solvers may differ by: any x, y [m] or heading [rad], and J relative to itself
 POSE_TOLERANCE, COST_TOLERANCE = 1e-6, 1e-9
@@ -120,7 +117,7 @@ class SkippedVariant:
 
 
 @dataclass(frozen=True)
-class SolverComparison(Shown):
+class SolverComparison(Displayed):
     """The outcome of `compare_solvers`."""
 
     variants: tuple[VariantResult, ...]
@@ -135,12 +132,6 @@ class SolverComparison(Shown):
         """The comparison as plain data: {"variants": [...], "skipped": [{"name", "reason"}]}."""
         variants = [vars(v) | {"agree": v.problem is None} for v in self.variants]
         return jsonable({"variants": variants, "skipped": [vars(s) for s in self.skipped]})
-
-    def shown(self) -> tuple[list[Table], list[str]]:
-        """See `Shown`."""
-        from .tables import solvers_remarks, solvers_table
-
-        return [solvers_table(self, "hand-written solver against GTSAM")], solvers_remarks(self)
 
 
 def variants(

@@ -38,7 +38,9 @@ def yes_no(value: bool | None, more: str = "") -> Text:
     """Yes, no, or a dash where the question makes no sense; ``more`` follows in the same cell."""
     if value is None:
         return Text(NOTHING)
-    return (Text("yes", style="green") if value else Text("no", style="bold red")).append(more, style="not bold default")
+    return (Text("yes", style="green") if value else Text("no", style="bold red")).append(
+        more, style="not bold default"
+    )
 
 
 class LeanTable(Table):
@@ -62,16 +64,22 @@ class LeanTable(Table):
             self.add_column(Text(heading), justify="right", no_wrap=True)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """The table, or as few tables with the same rows as the width allows."""
+        """The table, with narrow gaps where that lets it fit, else as few tables with the same rows as possible."""
         names = [column for column in self.columns if not column.no_wrap]
-        free = options.max_width - min(NAMES, sum(map(_width, names)) + len(names) - 1)
         numbers = self.columns[len(names) :]
-        parts = _split(numbers, max(free, 1))
-        # as even as possible, with as few parts
-        parts = next(even for limit in range(max(free, 1) + 1) if len(even := _split(numbers, limit)) == len(parts))
+
+        def split(gap: int, limit: int = options.max_width) -> list[list[Column]]:
+            used = min(NAMES, sum(map(_width, names))) + gap * (len(names) - 1)
+            return _split(numbers, limit - used, gap)
+
+        gap = 1 if len(split(2)) > 1 == len(split(1)) else 2
+        # as even as possible
+        widths = range(1, options.max_width + 1)
+        parts = next(even for limit in widths if len(even := split(gap, limit)) == len(split(gap)))
         for k, part in enumerate(parts):
             table = LeanTable("", (), ())
             table.title = None if k else self.title
+            table.padding = (0, 0, 0, gap - 1)
             table.columns = [replace(column, _index=i) for i, column in enumerate((*names, *part))]
             table.rows = self.rows
             if k:
@@ -79,11 +87,11 @@ class LeanTable(Table):
             yield from Table.__rich_console__(table, console, options)
 
 
-def _split(columns: Sequence[Column], limit: int) -> list[list[Column]]:
+def _split(columns: Sequence[Column], limit: int, gap: int) -> list[list[Column]]:
     """The columns in runs that are no wider than the limit, or a single column each where one is wider."""
     parts: list[list[Column]] = [[]]
     for column in columns:
-        if parts[-1] and sum(_width(other) + 1 for other in (*parts[-1], column)) > limit:
+        if parts[-1] and sum(_width(other) + gap for other in (*parts[-1], column)) > limit:
             parts.append([])
         parts[-1].append(column)
     return parts

@@ -105,10 +105,11 @@ def _draw_landmarks(axes: Axes, result: EstimatorResult, placement: Array, solid
 
 
 def _draw_errors(axes: Axes, comparison: Comparison) -> None:
-    medians = []
+    medians, truth = [], comparison.log.true_poses
+    assert truth is not None
     for result in comparison.results:
-        if np.count_nonzero(result.estimated) >= 2:
-            errors = position_errors(comparison.log.true_poses, result.poses, result.estimated)
+        if np.count_nonzero(result.estimated & comparison.log.covered) >= 2:
+            errors = position_errors(truth, result.poses, mask=result.estimated)
             style = style_of(result.name, len(errors))
             # errors cross each other more often than paths do
             axes.plot(np.arange(len(errors)), errors, **style | {"linewidth": 0.7 * style.get("linewidth", 1.0)})

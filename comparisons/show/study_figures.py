@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,13 +12,15 @@ from matplotlib.figure import Figure
 
 from graphslam import OptionError
 
-from ..backends import BackendComparison, BackendRow
-from ..consistency import ConsistencyStudy
-from ..particles import FIGURES, ParticleStudy
-from ..studies.bootstrap import Median
-from ..studies.summary import ALL, METRICS, Summary
 from .canvas import WIDTH, paper_figure
 from .style import colour_of, style_of
+
+if TYPE_CHECKING:
+    from ..backends import BackendComparison, BackendRow
+    from ..consistency import ConsistencyStudy
+    from ..particles import ParticleStudy
+    from ..studies.bootstrap import Median
+    from ..studies.summary import Summary
 
 #: with more logs than this only the group of all logs is drawn
 MOST_LOGS = 6
@@ -26,6 +28,8 @@ MOST_LOGS = 6
 
 def particles_figure(study: ParticleStudy) -> Figure:
     """One panel per quantity over the number of particles: medians over the seeds, with bands between the quartiles."""
+    from ..particles import FIGURES
+
     names = study.names()
     known = [quantity for quantity in FIGURES if any(len(study.bands(name, quantity)[0]) for name in names)]
     rows = -(-len(known) // 3)
@@ -107,6 +111,8 @@ def study_figure(summary: Summary, metric: str = "ate_m") -> Figure:
     Raises:
         OptionError: no run has been executed.
     """
+    from ..studies.summary import ALL, METRICS
+
     logs = [log for log in dict.fromkeys(line.log for line in summary.methods) if log != ALL]
     if not logs:
         raise OptionError("there is nothing to draw: the study has no executed run")

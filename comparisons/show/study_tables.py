@@ -85,7 +85,7 @@ def summary_tables(summary: Summary) -> Tables:
             NOTHING if line.converged is None else f"{line.converged:.0%}",
             seconds(None if time is None else time.median), *_intervals(line.figures),
         )  # fmt: skip
-    tables = [table]
+    tables: list[Table] = [table]
     if summary.differences:
         tables.append(LeanTable(
             f"differences from {summary.baseline} on the same logs and random seeds: lower is better",
@@ -152,16 +152,20 @@ def survey_tables(survey: Survey) -> Tables:
     return [table], [*remarks, f"Searched below {survey.folder}.{missing}", ""]
 
 
-def calibration_tables(calibration: Calibration) -> Tables:
+def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
     """The numbers of the noise models with their standard errors, a row each."""
     from ..options import NoiseOptions, options_of
 
     source = "the ground truth" if calibration.source == "truth" else calibration.source
-    table = LeanTable(f"noise models from {source}", ["number", "unit"], ["value", "± error"])
-    for name, value in calibration.numbers.items():
-        error = calibration.errors.get(name, np.nan)
+    table = LeanTable(
+        f"{name}: noise models from {source}" if name else f"noise models from {source}",
+        ["number", "unit"],
+        ["value", "± error"],
+    )
+    for number_of, value in calibration.numbers.items():
+        error = calibration.errors.get(number_of, np.nan)
         known = f"{error:.2g}" if np.isfinite(error) else NOTHING
-        table.add_row(name, Text(options_of(NoiseOptions)[name].unit), f"{value:.4g}", known)
+        table.add_row(number_of, Text(options_of(NoiseOptions)[number_of].unit), f"{value:.4g}", known)
     names = {"motion": "motions", "sensor": "sightings"}
     counts = " and ".join(f"{count} {names[part]}" for part, count in calibration.counts.items())
     return [table], [

@@ -42,15 +42,19 @@ _TABLES = {
 }
 
 
-def tables_of(result: object) -> Tables:
+def tables_of(result: object, **options: Any) -> Tables:
     """The tables of a result and the sentences below them.
+
+    Args:
+        result: of a class of results of this project.
+        options: of its tables; a `Calibration` takes the ``name`` of its log.
 
     Raises:
         KeyError: the object is no result of this project.
     """
     module, name = _TABLES[type(result).__name__]
-    make: Callable[[Any], Tables] = getattr(import_module(module, __package__), name)
-    return make(result)
+    make: Callable[..., Tables] = getattr(import_module(module, __package__), name)
+    return make(result, **options)
 
 
 def as_text(result: object, width: int = WIDTH) -> str:

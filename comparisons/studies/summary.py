@@ -9,18 +9,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from graphslam import OptionError
 
-from ..shown import Shown
+from ..display import Displayed
 from ..toml_files import nearest
 from .bootstrap import Median, median_of
 from .outcome import DONE, TIMEOUT
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from rich.table import Table
 
 #: the figures that are summarised, and how tables and axes call them
 METRICS = {
@@ -75,7 +71,7 @@ class PairedDifference:
 
 
 @dataclass(frozen=True)
-class Summary(Shown):
+class Summary(Displayed):
     """A study summarised.
 
     Attributes:
@@ -95,19 +91,6 @@ class Summary(Shown):
     def to_json(self) -> dict[str, Any]:
         """The summary as plain data."""
         return asdict(self)
-
-    def figure(self) -> Figure:
-        """Medians with their intervals; see `figure.study_figure`."""
-        from .figure import study_figure
-
-        return study_figure(self)
-
-    def shown(self) -> tuple[list[Table], list[str]]:
-        """See `Shown`."""
-        from .tables import differences_table, remarks, summary_table
-
-        tables = [summary_table(self)]
-        return tables + [differences_table(self)] * bool(self.differences), remarks(self)
 
 
 def summarise(rows: Sequence[Row], planned: int, baseline: str | None = None) -> Summary:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from os import PathLike
 from typing import Any
 
@@ -39,12 +39,14 @@ def animate(log: Log | str | PathLike[str] | None = None, *, progress: Progress 
     """
     own = {f.name: options.pop(f.name) for f in fields(AnimationOptions) if f.name in options}
     animation = AnimationOptions.of(**own)
-    data, _, run = prepare(log, RunOptions.of(**options))
+    data, source, run = prepare(log, RunOptions.of(**options))
     if len(data.steps) == 0:
         raise GraphError(f"{data.name} has no sightings at all, so there is nothing to estimate from")
     progress = progress or (lambda: None)
     if animation.estimator == "graph":
-        return graph_film(data, run, animation)
-    if animation.estimator == "isam2":
-        return isam2_film(data, run, animation, progress)
-    return particle_film(data, run, animation, progress)
+        film = graph_film(data, run, animation)
+    elif animation.estimator == "isam2":
+        film = isam2_film(data, run, animation, progress)
+    else:
+        film = particle_film(data, run, animation, progress)
+    return replace(film, source=source)

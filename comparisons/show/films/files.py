@@ -100,7 +100,14 @@ def _write_gif(film: Film, path: Path, progress: Callable[[], None]) -> None:
     # a file of our own, which is closed when the film is interrupted
     with path.open("wb") as file:
         first.save(
-            file, format="GIF", save_all=True, append_images=rest, duration=durations, loop=0, disposal=1, optimize=False
+            file,
+            format="GIF",
+            save_all=True,
+            append_images=rest,
+            duration=durations,
+            loop=0,
+            disposal=1,
+            optimize=False,
         )
 
 
@@ -110,7 +117,9 @@ def _write_mp4(film: Film, path: Path, progress: Callable[[], None]) -> None:
     figure = Figure(figsize=(width / 100, height / 100), dpi=100)
     screen = figure.figimage(film.pictures.still)
     writer = FFMpegWriter(
-        fps=film.fps, metadata={"title": film.title}, extra_args=["-movflags", "+faststart", "-f", "mp4"]
+        fps=film.fps,  # type: ignore[arg-type]
+        metadata={"title": film.title},
+        extra_args=["-movflags", "+faststart", "-f", "mp4"],
     )
     with writer.saving(figure, str(path), dpi=100):
         for number, picture in enumerate(film.pictures):

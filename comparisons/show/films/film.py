@@ -14,6 +14,7 @@ from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from graphslam import Log
 from graphslam.se2 import Array
 
 from ..canvas import paper_figure
@@ -112,14 +113,18 @@ class Film:
         fps: frames per second.
         notes: what the viewer should know, one sentence each.
         set_up: draws everything that does not move onto an empty figure.
+        log: what the estimator worked on.
+        source: the file or folder of the log, where there is one.
     """
 
     title: str
-    frames: tuple[Frame, ...]
+    frames: tuple[Frame, ...] = field(repr=False)
     steps: int
     fps: float
     notes: tuple[str, ...]
-    set_up: Callable[[Figure], Show]
+    set_up: Callable[[Figure], Show] = field(repr=False)
+    log: Log = field(repr=False)
+    source: Path | None = None
 
     def __len__(self) -> int:
         return len(self.frames)

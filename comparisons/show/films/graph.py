@@ -25,7 +25,11 @@ from .scene import Scene
 #: iterations per second
 FPS = 2.0
 #: the starts that are tried, and how a note names them
-_STARTS = {"given": "", "virtual-motion": "where virtual-motion edges put the poses", "rotation-first": "from the headings"}
+_STARTS = {
+    "given": "",
+    "virtual-motion": "where virtual-motion edges put the poses",
+    "rotation-first": "from the headings",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,7 +94,7 @@ def graph_film(log: Log, options: RunOptions, animation: AnimationOptions) -> Fi
         scene.add_curve(np.arange(len(costs)), costs, "iteration", "J", log=True)
         return scene.finish()
 
-    return Film(title, frames, len(run.states), animation.fps or FPS, (*graph.notes, *notes), set_up)
+    return Film(title, frames, len(run.states), animation.fps or FPS, (*graph.notes, *notes), set_up, log)
 
 
 @dataclass(frozen=True, eq=False)

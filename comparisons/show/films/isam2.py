@@ -83,7 +83,7 @@ def isam2_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
         scene.add_curve(numbers, visible, "step", "largest [m]", log=True)
         return scene.finish()
 
-    return Film(title, tuple(frames), log.num_poses, animation.fps or FPS, solution.notes, set_up)
+    return Film(title, tuple(frames), log.num_poses, animation.fps or FPS, solution.notes, set_up, log)
 
 
 def _frame(log: Log, smoother: IncrementalSmoother, step: int, before: Array) -> OnlineFrame:

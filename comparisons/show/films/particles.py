@@ -92,7 +92,7 @@ def particle_film(log: Log, options: RunOptions, animation: AnimationOptions, pr
         scene.remember("resampling", Line2D([], [], color=FLASH, linestyle="none", marker="|", markersize=6))
         return scene.finish()
 
-    return Film(title, tuple(frames), log.num_poses, animation.fps or FPS, tuple(notes), set_up)
+    return Film(title, tuple(frames), log.num_poses, animation.fps or FPS, tuple(notes), set_up, log)
 
 
 def _frame(log: Log, filter: ParticleFilter, state: ParticleState, resamplings: int) -> ParticleFrame:

@@ -119,7 +119,9 @@ class Scene:
 
         def move(frame: Frame) -> list[Artist]:
             places = self.placed(frame.poses)
-            line.set_data(*(places if frame.estimated is None else np.where(frame.estimated[:, None], places, np.nan)).T)
+            line.set_data(
+                *(places if frame.estimated is None else np.where(frame.estimated[:, None], places, np.nan)).T
+            )
             return [line]
 
         self.add(move)
@@ -138,7 +140,9 @@ class Scene:
 
         def move(frame: Frame) -> list[Artist]:
             ends = self.placed(frame.sightings)
-            lines.set_segments(list(np.stack([np.broadcast_to(self.placed(frame.poses[-1:]), ends.shape), ends], axis=1)))
+            lines.set_segments(
+                list(np.stack([np.broadcast_to(self.placed(frame.poses[-1:]), ends.shape), ends], axis=1))
+            )
             return [lines]
 
         self.add(move)

@@ -1,7 +1,7 @@
-"""The report page: one HTML file that shows a comparison, offline, with everything in it that it needs.
+"""The interactive report: one HTML file that shows a comparison offline, with everything in it that it needs.
 
-`view` lays the estimates into one frame and thins them out, one module per figure turns that into plain Plotly
-dictionaries, `page` puts them into the template. Plotly (the extra ``report``) is imported only to be inlined.
+`view` aligns the estimates and thins them, the modules of the figures turn that into plain Plotly dictionaries, and `page`
+puts them into the template. Plotly (the extra ``report``) is imported only to copy its script into the page.
 """
 
 from .page import check_page, page_of, write_report

@@ -11,14 +11,14 @@ import numpy as np
 from graphslam import Graph
 from graphslam.linear.cholesky import analyze
 
-from .style import Figure, axis, layout
+from ..style import MATRIX
+from .traces import Figure, axis, layout
 
 #: cells of a picture along each side; with more nodes several share a cell
 MOST_CELLS = 300
 #: the fill-in of larger matrices is counted, but not drawn
 MOST_NODES = 4000
 EMPTY, FILL, ENTRY = 0, 1, 2
-COLOURS = ("#ffffff", "#E69F00", "#0072B2")
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,10 +26,10 @@ class Picture:
     """Omega in one order of its nodes.
 
     Attributes:
-        cells: (c, c) of EMPTY, FILL (a block of L that Omega has not) and ENTRY, the strongest of each cell.
-        blocks: 3 x 3 blocks of Omega's lower triangle.
-        factor_blocks: those of its factor L.
-        nodes: how many there are.
+        cells: (c, c) of EMPTY, FILL (a block of L that Omega does not have) and ENTRY, the greatest of each cell.
+        blocks: the number of 3 x 3 blocks in Omega's lower triangle.
+        factor_blocks: the number of those in its factor L.
+        nodes: the number of nodes.
     """
 
     cells: np.ndarray
@@ -38,29 +38,25 @@ class Picture:
     nodes: int
 
 
-def pictures(graph: Graph) -> tuple[Picture, Picture]:
-    """Omega of a graph as the nodes are numbered, and in the order of elimination (approximate minimum degree)."""
+def pictures(graph: Graph) -> list[Picture]:
+    """Omega of a graph in the order of its nodes, and in the order of elimination (approximate minimum degree)."""
     indptr, indices = graph.system.indptr, graph.system.indices
     n = len(indptr) - 1
     columns = np.repeat(np.arange(n), np.diff(indptr))
     made = []
-    eliminated = analyze(indptr, indices, method="supernodal").order
-    for order in (np.arange(n), eliminated):
-        symbolic = analyze(indptr, indices, ordering=order, method="supernodal")
+    for order in (np.arange(n), analyze(indptr, indices, method="supernodal").order):
         position = np.empty(n, dtype=np.int64)
         position[order] = np.arange(n)
         a, b = position[indices], position[columns]
         rows, cols = np.maximum(a, b), np.minimum(a, b)
-        if n <= MOST_NODES:
-            filled = factor_pattern(n, rows, cols)
-            filled_rows, filled_cols = np.nonzero(filled)
-        else:
-            filled_rows, filled_cols = rows, cols
         cells = np.zeros((min(n, MOST_CELLS),) * 2, dtype=np.uint8)
-        _paint(cells, n, filled_rows, filled_cols, FILL)
-        _paint(cells, n, rows, cols, ENTRY)
-        made.append(Picture(cells, len(indices), symbolic.blocks, n))
-    return made[0], made[1]
+        filled = np.nonzero(factor_pattern(n, rows, cols)) if n <= MOST_NODES else (rows, cols)
+        for (r, c), what in ((filled, FILL), ((rows, cols), ENTRY)):
+            r, c = r * len(cells) // n, c * len(cells) // n
+            cells[r, c] = cells[c, r] = what
+        blocks = analyze(indptr, indices, ordering=order, method="supernodal").blocks
+        made.append(Picture(cells, len(indices), blocks, n))
+    return made
 
 
 def factor_pattern(n: int, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
@@ -80,20 +76,12 @@ def factor_pattern(n: int, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
     return below.T
 
 
-def _paint(cells: np.ndarray, n: int, rows: np.ndarray, cols: np.ndarray, what: int) -> None:
-    """Colour the cells of blocks in both triangles."""
-    c = len(cells)
-    r, k = rows * c // n, cols * c // n
-    cells[r, k] = what
-    cells[k, r] = what
-
-
 def matrix_figure(before: Picture, after: Picture) -> Figure:
     """Two pictures side by side."""
     traces: list[dict[str, Any]] = []
-    scale = [[edge / 3, colour] for k, colour in enumerate(COLOURS) for edge in (k, k + 1)]
-    words = ("as numbered", "ordered")
-    for picture, name, axes in zip((before, after), words, ({}, {"xaxis": "x2", "yaxis": "y2"})):
+    scale = [[edge / 3, colour] for k, colour in enumerate(MATRIX) for edge in (k, k + 1)]
+    names, second = ("node order of the log", "elimination order"), {"xaxis": "x2", "yaxis": "y2"}
+    for picture, name, axes in zip((before, after), names, ({}, second)):
         c, step = len(picture.cells), picture.nodes / len(picture.cells)
         traces.append({
             "type": "heatmap", "meta": {"layer": "matrix"}, "name": name, **axes,
@@ -103,13 +91,25 @@ def matrix_figure(before: Picture, after: Picture) -> Figure:
             "hovertemplate": f"{name}<br>row %{{y:.0f}}, column %{{x:.0f}}<extra></extra>",
         })  # fmt: skip
     side = {"constrain": "domain", "showgrid": False, "mirror": True}
-    down = {"autorange": "reversed", "showgrid": False, "mirror": True, "constrain": "domain"}
+    down = side | {"autorange": "reversed"}
     return {
         "data": traces,
         "layout": layout(
-            xaxis=axis("node, as the log numbers it", domain=[0, 0.46], **side),
+            xaxis=axis("node, numbered as in the log", domain=[0, 0.46], **side),
             xaxis2=axis("node, in the order of elimination", domain=[0.54, 1], anchor="y2", **side),
             yaxis=axis("", scaleanchor="x", **down),
             yaxis2=axis("", scaleanchor="x2", anchor="x2", **down),
         ),
     }
+
+
+def description(name: str, before: Picture, after: Picture) -> str:
+    """What the pictures show, in sentences."""
+    text = (
+        f"Ω of {name}: {before.nodes} nodes and {before.blocks} blocks of 3 x 3 in its lower triangle. Its factor L has "
+        f"{before.factor_blocks} blocks in the node order of the log, and {after.factor_blocks} in the order of "
+        "elimination (approximate minimum degree)."
+    )
+    if before.nodes > len(before.cells):
+        text += f" {before.nodes / len(before.cells):.1f} nodes share a cell on each side."
+    return text + (" The fill-in is counted, but not drawn." if before.nodes > MOST_NODES else "")

@@ -13,7 +13,7 @@
     [...document.querySelectorAll(`input[data-${kind}]`)].filter((box) => box.checked).map((box) => box.dataset[kind]));
   const layersOfMap = new Set([...document.querySelectorAll("input[data-layer]")].map((box) => box.dataset.layer));
 
-  function isShown(meta, estimators, layers) {
+  function isVisible(meta, estimators, layers) {
     return (!meta.estimator || estimators.has(meta.estimator)) && (!layersOfMap.has(meta.layer) || layers.has(meta.layer));
   }
 
@@ -29,10 +29,10 @@
   function applyToggles() {
     const estimators = chosen("estimator"), layers = chosen("layer");
     for (const [id, { data }] of Object.entries(figures)) {
-      const shown = data.map((trace) => isShown(trace.meta, estimators, layers));
-      const changed = data.map((_, k) => k).filter((k) => (data[k].visible !== false) !== shown[k]);
-      changed.forEach((k) => { data[k].visible = shown[k]; });
-      if (changed.length && drawn.has(id)) Plotly.restyle(id, { visible: changed.map((k) => shown[k]) }, changed);
+      const visible = data.map((trace) => isVisible(trace.meta, estimators, layers));
+      const changed = data.map((_, k) => k).filter((k) => (data[k].visible !== false) !== visible[k]);
+      changed.forEach((k) => { data[k].visible = visible[k]; });
+      if (changed.length && drawn.has(id)) Plotly.restyle(id, { visible: changed.map((k) => visible[k]) }, changed);
     }
     for (const row of element("now").tBodies[0].rows) row.hidden = !estimators.has(row.dataset.estimator);
   }
@@ -83,14 +83,14 @@
   // a dash for what is not known, and never a negative zero
   const figure = (value, digits) => value === null ? "–" : value.toFixed(digits).replace(/^-(0\.0*)$/, "$1");
 
-  // what hovering over a pose tells
-  function words(name, path, k) {
+  // the text of hovering over a pose
+  function hoverText(name, path, k) {
     const known = path.customdata[k], at = (what) => known[column[what]];
     const lines = [`<b>${name}</b>, step ${at("step")}`];
     if (at("time") !== null) lines.push(`time ${figure(at("time"), 2)} s`);
     lines.push(`x ${figure(path.x[k], 3)} m, y ${figure(path.y[k], 3)} m, θ ${figure(at("theta"), 3)} rad`);
-    const error = facts.judged_by === "truth" ? "error" : `distance from ${facts.judged_by}`;
-    if (facts.judged_by !== null) lines.push(at("error") === null ? `${error} not known` : `${error} ${figure(at("error"), 3)} m`);
+    const error = facts.measured_from === "truth" ? "error" : `distance from ${facts.measured_from}`;
+    if (facts.measured_from !== null) lines.push(at("error") === null ? `${error} not known` : `${error} ${figure(at("error"), 3)} m`);
     if (at("sigma_x") === null) lines.push("covariance not known");
     else {
       lines.push(`covariance: σx ${figure(at("sigma_x"), 4)} m, σy ${figure(at("sigma_y"), 4)} m,`);
@@ -98,17 +98,17 @@
     }
     return lines.join("<br>");
   }
-  for (const [name, path] of Object.entries(paths)) path.text = path.x.map((_, k) => words(name, path, k));
+  for (const [name, path] of Object.entries(paths)) path.text = path.x.map((_, k) => hoverText(name, path, k));
 
-  function tell(k) {
+  function describe(k) {
     const seen = facts.sightings[k].map(([, , id]) => Number.isSafeInteger(id) ? id : "?");
     const time = facts.times === null ? "" : `, ${facts.times[k].toFixed(2)} s`;
-    const told = seen.some((id) => id !== "?") ? `: ${seen.join(", ")}` : "";
-    const sightings = seen.length ? `saw ${seen.length}${told}` : "saw nothing";
-    const words = `step ${facts.steps[k]} of ${facts.last}${time}, ${sightings}`;
-    element("moment").textContent = words;
-    element("moment").title = words;
-    element("step").setAttribute("aria-valuetext", words);
+    const ids = seen.some((id) => id !== "?") ? `: ${seen.join(", ")}` : "";
+    const sightings = seen.length ? `${seen.length} sightings${ids}` : "no sightings";
+    const text = `step ${facts.steps[k]} of ${facts.last}${time}, ${sightings}`;
+    element("moment").textContent = text;
+    element("moment").title = text;
+    element("step").setAttribute("aria-valuetext", text);
     for (const row of element("now").tBodies[0].rows) {
       const path = paths[row.dataset.estimator], known = path.customdata[k];
       const values = [figure(path.x[k], 3), figure(path.y[k], 3), figure(known[column.theta], 3), figure(known[column.error], 3),
@@ -132,7 +132,7 @@
   let waiting = null;
   function moveTo(k) {
     element("step").value = k;
-    tell(k);
+    describe(k);
     if (waiting !== null) { waiting = k; return; }
     waiting = k;
     requestAnimationFrame(async () => {
@@ -165,7 +165,7 @@
     trace.y = start.change.y[n];
     if (trace.meta.part === "pose") trace.marker.angle = start.change["marker.angle"][n];
   });
-  tell(0);
+  describe(0);
   for (const id of ["map", "errors"]) {
     if (!figures[id]) continue;
     await draw(id);
@@ -180,6 +180,6 @@
   const last = facts.steps.length - 1;
   element("step").addEventListener("input", (event) => moveTo(Number(event.target.value)));
   element("back").addEventListener("click", () => moveTo(Math.max(0, Number(element("step").value) - 1)));
-  element("forth").addEventListener("click", () => moveTo(Math.min(last, Number(element("step").value) + 1)));
+  element("forward").addEventListener("click", () => moveTo(Math.min(last, Number(element("step").value) + 1)));
   document.documentElement.dataset.ready = Math.round(performance.now()); // [ms] since the page was asked for
 })();

@@ -1,4 +1,4 @@
-"""What the page shows of a comparison: every estimate in one frame, with errors and covariances, thinned to fit."""
+"""What the report shows of a comparison: all estimates aligned, with errors and covariances, thinned to fit."""
 
 from __future__ import annotations
 
@@ -9,27 +9,26 @@ import numpy as np
 
 from graphslam import Log, SensorModel
 from graphslam.metrics import position_errors
-from graphslam.se2 import Array, compose, rotation, transform
+from graphslam.se2 import Array, compose, rotation
 
-from ..comparison import Comparison
-from ..estimator import EstimatorResult, RunOptions
-from ..plots import frame_of, reference_of
-from .uncertainty import pose_covariances
+from ...comparison import Comparison
+from ...results import EstimatorResult
+from ..placement import place_map, placement_of, reference_of
 
-#: of longer logs every so manieth step is shown: a screen has no more points, and the file must stay small
+#: of longer logs every N-th step is shown: a screen has no more points, and the file must stay small
 MOST_STEPS = 1500
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """One estimate, drawn: S shown steps, laid onto the truth where it is known.
+    """One estimate at the S steps that are shown, aligned to the ground truth where that is known.
 
     Attributes:
         name: of the estimator.
         poses: (S, 3); NaN where the pose is not estimated.
-        errors: (S,) [m], see `View.judged_by`; NaN where unknown.
-        covariances: (S, 3, 3) in the drawn axes, NaN where unknown; None where known nowhere.
-        landmarks, landmark_covariances: {id: (2,)} and {id: (2, 2)} in the drawn axes.
+        errors: (S,) [m], see `View.measured_from`; NaN where unknown.
+        covariances: (S, 3, 3) in the aligned axes, NaN where unknown; None where none is known.
+        landmarks, landmark_covariances: {id: (2,)} and {id: (2, 2)} in the aligned axes.
     """
 
     name: str
@@ -42,18 +41,17 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """All estimates of a comparison, drawn.
+    """All estimates of a comparison as they are drawn.
 
     Attributes:
         log: what was estimated from.
         steps: (S,) the steps shown.
-        times: (S,) [s]; None where the log tells none.
-        truth: (S, 3), NaN where unknown; None without truth.
+        times: (S,) [s]; None where the log has none.
+        truth: (S, 3), NaN where unknown; None without ground truth.
         estimates: in the order of the results.
-        judged_by: whose path the errors are distances from, after alignment: "truth", or the name of an estimator
-            where the truth is not known; None where there is nobody to compare with.
-        points: {step: (K, 2)} what was seen, in the robot's frame [m].
-        seen: {step: (K,)} the ids of the landmarks.
+        measured_from: the path that errors are distances from, after alignment: "truth", or the name of an estimator
+            where the truth is not known; None where there is nothing to compare with.
+        sightings: for each step shown (K, 3): what is seen, in the axes of the robot [m], and the id of the landmark.
     """
 
     log: Log
@@ -61,76 +59,49 @@ class View:
     times: Array | None
     truth: Array | None
     estimates: tuple[Estimate, ...]
-    judged_by: str | None
-    points: Mapping[int, Array]
-    seen: Mapping[int, np.ndarray]
+    measured_from: str | None
+    sightings: tuple[Array, ...]
 
     @property
     def abscissa(self) -> tuple[Array, str]:
-        """What curves over the drive are drawn over, (S,), and its name with the unit."""
+        """The horizontal axis of curves over the drive (S,), and its name with the unit."""
         return (self.steps.astype(float), "step") if self.times is None else (self.times, "time [s]")
 
 
-def view_of(comparison: Comparison, options: RunOptions) -> View:
-    """The view of a comparison whose estimators were told ``options``, noise models included."""
+def view_of(comparison: Comparison) -> View:
+    """The view of a comparison."""
     log = comparison.log
     stride = max(1, -(-log.num_poses // MOST_STEPS))
     steps = np.unique(np.append(np.arange(0, log.num_poses, stride), log.num_poses - 1))
-    judge, judged_by = _judge(comparison)
-    estimates = tuple(_estimate(comparison, result, options, steps, judge) for result in comparison.results)
-    points, seen = _sightings(log, options.sensor or log.sensor or SensorModel(), steps)
+    path, measured_from = log.true_poses, "truth" if log.true_poses is not None else None
+    reference = reference_of(comparison)
+    if path is None and reference is not None and len(comparison.results) >= 2:
+        path, measured_from = np.where(reference.estimated[:, None], reference.poses, np.nan), reference.name
+    sensor = comparison.options.sensor or log.sensor or SensorModel()
+    places = sensor.h_inverse(np.zeros((len(log.steps), 3)), log.sightings)[:, :2]
+    seen = np.column_stack([places, log.landmarks])
+    bounds = zip(np.searchsorted(log.steps, steps), np.searchsorted(log.steps, steps, side="right"))
     return View(
         log=log,
         steps=steps,
         times=None if log.times is None else log.times[steps],
         truth=None if log.true_poses is None else log.true_poses[steps],
-        estimates=estimates,
-        judged_by=judged_by,
-        points=points,
-        seen=seen,
+        estimates=tuple(_estimate(log, result, steps, path) for result in comparison.results),
+        measured_from=measured_from,
+        sightings=tuple(seen[begin:end] for begin, end in bounds),
     )
 
 
-def _judge(comparison: Comparison) -> tuple[Array | None, str | None]:
-    """The path that errors are measured from, (T+1, 3), and its name."""
-    if comparison.log.true_poses is not None:
-        return comparison.log.true_poses, "truth"
-    reference = reference_of(comparison)
-    if reference is None or len(comparison.results) < 2:
-        return None, None
-    return np.where(reference.estimated[:, None], reference.poses, np.nan), reference.name
-
-
-def _estimate(
-    comparison: Comparison, result: EstimatorResult, options: RunOptions, steps: np.ndarray, judge: Array | None
-) -> Estimate:
-    frame = frame_of(comparison, result)
+def _estimate(log: Log, result: EstimatorResult, steps: np.ndarray, path: Array | None) -> Estimate:
+    placement = placement_of(log, result.poses, result.estimated)
     errors = np.full(len(result.poses), np.nan)
-    if judge is not None:
-        counted = result.estimated & np.isfinite(judge[:, 0])
-        if np.count_nonzero(counted) >= 2:
-            errors = position_errors(judge, result.poses, counted)
-    turn = rotation(frame[2])
-    covariances = pose_covariances(result, comparison.log, options)
+    if path is not None and np.count_nonzero(counted := result.estimated & np.isfinite(path[:, 0])) >= 2:
+        errors = position_errors(path, result.poses, mask=counted)
+    covariances = result.pose_covariances
     if covariances is not None:
-        whole = np.eye(3)
-        whole[:2, :2] = turn
-        covariances = whole @ covariances[steps] @ whole.T
-    return Estimate(
-        name=result.name,
-        poses=np.where(result.estimated[steps, None], compose(frame, result.poses[steps]), np.nan),
-        errors=errors[steps],
-        covariances=covariances,
-        landmarks={j: transform(frame, m[:2]) for j, m in result.landmarks.items()},
-        landmark_covariances={j: turn @ S[:2, :2] @ turn.T for j, S in result.landmark_covariances.items()},
-    )
-
-
-def _sightings(
-    log: Log, sensor: SensorModel, steps: np.ndarray
-) -> tuple[Mapping[int, Array], Mapping[int, np.ndarray]]:
-    """What was seen from each shown step: places in the robot's frame, and ids."""
-    places = sensor.h_inverse(np.zeros((len(log.steps), 3)), log.sightings)[:, :2]
-    begin, end = np.searchsorted(log.steps, steps), np.searchsorted(log.steps, steps, side="right")
-    rows = {int(t): slice(a, b) for t, a, b in zip(steps, begin, end) if b > a}
-    return {t: places[k] for t, k in rows.items()}, {t: log.landmarks[k] for t, k in rows.items()}
+        turn = np.eye(3)
+        turn[:2, :2] = rotation(placement[2])
+        covariances = turn @ covariances[steps] @ turn.T
+    poses = np.where(result.estimated[steps, None], compose(placement, result.poses[steps]), np.nan)
+    maps = place_map(placement, result.landmarks, result.landmark_covariances)
+    return Estimate(result.name, poses, errors[steps], covariances, *maps)

@@ -1,4 +1,4 @@
-"""The look of the page's figures: the colours, dashes and markers of the printed figure, said in Plotly's words."""
+"""The look of the report's figures: the colours, dashes and markers of `show.style` as Plotly names them."""
 
 from __future__ import annotations
 
@@ -6,25 +6,19 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from ..plots import style_of
+from ..style import INK, style_of
 
-#: what matplotlib calls x and o
+#: matplotlib's markers x and o
 _SYMBOLS = {"x": "x-thin-open", "o": "circle-open"}
-#: of lines in points, for a screen
+#: lines are wider on a screen than in print
 _SCALE = 1.35
-INK = "#1a1a1a"
 
 Figure = dict[str, Any]
 
 
-def colour_of(name: str) -> str:
-    """The colour of an estimator."""
-    return str(style_of(name, 0)["color"])
-
-
-def line_of(name: str, points: int) -> dict[str, Any]:
-    """The properties of a scatter trace that draws an estimator over so many points."""
-    style = style_of(name, points)
+def line_of(name: str) -> dict[str, Any]:
+    """The properties of a scatter trace that draws an estimator."""
+    style = style_of(name)
     width = _SCALE * style.get("linewidth", 1.0)
     if "marker" in style:
         marker = {"symbol": _SYMBOLS[style["marker"]], "size": 8, "color": style["color"], "maxdisplayed": 20,
@@ -65,13 +59,13 @@ def axis(title: str, **more: Any) -> dict[str, Any]:
 
 
 def logarithmic(values: Sequence[float]) -> dict[str, Any]:
-    """A logarithmic axis for these: labelled at the decades, at every third of many, at 2 and 5 where they are few."""
+    """A logarithmic axis for these values: with few decades it is labelled at 2 and 5, too, with many at every third."""
     decades = math.log10(max(values) / min(values)) if values else 0.0
     return {"type": "log", "exponentformat": "power", "dtick": "D2" if decades < 3 else 1 if decades < 6 else 3}
 
 
 def short(value: float, digits: int = 4) -> float | None:
-    """A figure with so many significant digits, None where it is not a number: what the page has to carry."""
+    """A number with so many significant digits, None where it is not finite: the page has to stay small."""
     return float(f"{value:.{digits}g}") if math.isfinite(value) else None
 
 
