@@ -12,8 +12,8 @@ from rich.table import Column, Table
 from rich.text import Text
 
 NOTHING = "–"
-#: in a narrow terminal the columns of names wrap, but together they keep this width where they need it
-NAMES = 24
+#: columns of names wrap in a narrow terminal, but each keeps this width where it needs it
+NAMES = 18
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -69,7 +69,7 @@ class LeanTable(Table):
         numbers = self.columns[len(names) :]
 
         def split(gap: int, limit: int = options.max_width) -> list[list[Column]]:
-            used = min(NAMES, sum(map(_width, names))) + gap * (len(names) - 1)
+            used = sum(min(NAMES, _width(column)) + gap for column in names) - gap
             return _split(numbers, limit - used, gap)
 
         gap = 1 if len(split(2)) > 1 == len(split(1)) else 2

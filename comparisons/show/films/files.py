@@ -64,7 +64,7 @@ def write_film(film: Film, path: Path, progress: Callable[[], None]) -> None:
             try:
                 _write_mp4(film, temporary, progress)
             except subprocess.CalledProcessError as error:
-                lines = (error.stderr or b"").decode(errors="replace").strip().splitlines()
+                lines = (error.stderr or "").strip().splitlines()
                 reason = lines[-1] if lines else f"status {error.returncode}"
                 raise OptionError(f"{path}: ffmpeg failed: {reason}") from None
         else:

@@ -73,7 +73,8 @@ class Scene:
             if len(of_map):
                 self.known += self.plane.plot(*of_map.T, **TRUE_LANDMARK | {"zorder": 2.1})
                 self.remember("true landmark", self.known[-1])
-        self.extent = set_limits(self.plane, np.concatenate(core), [drifting, self.placed(frames[0].poses)])
+        self._content = np.concatenate(core), [drifting, self.placed(frames[0].poses)]
+        self.extent = set_limits(self.plane, *self._content)
         # the second line of the title is left empty for the caption
         self.plane.set(xlabel="x [m]", ylabel="y [m]", title=f"{title}\n ")
 
@@ -105,6 +106,8 @@ class Scene:
             return [caption, flash] if frame.flash else [caption]
 
         self.add(texts)
+        # again, because what was added since lets matplotlib choose the limits
+        set_limits(self.plane, *self._content)
         self.figure.legend(
             list(self._handles.values()), list(self._handles), loc="lower center", bbox_to_anchor=(0.5, 0.0),
             ncols=-(-len(self._handles) // (1 if len(self._handles) <= 5 else 2)), handlelength=2.2,
