@@ -38,12 +38,12 @@ def main() -> None:
 def speed(path: Path, runs: int) -> None:
     """Time to convergence by kind of factor."""
     graph = Graph.from_log(load(path))
-    per_edge = to_gtsam(graph, graph.initial, "per-edge")
+    per_edge = to_gtsam(graph, factors="per-edge")
     native = gtsam.NonlinearFactorGraph()
     for k in range(per_edge.size()):
         factor = describe(per_edge.at(k)).build()
         native.add(factor.to_between() if hasattr(factor, "to_between") else factor)
-    kinds = {"one callback per edge": per_edge, "one factor per landmark": to_gtsam(graph, graph.initial)}
+    kinds = {"one callback per edge": per_edge, "one factor per landmark": to_gtsam(graph)}
     kinds["native between factors"] = native
     params = gtsam.LevenbergMarquardtParams()
     params.setRelativeErrorTol(1e-12)

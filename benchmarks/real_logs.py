@@ -104,7 +104,7 @@ def read(data: Path, folder: str, robot: int | None, stride: int, max_range: flo
 @cache
 def calibrated(data: Path, folder: str, robot: int, source: str) -> Calibration:
     """The noise of a robot's log."""
-    return calibrate(read(data, folder, robot, 1, None), source)
+    return calibrate(read(data, folder, robot, 1, None), source=source)
 
 
 def prepared(case: Case, data: Path) -> tuple[Log, RunOptions]:

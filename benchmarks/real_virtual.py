@@ -40,7 +40,7 @@ def main() -> None:
             for robust in ("none", "huber"):
                 options = RunOptions(robust=robust, **variant, **BY_HAND)
                 result = graph_estimator(log, options)
-                m = evaluate(log.true_poses, log.true_landmarks, result.poses, result.landmarks, result.estimated)
+                m = evaluate(log.true_poses, log.true_landmarks, result.poses, result.landmarks, mask=result.estimated)
                 name = variant.get("weight", "landmark nodes")
                 print(
                     f"| {robot} | {pair_count(log)} | {name} | {robust} | {'yes' if result.converged else 'no'} | "

@@ -120,7 +120,7 @@ def compare_backends(
         raise OptionError(f"repeat must be at least 1, not {repeat}")
     rows: list[BackendRow] = []
     for path in map(Path, files):
-        graph = Graph.from_g2o(path, format)
+        graph = Graph.from_g2o(path, format=format)
         if same_start:
             from graphslam.solvers.solve import starting_state
 

@@ -12,23 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, ParticleFilter
-from graphslam import (
-    Graph,
-    GraphError,
-    Log,
-    OptionError,
-    SensorModel,
-    Solution,
-    estimate_map,
-    solve,
-    solve_gnc,
-    solve_online,
-    solve_with_gtsam,
-    textbook,
-)
+import fastslam
+import graphslam
+from graphslam import Graph, GraphError, Log, OptionError, SensorModel, Solution
 from graphslam.se2 import wrap
-from graphslam.solvers.solve import starting_state
 
 from .options import FilterOptions, GraphOptions, RunOptions, nearest
 from .results import EstimatorResult
@@ -106,7 +93,7 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     threshold = TEXTBOOK_THRESHOLD[edges]
     models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
     begin = time.perf_counter()
-    result = textbook.solve(log, edges=edges, threshold=threshold, **models)
+    result = graphslam.textbook.solve(log, edges=edges, threshold=threshold, **models)
     seconds = time.perf_counter() - begin
     # J by the graph's own evaluator
     graph = Graph.from_log(log, edges=edges, frame="world", **models)
@@ -135,7 +122,7 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 def graph_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """The hand-written solver on the log's graph."""
     graph = make_graph(log, options)
-    solver = solve_gnc if options.kernel == "gnc" else solve
+    solver = graphslam.solve_gnc if options.kernel == "gnc" else graphslam.solve
     return _of_solution("graph", log, options, solver(graph, initialize=options.initialize))
 
 
@@ -143,14 +130,13 @@ def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """GTSAM's Levenberg-Marquardt on the very same graph, made of our factor types, from the same start."""
     _no_gnc(options)
     graph = make_graph(log, options)
-    graph = graph.with_initial(starting_state(graph, options.initialize))
-    return _of_solution("gtsam", log, options, solve_with_gtsam(graph))
+    return _of_solution("gtsam", log, options, graphslam.solve_with_gtsam(graph, initialize=options.initialize))
 
 
 def isam2(log: Log, options: RunOptions) -> EstimatorResult:
     """ISAM2 on our factor types, step by step through the log, as a robot that drives could."""
     keywords = online_keywords(log, options)
-    result = _of_solution("isam2", log, options, solve_online(log, **keywords))
+    result = _of_solution("isam2", log, options, graphslam.solve_online(log, **keywords))
     return replace(result, converged=None)
 
 
@@ -198,12 +184,18 @@ def fastslam2(log: Log, options: RunOptions) -> EstimatorResult:
     return _particle_filter("fastslam2", log, options)
 
 
-#: the particle filters by the name of their estimator
-FILTERS: dict[str, type[ParticleFilter]] = {
-    "mcl": MonteCarloLocalization,
-    "fastslam1": FastSLAM1,
-    "fastslam2": FastSLAM2,
-}
+#: the particle filters by the name of their estimator, as names in `fastslam`, which is imported when one is used
+FILTERS = {"mcl": "MonteCarloLocalization", "fastslam1": "FastSLAM1", "fastslam2": "FastSLAM2"}
+
+
+def particle_filter(name: str, log: Log, options: RunOptions) -> fastslam.ParticleFilter:
+    """A particle filter on a log, with the options that it uses.
+
+    Raises:
+        SlamError: it cannot run on this log.
+    """
+    filter_class: type[fastslam.ParticleFilter] = getattr(fastslam, FILTERS[name])
+    return filter_class(log, **filter_keywords(name, options))
 
 
 def filter_keywords(name: str, options: RunOptions) -> dict[str, Any]:
@@ -217,7 +209,7 @@ def filter_keywords(name: str, options: RunOptions) -> dict[str, Any]:
 def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResult:
     keywords = filter_keywords(name, options)
     begin = time.perf_counter()
-    result = FILTERS[name](log, **keywords).run()
+    result = particle_filter(name, log, options).run()
     seconds = time.perf_counter() - begin
     # a filter that ignores the ids numbers its landmarks itself
     named = name == "mcl" or options.association == "known"
@@ -320,6 +312,6 @@ def _with_map(source: Log, sensor: SensorModel | None, poses: Any, **rest: Any) 
     """A result whose map is computed from the poses, the same way for every estimator that has no map of its own."""
     poses = np.array(poses, dtype=float)
     poses[:, 2] = wrap(poses[:, 2])
-    landmarks = estimate_map(source, poses, sensor)
+    landmarks = graphslam.estimate_map(source, poses, sensor=sensor)
     rest.setdefault("estimated", np.ones(len(poses), dtype=bool))
     return EstimatorResult(poses=poses, landmarks=dict(landmarks), landmark_covariances=landmarks.covariances, **rest)

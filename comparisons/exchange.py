@@ -96,7 +96,7 @@ def write_pose_graph(comparison: Comparison, path: Path) -> str | None:
     if result.graph.num_edges > MOST_EDGES:
         return f"the graph has {result.graph.num_edges} edges, more than {MOST_EDGES}"
     try:
-        relative_graph(result.graph, result.state).save_g2o(path)
+        relative_graph(result.graph, state=result.state).save_g2o(path)
     except GraphError as error:
         return str(error)
     return None

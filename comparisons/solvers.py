@@ -230,7 +230,7 @@ def _solve_both(
         # Landmark graphs have many minima, and pose graphs some: the two are compared on the way to one of them.
         start = starting_state(graph, "auto")
         if variant.kernel is not None:
-            start = solve(make(kernel="huber").with_initial(start), tolerance=1e-3).state
+            start = solve(make(kernel="huber").with_initial(start), tolerance=1e-3, initialize="given").state
         graph = graph.with_initial(start)
     except GraphError as error:
         return SkippedVariant(variant.name, str(error))
@@ -282,7 +282,8 @@ def _attempt(
     solver: Callable[..., Solution], graph: Graph, max_iterations: int = MAX_ITERATIONS, **options: str
 ) -> tuple[Solution | None, GraphError | None]:
     try:
-        return solver(graph, tolerance=STEP_TOLERANCE, max_iterations=max_iterations, **options), None
+        start = {"initialize": "given"} | options
+        return solver(graph, tolerance=STEP_TOLERANCE, max_iterations=max_iterations, **start), None
     except GraphError as error:
         return None, error
 

@@ -1,50 +1,64 @@
-"""Planar graph SLAM with virtual-motion edges: logs, models, graphs, the hand-written solver and the GTSAM one."""
+"""Planar graph SLAM with virtual-motion edges: logs, models, graphs, the hand-written solver and GTSAM's.
 
-from . import textbook
-from .edges.robust import Cauchy, GemanMcClure, Huber
-from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
-from .formats import load, save
-from .graph import Graph
-from .log import Log
-from .mapping import LandmarkMap, estimate_map
-from .models import MotionModel, SensorModel
-from .solution import Solution
-from .solvers.gnc import solve_gnc
-from .solvers.gtsam_solver import solve_with_gtsam
-from .solvers.online import IncrementalSmoother, solve_online
-from .solvers.solve import Iteration, solve
-from .sources.simulator import MotionFaults, SensorFaults, simulate
-from .sources.worlds import WORLDS, sample_log_path
+Public names are imported when they are first used, so that ``import graphslam`` takes no time and, for example, GTSAM
+is loaded only by those who solve with it.
+"""
+# ruff: noqa: F401
 
-__all__ = [
-    "WORLDS",
-    "Cauchy",
-    "FactorError",
-    "FormatError",
-    "GemanMcClure",
-    "Graph",
-    "GraphError",
-    "Huber",
-    "IncrementalSmoother",
-    "Iteration",
-    "LandmarkMap",
-    "Log",
-    "LogError",
-    "MotionFaults",
-    "MotionModel",
-    "OptionError",
-    "SensorFaults",
-    "SensorModel",
-    "SlamError",
-    "Solution",
-    "estimate_map",
-    "load",
-    "sample_log_path",
-    "save",
-    "simulate",
-    "solve",
-    "solve_gnc",
-    "solve_online",
-    "solve_with_gtsam",
-    "textbook",
-]
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from . import edges, factors, formats, metrics, se2, textbook
+    from .calibration import Calibration, calibrate
+    from .edges.robust import Cauchy, GemanMcClure, Huber
+    from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
+    from .formats import load, save
+    from .graph import Graph
+    from .log import Log
+    from .mapping import LandmarkMap, estimate_map
+    from .models import MotionModel, SensorModel
+    from .solution import Solution
+    from .solvers.gnc import solve_gnc
+    from .solvers.gtsam_solver import solve_with_gtsam
+    from .solvers.online import IncrementalSmoother, solve_online
+    from .solvers.solve import Iteration, solve
+    from .sources.simulator import MotionFaults, SensorFaults, simulate
+    from .sources.worlds import WORLDS, World, sample_log_path
+
+#: the public names, by the module that defines them; "" lists modules
+_PUBLIC = {
+    "": "edges factors formats metrics se2 textbook",
+    "calibration": "Calibration calibrate",
+    "edges.robust": "Cauchy GemanMcClure Huber",
+    "errors": "FactorError FormatError GraphError LogError OptionError SlamError",
+    "formats": "load save",
+    "graph": "Graph",
+    "log": "Log",
+    "mapping": "LandmarkMap estimate_map",
+    "models": "MotionModel SensorModel",
+    "solution": "Solution",
+    "solvers.gnc": "solve_gnc",
+    "solvers.gtsam_solver": "solve_with_gtsam",
+    "solvers.online": "IncrementalSmoother solve_online",
+    "solvers.solve": "Iteration solve",
+    "sources.simulator": "MotionFaults SensorFaults simulate",
+    "sources.worlds": "WORLDS World sample_log_path",
+}
+_MODULE_OF = {name: module for module, names in _PUBLIC.items() for name in names.split()}
+
+__all__ = list(_MODULE_OF)
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name at its first use (PEP 562)."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = _MODULE_OF[name]
+    value = getattr(import_module(f".{module}", __name__), name) if module else import_module(f".{name}", __name__)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,32 +1,66 @@
-"""Checks of options at the door, and the words of their messages."""
+"""Options: their declaration as fields of a dataclass, the checks of their values, and the messages of these checks."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from dataclasses import field
 from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from .errors import OptionError
 
 
-def check_choice(option: str, value: str, allowed: tuple[str, ...]) -> None:
+def option(default: Any, help: str, unit: str = "", **more: Any) -> Any:
+    """A field of an option dataclass: default, one sentence of help, and unit.
+
+    The command line, configuration files and tables read help and unit from the ``metadata`` of
+    `dataclasses.fields`, so that an option is declared once.
+
+    Args:
+        default: the default value.
+        help: one sentence that says what the option does.
+        unit: the unit of its value, for example "m/s"; empty where it has none.
+        more: further entries of the metadata.
+    """
+    return field(default=default, metadata={"help": help, "unit": unit, **more})
+
+
+def check_choice(name: str, value: str, allowed: Collection[str]) -> None:
     """Raise `OptionError` unless ``value`` is one of ``allowed``."""
     if value not in allowed:
-        raise OptionError(f"{option} must be one of {', '.join(allowed)}, not {value!r}")
+        raise OptionError(f"{name} must be one of {', '.join(allowed)}, not {value!r}")
 
 
 def check_positive(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is a positive finite number."""
-    for option, value in values.items():
+    for name, value in values.items():
         if not isinstance(value, Real) or not 0 < value < float("inf"):
-            raise OptionError(f"{option} must be a positive number, not {value!r}")
+            raise OptionError(f"{name} must be a positive number, not {value!r}")
+
+
+def check_not_negative(**values: float) -> None:
+    """Raise `OptionError` unless every keyword's value is zero or above; infinity is allowed."""
+    for name, value in values.items():
+        if not value >= 0:
+            raise OptionError(f"{name} must not be negative, but is {value!r}")
 
 
 def check_count(**values: int) -> None:
     """Raise `OptionError` unless every keyword's value is a whole number, 0 or above."""
-    for option, value in values.items():
+    for name, value in values.items():
         if not isinstance(value, Integral) or isinstance(value, bool):
-            raise OptionError(f"{option} must be a whole number, not {value!r}")
+            raise OptionError(f"{name} must be a whole number, not {value!r}")
         if value < 0:
-            raise OptionError(f"{option} must not be negative, but is {value}")
+            raise OptionError(f"{name} must not be negative, but is {value}")
+
+
+def first(wrong: ArrayLike) -> int | None:
+    """The first index at which a condition (N,) holds, or None where it never does."""
+    wrong = np.asarray(wrong, dtype=bool)
+    return int(np.argmax(wrong)) if wrong.any() else None
 
 
 def listed(noun: str, numbers: list[int], most: int = 8) -> str:

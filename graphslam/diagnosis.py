@@ -1,4 +1,4 @@
-"""Says in words what a singular Omega means: which nodes nothing holds, in which direction, and which edges touch them."""
+"""Explains a singular Omega: which nodes are not determined, in which direction, and which edges touch them."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ from .graph import Graph
 from .linear.cholesky import SingularPivot
 from .se2 import Array
 
-#: edges that a message lists
+#: the most edges that a message lists
 MOST = 4
 
 
 def undetermined(graph: Graph, state: Array, error: SingularPivot) -> GraphError:
-    """The error that names what a vanished pivot of Omega at a state (n, 3) leaves free.
+    """The error for a zero pivot of Omega at a state (n, 3).
 
-    The null vector v of Omega (Omega v = 0) is the motion that costs nothing; its large entries are the nodes that move.
+    The null vector v of Omega (Omega v = 0) is a motion that does not change the cost; its large entries are the nodes
+    that move.
     """
     v = error.null_vector
     moving = np.flatnonzero(np.abs(v).max(axis=1) > 1e-6 * np.abs(v).max())
     what = _direction(v[moving], state[moving])
     touching = _edges_at(graph, moving)
-    shown = "; ".join(touching[:MOST]) + (f"; and {len(touching) - MOST} more" if len(touching) > MOST else "")
-    held = f"the edges there are {shown}" if touching else "no edge is there"
+    edges = "; ".join(touching[:MOST]) + (f"; and {len(touching) - MOST} more" if len(touching) > MOST else "")
+    held = f"the edges there are {edges}" if touching else "no edge is there"
     names = graph.names(moving)
     return GraphError(
         f"the edges do not determine {names}: nothing holds {what}; {held}. "
@@ -32,7 +33,7 @@ def undetermined(graph: Graph, state: Array, error: SingularPivot) -> GraphError
 
 
 def _direction(v: Array, state: Array) -> str:
-    """What the motion v (k, 3) of k nodes is: a coordinate, a shift or a turn of the whole piece, or something else."""
+    """The motion v (k, 3) of k nodes in words: a coordinate, a shift or a turn of all of them, or something else."""
     size = np.abs(v).max()
     if len(v) == 1:
         free = [name for name, part in zip(("x", "y", "heading"), v[0]) if abs(part) > 1e-6 * size]
@@ -46,7 +47,7 @@ def _direction(v: Array, state: Array) -> str:
 
 
 def _edges_at(graph: Graph, nodes: np.ndarray) -> list[str]:
-    """The groups of edges that touch the nodes, by the nodes they tie; those that lead out to other nodes first."""
+    """The groups of edges that touch the nodes, named by the nodes they connect; edges to other nodes come first."""
     inside = np.zeros(graph.num_nodes, dtype=bool)
     inside[nodes] = True
     leading_out: list[str] = []

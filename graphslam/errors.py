@@ -1,4 +1,4 @@
-"""The exceptions of the framework: one root, so that a caller can catch everything that is a user's mistake."""
+"""The exceptions of the framework, with one root, so that a caller can catch all mistakes of the user."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from typing import Any
 
 
 class SlamError(Exception):
-    """Root of all errors that this project raises on purpose; its text is one sentence meant for the user."""
+    """Root of all errors that this project raises on purpose; the text is one sentence for the user."""
 
 
 class LogError(SlamError):
-    """A log, or the file that should hold one, is not what it has to be."""
+    """A log, or a file that should hold one, breaks a rule."""
 
 
 class FormatError(LogError):
-    """A file does not follow its format. The text starts with ``file:line:`` where a line is to blame."""
+    """A file does not follow its format. The text starts with ``file:line:`` where one line is the cause."""
 
     def __init__(self, path: object, line: int | None, message: str) -> None:
         where = f"{path}:{line}" if line is not None else f"{path}"
@@ -24,7 +24,7 @@ class FormatError(LogError):
 
 
 class OptionError(SlamError, ValueError):
-    """An option or a model parameter has a value that it cannot have."""
+    """An option or a model parameter has an impossible value."""
 
 
 class GraphError(SlamError):
@@ -32,7 +32,7 @@ class GraphError(SlamError):
 
 
 class FactorError(SlamError):
-    """A GTSAM factor cannot be evaluated; the text names the factor and its keys, ``description`` is what it is."""
+    """A GTSAM factor cannot be evaluated; the text names the factor and its keys, ``description`` describes it."""
 
     def __init__(self, message: str, description: Any = None) -> None:
         super().__init__(f"{description}: {message}" if description is not None else message)

@@ -1,4 +1,4 @@
-"""Files are read with a clear word when they cannot be, and written whole or not at all."""
+"""Checks of paths, and files that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -22,14 +22,29 @@ def check_file(path: str | os.PathLike[str]) -> None:
         raise FormatError(path, None, "the file cannot be read (no permission)")
 
 
-@contextmanager
-def write_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path in the same folder; it takes the place of ``path`` only if the block ends well.
-
-    A link stays, and what it points to is replaced. Pipes and devices, which would be lost, are refused.
+def read_text(path: Path) -> str:
+    """The text of a file in UTF-8, with or without a byte-order mark.
 
     Raises:
-        FormatError: the folder does not exist or cannot be written, or ``path`` is no place for a file.
+        FormatError: the file cannot be read, or is not text.
+    """
+    check_file(path)
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise FormatError(path, None, "not a text file (it has bytes that are not UTF-8)") from None
+    except OSError as error:
+        raise FormatError(path, None, f"cannot be read: {error.strerror}") from None
+
+
+@contextmanager
+def write_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary path in the same folder, which replaces ``path`` only if the block ends without an error.
+
+    A link stays, and the file it points to is replaced. Pipes and devices, which would be lost, are refused.
+
+    Raises:
+        FormatError: the folder does not exist or cannot be written, or ``path`` cannot be the name of a file.
     """
     named = Path(path)
     check_place(named)
@@ -42,7 +57,9 @@ def write_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
-        temporary.chmod(0o666 & ~_umask())
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
         temporary.replace(path)
     except OSError as error:
         raise FormatError(path, None, f"cannot be written: {error.strerror}") from None
@@ -52,16 +69,10 @@ def write_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def check_place(path: Path) -> None:
-    """Raise `FormatError` if ``path`` is a folder, or a pipe or device, which no file can take the place of."""
+    """Raise `FormatError` if ``path`` is a folder, a pipe or a device, which a file must not replace."""
     if path.is_dir():
         raise FormatError(path, None, "this is a folder; give the name of a file to write")
     if path.exists() and not path.is_file():
         raise FormatError(
             path, None, "this is a pipe or device and no file; use - for standard output, or a file's name"
         )
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -1,4 +1,4 @@
-"""The map from a trajectory: every landmark on its own, from all its sightings."""
+"""The map from a trajectory: each landmark alone, from all its sightings."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class LandmarkMap(dict[int, Array]):
         self.covariances = dict(covariances)
 
 
-def estimate_map(log: Log, poses: ArrayLike, sensor: SensorModel | None = None) -> LandmarkMap:
+def estimate_map(log: Log, poses: ArrayLike, *, sensor: SensorModel | None = None) -> LandmarkMap:
     """m_j = argmin over m of the sum of (m - y)' Omega (m - y), y = h^-1(x_t, z), Omega^-1 = R Q R', for each landmark.
 
-    Headings are averaged as differences from the first sighting's, so that a landmark that faces along -pi is not torn.
+    Headings are averaged as differences from that of the first sighting, so that headings near -pi and pi average well.
 
     Args:
-        log: whose sightings are placed; those that do not tell their landmark are left out.
+        log: whose sightings are used; those without a landmark id are left out.
         poses: the trajectory (T+1, 3), or anything with such an attribute ``poses`` (a `Solution`).
         sensor: the noise model; default: the log's, else the book's.
 

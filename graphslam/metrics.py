@@ -1,12 +1,13 @@
-"""How far an estimate is from the truth: pure functions on planar trajectories and maps.
+"""Errors of an estimate against the ground truth: functions of planar trajectories and maps.
 
-Truth and estimate may live in different world frames, so positions are compared after the rigid motion that lays the
-estimate best onto the truth. The definitions are those of Sturm et al., *A benchmark for the evaluation of RGB-D SLAM
-systems* (IROS 2012), in the plane, and the figures are those of the tool ``evo`` (APE of the translation part after
-alignment without scale, RPE between neighbours). One difference: evo aligns in space, where turning the plane over is
-a rotation, so for an estimate closer to the truth's mirror image it reports the mirror image's error; we never mirror.
+Ground truth and estimate may be given in different world frames, so positions are compared after the rigid motion that
+aligns the estimate best with the ground truth. The definitions are those of Sturm et al., *A benchmark for the evaluation
+of RGB-D SLAM systems* (IROS 2012), in the plane. The values equal those of the tool ``evo`` (APE of the translation part
+after alignment without scale, RPE between neighbours), with one difference: evo aligns in space, where turning the plane
+over is a rotation, so it may compare with the mirror image of an estimate. Here nothing is mirrored.
 
-Where the truth is NaN (see `graphslam.Log`) a step counts in no figure, and where only its heading is, in no RPE.
+A step whose true position is NaN (see `graphslam.Log`) does not count; a step whose true heading is NaN does not count
+in the RPE.
 """
 
 from __future__ import annotations
@@ -16,22 +17,21 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import linear_sum_assignment
 
-from graphslam import OptionError
-from graphslam.se2 import Array, between, compose, transform, wrap
+from .errors import OptionError
+from .se2 import Array, between, compose, transform, wrap
 
 
 @dataclass(frozen=True)
 class Metrics:
-    """The figures of one estimate against the truth; None where the truth (or the estimate) does not say.
+    """The errors of one estimate; None where they cannot be computed.
 
     Attributes:
         ate_m: absolute trajectory error [m], see `ate`.
         rpe_m, rpe_rad: relative pose error per step [m], [rad], see `rpe`.
         heading_rad: error of the headings [rad], see `heading_rmse`.
         landmark_rmse_m: error of the map [m], see `landmark_rmse`.
-        poses_counted: how many poses the figures are of: estimated, and covered by the truth.
+        poses_counted: the number of poses that were compared: estimated, and with known true position.
     """
 
     ate_m: float | None = None
@@ -42,12 +42,12 @@ class Metrics:
     poses_counted: int | None = None
 
 
-def align(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) -> Array:
-    """The pose A of SE(2) that lays the estimate onto the truth: argmin over A of sum_t |A p_t - q_t|².
+def align(truth: ArrayLike, estimate: ArrayLike, *, mask: ArrayLike | None = None) -> Array:
+    """The pose A of SE(2) that aligns the estimate with the ground truth: argmin over A of sum_t |A p_t - q_t|².
 
     p_t and q_t are the positions of estimate and truth. With both centred (p', q') the minimum has the closed form
     theta = atan2(sum p' x q', sum p' . q'), translation = mean q - R(theta) mean p: Umeyama's solution without scale,
-    and without mirroring by construction. Where all positions coincide no heading is better than another, and it is 0.
+    and without mirroring by construction. Where all positions coincide the heading is 0.
 
     Args:
         truth, estimate: (T+1, 3) poses or (T+1, 2) positions.
@@ -68,18 +68,18 @@ def align(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) 
     return np.array([*(q_mean - transform(rotation_only, p_mean)), theta])
 
 
-def position_errors(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) -> Array:
+def position_errors(truth: ArrayLike, estimate: ArrayLike, *, mask: ArrayLike | None = None) -> Array:
     """The distance |A p_t - q_t| [m] of every step after alignment (see `align`); (T+1,), NaN where the mask is False.
 
     Raises:
         OptionError: the shapes differ, or no step counts.
     """
     truth, estimate, mask = _checked(truth, estimate, mask)
-    off = transform(align(truth, estimate, mask), estimate[:, :2]) - truth[:, :2]
+    off = transform(align(truth, estimate, mask=mask), estimate[:, :2]) - truth[:, :2]
     return np.where(mask, np.hypot(off[:, 0], off[:, 1]), np.nan)
 
 
-def ate(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) -> float:
+def ate(truth: ArrayLike, estimate: ArrayLike, *, mask: ArrayLike | None = None) -> float:
     """Absolute trajectory error [m]: sqrt(mean over t of |A p_t - q_t|²), A the best rigid alignment (see `align`).
 
     Equal to evo's ``APE(PoseRelation.translation_part)`` RMSE after ``align(correct_scale=False)``.
@@ -87,15 +87,15 @@ def ate(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) ->
     Raises:
         OptionError: the shapes differ, or no step counts.
     """
-    errors = position_errors(truth, estimate, mask)
+    errors = position_errors(truth, estimate, mask=mask)
     return float(np.sqrt(np.nanmean(errors**2)))
 
 
-def rpe(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) -> tuple[float, float] | None:
+def rpe(truth: ArrayLike, estimate: ArrayLike, *, mask: ArrayLike | None = None) -> tuple[float, float] | None:
     """Relative pose error per step: RMSE of the translation [m] and of the rotation [rad] of E_t.
 
-    E_t = (x_t^-1 x_{t+1})_true^-1 (x_t^-1 x_{t+1})_estimate, over all neighbours t, t+1 that both count: what one step
-    gets wrong, whatever frame the trajectories are given in. Equal to evo's ``RPE(delta=1, Unit.frames)`` with
+    E_t = (x_t^-1 x_{t+1})_true^-1 (x_t^-1 x_{t+1})_estimate, over all neighbours t, t+1 that both count: the error of one
+    step, which does not depend on the frames of the trajectories. Equal to evo's ``RPE(delta=1, Unit.frames)`` with
     ``translation_part`` and ``rotation_angle_rad``.
 
     Args:
@@ -117,20 +117,20 @@ def rpe(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) ->
     return float(np.sqrt(np.mean(error[:, 0] ** 2 + error[:, 1] ** 2))), float(np.sqrt(np.mean(error[:, 2] ** 2)))
 
 
-def heading_rmse(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) -> float | None:
+def heading_rmse(truth: ArrayLike, estimate: ArrayLike, *, mask: ArrayLike | None = None) -> float | None:
     """Root mean square [rad] of the headings' errors after the alignment of the positions (see `align`).
 
-    None where the truth tells no heading.
+    None where no true heading is known.
 
     Raises:
         OptionError: the shapes differ, or no step counts.
     """
     truth, estimate, mask = _checked(truth, estimate, mask, columns=3)
-    told = mask & np.isfinite(truth[:, 2])
-    if not told.any():
+    known = mask & np.isfinite(truth[:, 2])
+    if not known.any():
         return None
-    off = wrap(estimate[told, 2] + align(truth, estimate, mask)[2] - truth[told, 2])
-    return float(np.sqrt(np.mean(off**2)))
+    errors = wrap(estimate[known, 2] + align(truth, estimate, mask=mask)[2] - truth[known, 2])
+    return float(np.sqrt(np.mean(errors**2)))
 
 
 def landmark_rmse(
@@ -138,36 +138,51 @@ def landmark_rmse(
 ) -> float | None:
     """The error of a map [m]: sqrt(mean over j of |A m_j - M_j|²) over the landmarks that both maps have.
 
-    A is the alignment of the **trajectory** (`align` on the poses), not of the map: the map is judged where the
-    robot's path puts it, so a map that is right in itself but turned against the path counts as wrong. Headings of
-    landmarks are ignored. None where the maps share no landmark.
+    A is the alignment of the **trajectory** (`align` on the poses), not of the map: a map that is correct in itself but
+    turned against the trajectory counts as wrong. Headings of landmarks are ignored. None where the maps have no
+    landmark in common.
     """
     shared = sorted(truth.keys() & estimate.keys())
     if not shared:
         return None
-    true = np.array([np.asarray(truth[j], dtype=float)[:2] for j in shared])
-    estimated = np.array([np.asarray(estimate[j], dtype=float)[:2] for j in shared])
-    off = transform(np.asarray(alignment, dtype=float), estimated) - true
-    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    errors = transform(alignment, _positions(estimate, shared)) - _positions(truth, shared)
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
 
 def named_by_place(
     truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], alignment: ArrayLike
 ) -> dict[int, ArrayLike]:
-    """A map whose ids mean nothing, by the ids of the truth: pairs that minimise the sum of |A m_k - M_j|, one to one.
+    """An estimated map with arbitrary ids, renamed by those of the ground truth that it matches best by position.
 
-    A is the alignment of the trajectory, as in `landmark_rmse`. Where one map has more landmarks than the other, what is
-    left over belongs to nobody and is left out. (Of distances, not of their squares: there a phantom far away would
-    bend the other pairs towards itself. Kuhn, *The Hungarian method*, 1955, by SciPy.)
+    The matching minimises the sum of |A m_k - M_j|, where A is the alignment of the trajectory, as in `landmark_rmse`.
+    Where one map has more landmarks than the other, those without a partner are left out. The sum is of distances, not
+    of their squares, with which one wrong landmark far away would change the other pairs.
+
+    Source: Kuhn, *The Hungarian method*, 1955, as implemented in SciPy.
     """
+    from scipy.optimize import linear_sum_assignment
+
     if not truth or not estimate:
         return {}
-    names, numbers = sorted(truth), sorted(estimate)
-    true = np.array([np.asarray(truth[j], dtype=float)[:2] for j in names])
-    places = np.array([np.asarray(estimate[k], dtype=float)[:2] for k in numbers])
-    off = transform(np.asarray(alignment, dtype=float), places)[:, None] - true
-    rows, columns = linear_sum_assignment(np.hypot(off[..., 0], off[..., 1]))
-    return {names[c]: estimate[numbers[r]] for r, c in zip(rows, columns, strict=True)}
+    ids, numbers = sorted(truth), sorted(estimate)
+    distances = transform(alignment, _positions(estimate, numbers))[:, None] - _positions(truth, ids)
+    rows, columns = linear_sum_assignment(np.hypot(distances[..., 0], distances[..., 1]))
+    return {ids[c]: estimate[numbers[r]] for r, c in zip(rows, columns, strict=True)}
+
+
+def pose_nees(errors: Array, covariances: Array) -> Array:
+    """The normalised estimation error squared e' P^-1 e / 3 for errors (T, 3) with covariances (T, 3, 3); (T,).
+
+    The headings of the errors must be wrapped. The average over many logs is 1 if the covariances are consistent. NaN
+    where an error is unknown or a covariance is zero.
+
+    Source: Bar-Shalom, Li and Kirubarajan, *Estimation with applications to tracking and navigation*, section 5.4.
+    """
+    nees = np.full(len(errors), np.nan)
+    known = np.isfinite(errors).all(axis=1) & (np.einsum("tii->ti", covariances) > 0).all(axis=1)
+    e = errors[known]
+    nees[known] = np.einsum("ti,ti->t", e, np.linalg.solve(covariances[known], e[:, :, None])[:, :, 0]) / 3
+    return nees
 
 
 def evaluate(
@@ -175,37 +190,41 @@ def evaluate(
     true_landmarks: Mapping[int, Array] | None,
     poses: Array,
     landmarks: Mapping[int, ArrayLike],
-    mask: ArrayLike | None = None,
     *,
+    mask: ArrayLike | None = None,
     named: bool = True,
 ) -> Metrics:
-    """All figures of one estimate; those that the truth cannot tell are None.
+    """All errors of one estimate; those that need an unknown truth are None.
 
-    Fewer than two poses that count tell nothing: they can always be aligned without error. Where the landmarks are not
-    ``named``, their ids being numbers of the estimator's own, they are first matched to the truth by place.
+    Two poses at least must count, because a single one can always be aligned without error. Where the landmarks are not
+    ``named``, because their ids are arbitrary numbers of the estimator, they are first matched by `named_by_place`.
     """
     if true_poses is None:
         return Metrics()
     counted = np.isfinite(true_poses[:, 0]) & (True if mask is None else np.asarray(mask, dtype=bool))
     if np.count_nonzero(counted) < 2:
         return Metrics()
-    per_step = rpe(true_poses, poses, counted)
-    alignment = align(true_poses, poses, counted)
+    per_step = rpe(true_poses, poses, mask=counted)
+    alignment = align(true_poses, poses, mask=counted)
     if true_landmarks is not None and not named:
         landmarks = named_by_place(true_landmarks, landmarks, alignment)
     return Metrics(
-        ate_m=ate(true_poses, poses, counted),
+        ate_m=ate(true_poses, poses, mask=counted),
         rpe_m=None if per_step is None else per_step[0],
         rpe_rad=None if per_step is None else per_step[1],
-        heading_rad=heading_rmse(true_poses, poses, counted),
+        heading_rad=heading_rmse(true_poses, poses, mask=counted),
         landmark_rmse_m=None if true_landmarks is None else landmark_rmse(true_landmarks, landmarks, alignment),
         poses_counted=int(np.count_nonzero(counted)),
     )
 
 
-def aligned(truth: ArrayLike, estimate: ArrayLike, mask: ArrayLike | None = None) -> Array:
-    """The estimate (T+1, 3) carried into the truth's frame by the best rigid motion, A x_t (see `align`)."""
-    return compose(align(truth, estimate, mask), np.asarray(estimate, dtype=float))
+def aligned(truth: ArrayLike, estimate: ArrayLike, *, mask: ArrayLike | None = None) -> Array:
+    """The estimate (T+1, 3) in the frame of the ground truth, A x_t (see `align`)."""
+    return compose(align(truth, estimate, mask=mask), np.asarray(estimate, dtype=float))
+
+
+def _positions(places: Mapping[int, ArrayLike], ids: list[int]) -> Array:
+    return np.array([np.asarray(places[j], dtype=float)[:2] for j in ids])
 
 
 def _checked(

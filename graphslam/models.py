@@ -9,12 +9,13 @@ chapters 5 to 9.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import check_positive
+from .checks import check_positive, option
 from .errors import OptionError
 from .se2 import Array, transform, wrap
 
@@ -34,50 +35,72 @@ def sinc_derivative(a: ArrayLike) -> Array:
     return np.where(np.abs(a) < 0.3, series, (np.cos(away) - np.sin(away) / away) / away)
 
 
-@dataclass(frozen=True)
-class MotionModel:
+class NoiseModel:
+    """What both noise models have in common: `changed`, which is how options on the command line or in files act.
+
+    ``ALTERNATIVES`` are two groups of fields, two ways to describe the same noise.
+    """
+
+    ALTERNATIVES: ClassVar[tuple[tuple[str, ...], tuple[str, ...]]]
+
+    def changed(self, **options: object) -> Self:
+        """This model with some fields replaced; options that are None are not given.
+
+        The two groups of ``ALTERNATIVES`` replace each other: where only fields of one group are given, the other group
+        becomes zero. So ``sigma_v`` or ``sigma_omega`` alone replace the book's nn, no, on and oo, and ``range_std``
+        alone replaces ``range_rate``. Where fields of both groups are given, both describe the noise together.
+
+        Raises:
+            OptionError: a noise parameter has an impossible value, or there is no such field.
+        """
+        given = {name: value for name, value in options.items() if value is not None}
+        known = [f.name for f in fields(self)]  # type: ignore[arg-type]  # every subclass is a dataclass
+        for name in given:
+            if name not in known:
+                raise OptionError(f"{type(self).__name__} has no {name!r}; its fields are {', '.join(known)}")
+        zero = {}
+        for group, other in (self.ALTERNATIVES, self.ALTERNATIVES[::-1]):
+            if not given.keys().isdisjoint(group) and given.keys().isdisjoint(other):
+                zero = dict.fromkeys(other, 0.0)
+        return replace(self, **zero, **given)  # type: ignore[type-var]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionModel(NoiseModel):
     """A robot that moves on arcs: control u = (nu, omega) [m/s, rad/s] held for dt seconds.
 
-    The noise of the control is Gaussian; ``nn`` says how much noise in nu comes per metre of forward motion, ``no`` in
-    nu per radian turned, ``on`` in omega per metre and ``oo`` in omega per radian (standard deviations per square
-    root of the metre or radian). ``sigma_v`` [m/s] and ``sigma_omega`` [rad/s] are standard deviations that every
-    control has, moving or not, whatever its size and duration; `constant` has only these. The errors of controls are
-    independent of each other, so with ``sigma_v`` and ``sigma_omega`` k controls of dt seconds make a variance of k
-    (sigma dt)²: they belong to the rate at which controls are recorded. (The other four do not depend on it.)
-    ``epsilon`` [m², rad²] is added to the diagonal of the pose covariance, because A M A' has only rank 2.
+    The noise of the control is Gaussian. ``nn``, ``no``, ``on`` and ``oo`` describe noise that grows with the motion, as
+    standard deviations per square root of the metre or radian. ``sigma_v`` and ``sigma_omega`` are standard deviations
+    that every control has, whatever its size and duration; `constant` has only these. Errors of different controls are
+    independent, so with ``sigma_v`` and ``sigma_omega`` k controls of dt seconds have a variance of k (sigma dt)²:
+    these two values belong to the rate at which controls are recorded. (The other four do not depend on it.)
+    ``epsilon`` is added to the diagonal of the pose covariance, because A M A' has only rank 2.
 
     Raises:
         OptionError: a noise parameter is negative, or epsilon is not positive.
     """
 
-    nn: float = 0.19
-    no: float = 0.001
-    on: float = 0.13
-    oo: float = 0.2
-    epsilon: float = 1e-4
-    sigma_v: float = 0.0
-    sigma_omega: float = 0.0
+    ALTERNATIVES = (("nn", "no", "on", "oo"), ("sigma_v", "sigma_omega"))
+
+    nn: float = option(0.19, "Noise of the speed per distance driven", "m/√m")
+    no: float = option(0.001, "Noise of the speed per angle turned", "m/√rad")
+    on: float = option(0.13, "Noise of the turn rate per distance driven", "rad/√m")
+    oo: float = option(0.2, "Noise of the turn rate per angle turned", "rad/√rad")
+    epsilon: float = option(1e-4, "Variance added to the pose after each motion", "m², rad²")
+    sigma_v: float = option(0.0, "Noise of the speed of every control; alone it replaces nn, no, on and oo", "m/s")
+    sigma_omega: float = option(
+        0.0, "Noise of the turn rate of every control; alone it replaces nn, no, on and oo", "rad/s"
+    )
 
     def __post_init__(self) -> None:
-        # zero is an honest value for each of the six (no such noise), not for epsilon
         check_positive(epsilon=self.epsilon)
-        for option in ("nn", "no", "on", "oo", "sigma_v", "sigma_omega"):
-            if getattr(self, option) != 0:
-                check_positive(**{option: getattr(self, option)})
+        # each of the others may be zero: no noise of this kind
+        check_positive(**{name: value for name, value in vars(self).items() if value != 0})
 
     @classmethod
     def constant(cls, sigma_v: float, sigma_omega: float, *, epsilon: float = 1e-4) -> MotionModel:
         """The model with noise of one size, M = diag(sigma_v², sigma_omega²) [m/s, rad/s]: nn = no = on = oo = 0."""
-        return cls(0.0, 0.0, 0.0, 0.0, epsilon, sigma_v, sigma_omega)
-
-    def changed(self, **numbers: float) -> MotionModel:
-        """The model with other numbers; ``sigma_v`` and ``sigma_omega`` alone replace the book's four, and vice versa."""
-        book, timed = ("nn", "no", "on", "oo"), ("sigma_v", "sigma_omega")
-        if any(name in numbers for name in timed) and not any(name in numbers for name in book):
-            numbers |= dict.fromkeys(book, 0.0)
-        elif any(name in numbers for name in book) and not any(name in numbers for name in timed):
-            numbers |= dict.fromkeys(timed, 0.0)
-        return replace(self, **numbers)
+        return cls(nn=0.0, no=0.0, on=0.0, oo=0.0, epsilon=epsilon, sigma_v=sigma_v, sigma_omega=sigma_omega)
 
     def f(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
         """The pose after the motion, f(x, u): the arc of length nu dt turning by omega dt; (..., 3).
@@ -139,20 +162,20 @@ class MotionModel:
     def accumulate(
         self, controls: ArrayLike, dt: ArrayLike, starts: np.ndarray, control_variances: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Motions that are made of several controls each: where they lead from (0, 0, 0), and how surely.
+        """Motions that consist of several controls each: relative poses and their covariances.
 
-        The controls ``starts[t]`` to ``starts[t+1]`` - 1 follow one another in motion t. It leads to f(... f(f(0,
-        u_1), u_2) ..., u_k), and its covariance is propagated, P <- F P F' + A M A' from P = 0, to which epsilon I is
-        added once. (The product of all later F is one lever arm, so the propagation is a plain sum.)
+        The controls ``starts[t]`` to ``starts[t+1]`` - 1 follow one another in motion t. The motion from (0, 0, 0) ends
+        at f(... f(f(0, u_1), u_2) ..., u_k). Its covariance is propagated by P <- F P F' + A M A' from P = 0, and epsilon
+        I is added once. (The product of all later F is one lever arm, so the propagation is a plain sum.)
 
         Args:
             controls: (S, 2) [m/s, rad/s].
             dt: (S,) [s].
             starts: (T+1,), increasing, from 0 to S.
-            control_variances: (S, 2) more noise of single controls [m²/s², rad²/s²], added to M; None for none.
+            control_variances: (S, 2) additional variances of single controls [m²/s², rad²/s²], added to M; or None.
 
         Returns:
-            The motions (T, 3), turns not wrapped, and their covariances (T, 3, 3), in the frame that each starts from.
+            The motions (T, 3), headings not wrapped, and their covariances (T, 3, 3), in the frame of each motion's start.
         """
         controls, dt = np.asarray(controls, dtype=float), np.asarray(dt, dtype=float)
         first, count = starts[:-1], np.diff(starts)
@@ -166,7 +189,7 @@ class MotionModel:
             M[:, [0, 1], [0, 1]] += control_variances
         left = np.repeat(motions[:, :2], count, axis=0) - steps[:, :2]
         left -= np.column_stack([_sum_before(steps[:, k], first, count) for k in (0, 1)])
-        # rounding must not make the last control of a motion, which nothing follows, see a lever
+        # no control follows the last one of a motion: its lever is zero, without rounding errors
         left[starts[1:] - 1] = 0.0
         A[:, 0, :] -= left[:, 1, None] * A[:, 2, :]
         A[:, 1, :] += left[:, 0, None] * A[:, 2, :]
@@ -188,7 +211,7 @@ class MotionModel:
 
 
 def _sum_before(values: Array, first: np.ndarray, count: np.ndarray) -> Array:
-    """Of each value the sum of those before it in its group; groups begin at ``first`` and have ``count`` members."""
+    """For each value, the sum of the earlier values of its group; groups begin at ``first`` with ``count`` members."""
     total = np.concatenate([[0.0], np.cumsum(values)[:-1]]) if len(values) else values
     return total - np.repeat(total[first], count)
 
@@ -199,35 +222,35 @@ def _broadcast(pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> tuple[Arra
     return np.broadcast_to(pose, (*shape, 3)), np.broadcast_to(control, (*shape, 2)), np.broadcast_to(dt, shape)
 
 
-@dataclass(frozen=True)
-class SensorModel:
-    """A sensor that sees identified landmarks by range l [m], bearing phi [rad] and perhaps orientation psi [rad].
+@dataclass(frozen=True, kw_only=True)
+class SensorModel(NoiseModel):
+    """A sensor that measures range l [m], bearing phi [rad] and perhaps orientation psi [rad] of identified landmarks.
 
-    psi tells which face of the landmark is seen: psi = theta + phi - (the landmark's own heading). Its noise is
-    Gaussian; the variance of the range is (``range_rate`` * l)² + ``range_std``², and the standard deviations of the
-    angles are ``bearing_std`` and ``orientation_std``. The sensor looks from s(x) = p + R(theta) o, where o =
-    ``offset`` = (ahead, to the left) [m] of the robot's pose; one number is the first of the two.
+    psi is the direction from which the landmark is seen: psi = theta + phi - (the landmark's own heading). The noise is
+    Gaussian. The variance of the range is (``range_rate`` * l)² + ``range_std``²; the standard deviations of the angles
+    are ``bearing_std`` and ``orientation_std``. The sensor is at s(x) = p + R(theta) o, where o = ``offset`` = (ahead,
+    left) [m] of the robot's pose; a single number is the distance ahead.
 
     Raises:
         OptionError: a noise parameter is not positive (one of the two of the range may be zero), or the offset is not
             finite.
     """
 
-    range_rate: float = 0.14
-    bearing_std: float = 0.05
-    orientation_std: float = 0.05
-    range_std: float = 0.0
-    offset: tuple[float, float] = (0.0, 0.0)
+    ALTERNATIVES = (("range_rate",), ("range_std",))
+
+    range_rate: float = option(0.14, "Noise of the range per metre of range", "m/m")
+    bearing_std: float = option(0.05, "Noise of the bearing", "rad")
+    orientation_std: float = option(0.05, "Noise of the orientation psi", "rad")
+    range_std: float = option(0.0, "Noise of the range, the same at every range; alone it replaces range_rate", "m")
+    offset: tuple[float, float] = option((0.0, 0.0), "Place of the sensor on the robot, ahead and to the left", "m")
 
     def __post_init__(self) -> None:
         check_positive(bearing_std=self.bearing_std, orientation_std=self.orientation_std)
-        # either part of the range's noise may be absent, not both
-        if self.range_std == 0:
+        # one of the two parts of the range noise may be zero, but not both
+        if self.range_std == 0 or self.range_rate != 0:
             check_positive(range_rate=self.range_rate)
-        else:
+        if self.range_std != 0:
             check_positive(range_std=self.range_std)
-            if self.range_rate != 0:
-                check_positive(range_rate=self.range_rate)
         try:
             offset = np.asarray(self.offset, dtype=float)
         except (TypeError, ValueError):
@@ -238,17 +261,14 @@ class SensorModel:
             raise OptionError(f"offset must be (ahead, to the left) in m, or one number ahead, not {self.offset!r}")
         object.__setattr__(self, "offset", (float(offset[0]), float(offset[1])))
 
-    def changed(self, **numbers: float) -> SensorModel:
-        """The model with other numbers; ``range_std`` alone replaces ``range_rate``, and vice versa."""
-        if "range_std" in numbers:
-            numbers.setdefault("range_rate", 0.0)
-        elif "range_rate" in numbers:
-            numbers["range_std"] = 0.0
-        return replace(self, **numbers)
+    @classmethod
+    def constant(cls, range_std: float, bearing_std: float, *, offset: tuple[float, float] = (0.0, 0.0)) -> SensorModel:
+        """The range-bearing sensor whose noise does not depend on the range [m, rad]: range_rate = 0."""
+        return cls(range_rate=0.0, range_std=range_std, bearing_std=bearing_std, offset=offset)
 
     @property
     def centred(self) -> bool:
-        """Whether the sensor sits at the robot's pose."""
+        """Whether the sensor is at the robot's pose."""
         return self.offset == (0.0, 0.0)
 
     def mount(self, pose: ArrayLike) -> Array:
@@ -269,9 +289,10 @@ class SensorModel:
         return np.stack(np.broadcast_arrays(*sighting), axis=-1)
 
     def h_inverse(self, pose: ArrayLike, sighting: ArrayLike) -> Array:
-        """The landmark that a sighting puts there, h^-1(x, z) = (x + l cos, y + l sin, theta + phi - psi).
+        """The landmark that a sighting implies, h^-1(x, z) = (x + l cos, y + l sin, theta + phi - psi).
 
-        x and y of the sensor, cos and sin of theta + phi; (..., 2) without psi, (..., 3) with it, the heading wrapped.
+        x and y are the sensor's; cos and sin are of theta + phi. (..., 2) without psi, (..., 3) with it; the heading is
+        wrapped.
         """
         pose, sighting = self.mount(pose), np.asarray(sighting, dtype=float)
         direction = pose[..., 2] + sighting[..., 1]
@@ -308,7 +329,7 @@ class SensorModel:
         if n == 3:
             jacobian[..., 2, :2] = jacobian[..., 1, :2]
         if not self.centred:
-            # turning the robot moves the sensor across the arm that carries it
+            # a turn of the robot also moves a sensor that is off its centre
             arm = sensor[..., :2] - pose[..., :2]
             jacobian[..., 2] += jacobian[..., 1] * arm[..., 0, None] - jacobian[..., 0] * arm[..., 1, None]
         return jacobian

@@ -30,6 +30,19 @@ def rotation(theta: ArrayLike) -> Array:
     return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
 
 
+def turn_matrix(theta: ArrayLike) -> Array:
+    """blkdiag(R(theta), 1), which turns a vector (x, y, heading) by an angle; shape (...) -> (..., 3, 3)."""
+    matrix = np.zeros((*np.shape(theta), 3, 3))
+    matrix[..., :2, :2], matrix[..., 2, 2] = rotation(theta), 1.0
+    return matrix
+
+
+def perpendicular(vector: ArrayLike) -> Array:
+    """The vector (-y, x): a quarter turn to the left, the derivative of R(theta) v by theta; shapes (..., 2)."""
+    vector = np.asarray(vector, dtype=float)
+    return np.stack([-vector[..., 1], vector[..., 0]], axis=-1)
+
+
 def transform(pose: ArrayLike, point: ArrayLike) -> Array:
     """A point given in the frame of a pose, in the frame the pose is given in: p + R(theta) q; (..., 3), (..., 2)."""
     pose, point = np.asarray(pose, dtype=float), np.asarray(point, dtype=float)

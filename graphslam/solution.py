@@ -1,16 +1,18 @@
-"""What any solver returns."""
+"""`Solution`: what every solver of a graph returns."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from numbers import Integral
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .errors import OptionError
 from .graph import Graph
 from .mapping import LandmarkMap, estimate_map
+from .metrics import pose_nees
 from .se2 import Array, wrap
 from .uncertainty import Uncertainty
 
@@ -19,23 +21,26 @@ from .uncertainty import Uncertainty
 class Solution:
     """The result of a solver on a graph, converged or not.
 
+    Methods name a pose by its id: the step for the graph of a log, the number in the file for a pose graph.
+
     Attributes:
         poses: (T+1, 3) [m, m, rad], headings in [-pi, pi); for a pose graph one row per pose id, by increasing id.
-        estimated: (T+1,) bool; False for poses that no edge touches: their rows hold the initial guess.
-        landmarks: {id: (x, y) or (x, y, heading)}; landmark nodes, or the map that `estimate_map` makes of the poses.
-        cost: J at the solution, the sum of e' Omega e (no one half).
-        costs: J before the first step and after each one, as far as the solver tells it.
+        estimated: (T+1,) bool; False for poses that are not part of the graph: their rows hold the initial guess.
+        landmarks: {id: (x, y) or (x, y, heading)}; landmark nodes, or the map that `estimate_map` makes from the poses.
+        cost: J at the solution, the sum of e' Omega e (without a factor 1/2).
+        costs: J before the first step and after each one, as far as the solver reports it.
         iterations: the number of steps taken.
         step_norms: (iterations,), the Euclidean norm of each whole correction vector.
-        converged: whether the stop rule was met; never True for a run that diverged, got stuck or ran out. What it
-            met is a stationary point, which may be a local minimum.
+        converged: whether a stop rule was met; never True for a run that diverged, could not lower J, or took all its
+            iterations. The solution is then a stationary point, which may be a local minimum.
         reason: one sentence on why the iteration ended.
-        seconds: time of the optimisation alone [s], from initial values to the stop.
-        solver: which solver made it.
+        seconds: time of the optimisation alone [s], from initial values to the end.
+        solver: the name of the solver.
         state: (n, 3) the values of the graph's nodes.
-        notes: what the user should know about the graph.
-        trust: (M,) how far each sighting of the log was trusted, from 0 to 1, where `solve_gnc` decided; NaN for
-            sightings that the graph does not use. None elsewhere.
+        notes: remarks on the graph and the solver, one sentence each.
+        trust: (M,) the trust in each sighting of the log, from 0 to 1, where `solve_gnc` determined it; NaN for
+            sightings that the graph does not use. None for other solvers.
+        graph: the graph that was solved, with the final trust in its sightings.
     """
 
     poses: Array
@@ -52,46 +57,62 @@ class Solution:
     state: Array
     notes: tuple[str, ...] = ()
     trust: Array | None = None
-    _graph: Graph | None = field(default=None, repr=False)
+    graph: Graph | None = None
 
-    def covariance(self, step: int) -> Array:
+    def __repr__(self) -> str:
+        """One line: solver, outcome, cost and sizes."""
+        outcome = "converged" if self.converged else "not converged"
+        return (
+            f"<Solution by {self.solver}: {outcome} after {self.iterations} iterations, J = {self.cost:.6g}, "
+            f"{len(self.poses)} poses, {len(self.landmarks)} landmarks, {self.seconds:.3g} s>"
+        )
+
+    def covariance(self, id: int) -> Array:
         """The covariance (3, 3) of a pose in world axes (x, y, theta): a diagonal block of Omega^-1.
 
+        Args:
+            id: of the pose: its step for the graph of a log, its number in the file for a pose graph.
+
         Raises:
-            OptionError: there is no such step, or the graph does not estimate its pose.
+            OptionError: there is no such pose, or the graph does not estimate it.
             GraphError: the edges do not determine the poses.
         """
-        return self._uncertainty.diagonal[self._node(step)].copy()
+        return self._uncertainty.diagonal[self._node(id)].copy()
 
     def covariances(self) -> Array:
-        """The covariances of all poses at once, (T+1, 3, 3); NaN where a pose is not estimated."""
+        """The covariances of all rows of ``poses`` at once, (T+1, 3, 3); NaN where a pose is not estimated."""
         blocks = np.full((len(self.poses), 3, 3), np.nan)
         blocks[self.estimated] = self._uncertainty.diagonal[: int(self.estimated.sum())]
         return blocks
 
-    def cross_covariance(self, step: int, other: int | None = None, *, landmark: int | None = None) -> Array:
-        """The covariance between a pose and another pose (3, 3), or a landmark that is a node (3, d), in world axes.
+    def cross_covariance(self, id: int, other: int | None = None, *, landmark: int | None = None) -> Array:
+        """The covariance between a pose and another pose (3, 3), or a landmark node (3, d), in world axes.
+
+        Args:
+            id: of the pose, as for `covariance`.
+            other: the id of the other pose.
+            landmark: the id of the landmark, instead of another pose.
 
         Raises:
-            OptionError: there is no such pose or landmark in the graph, or not exactly one of the two is asked for.
+            OptionError: there is no such pose or landmark in the graph, or not exactly one of the two is given.
         """
         if (other is None) == (landmark is None):
-            raise OptionError("cross_covariance takes the step of another pose, or landmark=ID, and not both")
-        node = self._node(step)
+            raise OptionError("cross_covariance takes the id of another pose, or landmark=ID, and not both")
+        node = self._node(id)
         if other is not None:
             return self._uncertainty.block(node, self._node(other))
         graph = self._solved_graph
-        found = np.flatnonzero(graph.landmark_ids == landmark)
-        if len(found) == 0:
+        matches = np.flatnonzero(graph.landmark_ids == landmark)
+        if len(matches) == 0:
             raise OptionError(
-                f"landmark {landmark} is no node of this graph; edges='landmark+motion' makes nodes of them"
+                f"landmark {landmark} is no node of this graph; edges='landmark+motion' makes nodes of landmarks"
             )
-        block = self._uncertainty.block(node, len(graph.steps) + int(found[0]))
+        block = self._uncertainty.block(node, len(graph.steps) + int(matches[0]))
         return block[:, : graph.landmark_dimension]
 
     @cached_property
     def landmark_covariances(self) -> dict[int, Array]:
-        """{id: (2, 2) or (3, 3)}: of landmark nodes the marginal, of a map made from the poses that given the poses."""
+        """{id: (2, 2) or (3, 3)}: marginal covariances of landmark nodes; for a map from the poses, given the poses."""
         if isinstance(self.landmarks, LandmarkMap):
             return self.landmarks.covariances
         if not self.landmarks:
@@ -101,27 +122,57 @@ class Solution:
         d = graph.landmark_dimension
         return {j: block[:d, :d].copy() for j, block in zip(self.landmarks, blocks)}
 
-    @property
-    def graph(self) -> Graph:
-        """The graph that was solved."""
-        return self._solved_graph
+    def nees(self, true_poses: ArrayLike) -> Array:
+        """The normalised estimation error squared e' P^-1 e / 3 of every pose, (T+1,); 1 on average if consistent.
+
+        The poses are not aligned: the truth must be in the frame of the graph. NaN where the truth is unknown, or the
+        pose is not estimated or fixed. `metrics.pose_nees` has the source.
+
+        Raises:
+            GraphError: the edges do not determine the poses.
+        """
+        return pose_nees(_errors(self.poses, true_poses), self.covariances())
+
+    def joint_nees(self, true_poses: ArrayLike) -> float:
+        """e' Omega e / (3 T) of all poses together but the first, given the first; 1 on average if consistent.
+
+        Landmark nodes are eliminated. The truth must be in the frame of the graph, and known for all its poses.
+        """
+        graph = self._solved_graph
+        errors = _errors(self.state[: len(graph.steps)], np.asarray(true_poses, dtype=float)[graph.steps])
+        return self._uncertainty.joint_square(errors) / errors[1:].size
 
     @property
     def _solved_graph(self) -> Graph:
-        if self._graph is None:
+        if self.graph is None:
             raise OptionError(f"the solver {self.solver} left no graph to take covariances from")
-        return self._graph
+        return self.graph
 
     @cached_property
     def _uncertainty(self) -> Uncertainty:
         return Uncertainty(self._solved_graph, self.state)
 
-    def _node(self, step: int) -> int:
-        if not isinstance(step, Integral) or not -len(self.poses) <= step < len(self.poses):
-            raise OptionError(f"step must be a whole number between 0 and {len(self.poses) - 1}, not {step!r}")
-        if not self.estimated[step]:
-            raise OptionError(f"pose {step} is not part of the graph, so it has no covariance")
-        return int(np.searchsorted(self._solved_graph.steps, step % len(self.poses)))
+    def _node(self, id: int) -> int:
+        """The node of a pose."""
+        graph = self._solved_graph
+        ids = graph.pose_ids
+        matches = np.flatnonzero(ids == id) if isinstance(id, Integral) else ()
+        if len(matches):
+            return int(matches[0])
+        if graph.log is not None and isinstance(id, Integral) and 0 <= id < len(self.poses):
+            raise OptionError(f"pose {id} is not part of the graph, so it has no covariance")
+        what = (
+            f"the steps of the log, 0 to {len(self.poses) - 1}"
+            if graph.log is not None
+            else (f"{len(ids)} whole numbers from {ids.min()} to {ids.max()}, such as {', '.join(map(str, ids[:3]))}")
+        )
+        raise OptionError(f"there is no pose {id!r}; the ids of the poses are {what}")
+
+
+def _errors(poses: Array, true_poses: ArrayLike) -> Array:
+    errors = poses - np.asarray(true_poses, dtype=float)
+    errors[:, 2] = wrap(errors[:, 2])
+    return errors
 
 
 def make_solution(
@@ -136,7 +187,7 @@ def make_solution(
     solver: str,
     notes: tuple[str, ...] = (),
 ) -> Solution:
-    """The `Solution` of a graph from the final state (n, 3) of a solver and the story of its iteration."""
+    """The `Solution` of a graph from the final state (n, 3) of a solver and the record of its iterations."""
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])
     cost = graph.cost(state)
@@ -146,7 +197,7 @@ def make_solution(
         nodes[:, 2:] = wrap(nodes[:, 2:])
         landmarks = dict(zip(graph.landmark_ids.tolist(), nodes))
     elif graph.log is not None and np.all(np.isfinite(poses)):
-        landmarks = estimate_map(graph.log, poses, graph.sensor)
+        landmarks = estimate_map(graph.log, poses, sensor=graph.sensor)
     return Solution(
         poses=poses,
         estimated=estimated,
@@ -161,5 +212,5 @@ def make_solution(
         solver=solver,
         state=state,
         notes=(*graph.notes, *notes),
-        _graph=graph,
+        graph=graph,
     )

@@ -1,7 +1,10 @@
-"""A long drive seen from afar: every so manieth pose, with the motions between them joined.
+"""Graphs made from graphs: without landmark nodes, and coarser.
 
-Where dead reckoning has drifted for kilometres Gauss-Newton takes a dozen steps to straighten it, each over all poses.
-Straightened on a tenth of the poses first, the rest takes few.
+Landmark nodes can be replaced by virtual-motion edges or by marginal edges between the poses that saw them.
+
+A coarse graph keeps every N-th pose and joins the motions between them. Where dead reckoning has drifted for kilometres,
+Gauss-Newton takes a dozen steps to straighten the trajectory, each over all poses. Starting from the solution of a
+coarse graph, it takes few.
 """
 
 from __future__ import annotations
@@ -10,15 +13,69 @@ from dataclasses import replace
 
 import numpy as np
 
-from .edges import AnchorEdges, EdgeFamily, ObservationEdges, RelativePoseEdges
+from .edges import (
+    AnchorEdges,
+    EdgeFamily,
+    MarginalEdges,
+    ObservationEdges,
+    RelativePointEdges,
+    RelativePoseEdges,
+    VirtualMotionEdges,
+)
 from .graph import Graph
-from .se2 import Array, rotation, wrap
+from .se2 import Array, between, perpendicular, turn_matrix
+
+
+def without_landmarks(graph: Graph) -> Graph | None:
+    """The graph with its landmark nodes replaced by virtual-motion edges between the poses that saw them.
+
+    Only consecutive sightings of a landmark are paired: there are as many edges as sightings, and hardly more fill than
+    with landmark nodes. The cost is much closer to a quadratic than that of landmark nodes, whose bearings turn quickly
+    near a landmark that starts in the wrong place. None where there are no sightings of landmark nodes.
+    """
+
+    def paired(edges: ObservationEdges) -> VirtualMotionEdges:
+        order = np.lexsort((edges.first, edges.second))
+        landmark = edges.second[order]
+        here = np.flatnonzero(landmark[1:] == landmark[:-1])
+        rows = order[np.column_stack([here, here + 1]).ravel()]
+        return VirtualMotionEdges(
+            np.arange(0, len(rows) + 1, 2), edges.first[rows], edges.sightings[rows], edges.sensor
+        )
+
+    families = [paired(f) if isinstance(f, ObservationEdges) else f for f in graph.families]
+    return None if families == [*graph.families] else _poses_only(graph, families)
+
+
+def with_landmarks_eliminated(graph: Graph) -> tuple[Graph, np.ndarray] | None:
+    """The graph with its landmark nodes replaced by marginal edges, and the sighting behind each of theirs (M,).
+
+    None where there are no sightings of landmark nodes.
+    """
+    edges = next((family for family in graph.families if isinstance(family, ObservationEdges)), None)
+    if edges is None:
+        return None
+    order = np.lexsort((edges.first, edges.second))
+    _, starts = np.unique(edges.second[order], return_index=True)
+    trust = None if edges.trust is None else edges.trust[order]
+    marginal = MarginalEdges(
+        np.append(starts, len(order)), edges.first[order], edges.sightings[order], edges.sensor, trust=trust
+    )
+    others = [family for family in graph.families if not isinstance(family, ObservationEdges)]
+    return _poses_only(graph, [marginal, *others]), order
+
+
+def _poses_only(graph: Graph, families: list[EdgeFamily]) -> Graph:
+    return replace(
+        graph, initial=graph.initial[: len(graph.steps)], landmark_ids=graph.landmark_ids[:0], log=None,
+        families=tuple(family for family in families if not isinstance(family, RelativePointEdges)),
+    )  # fmt: skip
 
 
 def coarse(graph: Graph, every: int) -> tuple[Graph, np.ndarray] | None:
-    """The graph of every so manieth pose and all landmarks they see, and the nodes of the whole graph that it keeps.
+    """The graph of every N-th pose and all landmarks they see, and the nodes of the whole graph that it keeps.
 
-    None where the poses are not one chain of motion edges with sightings of landmark nodes.
+    None where the poses are not one chain of motion edges with sightings of landmark nodes. The last pose is always kept.
     """
     chain = _chain(graph)
     if chain is None:
@@ -55,35 +112,31 @@ def coarse(graph: Graph, every: int) -> tuple[Graph, np.ndarray] | None:
 
 
 def filled(graph: Graph, kept: np.ndarray, poses: Array) -> Array:
-    """All poses (P, 3) from those kept (k,): the others by their motions from the kept one before them."""
+    """All poses (P, 3) from those kept (k,): each other pose follows from the kept one before it by the motions."""
     chain = _chain(graph)
     assert chain is not None
     driven = _driven(chain.measured)
     before = np.searchsorted(kept, np.arange(len(graph.steps)), side="right") - 1
-    at, start = poses[before], driven[kept[before]]
-    turn = at[:, 2] - start[:, 2]
-    out = np.empty((len(graph.steps), 3))
-    out[:, :2] = at[:, :2] + np.einsum("kij,kj->ki", rotation(turn), driven[:, :2] - start[:, :2])
-    out[:, 2] = at[:, 2] + driven[:, 2] - start[:, 2]
-    return out
+    offset, turned = driven - driven[kept[before]], turn_matrix(poses[before, 2] - driven[kept[before], 2])
+    return poses[before] + np.einsum("kij,kj->ki", turned, offset)
 
 
 def _chain(graph: Graph) -> RelativePoseEdges | None:
-    """The motion edges, if there are sightings and nothing else besides, and they lead from each pose to the next."""
-    found = [family for family in graph.families if isinstance(family, RelativePoseEdges)]
+    """The motion edges, where they lead from each pose to the next and all other edges are sightings and anchors."""
+    chains = [family for family in graph.families if isinstance(family, RelativePoseEdges)]
     known = (RelativePoseEdges, AnchorEdges, ObservationEdges)
-    if len(found) != 1 or not all(isinstance(family, known) for family in graph.families):
+    if len(chains) != 1 or not all(isinstance(family, known) for family in graph.families):
         return None
     first = np.arange(len(graph.steps) - 1)
-    whole = np.array_equal(found[0].first, first) and np.array_equal(found[0].second, first + 1)
-    return found[0] if whole and any(isinstance(family, ObservationEdges) for family in graph.families) else None
+    whole = np.array_equal(chains[0].first, first) and np.array_equal(chains[0].second, first + 1)
+    return chains[0] if whole and any(isinstance(family, ObservationEdges) for family in graph.families) else None
 
 
 def _driven(measured: Array) -> Array:
-    """Where the relative poses (E, 3) lead from the origin, one after the other; (E+1, 3)."""
+    """The poses (E+1, 3) that the relative poses (E, 3) lead to, one after the other from the origin."""
     heading = np.concatenate([[0.0], np.cumsum(measured[:, 2])])
-    steps = np.einsum("kij,kj->ki", rotation(heading[:-1]), measured[:, :2])
-    return np.column_stack([np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)]), heading])
+    steps = np.einsum("kij,kj->ki", turn_matrix(heading[:-1]), measured)
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
 
 
 def _joined(chain: RelativePoseEdges, kept: np.ndarray) -> RelativePoseEdges:
@@ -91,17 +144,12 @@ def _joined(chain: RelativePoseEdges, kept: np.ndarray) -> RelativePoseEdges:
     driven = _driven(chain.measured)
     start, end = driven[kept[:-1]], driven[kept[1:]]
     last = np.repeat(np.arange(len(kept) - 1), np.diff(kept))
-    lever = end[last, :2] - driven[1:, :2]
-    J = np.zeros((len(last), 3, 3))
-    J[:, :2, :2], J[:, 2, 2] = rotation(driven[:-1, 2]), 1.0
-    J[:, 0, 2], J[:, 1, 2] = -lever[:, 1], lever[:, 0]
+    J = turn_matrix(driven[:-1, 2])
+    J[:, :2, 2] = perpendicular(end[last, :2] - driven[1:, :2])
     covariance = np.add.reduceat(J @ np.linalg.inv(chain.information) @ np.swapaxes(J, 1, 2), kept[:-1], axis=0)
-    back = np.zeros((len(start), 3, 3))
-    back[:, :2, :2], back[:, 2, 2] = rotation(-start[:, 2]), 1.0
-    offset = np.einsum("kij,kj->ki", back[:, :2, :2], end[:, :2] - start[:, :2])
+    back = turn_matrix(-start[:, 2])
     information = np.linalg.inv(back @ covariance @ np.swapaxes(back, 1, 2))
     number = np.arange(len(kept))
     return RelativePoseEdges(
-        number[:-1], number[1:], np.column_stack([offset, wrap(end[:, 2] - start[:, 2])]),
-        (information + np.swapaxes(information, 1, 2)) / 2,
-    )  # fmt: skip
+        number[:-1], number[1:], between(start, end), (information + np.swapaxes(information, 1, 2)) / 2
+    )

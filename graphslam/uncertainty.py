@@ -14,10 +14,10 @@ from .se2 import Array
 
 
 class Uncertainty:
-    """Marginal covariances of the nodes of a graph at a state (n, 3), worked out when first asked for.
+    """Marginal covariances of the nodes of a graph at a state (n, 3), computed at the first use.
 
-    Omega is the Gauss-Newton information at the state, so the covariances are those of the linearised problem. Nodes
-    that are held have covariance zero.
+    Omega is the Gauss-Newton information at the state, so the covariances are those of the linearised problem. Fixed
+    nodes have covariance zero.
 
     Raises:
         GraphError: (all methods) the edges do not determine the nodes.
@@ -30,7 +30,7 @@ class Uncertainty:
     def _factor(self) -> Factor:
         system, _ = self._graph.linearize(self._state)
         try:
-            # a factor of its own: the system's is overwritten by the next solve
+            # a separate factor, because the next solve overwrites that of the system
             return system.symbolic.factorize(system.values.copy())
         except SingularPivot as error:
             raise undetermined(self._graph, self._state, error) from None
@@ -51,7 +51,7 @@ class Uncertainty:
         return self._factor.covariance(i, j)
 
     def of_edges(self, edges: Linearization) -> Array:
-        """What the solution lets each residual be uncertain by, B Omega^-1 B' (E, d, d), of edges between two nodes."""
+        """The covariance B Omega^-1 B' (E, d, d) of each residual due to the state, of edges between two nodes."""
         first, second = edges.nodes
         by_first, by_second = edges.jacobians
         diagonal = self.diagonal
@@ -59,3 +59,16 @@ class Uncertainty:
         mixed = by_first @ crossed @ np.swapaxes(by_second, 1, 2)
         own = sum(B @ diagonal[k] @ np.swapaxes(B, 1, 2) for B, k in ((by_first, first), (by_second, second)))
         return own + mixed + np.swapaxes(mixed, 1, 2)
+
+    def joint_square(self, errors: Array) -> float:
+        """e' Omega e for errors (P, 3) of all poses but the first, given the first, with landmark nodes eliminated."""
+        from scipy.sparse.linalg import spsolve
+
+        system, _ = self._graph.linearize(self._state)
+        omega, end = system.to_sparse().tocsc(), errors.size
+        e = errors[1:].ravel()
+        square = float(e @ (omega[3:end, 3:end] @ e))
+        if self._graph.num_nodes > len(errors):
+            across = omega[end:, 3:end] @ e
+            square -= float(across @ spsolve(omega[end:, end:], across))
+        return square

@@ -3,8 +3,12 @@
 import re
 import shutil
 from pathlib import Path
+from unittest import mock
 
 import pytest
+
+from comparisons.estimators import ESTIMATORS
+from graphslam.formats import FORMATS
 
 DOCS = Path(__file__).parents[1] / "docs"
 BLOCKS = [
@@ -16,13 +20,26 @@ BLOCKS = [
 
 @pytest.mark.parametrize(("page", "number", "block"), BLOCKS, ids=[f"{page}-{number}" for page, number, _ in BLOCKS])
 def test_examples(page, number, block, capsys, tmp_path, monkeypatch):
-    # what examples read is beside them, what they write is nobody else's
+    # examples read files of these folders, and what they write must not remain
     for folder in ("docs", "examples"):
         shutil.copytree(DOCS.parent / folder, tmp_path / folder)
     monkeypatch.chdir(tmp_path)
-    exec(compile(block, f"{page}, example {number}", "exec"), {})
+    # what examples register, other tests must not see
+    with mock.patch.dict(ESTIMATORS), mock.patch.dict(FORMATS):
+        exec(compile(block, f"{page}, example {number}", "exec"), {})
     assert capsys.readouterr().out
 
 
 def test_there_are_examples():
-    assert sum(page == "factors.md" for page, _, _ in BLOCKS) == 6
+    pages = [page for page, _, _ in BLOCKS]
+    assert (pages.count("factors.md"), pages.count("extending.md")) == (6, 3)
+
+
+@pytest.mark.parametrize("page", [DOCS.parent / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda page: page.name)
+def test_named_files_exist(page):
+    """Every path of this repository that a page names in backquotes exists."""
+    named = re.findall(
+        r"`((?:graphslam|fastslam|comparisons|docs|tests|benchmarks|examples)/[\w./-]*)`", page.read_text()
+    )
+    missing = [name for name in named if not (DOCS.parent / name).exists()]
+    assert not missing

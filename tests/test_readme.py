@@ -1,4 +1,4 @@
-"""The Python examples of the README run, and say what the README says they do."""
+"""The Python examples of the README run and print something."""
 
 import re
 from pathlib import Path

@@ -28,7 +28,7 @@ def placement_of(log: Log, poses: Array, estimated: np.ndarray | None = None) ->
     counted = log.covered if estimated is None else log.covered & estimated
     if log.true_poses is None or not counted.any():
         return np.zeros(3)
-    return align(log.true_poses, poses, counted)
+    return align(log.true_poses, poses, mask=counted)
 
 
 def place_map(

@@ -41,4 +41,4 @@ def simulated_log(settings: Mapping[str, Any], seed: int, name: str = "simulated
         faults["motion_faults"] = MotionFaults(**wheels)
     if camera:
         faults["sensor_faults"] = SensorFaults(**camera)
-    return simulate(**(world | told), **faults, **models(settings), seed=seed, name=name)
+    return simulate(world, **told, **faults, **models(settings), seed=seed, name=name)

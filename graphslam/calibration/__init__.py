@@ -1,4 +1,4 @@
-"""Noise models from data: by maximum likelihood where the truth is known, from a solved graph's residuals where not."""
+"""Noise models from data: by maximum likelihood with ground truth, from the residuals of a solved graph without."""
 
 from .calibrate import SOURCES, Calibration, calibrate
 

@@ -1,19 +1,20 @@
-"""Noise from a log without truth: from the residuals that are left when its graph is solved.
+"""Noise from a log without ground truth: from the residuals of its solved graph.
 
-A least-squares solution bends towards its data, so residuals are smaller than the noise: their covariance is C_e - P_e,
-where P_e = B_e Omega^-1 B_e' is what the solution itself is uncertain by. For variances theta_p with covariance parts C_p
-restricted maximum likelihood asks that, with W_e = C_e^-1,
+A least-squares solution fits part of the noise, so residuals are smaller than the noise: their covariance is C_e - P_e,
+where P_e = B_e Omega^-1 B_e' is due to the uncertainty of the solution. For variances theta_p with covariance parts C_p
+restricted maximum likelihood requires, with W_e = C_e^-1,
 
     sum_e u_e e' W C_p W e  =  sum_e tr(W C_p) - u_e tr(W P_e W C_p)          for each p with theta_p > 0.
 
-The right side is what the left is expected to be; the quotient of the two multiplies theta_p, the graph is solved again,
-and so on until nothing moves. u_e = (nu + d) / (nu + e' W e + tr(W P_e)) is the weight of Student's t (1 where Gaussian),
-for sightings and motions alike, so that wrong sightings and slips count little; nu is estimated from the same squares.
+The right side is the expectation of the left one. theta_p is multiplied by the quotient of the two, the graph is solved
+again, and so on until the variances converge. u_e = (nu + d) / (nu + e' W e + tr(W P_e)) is the weight of Student's t (1
+where Gaussian), for sightings and motions, so that wrong sightings and wheel slip count little; nu is estimated from the
+same squares.
 
 Sources: Patterson and Thompson, *Recovery of inter-block information when block sizes are unequal*, Biometrika 58(3),
 1971 (the equations); Anderson, *Asymptotically efficient estimation of covariance matrices with linear structure*, Annals
-of Statistics 1(1), 1973 (the iteration). The part of the weights is an approximation: residuals of different edges count
-as independent given the solution.
+of Statistics 1(1), 1973 (the iteration). The weights are an approximation: residuals of different edges are treated as
+independent given the solution.
 """
 
 from __future__ import annotations
@@ -44,17 +45,17 @@ from .parts import (
 )
 from .variances import FEWEST, MOST, VarianceFit, standard_errors
 
-#: the iteration has settled when no variance, made e times larger or smaller, would change the log likelihood by more
+#: converged when no variance, made e times larger or smaller, would change the log likelihood by more than this
 SETTLED = 0.1
-#: the most that a variance grows or shrinks in one round
+#: the greatest factor by which a variance changes in one round
 FASTEST = 10.0
-#: a part that explains less than this of the edges' variance is none
+#: a part that explains less than this fraction of the edges' variance is zero
 NEGLIGIBLE = 1e-6
 
 
 @dataclass
 class _Share:
-    """One kind of edges, and what its noise is made of."""
+    """One kind of edges, and the parts of its noise."""
 
     parts: Mapping[str, Array]
     variances: dict[str, float]
@@ -82,27 +83,27 @@ class _Share:
             self.nu = self.degrees
         self.weights = np.ones(len(squares)) if np.isinf(self.nu) else (self.nu + d) / (self.nu + squares)
         u = self.weights * self.counted
-        held = W @ leverage @ W
+        fitted = W @ leverage @ W
         steepest = 0.0
         for name, C in self.parts.items():
             before = self.variances[name]
             if before == 0:
                 continue
-            found = float(np.einsum("e,ei,eij,ej->", u, pulled, C, pulled, optimize=True))
+            actual = float(np.einsum("e,ei,eij,ej->", u, pulled, C, pulled, optimize=True))
             whole = float(np.einsum("e,eij,eji->", self.counted.astype(float), W, C, optimize=True))
-            wanted = whole - float(np.einsum("e,eij,eji->", u, held, C, optimize=True))
-            after = before * float(np.clip(found / wanted if wanted > 0 else 1.0, 1 / FASTEST, FASTEST))
+            expected = whole - float(np.einsum("e,eij,eji->", u, fitted, C, optimize=True))
+            after = before * float(np.clip(actual / expected if expected > 0 else 1.0, 1 / FASTEST, FASTEST))
             if name == "epsilon":
                 after = max(after, LEAST_EPSILON)
             elif after * whole < NEGLIGIBLE * len(u) * d:
                 after = 0.0
             if after != before:
-                steepest = max(steepest, 0.5 * before * abs(found - wanted))
+                steepest = max(steepest, 0.5 * before * abs(actual - expected))
             self.variances[name] = after
         return steepest
 
     def fit(self) -> VarianceFit:
-        """The outcome, with standard errors from the information that the leverage leaves."""
+        """The variances, with standard errors from the information reduced by the leverage."""
         names = list(self.parts)
         W = np.linalg.inv(self.covariances)[self.counted]
         reduced = W - W @ self.leverage[self.counted] @ W
@@ -116,7 +117,7 @@ class _Share:
 
 @dataclass(frozen=True)
 class Settled:
-    """What `noise_from_residuals` found, and in how many rounds; ``converged`` where nothing moved any more."""
+    """The result of `noise_from_residuals`, the number of rounds, and whether the variances converged."""
 
     motion: VarianceFit
     sensor: VarianceFit
@@ -131,7 +132,7 @@ def noise_from_residuals(
 
     Args:
         log: with controls and ids.
-        motion, sensor: where the search begins. Numbers that are zero begin at a part of the others.
+        motion, sensor: the start of the search. Variances that are zero start at a fraction of the others.
         degrees: of freedom of both; None to estimate them, infinity for Gaussian noise.
         max_rounds: the most graphs to solve.
 
@@ -141,14 +142,9 @@ def noise_from_residuals(
     graph = Graph.from_log(log, motion=motion, sensor=sensor, edges="landmark+motion", kernel="huber")
     anchor, seen, driven = graph.families
     assert isinstance(seen, ObservationEdges) and isinstance(driven, RelativePoseEdges)
-    n = log.sightings.shape[1]
     regular = ordinary(log)
-    moved = _Share(motion_parts(log), {}, regular, degrees, np.ones(driven.count))
-    sighted = _Share(
-        sensor_parts(log.sightings), {}, np.ones(seen.count, dtype=bool), degrees, np.ones(seen.count)
-    )  # fmt: skip
-    moved.variances = _begun(motion_variances(motion), moved.parts)
-    sighted.variances = _begun(sensor_variances(sensor, n), sighted.parts)
+    moved = _share(motion_parts(log), motion_variances(motion), regular, degrees)
+    sighted = _share(sensor_parts(log.sightings), sensor_variances(sensor), np.ones(seen.count, dtype=bool), degrees)
     across_gaps = log.motions(motion)[1][~regular]
 
     def models() -> Graph:
@@ -156,26 +152,17 @@ def noise_from_residuals(
         covariances[~regular] = across_gaps
         information = np.linalg.inv(covariances)
         information = moved.weights[:, None, None] * (information + np.swapaxes(information, 1, 2)) / 2
-        model = sensor_model(sighted.variances, sensor)
-        return replace(
-            graph,
-            families=(
-                anchor,
-                replace(seen, sensor=model, kernel=None, trust=sighted.weights),
-                replace(driven, information=information),
-            ),
-        )
+        weighted = replace(seen, sensor=sensor_model(sighted.variances, sensor), kernel=None, trust=sighted.weights)
+        return replace(graph, families=(anchor, weighted, replace(driven, information=information)))
 
-    solution = solve(graph, initialize="auto", tolerance=1e-4)
-    state = solution.state
+    current, state = graph, solve(graph, tolerance=1e-4).state
     rounds, converged = 0, False
     while rounds < max_rounds and not converged:
-        current = graph if rounds == 0 else models().with_initial(state)
         if rounds > 0:
-            solution = solve(current, tolerance=1e-6, max_iterations=20)
-            if not np.all(np.isfinite(solution.state)):
-                raise GraphError(f"{log.name}: the graph could not be solved with the noise found so far")
-            state = solution.state
+            current = models().with_initial(state)
+            state = solve(current, tolerance=1e-6, max_iterations=20, initialize="given").state
+            if not np.all(np.isfinite(state)):
+                raise GraphError(f"{log.name}: the graph cannot be solved with the current estimate of the noise")
         uncertainty = Uncertainty(current, state)
         slope = 0.0
         for share, family in ((sighted, current.families[1]), (moved, current.families[2])):
@@ -187,7 +174,7 @@ def noise_from_residuals(
 
 
 def degrees_of_freedom(squares: Array, d: int) -> float:
-    """The likeliest nu for squared Mahalanobis norms (E,) of d-vectors; infinite from `MOST` on."""
+    """The maximum-likelihood nu for squared Mahalanobis norms (E,) of d-vectors; infinite from `MOST` on."""
 
     def slope(log_nu: float) -> float:
         nu = np.exp(log_nu)
@@ -203,9 +190,10 @@ def degrees_of_freedom(squares: Array, d: int) -> float:
     return float(np.exp(brentq(slope, low, high)))
 
 
-def _begun(variances: dict[str, float], parts: Mapping[str, Array]) -> dict[str, float]:
-    """The variances to begin with: of parts that are zero, as much as makes a hundredth of the others' sum."""
+def _share(parts: dict[str, Array], variances: dict[str, float], counted: np.ndarray, degrees: float | None) -> _Share:
+    """The parts with the variances to start with; those that are zero start at a hundredth of the sum of all."""
     size = {name: float(np.einsum("eii->", C)) for name, C in parts.items()}
     whole = sum(variances[name] * size[name] for name in parts)
     least = {name: 0.01 * whole / size[name] if size[name] > 0 else 0.0 for name in parts}
-    return {name: max(variances[name], least[name]) for name in parts}
+    begun = {name: max(variances[name], least[name]) for name in parts}
+    return _Share(parts, begun, counted, degrees, np.ones(len(counted)))

@@ -1,4 +1,4 @@
-"""Noise from a log whose true poses and landmarks are known: the residuals are there to see."""
+"""Noise from a log whose true poses and landmarks are known: the residuals are the noise itself."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..se2 import Array, between, wrap
 from .parts import motion_parts, ordinary, sensor_parts
 from .variances import VarianceFit, fit_variances
 
-#: scale and bias have settled when they move by less than this
+#: scale and bias have converged when they change by less than this
 SETTLED = 1e-6
 
 
@@ -28,16 +28,16 @@ class RangeLine:
 
 
 def knows_enough(log: Log) -> bool:
-    """Whether the truth tells poses with headings and the places of landmarks that are named."""
+    """Whether true poses with headings and the positions of landmarks that were seen are known."""
     if log.true_poses is None or not log.true_landmarks:
         return False
     return bool(np.isfinite(log.true_poses[:, 2]).any() and np.isin(log.landmarks, list(log.true_landmarks)).any())
 
 
 def motion_noise(log: Log, degrees: float | None = None) -> VarianceFit:
-    """The motion's variances: each true motion less the one that the controls make, in the frame it starts from.
+    """The variances of the motion, from the differences of true and commanded motions in the frame of their start.
 
-    Motions across gaps of the odometry, and those whose ends the truth does not cover, do not count.
+    Motions across gaps in the odometry, and those whose true start or end is unknown, do not count.
 
     Raises:
         LogError: there are too few motions.
@@ -51,18 +51,18 @@ def motion_noise(log: Log, degrees: float | None = None) -> VarianceFit:
     fit = fit_variances(e[counted], parts, degrees=degrees)
     if log.composite:
         return fit
-    # noise that entered by the controls, or that the poses have: whichever explains the motions better
+    # the noise may enter by the controls or at the poses: the better explanation of the motions counts
     other = fit_variances(straightened(log, moved, e)[counted], parts, degrees=degrees)
-    return max(fit, other, key=lambda found: found.log_likelihood)
+    return max(fit, other, key=lambda each: each.log_likelihood)
 
 
 def straightened(log: Log, moved: Array, e: Array) -> Array:
-    """The residuals (T, 3) of motions of one control each, by what the controls must have been.
+    """The residuals (T, 3) of motions of one control each, computed from the controls that were really carried out.
 
-    The noise of a control enters the motion through its arc. To first order the residual is A du; to second order du's
-    two parts also push the robot sideways by their product, where A reaches nowhere and epsilon, which may be tiny, is
-    all there is: that would look like heavy tails. So du is found exactly, as the arc that turns as far as the robot
-    has and ends nearest to it, and the residual is A du and what is left beside the arc.
+    The noise du of a control changes the arc of the motion. To first order the residual is A du. To second order the
+    product of the two parts of du also moves the robot sideways, a direction in which A is zero and the covariance only
+    epsilon, which may be tiny; that would look like heavy tails. Therefore du is computed exactly, from the arc that
+    turns as far as the robot did and ends nearest to it. The residual is A du plus the remaining distance to the arc.
 
     Args:
         log: without composite motions.
@@ -77,16 +77,16 @@ def straightened(log: Log, moved: Array, e: Array) -> Array:
     done = np.column_stack([length / (dt * sinc(turn / 2)), turn / dt])
     straight = np.einsum("tij,tj->ti", MotionModel().A(origin, log.controls, dt), done - log.controls)
     straight[:, :2] += moved[:, :2] - length[:, None] * along
-    # beyond a full turn no arc is the obvious one
+    # turns of more than half a circle are ambiguous
     return np.where((np.abs(turn) < np.pi)[:, None], straight, e)
 
 
 def sensor_noise(log: Log, sensor: SensorModel, degrees: float | None = None) -> tuple[VarianceFit, RangeLine]:
-    """The sensor's variances, and the line by which it measures ranges.
+    """The variances of the sensor, and the line by which it measures ranges.
 
-    Line and variances are found in turn: the line by least squares with the variances and weights of the last fit, the
-    variances from the ranges that the line corrects. The noise is taken to grow with the true range: a covariance that
-    depends on what was measured would make the likelihood no density of the measurement.
+    Line and variances are estimated in turn: the line by least squares with the variances and weights of the last fit,
+    the variances from the ranges that the line corrects. The noise is assumed to grow with the true range; if it grew
+    with the measured one, the likelihood would not be a density of the measurement.
 
     Raises:
         LogError: there are too few sightings of true landmarks from true poses.
@@ -94,11 +94,13 @@ def sensor_noise(log: Log, sensor: SensorModel, degrees: float | None = None) ->
     assert log.true_poses is not None and log.true_landmarks is not None
     counted = np.isfinite(log.true_poses[log.steps]).all(axis=1) & np.isin(log.landmarks, list(log.true_landmarks))
     if not counted.any():
-        raise LogError(f"{log.name}: no true pose sees a true landmark")
+        raise LogError(f"{log.name}: no sighting has a known true pose and a known true landmark")
     n = log.sightings.shape[1]
     places = [log.true_landmarks[j] for j in log.landmarks[counted].tolist()]
     if n == 3 and any(len(place) == 2 for place in places):
-        raise LogError(f"{log.name}: psi has no truth, because true landmarks have no heading; leave psi out")
+        raise LogError(
+            f"{log.name}: the truth of psi is unknown, because true landmarks have no heading; leave psi out"
+        )
     z = log.sightings[counted]
     seen = sensor.h(log.true_poses[log.steps[counted]], np.array([place[:n] for place in places]))
     lines, parts = np.column_stack([seen[:, 0], np.ones(len(z))]), sensor_parts(seen)
@@ -108,14 +110,14 @@ def sensor_noise(log: Log, sensor: SensorModel, degrees: float | None = None) ->
         e[:, 0] = (z[:, 0] - bias) / scale - seen[:, 0]
         e[:, 1:] = wrap(e[:, 1:])
         fit = fit_variances(e, parts, degrees=degrees, start=fit)
-        variance = fit.variances["range_rate"] * seen[:, 0] ** 2 + fit.variances["range_std"]
+        variance = sum(fit.variances[name] * C[:, 0, 0] for name, C in parts.items())
         weighted = lines * (fit.weights / variance)[:, None]
         before = scale, bias
         scale, bias = np.linalg.solve(lines.T @ weighted, weighted.T @ z[:, 0]).tolist()
         if max(abs(scale - before[0]), abs(bias - before[1])) < SETTLED:
             break
     assert fit is not None
-    # the expected information of t is this much less than the Gaussian's
+    # the expected information of Student's t, as a fraction of the Gaussian one
     share = 1.0 if np.isinf(fit.degrees) else (fit.degrees + n) / (fit.degrees + n + 2)
     covariance = np.linalg.inv(lines.T @ (lines * (share / variance)[:, None])) * scale**2
     return fit, RangeLine(scale, bias, float(covariance[0, 0] ** 0.5), float(covariance[1, 1] ** 0.5))

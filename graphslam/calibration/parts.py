@@ -1,12 +1,13 @@
-"""The noise models taken apart into variances: covariance = sum over the model's numbers of theta_p C_p.
+"""The noise models as sums of variances: covariance = sum over the model's fields p of theta_p C_p.
 
-The covariance of a motion (`MotionModel.accumulate`) is linear in nn², no², on², oo², sigma_v², sigma_omega² and epsilon,
-that of a sighting (`SensorModel.Q`) in range_rate², range_std², bearing_std² and orientation_std².
+The covariance of a motion (`MotionModel.accumulate`) is linear in the squares of the model's standard deviations and in
+epsilon, and that of a sighting (`SensorModel.Q`) in the squares of the sensor's standard deviations.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -14,32 +15,33 @@ from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
 
-#: the standard deviations of the motion model
-OF_MOTION = ("nn", "no", "on", "oo", "sigma_v", "sigma_omega")
+#: the standard deviations of the models
+OF_MOTION = tuple(f.name for f in fields(MotionModel) if f.name != "epsilon")
+OF_SENSOR = tuple(f.name for f in fields(SensorModel) if f.name != "offset")
 
 #: the least epsilon [m², rad²] that a calibrated model has, because A M A' has only rank 2
 LEAST_EPSILON = 1e-9
 
+#: the model without noise, and one whose variances, 1e-18, vanish beside 1
+_STILL = MotionModel(**dict.fromkeys(OF_MOTION, 0.0), epsilon=LEAST_EPSILON)
+_EXACT = SensorModel(**dict.fromkeys(OF_SENSOR, 1e-9))
+
 
 def motion_parts(log: Log) -> dict[str, Array]:
-    """C_p (T, 3, 3) of each number of the motion model, for all motions of a log, in the frame each starts from."""
+    """C_p (T, 3, 3) of each field of the motion model, for all motions of a log, in the frame each starts from."""
     assert log.controls is not None and log.dt is not None
-    nothing = MotionModel(**dict.fromkeys(OF_MOTION, 0.0), epsilon=LEAST_EPSILON)
-    identity = np.eye(3)
-    parts = {}
+    identity, parts = np.eye(3), {}
     for name in OF_MOTION:
-        alone = MotionModel(**{**dict.fromkeys(OF_MOTION, 0.0), name: 1.0}, epsilon=nothing.epsilon)
-        covariances = alone.accumulate(log.controls, log.dt, log.control_starts)[1]
-        parts[name] = covariances - nothing.epsilon * identity
-    parts["epsilon"] = np.broadcast_to(identity, parts["nn"].shape).copy()
+        alone = replace(_STILL, **{name: 1.0})
+        parts[name] = alone.accumulate(log.controls, log.dt, log.control_starts)[1] - LEAST_EPSILON * identity
+    parts["epsilon"] = np.broadcast_to(identity, (log.num_poses - 1, 3, 3)).copy()
     return parts
 
 
 def motion_model(variances: Mapping[str, float]) -> MotionModel:
     """The model with these variances; epsilon is `LEAST_EPSILON` at least."""
-    return MotionModel(
-        **{name: variances[name] ** 0.5 for name in OF_MOTION}, epsilon=max(variances["epsilon"], LEAST_EPSILON)
-    )
+    deviations = {name: variances[name] ** 0.5 for name in OF_MOTION}
+    return MotionModel(**deviations, epsilon=max(variances["epsilon"], LEAST_EPSILON))
 
 
 def motion_variances(motion: MotionModel) -> dict[str, float]:
@@ -55,28 +57,17 @@ def ordinary(log: Log) -> np.ndarray:
 
 
 def sensor_parts(sightings: Array) -> dict[str, Array]:
-    """C_p (M, n, n) of each number of the sensor model, for sightings (M, 2 or 3)."""
-    count, n = sightings.shape
-    parts = {}
-    for name, row, scale in (
-        ("range_rate", 0, sightings[:, 0] ** 2),
-        ("range_std", 0, np.ones(count)),
-        ("bearing_std", 1, np.ones(count)),
-        ("orientation_std", 2, np.ones(count)),
-    ):
-        if row < n:
-            parts[name] = np.zeros((count, n, n))
-            parts[name][:, row, row] = scale
-    return parts
+    """C_p (M, n, n) of each field of the sensor model that affects sightings (M, n), n = 2 or 3."""
+    least = _EXACT.Q(sightings)
+    parts = {name: replace(_EXACT, **{name: 1.0}).Q(sightings) - least for name in OF_SENSOR}
+    return {name: C for name, C in parts.items() if C.any()}
 
 
 def sensor_model(variances: Mapping[str, float], like: SensorModel) -> SensorModel:
-    """The model with these variances, and the place on the robot (and psi's noise, where there is none) of another."""
-    found = {name: variance**0.5 for name, variance in variances.items()}
-    return SensorModel(**{"orientation_std": like.orientation_std, **found}, offset=like.offset)
+    """The model ``like`` with these variances; offset, and the noise of psi where it is not measured, stay."""
+    return replace(like, **{name: variance**0.5 for name, variance in variances.items()})
 
 
-def sensor_variances(sensor: SensorModel, coordinates: int) -> dict[str, float]:
-    """The variances of a model of a sensor with 2 or 3 coordinates."""
-    names = ("range_rate", "range_std", "bearing_std", "orientation_std")
-    return {name: getattr(sensor, name) ** 2 for name in names[: coordinates + 1]}
+def sensor_variances(sensor: SensorModel) -> dict[str, float]:
+    """The variances of a model."""
+    return {name: getattr(sensor, name) ** 2 for name in OF_SENSOR}

@@ -1,10 +1,9 @@
 """Variances of known shape from residuals: maximum likelihood for e ~ t_nu(0, sum_p theta_p C_p), theta_p >= 0.
 
 Every residual e (d,) has a scale matrix that is a sum of known parts C_p (d, d), each times an unknown variance theta_p
-that all residuals share: the noise of a motion is such a sum (`MotionModel.accumulate` is linear in nn², sigma_v², ...),
+that all residuals share. The noise of a motion is such a sum (`MotionModel.accumulate` is linear in nn², sigma_v², ...),
 and so is that of a sighting. The distribution is Student's t with nu degrees of freedom, which are estimated, too: a
-few wrong residuals then make nu small and leave the variances to the many right ones, and where the residuals are
-Gaussian nu grows until it no longer matters.
+few wrong residuals make nu small and hardly change the variances; where the residuals are Gaussian nu becomes large.
 
 Source: Lange, Little and Taylor, *Robust statistical modeling using the t distribution*, JASA 84(408), 1989.
 """
@@ -21,26 +20,26 @@ from scipy.special import digamma, gammaln
 from ..errors import LogError
 from ..se2 import Array
 
-#: degrees of freedom between which nu is sought; from the upper end on the tails are as good as Gaussian
+#: limits of nu; at the upper one the distribution is practically Gaussian
 FEWEST, MOST = 1.0, 1e4
 
-#: where the search begins, in turn: how much of the residuals the parts explain together, and nu
+#: the starts of the search: the fraction of the residuals that the parts explain together, and nu
 STARTS = ((1.0, 10.0), (0.1, 4.0))
 
-#: a part that explains less than this of the typical variance is none, and none explains more than the second of it
+#: a part that explains less than the first fraction of the typical variance is zero; the second one is the upper limit
 NEGLIGIBLE, MOST_EXPLAINED = 1e-7, 100.0
 
 
 @dataclass(frozen=True)
 class VarianceFit:
-    """What `fit_variances` found.
+    """The result of `fit_variances`.
 
     Attributes:
-        variances: {name of the part: theta_p}; 0 for parts that the data do not ask for.
+        variances: {name of the part: theta_p}; 0 for parts that the data do not need.
         errors: {name: standard error of theta_p}, from the expected information of the Gaussian; NaN where theta_p is 0.
         degrees: nu, infinite where the tails are Gaussian.
         log_likelihood: at the maximum.
-        weights: (E,) how much each residual counted, (nu + d) / (nu + e' C^-1 e); 1 in the Gaussian case.
+        weights: (E,) the weight of each residual, (nu + d) / (nu + e' C^-1 e); 1 in the Gaussian case.
         count: the number E of residuals.
     """
 
@@ -55,13 +54,13 @@ class VarianceFit:
 def fit_variances(
     residuals: Array, parts: Mapping[str, Array], *, degrees: float | None = None, start: VarianceFit | None = None
 ) -> VarianceFit:
-    """The variances theta_p that make residuals likeliest.
+    """The variances theta_p with the highest likelihood of the residuals.
 
     Args:
         residuals: (E, d).
         parts: {name: C_p (E, d, d)}, each symmetric and not negative; their sum must be invertible.
         degrees: of freedom nu; None to estimate them, infinity for Gaussian residuals.
-        start: a fit of residuals that were nearly these, to go on from.
+        start: a fit of similar residuals, to start from.
 
     Raises:
         LogError: there are fewer residuals than unknowns, or the residuals are all zero.
@@ -73,7 +72,7 @@ def fit_variances(
     typical = np.mean(residuals**2)
     if typical == 0:
         raise LogError("all residuals are exactly zero, so there is no noise to estimate")
-    # each part is measured by what it adds to the variance of the coordinate it adds most to
+    # the unit of each part is its share in the variance of the coordinate where it is largest
     size = np.einsum("peii->pi", C) / count
     used = size.max(axis=1) > 0
     C, size, live = C[used], size[used], [name for name, use in zip(names, used) if use]
@@ -89,15 +88,15 @@ def fit_variances(
 
     bounds = [(np.log(NEGLIGIBLE), np.log(MOST_EXPLAINED))] * len(unit) + [(np.log(FEWEST), np.log(MOST))]
     best = None
-    # the likelihood may have several maxima: where parts are alike, and between few large and many small residuals
+    # the likelihood may have several maxima, for example where parts are similar
     begins = [np.append(np.full(len(unit), np.log(share / len(unit))), np.log(nu)) for share, nu in STARTS]
     if start is not None:
         before = np.array([start.variances[name] for name in live]) / unit
         begins = [np.append(np.log(np.maximum(before, 10 * NEGLIGIBLE)), np.log(min(start.degrees, MOST)))]
     for begin in begins:
-        found = minimize(negative, begin, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 500})
-        if best is None or found.fun < best.fun:
-            best = found
+        search = minimize(negative, begin, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 500})
+        if best is None or search.fun < best.fun:
+            best = search
     assert best is not None
     theta = unit * np.exp(best.x[:-1])
     theta[best.x[:-1] <= np.log(10 * NEGLIGIBLE)] = 0.0

@@ -1,12 +1,12 @@
-"""Edge families: what ties the nodes of a graph together, one file each."""
+"""Edge families: what ties the nodes of a graph together, one file for each kind, and the kernels that they share."""
 
 from .anchor import ANCHOR_INFORMATION, AnchorEdges
 from .base import EdgeFamily, Linearization, Relations
-from .landmark import ObservationEdges, RelativePointEdges
 from .marginal import MarginalEdges
 from .motion import motion_edges
-from .relative_pose import RelativePoseEdges
-from .sightings import LandmarkSightings
+from .observation import ObservationEdges
+from .relative import RelativePointEdges, RelativePoseEdges
+from .sightings import LandmarkSightings, SightingEdges
 from .virtual_motion import VirtualMotionEdges
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "RelativePointEdges",
     "RelativePoseEdges",
     "Relations",
+    "SightingEdges",
     "VirtualMotionEdges",
     "motion_edges",
 ]

@@ -1,18 +1,23 @@
-"""What a family of edges must be able to do, and how it looks when taken apart edge by edge.
+"""What a family of edges must be able to do, and how it looks when it is taken apart edge by edge.
 
 A graph has n nodes; ``state`` (n, 3) holds their values, poses (x, y, theta) and landmarks alike. Some information
-matrices depend on the state; they are taken at ``reference`` (n, 3), which Gauss-Newton sets to the current state at
-every step, while a damped search holds it still so that what it minimises is one function.
+matrices depend on the state. They are evaluated at ``reference`` (n, 3): Gauss-Newton sets it to the current state at
+every step, a damped search keeps it fixed during a step so that the function it minimises stays the same.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-from ..se2 import Array
+from ..linear.information import BlockSystem
+from ..se2 import Array, turn_matrix
+
+_NO_SLOTS = np.zeros(0, dtype=np.int64)
+#: what the compiled loops get in place of slots, values and xi when only the cost is wanted
+NO_SYSTEM = (_NO_SLOTS, _NO_SLOTS, _NO_SLOTS, np.zeros((0, 3, 3)), np.zeros((0, 3)))
 
 
 @dataclass(frozen=True)
@@ -33,9 +38,37 @@ class Linearization:
         return np.einsum("ei,eij,ej->e", self.residuals, self.information, self.residuals)
 
 
+def linearization(
+    nodes: tuple[np.ndarray, ...],
+    residuals: Array,
+    information: Array,
+    levers: tuple[Array, ...],
+    angle: Array | None = None,
+) -> Linearization:
+    """Edges whose Jacobians in world axes are -[I, u; 0, 1] at the first end and [I, v; 0, 1] at the second.
+
+    Args:
+        nodes: the node (E,) of each end.
+        residuals: e (E, 3) in world axes.
+        information: (E, d, d), in the axes of the result; for d = 2 the heading row is left out.
+        levers: u (E, 2) and v (E, 2), one for each end.
+        angle: (E,) the direction of the axes in which the result is given; default: world axes.
+    """
+    jacobians = []
+    for sign, lever in zip((-1.0, 1.0), levers):
+        B = np.tile(sign * np.eye(3), (len(residuals), 1, 1))
+        B[:, :2, 2] = sign * lever
+        jacobians.append(B)
+    if angle is not None:
+        turn = turn_matrix(-angle)
+        residuals, jacobians = np.einsum("eij,ej->ei", turn, residuals), [turn @ B for B in jacobians]
+    d = information.shape[1]
+    return Linearization(residuals[:, :d], information, nodes, tuple(B[:, :d] for B in jacobians))
+
+
 @dataclass(frozen=True)
 class Relations:
-    """Linear relations between two nodes each, u_second - u_first = value, for `initialize`.
+    """Linear relations between two nodes each, u_second - u_first = value, from which an initial state is computed.
 
     Headings: ``value`` (E,) [rad] and ``information`` (E,). Positions: ``value`` (E, 2) [m] in world axes and
     ``information`` (E, 2, 2).
@@ -47,67 +80,63 @@ class Relations:
     information: Array
 
 
-class EdgeFamily(Protocol):
+class EdgeFamily(ABC):
     """Edges of one kind. All of them write e' Omega e into the cost, B' Omega B into Omega and -B' Omega e into xi."""
 
     @property
+    @abstractmethod
     def count(self) -> int:
         """The number of edges."""
 
     @property
     def frozen_information(self) -> bool:
         """Whether Omega_e depends on the reference state."""
+        return False
 
+    @abstractmethod
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
         """The groups of nodes that the edges tie, as (starts, nodes): group g is ``nodes[starts[g]:starts[g+1]]``.
 
         Within a group the nodes do not decrease, and every pair of different nodes has an edge.
         """
 
+    @abstractmethod
     def linearize(self, state: Array, reference: Array) -> Linearization:
         """The edges one by one, for inspection and tests."""
 
+    @abstractmethod
+    def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
+        """Add the edges to Omega and xi of ``system`` in place, where one is given, and return their cost."""
+
     def cost(self, state: Array, reference: Array) -> float:
         """The sum of e' Omega e."""
-
-    def accumulate(self, state: Array, reference: Array, system: BlockSystem) -> float:
-        """Add the edges to Omega and xi, in place, and return their cost."""
+        return self.accumulate(state, reference, None)
 
     def headings(self) -> Relations | None:
         """The relative headings that the edges measure; None where they measure none."""
+        return None
 
     def positions(self, state: Array) -> Relations | None:
-        """The relative positions that the edges measure, with all headings taken from the state."""
+        """The relative positions that the edges measure, with all headings taken from the state; None for none."""
+        return None
 
 
-class BlockSystem(Protocol):
-    """The part of `information.BlockSystem` that edges write to; see there."""
+@dataclass(frozen=True, eq=False)
+class PairEdges(EdgeFamily):
+    """Edges that tie two nodes each, ``first`` (E,) and ``second`` (E,)."""
 
-    @property
-    def indptr(self) -> np.ndarray: ...  # noqa: D102
-    @property
-    def indices(self) -> np.ndarray: ...  # noqa: D102
-    @property
-    def values(self) -> Array: ...  # noqa: D102
-    @property
-    def xi(self) -> Array: ...  # noqa: D102
-    @property
-    def workspace(self) -> np.ndarray: ...  # noqa: D102
-
-    def slots(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """The slots of blocks (row, column), row <= column."""
-
-    def slots_of(self, edges: BinaryEdges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The slots that edges between two nodes write to: (first, first), (second, second), the pair's upper."""
-
-
-class BinaryEdges(Protocol):
-    """Edges that each tie a first and a second node, (E,) each."""
+    first: np.ndarray
+    second: np.ndarray
 
     @property
-    def first(self) -> np.ndarray:
-        """The node at the first end of each edge."""
+    def count(self) -> int:
+        return len(self.first)
 
-    @property
-    def second(self) -> np.ndarray:
-        """The node at the second end of each edge."""
+    def cliques(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.arange(0, 2 * self.count + 1, 2), np.sort(np.column_stack([self.first, self.second]), axis=1).ravel()
+
+    def _targets(self, system: BlockSystem | None) -> tuple[np.ndarray, ...]:
+        """The slots of both diagonal blocks and of the pair's block for each edge, the values and xi."""
+        if system is None:
+            return NO_SYSTEM
+        return *system.slots_of(self.first, self.second), system.values, system.xi

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..models import MotionModel
 from ..se2 import Array
-from .relative_pose import RelativePoseEdges
+from .relative import RelativePoseEdges
 
 
 def motion_edges(
@@ -26,7 +26,7 @@ def motion_edges(
     starts: np.ndarray | None = None,
     control_variances: Array | None = None,
     frame: str = "body",
-    weight: float = 1.0,
+    scale: float = 1.0,
 ) -> RelativePoseEdges:
     """The motion edges between consecutive ``nodes`` (T+1,), driven by ``controls`` (S, 2) for ``dt`` (S,) seconds.
 
@@ -38,11 +38,11 @@ def motion_edges(
         starts: (T+1,) the first control of each motion, as `Log.control_starts`; default: one control a motion.
         control_variances: (S, 2) more noise of single controls, as `Log.control_variances`.
         frame: "world" or "body".
-        weight: lambda, multiplies the information of all motion edges (the book adds each edge lambda times).
+        scale: lambda, multiplies the information of all motion edges (the book adds each edge lambda times).
     """
     starts = np.arange(len(controls) + 1) if starts is None else starts
     measured, covariances = motion.accumulate(controls, dt, starts, control_variances)
-    information = weight * np.linalg.inv(covariances)
+    information = scale * np.linalg.inv(covariances)
     # A M A' is symmetric; its computed inverse should not be less so
     information = (information + np.swapaxes(information, 1, 2)) / 2
-    return RelativePoseEdges(nodes[:-1], nodes[1:], measured, information, frame)
+    return RelativePoseEdges(nodes[:-1], nodes[1:], measured, information, frame=frame)

@@ -1,4 +1,4 @@
-"""Robust kernels: what replaces the square of a residual that a wrong sighting may have made large.
+"""Robust kernels: functions that replace the square of a residual, so that wrong sightings have less influence.
 
 An edge with squared Mahalanobis norm r² = e' Omega e costs 2 rho(r) in place of r², and enters Omega and xi with its
 information times the weight w(r) = rho'(r) / r (iteratively re-weighted least squares). GTSAM's ``noiseModel.Robust``
@@ -40,16 +40,16 @@ class Kernel:
 
     def loss(self, squares: ArrayLike) -> Array:
         """2 rho(r), from r² of any shape."""
-        return _losses(self.code, self.width, np.asarray(squares, dtype=float))
+        return np.vectorize(loss, otypes=[float])(self.code, self.width, squares)
 
     def weight(self, squares: ArrayLike) -> Array:
         """w(r) = rho'(r) / r, from r² of any shape."""
-        return _weights(self.code, self.width, np.asarray(squares, dtype=float))
+        return np.vectorize(weight, otypes=[float])(self.code, self.width, squares)
 
 
 @dataclass(frozen=True)
 class Huber(Kernel):
-    """rho = r²/2 up to c, then c (r - c/2): an outlier pulls, but no harder the farther it is.
+    """rho = r²/2 up to c, then c (r - c/2): the pull of an outlier does not grow with its distance.
 
     The default width keeps 95 % of the efficiency of least squares where the noise is Gaussian.
     """
@@ -61,7 +61,7 @@ class Huber(Kernel):
 
 @dataclass(frozen=True)
 class Cauchy(Kernel):
-    """rho = c²/2 log(1 + r²/c²): an outlier pulls less the farther it is. Default width: 95 % efficiency."""
+    """rho = c²/2 log(1 + r²/c²): the pull of an outlier falls with its distance. Default width: 95 % efficiency."""
 
     width: float = 2.3849
     code: ClassVar[int] = CAUCHY
@@ -70,7 +70,7 @@ class Cauchy(Kernel):
 
 @dataclass(frozen=True)
 class GemanMcClure(Kernel):
-    """rho = c²/2 r² / (c² + r²): a far outlier does not pull at all."""
+    """rho = c²/2 r² / (c² + r²): a distant outlier has no influence."""
 
     width: float = 1.0
     code: ClassVar[int] = GEMAN_MCCLURE
@@ -82,21 +82,21 @@ KERNELS: dict[str, Kernel] = {kernel.name: kernel for kernel in (Huber(), Cauchy
 
 
 def kernel_of(kernel: Kernel | str | None) -> Kernel | None:
-    """A kernel given by name ("huber", "cauchy", "geman-mcclure"), itself, or None for plain squares.
+    """A kernel given by name ("huber", "cauchy", "geman-mcclure"), itself, or None (also "none") for plain squares.
 
     Raises:
         OptionError: there is no such kernel.
     """
     if isinstance(kernel, str):
-        check_choice("kernel", kernel, tuple(KERNELS))
-        return KERNELS[kernel]
+        check_choice("kernel", kernel, ("none", *KERNELS))
+        return KERNELS.get(kernel)
     if kernel is not None and not isinstance(kernel, Kernel):
         raise OptionError(f"kernel must be Huber(), Cauchy(), GemanMcClure(), a name or None, not {kernel!r}")
     return kernel
 
 
 def code_and_width(kernel: Kernel | None) -> tuple[int, float]:
-    """What the numeric kernels of the edges are told: (0, 1) for plain squares."""
+    """The arguments of `loss` and `weight` for a kernel; (0, 1) for plain squares."""
     return (SQUARES, 1.0) if kernel is None else (kernel.code, kernel.width)
 
 
@@ -122,19 +122,3 @@ def weight(code, c, squares):  # type: ignore[no-untyped-def]
     if code == GEMAN_MCCLURE:
         return (c * c / (c * c + squares)) ** 2
     return 1.0
-
-
-@njit(cache=True)
-def _losses(code, c, squares):  # type: ignore[no-untyped-def]
-    out = np.empty(squares.shape)
-    for k in range(squares.size):
-        out.flat[k] = loss(code, c, squares.flat[k])
-    return out
-
-
-@njit(cache=True)
-def _weights(code, c, squares):  # type: ignore[no-untyped-def]
-    out = np.empty(squares.shape)
-    for k in range(squares.size):
-        out.flat[k] = weight(code, c, squares.flat[k])
-    return out

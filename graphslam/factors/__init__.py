@@ -1,8 +1,8 @@
-"""GTSAM factor types for any graph of your own: virtual motion, motion, relative pose, observation, landmark, anchor.
+"""GTSAM factor types for your own graphs: virtual motion, motion, relative pose, observation, landmark, anchor.
 
-Every factor is a `gtsam.CustomFactor` whose residual and analytic Jacobians are those of the edges of this framework,
-derived here a second time, so that the two implementations check each other. GTSAM's ``error`` is one half of
-e' Omega e, or rho(r) under a robust kernel.
+Every factor is a `gtsam.CustomFactor` whose residual and analytic Jacobians are those of the edges of this framework.
+They are derived here a second time, so that the two implementations check each other. GTSAM's ``error`` is one half of
+e' Omega e, or rho(r) with a robust kernel.
 """
 
 from .anchor import AnchorFactor

@@ -56,24 +56,12 @@ def pair_sums(a, b, node, x, y, lever, c, s, information, turning):  # type: ign
         p, q = a[k], b[k]
         i, j = node[p], node[q]
         _residual(p, q, y, c, s, e)
-        # what turning the first pose does: it moves y_a by the lever, and turns the axes of e
-        cp, sp = c[p], s[p]
-        A[0, 2] = -(cp * lever[p, 0] + sp * lever[p, 1])
-        A[1, 2] = -(-sp * lever[p, 0] + cp * lever[p, 1])
+        _by_pose(x[i], lever[p], c[p], s[p], -1.0, A)
+        _by_pose(x[j], lever[q], c[p], s[p], 1.0, B)
         if turning:
+            # the axes of e turn with the first pose
             A[0, 2] += e[1]
             A[1, 2] -= e[0]
-        B[0, 2], B[1, 2] = cp * lever[q, 0] + sp * lever[q, 1], -sp * lever[q, 0] + cp * lever[q, 1]
-        # the pose's own axes, seen from those of e
-        ci, si = np.cos(x[i, 2]), np.sin(x[i, 2])
-        A[0, 0], A[0, 1], A[1, 0], A[1, 1] = (
-            -(cp * ci + sp * si),
-            cp * si - sp * ci,
-            sp * ci - cp * si,
-            -(sp * si + cp * ci),
-        )
-        cj, sj = np.cos(x[j, 2]), np.sin(x[j, 2])
-        B[0, 0], B[0, 1], B[1, 0], B[1, 1] = cp * cj + sp * sj, sp * cj - cp * sj, cp * sj - sp * cj, sp * sj + cp * cj
         W = information[k]
         for r in range(3):
             g[r] = W[r, 0] * e[0] + W[r, 1] * e[1] + W[r, 2] * e[2]
@@ -94,49 +82,19 @@ def pair_sums(a, b, node, x, y, lever, c, s, information, turning):  # type: ign
 
 
 @njit(cache=True, error_model="numpy", inline="always")
+def _by_pose(pose, lever, c, s, sign, jacobian):  # type: ignore[no-untyped-def]
+    """Two rows of +-dy/d(pose) in axes of cosine c and sine s, by a perturbation in the pose's own axes."""
+    ct, st = np.cos(pose[2]), np.sin(pose[2])
+    jacobian[0, 0] = jacobian[1, 1] = sign * (c * ct + s * st)
+    jacobian[0, 1] = sign * (s * ct - c * st)
+    jacobian[1, 0] = -jacobian[0, 1]
+    jacobian[0, 2], jacobian[1, 2] = sign * (c * lever[0] + s * lever[1]), sign * (-s * lever[0] + c * lever[1])
+
+
+@njit(cache=True, error_model="numpy", inline="always")
 def _residual(p, q, y, c, s, e):  # type: ignore[no-untyped-def]
     dx, dy = y[q, 0] - y[p, 0], y[q, 1] - y[p, 1]
     e[0], e[1] = c[p] * dx + s[p] * dy, -s[p] * dx + c[p] * dy
     if y.shape[1] == 3:
         angle = y[q, 2] - y[p, 2]
         e[2] = angle - 2 * np.pi * np.floor((angle + np.pi) / (2 * np.pi))
-
-
-@njit(cache=True, error_model="numpy")
-def compressed(omega, slope, squares):  # type: ignore[no-untyped-def]
-    """(d, rest) and R (n+1, n) with R'R = omega = A'A, R'(d, rest) = slope = A'b and d'd + rest² = squares = b'b.
-
-    A Cholesky factorisation with diagonal pivoting: omega is singular, since nothing holds the whole piece. Directions
-    with less than 1e-13 of the largest pivot are rounding errors. ``omega`` is overwritten.
-    """
-    n = len(omega)
-    by_column = np.zeros((n, n + 1))  # R', so that R has columns without gaps
-    e = np.zeros(n + 1)
-    least = 0.0
-    for i in range(n):
-        least = max(least, 1e-13 * omega[i, i])
-    left = squares
-    free = np.ones(n, dtype=np.bool_)
-    for row in range(n):
-        best = -1
-        for i in range(n):
-            if free[i] and (best < 0 or omega[i, i] > omega[best, best]):
-                best = i
-        if omega[best, best] <= least:
-            break
-        pivot = np.sqrt(omega[best, best])
-        free[best] = False
-        by_column[best, row] = pivot
-        e[row] = slope[best] / pivot
-        left -= e[row] * e[row]
-        for i in range(n):
-            if free[i]:
-                by_column[i, row] = omega[best, i] / pivot
-                slope[i] -= by_column[i, row] * e[row]
-        for i in range(n):
-            if free[i]:
-                f = by_column[i, row]
-                for j in range(n):
-                    omega[i, j] -= f * by_column[j, row]
-    e[n] = np.sqrt(max(left, 0.0))
-    return e, by_column.T

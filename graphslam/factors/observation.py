@@ -2,73 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import atan2, cos, hypot, sin
-from typing import Any
 
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_choice, check_positive
-from ..edges.robust import Kernel
-from ..errors import FactorError, OptionError
+from ..errors import FactorError
 from ..models import SensorModel
-from .layer import (
-    POINT,
-    POSE,
-    Coordinates,
-    Factor,
-    checked_keys,
+from .arguments import (
+    PoseLike,
+    frozen_at,
+    in_robot_frame,
+    in_world_frame,
+    numbers,
     positive_definite,
-    robust_noise,
-    seen_from_robot,
     sensor_of,
     sighting,
-    vector,
-    wrapped,
 )
+from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, noise_model, wrapped
 
 
 class ObservationFactor(Factor):
     """A sighting of a landmark that is a node of its own: e = h(x, m) - z, information Q^-1.
-
-    With psi the landmark is a `gtsam.Pose2`, without it a `gtsam.Point2`. In the second case GTSAM has the factor itself,
-    if the sensor sits at the robot's pose: then the call returns a native `gtsam.BearingRangeFactor2D`.
 
     Args:
         pose_key: of a `gtsam.Pose2`.
         landmark_key: of a `gtsam.Pose2` (with psi) or a `gtsam.Point2` (without).
         z: (l, phi, psi) or (l, phi) [m, rad, rad].
         sensor: gives Q, at the measured range; default: the book's.
-        weight: factor on the information.
+        scale: factor on the information.
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
-        OptionError: a value is not what it must be.
+        OptionError: an argument has an impossible value.
 
-    A landmark exactly at the sensor has no bearing: `FactorError` when it is evaluated there.
+    A landmark exactly at the sensor has no bearing: `FactorError` when the factor is evaluated there.
     """
-
-    def __new__(
-        cls,
-        pose_key: int,
-        landmark_key: int,
-        z: ArrayLike,
-        sensor: SensorModel | None = None,
-        *,
-        weight: float = 1.0,
-        kernel: Kernel | str | None = None,
-    ) -> Any:
-        """The native factor where GTSAM has one."""
-        seen, sensor = sighting("z", z), sensor_of(sensor)
-        if len(seen) == 3 or not sensor.centred:
-            return super().__new__(cls)
-        check_positive(weight=weight)
-        key_1, key_2 = checked_keys(cls.__name__, (pose_key, landmark_key))
-        stds = np.sqrt(np.diag(sensor.Q(seen)) / weight)
-        # GTSAM puts the bearing first
-        noise = robust_noise(gtsam.noiseModel.Diagonal.Sigmas(stds[::-1].copy()), kernel)
-        return gtsam.BearingRangeFactor2D(key_1, key_2, gtsam.Rot2(seen[1]), seen[0], noise)
 
     def __init__(
         self,
@@ -77,18 +48,17 @@ class ObservationFactor(Factor):
         z: ArrayLike,
         sensor: SensorModel | None = None,
         *,
-        weight: float = 1.0,
-        kernel: Kernel | str | None = None,
+        scale: float = 1.0,
+        kernel: KernelLike = None,
     ) -> None:
-        check_positive(weight=weight)
-        seen, sensor = sighting("z", z), sensor_of(sensor)
-        oriented = len(seen) == 3
-        length, bearing, orientation = (*seen.tolist(), 0.0)[:3]
+        z, sensor = sighting("z", z), sensor_of(sensor)
+        oriented = len(z) == 3
+        length, bearing, orientation = (*z.tolist(), 0.0)[:3]
         ahead, left = sensor.offset
 
-        def residual(x: Coordinates, m: Coordinates) -> tuple[list[float], tuple[list[list[float]], ...]]:
+        def residual(x: Coordinates, m: Coordinates) -> Linearized:
             ct, st = cos(x[2]), sin(x[2])
-            # the arm from the pose to the sensor; turning the robot moves the sensor by (-uy, ux)
+            # from the pose to the sensor; turning the robot moves the sensor by (-uy, ux)
             ux, uy = ct * ahead - st * left, st * ahead + ct * left
             dx, dy = m[0] - x[0] - ux, m[1] - x[1] - uy
             r, direction = hypot(dx, dy), atan2(dy, dx)
@@ -104,19 +74,35 @@ class ObservationFactor(Factor):
             by_pose.append([-p, -q, across])
             return e, (by_pose, [[c, s, 0.0], [p, q, 0.0], [p, q, -1.0]])
 
-        noise = gtsam.noiseModel.Gaussian.Covariance(sensor.Q(seen) / weight)
-        arguments = {"z": seen, "sensor": sensor, "weight": weight}
+        arguments = {"z": z, "sensor": sensor, "scale": scale, "kernel": kernel}
         kinds = [POSE, POSE if oriented else POINT]
-        super().__init__([pose_key, landmark_key], kinds, noise, residual, arguments, kernel)
+        super().__init__([pose_key, landmark_key], kinds, residual, arguments, covariance=sensor.Q(z))
+
+    def fastest(self) -> gtsam.NonlinearFactor:
+        """GTSAM's own `gtsam.BearingRangeFactor2D` where that is exactly equal, else this factor.
+
+        It is equal without psi and with the sensor at the robot's pose. GTSAM can save and copy its own factor; `describe`
+        and `save_factors` do not know it.
+        """
+        arguments = self.description.arguments
+        z, sensor = arguments["z"], arguments["sensor"]
+        if len(z) == 3 or not sensor.centred:
+            return self
+        # GTSAM puts the bearing first
+        noise = noise_model(arguments, covariance=sensor.Q(z)[::-1, ::-1])
+        pose_key, landmark_key = self.keys()
+        return gtsam.BearingRangeFactor2D(pose_key, landmark_key, gtsam.Rot2(z[1]), z[0], noise)
 
 
 class InverseObservationFactor(Factor):
-    """A sighting as what it says of the landmark: e = m - h^-1(x, z), information (R Q R')^-1.
+    """A sighting as a measurement of the landmark's place: e = m - h^-1(x, z), information (R Q R')^-1.
 
-    The same sighting as `ObservationFactor`, measured where the landmark is and not in the sensor; linear in m. With
-    ``frame="body"`` the residual is turned into the axes of the sighting, R(theta + phi)' e, where the information is
-    constant, with psi or without; ``frame="world"`` keeps e in the world's axes and freezes the information at ``at``.
-    Landmarks eliminated, these are the marginal edges (`LandmarkFactor` with ``weight="marginal"``).
+    The same sighting as that of an `ObservationFactor`, with a residual in the plane and not in the sensor's
+    coordinates. It is linear in m. With ``frame="body"`` the residual is turned into the robot's axes, R(theta)' e, where
+    the information is constant, with psi or without; ``frame="world"`` keeps e in the world's axes and freezes the
+    information at ``at``.
+    When the landmarks are eliminated, these factors become the marginal edges (`LandmarkFactor` with
+    ``weight="marginal"``).
 
     Args:
         pose_key: of a `gtsam.Pose2`.
@@ -124,12 +110,12 @@ class InverseObservationFactor(Factor):
         z: (l, phi, psi) or (l, phi) [m, rad, rad].
         sensor: gives Q, at the measured range; default: the book's.
         frame: "body" or "world".
-        at: the pose x (3,) at which the world frame freezes the information.
-        weight: factor on the information.
+        at: the pose x, (3,) or a `gtsam.Pose2`, at which the world frame freezes the information.
+        scale: factor on the information.
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
-        OptionError: a value is not what it must be, or ``at`` is missing in the world frame.
+        OptionError: an argument has an impossible value, or ``at`` is missing in the world frame.
     """
 
     def __init__(
@@ -138,49 +124,19 @@ class InverseObservationFactor(Factor):
         landmark_key: int,
         z: ArrayLike,
         sensor: SensorModel | None = None,
-        frame: str = "body",
         *,
-        at: ArrayLike | None = None,
-        weight: float = 1.0,
-        kernel: Kernel | str | None = None,
+        frame: str = "body",
+        at: PoseLike | None = None,
+        scale: float = 1.0,
+        kernel: KernelLike = None,
     ) -> None:
-        check_choice("frame", frame, ("world", "body"))
-        check_positive(weight=weight)
-        seen, sensor, body = sighting("z", z), sensor or SensorModel(), frame == "body"
-        oriented = len(seen) == 3
-        (_, bearing, orientation), (px, py) = (*seen.tolist(), 0.0)[:3], seen_from_robot(seen, sensor)
-        if body:
-            # a pose that looks along x at the landmark: theta + phi = 0
-            frozen_at, looking = None, np.array([0.0, 0.0, -bearing])
-        elif at is None:
-            raise OptionError("with frame='world' the information depends on the pose; give it as 'at'")
-        else:
-            frozen_at = looking = vector("at", at, (3,))
-
-        def residual(x: Coordinates, m: Coordinates) -> tuple[list[float], tuple[list[list[float]], ...]]:
-            ct, st = cos(x[2]), sin(x[2])
-            # from the pose to where the sighting puts the landmark, and what turning the pose does to e
-            vx, vy = ct * px - st * py, st * px + ct * py
-            ex, ey = m[0] - x[0] - vx, m[1] - x[1] - vy
-            if body:
-                c, s = cos(x[2] + bearing), sin(x[2] + bearing)
-                e = [c * ex + s * ey, -s * ex + c * ey]
-                by_pose = [[-c, -s, c * vy - s * vx + e[1]], [s, -c, -s * vy - c * vx - e[0]]]
-                by_landmark = [[c, s], [-s, c]]
-            else:
-                e = [ex, ey]
-                by_pose = [[-1.0, 0.0, vy], [0.0, -1.0, -vx]]
-                by_landmark = [[1.0, 0.0], [0.0, 1.0]]
-            if oriented:
-                e.append(wrapped(m[2] - x[2] - bearing + orientation))
-                by_pose.append([0.0, 0.0, -1.0])
-                by_landmark = [[*row, 0.0] for row in by_landmark] + [[0.0, 0.0, 1.0]]
-            return e, (by_pose, by_landmark)
-
-        noise = gtsam.noiseModel.Gaussian.Covariance(sensor.landmark_covariance(looking, seen) / weight)
-        arguments = {"z": seen, "sensor": sensor, "frame": frame, "at": frozen_at, "weight": weight}
-        kinds = [POSE, POSE if oriented else POINT]
-        super().__init__([pose_key, landmark_key], kinds, noise, residual, arguments, kernel)
+        z, sensor, world = sighting("z", z), sensor_of(sensor), in_world_frame(frame)
+        frozen, kinds = frozen_at(at, needed=world), [POSE, POSE if len(z) == 3 else POINT]
+        # in the robot's axes the covariance is that seen from a pose at the origin
+        covariance = sensor.landmark_covariance(np.zeros(3) if frozen is None else frozen, z)
+        residual = _in_the_plane(*in_robot_frame(z, sensor), z[1] - z[2] if len(z) == 3 else None, world)
+        arguments = {"z": z, "sensor": sensor, "frame": frame, "at": frozen, "scale": scale, "kernel": kernel}
+        super().__init__([pose_key, landmark_key], kinds, residual, arguments, covariance=covariance)
 
 
 class RelativePointFactor(Factor):
@@ -188,12 +144,12 @@ class RelativePointFactor(Factor):
 
     Args:
         pose_key, landmark_key: of a `gtsam.Pose2` and a `gtsam.Point2`.
-        measured: z = (x, y) [m].
+        measured: z = (x, y) [m], or a `gtsam.Point2`.
         information: Omega (2, 2).
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
-        OptionError: a value is not what it must be.
+        OptionError: an argument has an impossible value.
     """
 
     def __init__(
@@ -203,17 +159,31 @@ class RelativePointFactor(Factor):
         measured: ArrayLike,
         information: ArrayLike,
         *,
-        kernel: Kernel | str | None = None,
+        kernel: KernelLike = None,
     ) -> None:
-        at, omega = vector("measured", measured, (2,)), positive_definite(information, 2)
-        zx, zy = at.tolist()
+        z, omega = numbers("measured", measured, (2,)), positive_definite(information, 2)
+        arguments = {"measured": z, "information": omega, "kernel": kernel}
+        residual = _in_the_plane(z[0], z[1])
+        super().__init__([pose_key, landmark_key], [POSE, POINT], residual, arguments, information=omega)
 
-        def residual(x: Coordinates, m: Coordinates) -> tuple[list[float], tuple[list[list[float]], ...]]:
-            c, s = cos(x[2]), sin(x[2])
-            dx, dy = m[0] - x[0], m[1] - x[1]
-            sx, sy = c * dx + s * dy, -s * dx + c * dy
-            return [sx - zx, sy - zy], ([[-c, -s, sy], [s, -c, -sx]], [[c, s], [-s, c]])
 
-        noise = gtsam.noiseModel.Gaussian.Information(omega)
-        arguments = {"measured": at, "information": omega}
-        super().__init__([pose_key, landmark_key], [POSE, POINT], noise, residual, arguments, kernel)
+def _in_the_plane(px: float, py: float, turn: float | None = None, world: bool = False) -> Callable[..., Linearized]:
+    """The residual of a landmark measured at (px, py), and perhaps with the heading ``turn``, in the frame of a pose."""
+
+    def residual(x: Coordinates, m: Coordinates) -> Linearized:
+        c, s = cos(x[2]), sin(x[2])
+        dx, dy = m[0] - x[0], m[1] - x[1]
+        if world:
+            vx, vy = c * px - s * py, s * px + c * py
+            e, by_pose = [dx - vx, dy - vy], [[-1.0, 0.0, vy], [0.0, -1.0, -vx]]
+            by_landmark = [[1.0, 0.0], [0.0, 1.0]]
+        else:
+            rx, ry = c * dx + s * dy, -s * dx + c * dy
+            e, by_pose, by_landmark = [rx - px, ry - py], [[-c, -s, ry], [s, -c, -rx]], [[c, s], [-s, c]]
+        if turn is not None:
+            e.append(wrapped(m[2] - x[2] - turn))
+            by_pose.append([0.0, 0.0, -1.0])
+            by_landmark = [[*row, 0.0] for row in by_landmark] + [[0.0, 0.0, 1.0]]
+        return e, (by_pose, by_landmark)
+
+    return residual

@@ -1,4 +1,4 @@
-"""One pose measured from another: relative poses, and the motions that a control drives."""
+"""One pose measured from another: relative poses, and the motions that controls lead to."""
 
 from __future__ import annotations
 
@@ -9,69 +9,56 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_choice, check_positive
-from ..edges.robust import Kernel
+from ..checks import check_positive
 from ..errors import OptionError
 from ..models import MotionModel
 from ..se2 import Array, rotation
-from .layer import POSE, Coordinates, Factor, positive_definite, robust_noise, vector, wrapped
+from .arguments import PoseLike, frozen_at, in_world_frame, numbers, positive_definite
+from .base import POSE, Coordinates, Factor, KernelLike, Linearized, noise_model, wrapped
 
 
 class RelativePoseFactor(Factor):
     """The pose at one key measured from another's: e = (R(theta_1)' (p_2 - p_1) - t, theta_2 - theta_1 - theta_z).
 
     The information belongs to the axes of pose 1. ``frame="world"`` leaves e in the world's axes, R(theta_1) e, and
-    freezes the information at the heading of ``at``. (GTSAM's own ``BetweenFactorPose2`` is the same residual turned by
-    theta_z, but its error is measured through the logarithm.)
+    freezes the information at the heading of ``at``. (GTSAM's own ``BetweenFactorPose2`` has the same residual turned by
+    theta_z, but measures its error through the logarithm.)
 
     Args:
         key_1, key_2: of two `gtsam.Pose2`.
-        measured: z = (x, y, theta) [m, m, rad], pose 2 seen from pose 1.
+        measured: z = (x, y, theta) [m, m, rad], or a `gtsam.Pose2`: pose 2 in the frame of pose 1.
         information: Omega (3, 3).
         frame: "body" or "world".
-        at: the pose x_1 (3,) at which the world frame freezes the information.
+        at: the pose x_1, (3,) or a `gtsam.Pose2`, at which the world frame freezes the information.
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
-        OptionError: a value is not what it must be, or ``at`` is missing in the world frame.
+        OptionError: an argument has an impossible value, or ``at`` is missing in the world frame.
     """
 
     def __init__(
         self,
         key_1: int,
         key_2: int,
-        measured: ArrayLike,
+        measured: PoseLike,
         information: ArrayLike,
-        frame: str = "body",
         *,
-        at: ArrayLike | None = None,
-        kernel: Kernel | str | None = None,
+        frame: str = "body",
+        at: PoseLike | None = None,
+        kernel: KernelLike = None,
     ) -> None:
-        told = {"measured": vector("measured", measured, (3,)), "information": positive_definite(information)}
-        self._make([key_1, key_2], told["measured"], told["information"], frame, at, told, kernel)
+        z, omega = numbers("measured", measured, (3,)), positive_definite(information)
+        arguments = {"measured": z, "information": omega, "frame": frame, "at": at, "kernel": kernel}
+        self._make([key_1, key_2], z, omega, arguments)
 
-    def _make(
-        self,
-        keys: list[int],
-        measured: Array,
-        omega: Array,
-        frame: str,
-        at: ArrayLike | None,
-        arguments: dict[str, Any],
-        kernel: Kernel | str | None,
-    ) -> None:
-        check_choice("frame", frame, ("world", "body"))
-        (dx, dy, turned), world = measured.tolist(), frame == "world"
-        frozen_at = None
-        if world:
-            if at is None:
-                raise OptionError("with frame='world' the information depends on the pose x_1; give it as 'at'")
-            turn = np.eye(3)
-            frozen_at = vector("at", at, (3,))
-            turn[:2, :2] = rotation(frozen_at[2])
-            omega = turn @ omega @ turn.T
+    def _make(self, keys: list[int], z: Array, omega: Array, arguments: dict[str, Any]) -> None:
+        """Make the factor of a relative pose (3,) and its information (3, 3), unscaled."""
+        self._between = z, omega
+        (dx, dy, turned), world = z.tolist(), in_world_frame(arguments["frame"])
+        frozen = frozen_at(arguments["at"], needed=world)
+        omega = omega if frozen is None else _turned_information(omega, frozen[2])
 
-        def residual(a: Coordinates, b: Coordinates) -> tuple[list[float], tuple[list[list[float]], ...]]:
+        def residual(a: Coordinates, b: Coordinates) -> Linearized:
             # derivatives by GTSAM's perturbations, each pose's in its own axes
             c, s = cos(a[2]), sin(a[2])
             x, y, turn = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -84,39 +71,25 @@ class RelativePoseFactor(Factor):
                 e, by_a = [sx - dx, sy - dy, et], [[-1.0, 0.0, sy], [0.0, -1.0, -sx], [0.0, 0.0, -1.0]]
             return e, (by_a, [[cb, -sb, 0.0], [sb, cb, 0.0], [0.0, 0.0, 1.0]])
 
-        def error(a: Coordinates, b: Coordinates) -> tuple[float, float, float]:
-            c, s = cos(a[2]), sin(a[2])
-            x, y, et = b[0] - a[0], b[1] - a[1], wrapped(b[2] - a[2] - turned)
-            if world:
-                return x - c * dx + s * dy, y - s * dx - c * dy, et
-            return c * x + s * y - dx, -s * x + c * y - dy, et
-
-        arguments = arguments | {"frame": frame, "at": frozen_at}
-        noise = gtsam.noiseModel.Gaussian.Information(omega)
-        Factor.__init__(self, keys, [POSE, POSE], noise, residual, arguments, kernel, in_own_axes=True, error=error)
+        arguments |= {"at": frozen}
+        Factor.__init__(self, keys, [POSE, POSE], residual, arguments, information=omega, in_own_axes=True)
 
     def to_between(self) -> gtsam.BetweenFactorPose2:
-        """GTSAM's own factor of the same relative pose: C++ speed, and serialisation.
+        """GTSAM's own factor of the same relative pose, which has the speed of C++ and can be serialised.
 
         Its residual is this one turned by theta_z, so its information is turned, too; GTSAM measures the error through
         the logarithm of SE(2), which agrees where e = 0 and differs in the second order.
 
         Raises:
-            OptionError: in the world frame the information is frozen, and GTSAM's factor has it turn with the pose.
+            OptionError: in the world frame the information is frozen, and that of GTSAM's factor turns with the pose.
         """
-        measured, omega, frame, kernel = self._between
-        if frame == "world":
+        arguments = self.description.arguments
+        if arguments["frame"] == "world":
             raise OptionError("to_between needs frame='body': GTSAM's factor turns its information with the pose")
-        turn = np.eye(3)
-        turn[:2, :2] = rotation(-measured[2])
-        noise = robust_noise(gtsam.noiseModel.Gaussian.Information(turn @ omega @ turn.T), kernel)
+        z, omega = self._between
+        noise = noise_model(arguments, information=_turned_information(omega, -z[2]))
         key_1, key_2 = self.keys()
-        return gtsam.BetweenFactorPose2(key_1, key_2, gtsam.Pose2(*measured), noise)
-
-    @property
-    def _between(self) -> tuple[Array, Array, str, Kernel | None]:
-        told = self.description.arguments
-        return told["measured"], told["information"], told["frame"], told.get("kernel")
+        return gtsam.BetweenFactorPose2(key_1, key_2, gtsam.Pose2(*z), noise)
 
 
 class MotionFactor(RelativePoseFactor):
@@ -131,12 +104,12 @@ class MotionFactor(RelativePoseFactor):
         dt: [s].
         motion: gives f, A, M and epsilon; default: the book's.
         frame: "body" or "world".
-        at: the pose x_1 (3,) at which state-dependent information is evaluated.
-        weight: lambda, the factor on the information.
+        at: the pose x_1, (3,) or a `gtsam.Pose2`, at which the world frame freezes the information.
+        scale: lambda, the factor on the information.
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
-        OptionError: a value is not what it must be, or ``at`` is missing in the world frame.
+        OptionError: an argument has an impossible value, or ``at`` is missing in the world frame.
 
     Source: the lectures, slides 9.3.
     """
@@ -148,26 +121,23 @@ class MotionFactor(RelativePoseFactor):
         control: ArrayLike,
         dt: float,
         motion: MotionModel | None = None,
-        frame: str = "body",
         *,
-        at: ArrayLike | None = None,
-        weight: float = 1.0,
-        kernel: Kernel | str | None = None,
+        frame: str = "body",
+        at: PoseLike | None = None,
+        scale: float = 1.0,
+        kernel: KernelLike = None,
     ) -> None:
-        check_positive(weight=weight, dt=dt)
-        motion, u = motion or MotionModel(), vector("control", control, (2,))
-        arguments = {"control": u, "dt": dt, "motion": motion, "weight": weight}
-        self._make([key_1, key_2], *_driven(motion, u, dt, weight), frame, at, arguments, kernel)
-
-    @property
-    def _between(self) -> tuple[Array, Array, str, Kernel | None]:
-        told = self.description.arguments
-        driven = _driven(told["motion"], told["control"], told["dt"], told["weight"])
-        return *driven, told["frame"], told.get("kernel")
+        check_positive(dt=dt)
+        motion, u, origin = motion or MotionModel(), numbers("control", control, (2,)), np.zeros(3)
+        options = {"frame": frame, "at": at, "scale": scale, "kernel": kernel}
+        arguments = {"control": u, "dt": dt, "motion": motion} | options
+        # f and its covariance turn with the pose that they start from
+        information = np.linalg.inv(motion.covariance(origin, u, dt))
+        self._make([key_1, key_2], motion.f(origin, u, dt), (information + information.T) / 2, arguments)
 
 
-def _driven(motion: MotionModel, control: Array, dt: float, weight: float) -> tuple[Array, Array]:
-    """The relative pose that a control leads to, and its information: f and its covariance turn with their start."""
-    origin = np.zeros(3)
-    information = weight * np.linalg.inv(motion.covariance(origin, control, dt))
-    return motion.f(origin, control, dt), (information + information.T) / 2
+def _turned_information(information: Array, theta: float) -> Array:
+    """The information (3, 3) of a pose in axes turned by -theta."""
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(theta)
+    return turn @ information @ turn.T

@@ -5,49 +5,51 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import check_choice
-from ..edges.robust import Kernel
 from ..errors import OptionError
 from ..se2 import Array
-from .layer import KINDS, POSE, Coordinates, Factor, positive_definite
+from .arguments import positive_definite
+from .base import KINDS, POSE, Coordinates, Factor, KernelLike, Linearized, check_keys_listed
 
 #: the step of numeric derivatives [m, rad]
 STEP = 1e-6
 
 
 class ResidualFactor(Factor):
-    """Any residual between poses and points, with cost e' Omega e, on the layer that makes our own factors safe.
+    """Any residual between poses and points, with cost e' Omega e, evaluated as safely as the other factor types.
 
     Args:
         keys: one for each argument of the residual.
         residual: called with one array per key, (x, y, theta) of a `gtsam.Pose2` or (x, y) of a `gtsam.Point2`. Returns
             e (d,), or (e, [de/d(x, y, theta) (d, 3) or de/d(x, y) (d, 2) for each key]); derivatives are by plain world
-            coordinates, and turned into GTSAM's here. Without them they are taken by central differences, for which e
-            must not jump (wrap angles around the value you expect, not at it).
+            coordinates, and turned into GTSAM's here. Without them central differences are taken, for which e must not
+            jump (wrap angles so that the jump is far from the values you expect).
         information: Omega (d, d).
         kinds: "pose" or "point" for each key; default: poses.
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
-        OptionError: a value is not what it must be.
+        OptionError: an argument has an impossible value.
 
     A residual that raises, or returns something of another shape or not finite, becomes a `FactorError` that names the
-    factor and its keys. Close over plain numbers, not over the factor: GTSAM would never let it go.
+    factor and its keys. The residual may close over plain numbers but not over the factor, which GTSAM would never free.
     """
+
+    keys_in_list = True
 
     def __init__(
         self,
         keys: Sequence[int],
         residual: Callable[..., Any],
         information: ArrayLike,
-        kinds: Sequence[str] | None = None,
         *,
-        kernel: Kernel | str | None = None,
+        kinds: Sequence[str] | None = None,
+        kernel: KernelLike = None,
     ) -> None:
+        check_keys_listed("ResidualFactor", keys)
         kinds = [POSE] * len(keys) if kinds is None else list(kinds)
         for kind in kinds:
             check_choice("kinds", kind, tuple(KINDS))
@@ -59,18 +61,17 @@ class ResidualFactor(Factor):
             raise OptionError("information must be a symmetric positive definite d x d matrix")
         omega = positive_definite(information, len(np.asarray(information)))
 
-        def evaluated(*at: Coordinates) -> tuple[ArrayLike, Sequence[ArrayLike]]:
+        def evaluated(*at: Coordinates) -> Linearized:
             values = [np.array(value, dtype=float) for value in at]
             answer = residual(*values)
             return answer if isinstance(answer, tuple) else (answer, _Differences(residual, values))
 
-        noise = gtsam.noiseModel.Gaussian.Information(omega)
-        arguments = {"residual": residual, "information": omega, "kinds": tuple(kinds)}
-        super().__init__(keys, kinds, noise, evaluated, arguments, kernel)
+        arguments = {"residual": residual, "information": omega, "kinds": tuple(kinds), "kernel": kernel}
+        super().__init__(keys, kinds, evaluated, arguments, information=omega)
 
 
 class _Differences(Sequence[Array]):
-    """The Jacobians of a residual by central differences, taken only when asked for."""
+    """The Jacobians of a residual by central differences, computed when they are read."""
 
     def __init__(self, residual: Callable[..., ArrayLike], values: list[Array]) -> None:
         self._residual, self._values = residual, values

@@ -5,14 +5,12 @@ from __future__ import annotations
 from math import cos, sin
 
 import gtsam
-import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_choice, check_positive
-from ..edges.robust import Kernel
 from ..errors import OptionError
 from ..models import SensorModel
-from .layer import POSE, Coordinates, Factor, robust_noise, seen_from_robot, sensor_of, sighting, vector, wrapped
+from .arguments import PoseLike, frozen_at, in_robot_frame, in_world_frame, sensor_of, sighting
+from .base import POSE, Coordinates, Factor, KernelLike, Linearized, noise_model, wrapped
 
 
 class VirtualMotionFactor(Factor):
@@ -29,12 +27,12 @@ class VirtualMotionFactor(Factor):
         z_1, z_2: sightings (l, phi, psi) or (l, phi) [m, rad, rad].
         sensor: gives Q; default: the book's.
         frame: "body" or "world".
-        at: the two poses ((3,), (3,)) at which state-dependent information is evaluated.
-        weight: factor on the information.
+        at: the two poses, each (3,) or a `gtsam.Pose2`, at which state-dependent information is evaluated.
+        scale: factor on the information.
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
-        OptionError: a value is not what it must be, or ``at`` is missing where the information depends on the poses.
+        OptionError: an argument has an impossible value, or ``at`` is missing where the information depends on the poses.
 
     Source: the lectures, slides 9.1 to 9.2.
     """
@@ -46,65 +44,50 @@ class VirtualMotionFactor(Factor):
         z_1: ArrayLike,
         z_2: ArrayLike,
         sensor: SensorModel | None = None,
-        frame: str = "body",
         *,
-        at: tuple[ArrayLike, ArrayLike] | None = None,
-        weight: float = 1.0,
-        kernel: Kernel | str | None = None,
+        frame: str = "body",
+        at: tuple[PoseLike, PoseLike] | None = None,
+        scale: float = 1.0,
+        kernel: KernelLike = None,
     ) -> None:
-        check_choice("frame", frame, ("world", "body"))
-        check_positive(weight=weight)
-        sensor = sensor_of(sensor)
-        first, second = sighting("z_1", z_1), sighting("z_2", z_2)
-        if len(first) != len(second):
+        sensor, body = sensor_of(sensor), not in_world_frame(frame)
+        z_1, z_2 = sighting("z_1", z_1), sighting("z_2", z_2)
+        if len(z_1) != len(z_2):
             raise OptionError("z_1 and z_2 must both have psi, or both lack it")
-        oriented = len(first) == 3
-        (_, phi1, psi1), (_, phi2, psi2) = ((*z, 0.0)[:3] for z in (first.tolist(), second.tolist()))
-        if frame == "body" and oriented:
-            axes_1, axes_2 = np.array([0.0, 0.0, -phi1]), np.array([0.0, 0.0, psi2 - psi1 - phi2])
-            covariance = sensor.landmark_covariance(axes_1, first) + sensor.landmark_covariance(axes_2, second)
-        elif at is None:
-            raise OptionError(
-                f"with frame={frame!r} and {len(first)}-D sightings the information depends on the poses; "
-                "give them as 'at'"
-            )
-        else:
-            if not hasattr(at, "__len__") or len(at) != 2:
-                raise OptionError(f"at must be two poses, not {at!r}")
-            x1, x2 = vector("at[0]", at[0], (3,)), vector("at[1]", at[1], (3,))
-            covariance = sensor.landmark_covariance(x1, first) + sensor.landmark_covariance(x2, second)
+        oriented = len(z_1) == 3
+        (_, phi1, psi1), (_, phi2, psi2) = ((*z, 0.0)[:3] for z in (z_1.tolist(), z_2.tolist()))
+        frozen = frozen_at(at, needed=not (body and oriented), rows=2)
+        # poses that see the landmark in the axes of the first sighting, if the information does not depend on the poses
+        x_1, x_2 = [[0.0, 0.0, -phi1], [0.0, 0.0, psi2 - psi1 - phi2]] if frozen is None else frozen.tolist()
+        covariance = sensor.landmark_covariance(x_1, z_1) + sensor.landmark_covariance(x_2, z_2)
         # the landmark in the frame of the robot, by each sighting
-        (px, py), (qx, qy) = (seen_from_robot(z, sensor) for z in (first, second))
-        body, frozen = frame == "body", 0.0 if oriented or frame == "world" else float(x1[2])
+        (px, py), (qx, qy) = (in_robot_frame(z, sensor) for z in (z_1, z_2))
+        # the angle from the heading of the first pose to the axes of e in the body frame
+        ahead = phi1 if oriented else -x_1[2]
 
-        def residual(a: Coordinates, b: Coordinates) -> tuple[list[float], tuple[list[list[float]], ...]]:
+        def residual(a: Coordinates, b: Coordinates) -> Linearized:
             ca, sa, cb, sb = cos(a[2]), sin(a[2]), cos(b[2]), sin(b[2])
-            # from each pose to the landmark; turning the pose moves that end by a quarter turn of it
+            # from each pose to the landmark; a turn of the pose moves that end at right angles
             ux, uy, vx, vy = ca * px - sa * py, sa * px + ca * py, cb * qx - sb * qy, sb * qx + cb * qy
             ex, ey = b[0] + vx - a[0] - ux, b[1] + vy - a[1] - uy
-            ax, ay, bx, by = uy, -ux, -vy, vx
-            e, by_a, by_b = [ex, ey], [[-1.0, 0.0, ax], [0.0, -1.0, ay]], [[1.0, 0.0, bx], [0.0, 1.0, by]]
+            e, by_a, by_b = [ex, ey], [[-1.0, 0.0, uy], [0.0, -1.0, -ux]], [[1.0, 0.0, -vy], [0.0, 1.0, vx]]
             if body:
-                # the axes turn with pose a: towards the landmark, or as pose a has turned since the freezing
-                turn = a[2] + phi1 if oriented else a[2] - frozen
-                c, s = cos(turn), sin(turn)
+                c, s = cos(a[2] + ahead), sin(a[2] + ahead)
                 e = [c * ex + s * ey, -s * ex + c * ey]
-                by_a = [[-c, -s, c * ax + s * ay + e[1]], [s, -c, -s * ax + c * ay - e[0]]]
-                by_b = [[c, s, c * bx + s * by], [-s, c, -s * bx + c * by]]
+                by_a = [[-c, -s, c * uy - s * ux + e[1]], [s, -c, -s * uy - c * ux - e[0]]]
+                by_b = [[c, s, s * vx - c * vy], [-s, c, s * vy + c * vx]]
             if oriented:
                 e.append(wrapped(b[2] + phi2 - psi2 - a[2] - phi1 + psi1))
                 by_a.append([0.0, 0.0, -1.0])
                 by_b.append([0.0, 0.0, 1.0])
             return e, (by_a, by_b)
 
-        noise = gtsam.noiseModel.Gaussian.Covariance(covariance / weight)
-        # the poses matter only where the information was frozen at them
-        frozen_at = None if (body and oriented) or at is None else (x1, x2)
-        arguments = {"z_1": first, "z_2": second, "sensor": sensor, "frame": frame, "at": frozen_at, "weight": weight}
-        super().__init__([key_1, key_2], [POSE, POSE], noise, residual, arguments, kernel)
+        options = {"frame": frame, "at": frozen, "scale": scale, "kernel": kernel}
+        arguments = {"z_1": z_1, "z_2": z_2, "sensor": sensor} | options
+        super().__init__([key_1, key_2], [POSE, POSE], residual, arguments, covariance=covariance)
 
     def to_between(self) -> gtsam.BetweenFactorPose2:
-        """GTSAM's own factor of the same two sightings: the relative pose z_12 = T_1 T_2^-1 at C++ speed.
+        """GTSAM's own factor of the same two sightings, with the speed of C++: the relative pose z_12 = T_1 T_2^-1.
 
         T = (l cos phi, l sin phi, phi - psi), plus the offset of the sensor, is the landmark as a pose seen from the
         robot. The noise that the landmark has in its own axes, C = L(l_1, psi_1) Q_1 L' + L(l_2, psi_2) Q_2 L', becomes
@@ -114,17 +97,15 @@ class VirtualMotionFactor(Factor):
         Raises:
             OptionError: without psi two sightings measure no relative pose.
         """
-        told = self.description.arguments
-        first, second = told["z_1"], told["z_2"]
-        if len(first) != 3:
+        arguments = self.description.arguments
+        z_1, z_2, sensor = arguments["z_1"], arguments["z_2"], arguments["sensor"]
+        if len(z_1) != 3:
             raise OptionError("without psi two sightings of a landmark measure no relative pose")
-        sensor = told["sensor"]
-        seen = [gtsam.Pose2(*seen_from_robot(z, sensor), z[1] - z[2]) for z in (first, second)]
+        landmark_1, landmark_2 = (gtsam.Pose2(*in_robot_frame(z, sensor), z[1] - z[2]) for z in (z_1, z_2))
         # a pose whose theta + phi is psi sees the landmark in the landmark's own axes
-        own = [np.array([0.0, 0.0, z[2] - z[1]]) for z in (first, second)]
-        covariance = sensor.landmark_covariance(own[0], first) + sensor.landmark_covariance(own[1], second)
-        adjoint = seen[1].AdjointMap()
-        carried = adjoint @ covariance @ adjoint.T / told["weight"]
-        noise = robust_noise(gtsam.noiseModel.Gaussian.Covariance((carried + carried.T) / 2), told.get("kernel"))
+        covariance = sum(sensor.landmark_covariance([0.0, 0.0, z[2] - z[1]], z) for z in (z_1, z_2))
+        adjoint = landmark_2.AdjointMap()
+        covariance = adjoint @ covariance @ adjoint.T
+        noise = noise_model(arguments, covariance=(covariance + covariance.T) / 2)
         key_1, key_2 = self.keys()
-        return gtsam.BetweenFactorPose2(key_1, key_2, seen[0].compose(seen[1].inverse()), noise)
+        return gtsam.BetweenFactorPose2(key_1, key_2, landmark_1.compose(landmark_2.inverse()), noise)

@@ -1,18 +1,21 @@
-"""File formats of logs: one module each, and the registry that picks one by the content of a file.
+"""File formats of logs: one module each, and the registry that chooses one by the content of a file.
 
-A format is a module-level `Format` with a name, a test of the file's first bytes, a reader, and a writer where logs
-can be written in it. Add a format by writing its module and naming it in `FORMATS`.
+A format is a module-level `Format`: a name, a test of the first bytes of a file, a reader, and a writer where logs can be
+written in it. Add a format by writing its module and listing it in `FORMATS`.
 """
 
 from __future__ import annotations
 
+from dataclasses import fields
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from ..checks import check_choice
 from ..errors import FormatError, OptionError
 from ..files import check_file
 from ..log import Log
+from ..reading import ReadOptions
 from . import huang, lnpr, lost_in_the_woods, mrclam, npz, victoria_park
 from .base import Format
 from .mat import is_mat
@@ -22,36 +25,36 @@ FORMATS: dict[str, Format] = {
 }
 
 
-def load(
-    path: str | PathLike[str], format: str | None = None, *, robot: int | None = None, keep_every: float | None = None
-) -> Log:
-    """Read a log; the format is guessed from the content of the file or folder unless named.
+def load(path: str | PathLike[str], *, format: str | None = None, **options: Any) -> Log:
+    """Read a log; the format is recognised by the content of the file or folder unless it is named.
 
     Args:
         path: a file, or the folder of a data set.
         format: the name of the format.
-        robot: which one, where a folder has several.
-        keep_every: also keep a pose at least every so many seconds [s], where poses stand only where something was seen.
+        options: the fields of `ReadOptions`: ``robot``, the number of the robot where a data set has several;
+            ``keep_every`` [s], keep a pose at least this often where poses are otherwise only where something was seen.
 
     Raises:
         FormatError: there is no such file, it is not of a known format, or breaks its format's rules; the message has
             file and line, what was expected and what to do.
-        OptionError: ``format`` is not the name of a format, or an option is not for this format or impossible.
+        OptionError: ``format`` is not the name of a format, or an option does not apply to this format or is impossible.
     """
     path = Path(path)
     if format is not None:
-        check_choice("format", format, tuple(FORMATS))
+        check_choice("format", format, FORMATS)
     if not path.is_dir():
         check_file(path)
-    chosen = FORMATS[format] if format is not None else _guessed(path)
-    given = {name: value for name, value in (("robot", robot), ("keep_every", keep_every)) if value is not None}
-    for name in given:
-        if name not in chosen.options:
+    chosen = FORMATS[format] if format is not None else _recognised(path)
+    known = {f.name: f.metadata["needs"] for f in fields(ReadOptions)}
+    for name in options:
+        if name not in known:
+            raise OptionError(f"load has no option {name!r}; its options are format, {', '.join(known)}")
+        if options[name] is not None and not getattr(chosen, known[name]):
             raise OptionError(f"{name} is not for logs of the format {chosen.name!r} ({path})")
-    return chosen.read(path, **given)
+    return chosen.read(path, ReadOptions(**options))
 
 
-def _guessed(path: Path) -> Format:
+def _recognised(path: Path) -> Format:
     head = b""
     if not path.is_dir():
         with path.open("rb") as stream:
@@ -63,9 +66,7 @@ def _guessed(path: Path) -> Format:
             return candidate
     if path.is_dir():
         raise FormatError(
-            path,
-            None,
-            "this is a folder, and not that of a known data set; slam-compare datasets tells how they must look",
+            path, None, "this is a folder, and not that of a known data set; slam-compare datasets lists their files"
         )
     raise FormatError(
         path,
@@ -74,26 +75,23 @@ def _guessed(path: Path) -> Format:
     )
 
 
-def save(log: Log, path: str | PathLike[str], format: str | None = None) -> None:
-    """Write a log, whole or not at all; the format follows from the suffix (.npz, .txt) unless named.
+def save(log: Log, path: str | PathLike[str], *, format: str | None = None) -> None:
+    """Write a log, completely or not at all; the format follows from the suffix (.npz, .txt) unless it is named.
 
     Raises:
-        FormatError: the format cannot hold what the log holds (``.npz`` holds everything), or the place cannot be
-            written.
+        FormatError: the format cannot hold what the log holds (``.npz`` holds everything), or the file cannot be written.
         OptionError: ``format`` is not the name of a format that can be written.
     """
     path = Path(path)
-    writable = {f.name: f for f in FORMATS.values() if f.write is not None}
+    writers = {f.name: f.write for f in FORMATS.values() if f.write is not None}
     if format is None:
-        by_suffix = {suffix: f.name for f in writable.values() for suffix in f.suffixes}
+        by_suffix = {suffix: name for name in writers for suffix in FORMATS[name].suffixes}
         if path.suffix not in by_suffix:
             known = ", ".join(by_suffix)
             raise FormatError(path, None, f"cannot tell the format from the suffix {path.suffix!r}; use one of {known}")
         format = by_suffix[path.suffix]
-    check_choice("format", format, tuple(writable))
-    write = writable[format].write
-    assert write is not None
-    write(log, path)
+    check_choice("format", format, writers)
+    writers[format](log, path)
 
 
-__all__ = ["FORMATS", "Format", "load", "save"]
+__all__ = ["FORMATS", "Format", "ReadOptions", "load", "save"]

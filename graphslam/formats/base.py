@@ -1,24 +1,70 @@
-"""What a file format of logs consists of."""
+"""What a file format of logs consists of, and what the readers have in common."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..errors import FormatError, LogError
 from ..log import Log
+from ..reading import ReadOptions
+
+#: the message about a data set in which no landmark was seen
+NO_SIGHTING = "no sighting of any landmark: nothing to estimate from"
 
 
 @dataclass(frozen=True)
 class Format:
-    """A format: its name, usual suffixes, a test of a path and its first bytes, a reader and perhaps a writer.
+    """A file format of logs.
 
-    A folder has no first bytes. ``options`` names what the reader takes besides the path, of those that `load` has.
+    Attributes:
+        name: as in the option ``format`` of `load`.
+        recognises: tests a path and its first bytes; a folder has none.
+        read: the reader.
+        write: the writer, where logs can be written in this format.
+        suffixes: usual suffixes of files to write.
+        several_robots: whether a data set may have several robots.
+        separate_times: whether odometry and sightings have their own times, so that poses are chosen by the reader.
     """
 
     name: str
-    suffixes: tuple[str, ...]
     recognises: Callable[[Path, bytes], bool]
-    read: Callable[..., Log]
+    read: Callable[[Path, ReadOptions], Log]
     write: Callable[[Log, Path], None] | None = None
-    options: tuple[str, ...] = ()
+    suffixes: tuple[str, ...] = ()
+    several_robots: bool = False
+    separate_times: bool = False
+
+
+def member(folder: Path, name: str, holds: str) -> Path:
+    """The path of a file of a data set.
+
+    Raises:
+        FormatError: the file is missing; the message says what it would hold.
+    """
+    path = folder / name
+    if not path.is_file():
+        raise FormatError(path, None, f"this file of the data set is missing; it would hold {holds}")
+    return path
+
+
+def optional_member(folder: Path, name: str, holds: str, notes: list[str]) -> Path | None:
+    """The path of a file of a data set, or None and a note where it is missing."""
+    path = folder / name
+    if path.is_file():
+        return path
+    notes.append(f"{name}, which would hold {holds}, is missing: read without")
+    return None
+
+
+@contextmanager
+def errors_name(path: Path) -> Iterator[None]:
+    """Errors of the log become errors of the file that it is read from."""
+    try:
+        yield
+    except FormatError:
+        raise
+    except LogError as error:
+        raise FormatError(path, None, str(error)) from None

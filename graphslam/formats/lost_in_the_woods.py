@@ -12,11 +12,11 @@ Variables (K = 12,609 times, L = 17 landmarks)::
     r_var, b_var, v_var, om_var (1, 1) variances, of each sample
     x_true, y_true, th_true (K, 1), true_valid (K, 1); l (L, 2) true landmarks [m]
 
-Ids of landmarks are their columns, from 0. Oddities: v and om of row k are those of the way from row k-1 to row k
-(the course's x_k = f(x_{k-1}, v_k)); the
-robot drives 0.074 rad (4.3 degrees) to the right of its true heading, to which the bearings do fit, so its motion has
-a steady part to the side; the truth is not valid everywhere, and is NaN here where it is not. Every time is
-a pose, seen or not: `Log.at_steps` and `Log.where_seen` thin it, joining the motions.
+Ids of landmarks are their columns, from 0. Peculiarities: v and om of row k belong to the motion from row k-1 to row k
+(the course's x_k = f(x_{k-1}, v_k)). The robot drives 0.074 rad (4.3 degrees) to the right of its true heading, to which
+the bearings do fit, so its motion has a constant part to the side. The truth is not valid everywhere; it is NaN here
+where it is not. Every time is a pose, with or without sightings: `Log.at_steps` and `Log.where_seen` keep fewer poses and
+join the motions between them.
 """
 
 from __future__ import annotations
@@ -26,88 +26,70 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FormatError, LogError
+from ..checks import first
+from ..errors import FormatError
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..sources.synchronize import BRIDGED_GAP, LONGEST_GAP, bridging, told_of_gaps
-from .base import Format
-from .mat import is_mat, numbers, read_mat, variables
+from ..reading import ReadOptions
+from ..sources.synchronize import BRIDGED_GAP, bridging, check_gaps, gap_note
+from .base import NO_SIGHTING, Format, errors_name, member
+from .mat import Shape, has_variables, read_mat
 
-_SERIES = ("t", "v", "om")
-_TRUTH = ("x_true", "y_true", "th_true", "true_valid")
-_NAMES = (*_SERIES, "r", "b", "d", "r_var", "b_var", "v_var", "om_var", *_TRUTH, "l")
+_SHAPES: dict[str, Shape] = {
+    **dict.fromkeys(("t", "v", "om"), ("times", 1)),
+    **dict.fromkeys(("r", "b"), ("times", "landmarks")),
+    **dict.fromkeys(("d", "r_var", "b_var", "v_var", "om_var"), (1, 1)),
+    **dict.fromkeys(("x_true", "y_true", "th_true", "true_valid"), ("times", 1)),
+    "l": ("landmarks", 2),
+}
 
-#: [m², rad²] of each motion: the way aside, 2 mm a step, that speed and turn rate have no noise for
+#: [m², rad²] of each motion, for the part to the side, 2 mm per step, which the noise of the controls does not cover
 EPSILON = 1e-4
 
 
 def _recognises(path: Path, head: bytes) -> bool:
-    if path.is_dir():
-        return (path / "dataset2.mat").is_file()
-    return is_mat(head) and {"r", "b", "om"} <= variables(path)
+    return (path / "dataset2.mat").is_file() if path.is_dir() else has_variables(path, head, "r", "b", "om")
 
 
-def _read(path: Path) -> Log:
+def _read(path: Path, _: ReadOptions) -> Log:
     if path.is_dir():
-        path = path / "dataset2.mat"
-        if not path.is_file():
-            raise FormatError(path, None, "this file of the data set is missing; it would hold the whole log")
-    content = read_mat(path, _NAMES)
-    count = content["t"].shape[0]
-    series = {name: numbers(path, name, content[name], (count, 1))[:, 0] for name in (*_SERIES, *_TRUTH)}
-    ranges, landmarks = numbers(path, "r", content["r"], (count, None)), numbers(path, "l", content["l"], (None, 2))
-    bearings = numbers(path, "b", content["b"], ranges.shape)
-    single = {n: float(numbers(path, n, content[n], (1, 1))[0, 0]) for n in ("d", "r_var", "b_var", "v_var", "om_var")}
-    dt = np.diff(series["t"])
-    if np.any(dt <= 0):
-        k = int(np.argmax(dt <= 0)) + 1
-        raise FormatError(path, None, f"the times t run backwards or stand still at row {k + 1}")
-    if np.any(dt > LONGEST_GAP):
-        k = int(np.argmax(dt > LONGEST_GAP))
-        raise FormatError(
-            path, None, f"the odometry is silent for {dt[k]:.1f} s after t = {series['t'][k]:.3f} s, longer than "
-            f"{LONGEST_GAP:g} s: cut the log there"
-        )  # fmt: skip
-    if len(landmarks) != ranges.shape[1]:
-        raise FormatError(path, None, f"l has {len(landmarks)} landmarks, but r has {ranges.shape[1]} columns")
-    steps, columns = np.nonzero(ranges > 0)
+        path = member(path, "dataset2.mat", "the whole log")
+    content = read_mat(path, _SHAPES)
+    times, valid = content["t"][:, 0], content["true_valid"][:, 0] != 0
+    r_std, b_std, v_std, om_std = (content[name].item() ** 0.5 for name in ("r_var", "b_var", "v_var", "om_var"))
+    dt = np.diff(times)
+    if (k := first(dt <= 0)) is not None:
+        raise FormatError(path, None, f"the times t run backwards or stand still at row {k + 2}")
+    steps, columns = np.nonzero(content["r"] > 0)
     if len(steps) == 0:
-        raise FormatError(path, None, "no sighting of any landmark: nothing to estimate from")
-    truth = np.column_stack([series["x_true"], series["y_true"], series["th_true"]])
-    truth[series["true_valid"] == 0] = np.nan
-    notes, covered = [], int(np.isfinite(truth[:, 0]).sum())
-    if covered < count:
-        notes.append(f"the truth covers {covered} of {count} poses")
-    controls = np.column_stack([series["v"], series["om"]])[1:]
+        raise FormatError(path, None, NO_SIGHTING)
+    truth = np.column_stack([content[name] for name in ("x_true", "y_true", "th_true")])
+    truth[~valid] = np.nan
+    notes = [] if valid.all() else [f"the truth covers {valid.sum()} of {len(times)} poses"]
+    controls = np.column_stack([content["v"], content["om"]])[1:]
+    with errors_name(path):
+        check_gaps(dt, times[:-1])
     gaps = dt[dt > BRIDGED_GAP].tolist()
     if gaps:
-        notes.append(told_of_gaps(gaps))
+        notes.append(gap_note(gaps))
         warnings.warn(f"{path}: {notes[-1]}", UserWarning, stacklevel=3)
-    start = truth[0] if np.isfinite(truth[0, 0]) else np.zeros(3)
-    try:
+    with errors_name(path):
         return Log(
             dt=dt,
             controls=controls,
             control_variances=bridging(controls, dt, dt) if gaps else None,
             steps=steps,
             landmarks=columns,
-            sightings=np.column_stack([ranges[steps, columns], bearings[steps, columns]]),
-            initial_poses=MotionModel().dead_reckoning(start, controls, dt),
-            true_poses=truth if covered else None,
-            true_landmarks=dict(enumerate(landmarks)),
-            start_time=float(series["t"][0]),
-            motion=MotionModel.constant(
-                single["v_var"] ** 0.5, single["om_var"] ** 0.5, epsilon=EPSILON
-            ),
-            sensor=SensorModel(
-                range_rate=0.0, range_std=single["r_var"] ** 0.5, bearing_std=single["b_var"] ** 0.5,
-                offset=(single["d"], 0.0),
-            ),
+            sightings=np.column_stack([content[name][steps, columns] for name in ("r", "b")]),
+            initial_poses=MotionModel().dead_reckoning(truth[0] if valid[0] else np.zeros(3), controls, dt),
+            true_poses=truth if valid.any() else None,
+            true_landmarks=dict(enumerate(content["l"])),
+            start_time=float(times[0]),
+            motion=MotionModel.constant(v_std, om_std, epsilon=EPSILON),
+            sensor=SensorModel.constant(r_std, b_std, offset=(content["d"].item(), 0.0)),
             name="lost-in-the-woods",
             notes=tuple(notes),
-        )  # fmt: skip
-    except LogError as error:
-        raise FormatError(path, None, str(error)) from None
+        )
 
 
-FORMAT = Format("lost-in-the-woods", (), _recognises, _read)
+FORMAT = Format("lost-in-the-woods", _recognises, _read)

@@ -1,18 +1,19 @@
-"""MATLAB files: the variables a layout asks for, or a sentence on what is there instead."""
+"""MATLAB files: the variables that a layout needs, with their shapes checked."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat, whosmat
-from scipy.io.matlab import MatReadError
 
 from ..errors import FormatError
 from ..files import check_file
 from ..se2 import Array
+
+#: the shape of a variable: lengths, or names of lengths that several variables share
+Shape = tuple[int | str, ...]
 
 
 def is_mat(head: bytes) -> bool:
@@ -20,21 +21,34 @@ def is_mat(head: bytes) -> bool:
     return head.startswith(b"MATLAB 5.0 MAT-file")
 
 
-def variables(path: Path) -> set[str]:
-    """The names of the variables of a MATLAB file; none where it cannot be read."""
+def has_variables(path: Path, head: bytes, *names: str) -> bool:
+    """Whether a file with these first bytes is a readable MATLAB file with these variables."""
+    if not is_mat(head):
+        return False
+    from scipy.io import whosmat
+    from scipy.io.matlab import MatReadError
+
     try:
-        return {name for name, _, _ in whosmat(path)}
+        return {name for name, _, _ in whosmat(path)}.issuperset(names)
     except (ValueError, TypeError, NotImplementedError, OSError, MatReadError):
-        return set()
+        return False
 
 
-def read_mat(path: Path, names: Collection[str]) -> dict[str, np.ndarray]:
-    """The named variables of a MATLAB file.
+def read_mat(path: Path, shapes: Mapping[str, Shape | None]) -> dict[str, Array]:
+    """The named variables of a MATLAB file, as finite floats.
+
+    Args:
+        path: the file.
+        shapes: {name: shape}. A length that is a word may be any, but the same in all variables. None leaves a variable
+            as it is.
 
     Raises:
-        FormatError: the file cannot be read, or has another layout: a variable is missing.
+        FormatError: the file cannot be read, or a variable is missing, or has another shape or type.
     """
     check_file(path)
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
     try:
         content: dict[str, Any] = loadmat(path)
     except NotImplementedError:
@@ -43,30 +57,37 @@ def read_mat(path: Path, names: Collection[str]) -> dict[str, np.ndarray]:
         ) from None
     except (ValueError, TypeError, OSError, MatReadError) as error:
         raise FormatError(path, None, f"not a readable MATLAB file ({error}); was it cut short?") from None
-    missing = [name for name in names if name not in content]
+    missing = [name for name in shapes if name not in content]
     if missing:
-        found = ", ".join(sorted(name for name in content if not name.startswith("__"))) or "nothing"
+        others = ", ".join(sorted(name for name in content if not name.startswith("__"))) or "nothing"
         raise FormatError(
-            path, None, f"a .mat of another layout: expected the variables {', '.join(names)}, but {missing[0]!r} is "
-            f"missing (found: {found})",
-        )  # fmt: skip
-    return {name: content[name] for name in names}
+            path,
+            None,
+            f"a .mat of another layout: expected the variables {', '.join(shapes)}, but {missing[0]!r} is missing "
+            f"(it has: {others})",
+        )
+    lengths: dict[str, int] = {}
+    return {n: content[n] if s is None else numbers(path, n, content[n], s, lengths) for n, s in shapes.items()}
 
 
-def numbers(path: Path, name: str, value: np.ndarray, shape: tuple[int | None, ...]) -> Array:
-    """A variable as finite floats of a shape, None for any length.
+def numbers(path: Path, name: str, value: np.ndarray, shape: Shape, lengths: dict[str, int] | None = None) -> Array:
+    """A variable as finite floats of a shape; ``lengths`` holds the named lengths found so far, and receives new ones.
 
     Raises:
-        FormatError: it is something else.
+        FormatError: it has another type or shape, or is not finite.
     """
-    wanted = " x ".join("N" if want is None else str(want) for want in shape)
+    lengths = {} if lengths is None else lengths
+    wanted = [lengths.get(want, want) if isinstance(want, str) else want for want in shape]
+    text = " x ".join("N" if isinstance(want, str) else str(want) for want in wanted)
     if value.dtype.kind not in "iufb":
-        raise FormatError(path, None, f"the variable {name!r} should be numbers, {wanted}")
-    # unsigned integers, as some files have them, would wrap around below zero
+        raise FormatError(path, None, f"the variable {name!r} should be numbers, {text}")
+    # unsigned integers, which some files have, would wrap around below zero
     array = np.asarray(value, dtype=float)
-    if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape)):
+    fits = array.ndim == len(shape)
+    if not fits or any(want != have for want, have in zip(wanted, array.shape) if not isinstance(want, str)):
         have = " x ".join(map(str, array.shape))
-        raise FormatError(path, None, f"the variable {name!r} should be {wanted}, but is {have}")
+        raise FormatError(path, None, f"the variable {name!r} should be {text}, but is {have}")
     if not np.all(np.isfinite(array)):
         raise FormatError(path, None, f"the variable {name!r} has entries that are not finite")
+    lengths |= {want: have for want, have in zip(shape, array.shape) if isinstance(want, str)}
     return array

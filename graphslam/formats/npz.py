@@ -1,18 +1,17 @@
-"""The framework's own format: a NumPy ``.npz`` archive that keeps everything a `Log` holds, bit for bit.
+"""The framework's own format: a NumPy ``.npz`` archive that holds everything a `Log` holds, without rounding.
 
 Arrays (absent = None): ``format`` ("graphslam-log-1"), ``dt`` (T,), ``controls`` (T, 2), ``steps`` (M,), ``landmarks``
 (M,), ``sightings`` (M, 2 or 3), ``initial_poses`` (T+1, 3), ``true_poses`` (T+1, 3), ``true_landmark_ids`` (L,),
 ``true_landmark_poses`` (L, 3; a third column of NaN marks a landmark without heading), ``start_time``, and for logs
-whose odometry is finer than their poses ``control_starts`` (T+1,) and ``control_variances`` (S, 2); ``motion`` (nn, no,
-on, oo, epsilon, sigma_v, sigma_omega) and ``sensor`` (range_rate, bearing_std, orientation_std, range_std, offset x and
-y) where the source publishes noise models. No pickles.
+with several controls per motion ``control_starts`` (T+1,) and ``control_variances`` (S, 2); ``motion`` and ``sensor``,
+the fields of the noise models in their order (the two of the offset last), where the log has such models. No pickles.
 """
 
 from __future__ import annotations
 
 import io
 import zipfile
-from dataclasses import astuple
+from dataclasses import astuple, fields
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from ..errors import FormatError, SlamError
 from ..files import check_file, write_whole
 from ..log import Log
 from ..models import MotionModel, SensorModel
+from ..reading import ReadOptions
 from .base import Format
 
 VERSION = "graphslam-log-1"
@@ -28,11 +28,7 @@ _REQUIRED = ("steps", "landmarks", "sightings", "initial_poses")
 _OPTIONAL = ("dt", "controls", "control_starts", "control_variances", "true_poses")
 
 
-def _recognises(path: Path, head: bytes) -> bool:  # noqa: ARG001
-    return head.startswith(b"PK\x03\x04")
-
-
-def _read(path: Path) -> Log:
+def _read(path: Path, _: ReadOptions) -> Log:
     check_file(path)
     try:
         # from memory: np.load leaves a file open that turns out not to be an archive
@@ -50,18 +46,19 @@ def _read(path: Path) -> Log:
         rows = zip(content["true_landmark_ids"].tolist(), content.get("true_landmark_poses", ()))
         truth = {j: pose[:2] if np.isnan(pose[2]) else pose for j, pose in rows}
     try:
-        motion = MotionModel(*content["motion"].tolist()) if "motion" in content else None
-        sensor = None
-        if "sensor" in content:
-            rate, bearing, orientation, std, x, y = content["sensor"].tolist()
-            sensor = SensorModel(rate, bearing, orientation, std, (x, y))
+        models = {}
+        for name, model in (("motion", MotionModel), ("sensor", SensorModel)):
+            if name in content:
+                names, values = [f.name for f in fields(model)], content[name].tolist()
+                if names[-1] == "offset":
+                    values[-2:] = [tuple(values[-2:])]
+                models[name] = model(**dict(zip(names, values, strict=True)))
         return Log(
+            **models,
             **{name: content[name] for name in _REQUIRED},
             **{name: content[name] for name in _OPTIONAL if name in content},
             true_landmarks=truth,
             start_time=float(content.get("start_time", 0.0)),
-            motion=motion,
-            sensor=sensor,
             name=path.stem,
         )
     except (SlamError, TypeError, ValueError) as error:
@@ -85,4 +82,4 @@ def _write(log: Log, path: Path) -> None:
         np.savez_compressed(stream, allow_pickle=False, format=VERSION, start_time=log.start_time, **content)
 
 
-FORMAT = Format("npz", (".npz",), _recognises, _read, _write)
+FORMAT = Format("npz", lambda _, head: head.startswith(b"PK\x03\x04"), _read, _write, (".npz",))

@@ -10,31 +10,31 @@ iSAM                    ``ODOMETRY`` or ``EDGE2 i j x y theta`` + upper triangle
                         no vertices; a landmark may have the same number as a pose
 ======================  =================================================================================================
 
-Every tag means what its own dialect says. Only ``EDGE2`` belongs to two: it is TORO's in a file that has ``VERTEX2`` lines,
-and iSAM's in any other, unless the format is named. All edges
-measure the second node in the frame of the first. The residual is g2o's, e = z^-1 (x_i^-1 x_j), and its information is
-turned here into the axes of the first pose, in which `RelativePoseEdges` has it. Lines that begin with # are comments.
+Every tag has the meaning of its own dialect. Only ``EDGE2`` belongs to two: it is TORO's in a file that has ``VERTEX2``
+lines, and iSAM's in any other, unless the format is named. All edges measure the second node in the frame of the first.
+The residual is g2o's, e = z^-1 (x_i^-1 x_j); its information is turned here into the axes of the first pose, as in
+`RelativePoseEdges`. Lines that begin with # are comments.
 
-A file without vertices is laid out along its odometry: from the first pose along edges to the next id, then along the others.
+In a file without vertices the initial values follow the odometry: from the first pose along edges to the next id, then
+along the others.
 
 Sources: Kümmerle et al., *g2o*, ICRA 2011; Grisetti et al., TORO; Kaess et al., *iSAM*, T-RO 2008.
 """
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from ..checks import check_choice
+from ..checks import check_choice, first
 from ..errors import FormatError
-from ..files import check_file, write_whole
+from ..files import read_text, write_whole
 from ..se2 import Array, compose, inverse, rotation, transform, wrap
+from .text import number, whole
 
 DIALECTS = ("g2o", "toro", "isam")
 
@@ -61,57 +61,47 @@ class PoseGraphFile:
 
 
 @dataclass
+class _Edges:
+    """The edge lines of one kind: the two ids, the numbers, the line and the tag of each."""
+
+    ids: list[list[int]] = field(default_factory=list)
+    numbers: list[list[float]] = field(default_factory=list)
+    lines: list[int] = field(default_factory=list)
+    tags: list[str] = field(default_factory=list)
+
+    def add(self, line: int, tag: str, ids: list[int], numbers: list[float]) -> None:
+        self.ids.append(ids)
+        self.numbers.append(numbers)
+        self.lines.append(line)
+        self.tags.append(tag)
+
+
+@dataclass
 class _Lines:
-    """The lines of one file, sorted by what they are."""
+    """The lines of one file, sorted by kind."""
 
     path: Path
     poses: dict[int, list[float]] = field(default_factory=dict)
     landmarks: dict[int, list[float]] = field(default_factory=dict)
     fixed: dict[int, int] = field(default_factory=dict)
-    pose_edges: list[tuple[int, int]] = field(default_factory=list)
-    pose_numbers: list[list[float]] = field(default_factory=list)
-    pose_lines: list[int] = field(default_factory=list)
-    pose_tags: list[str] = field(default_factory=list)
-    point_edges: list[tuple[int, int]] = field(default_factory=list)
-    point_numbers: list[list[float]] = field(default_factory=list)
-    point_lines: list[int] = field(default_factory=list)
-    point_tags: list[str] = field(default_factory=list)
+    pose_edges: _Edges = field(default_factory=_Edges)
+    point_edges: _Edges = field(default_factory=_Edges)
+    tags: Counter[str] = field(default_factory=Counter)
     unknown: Counter[str] = field(default_factory=Counter)
 
-    def vertex(self, line: int, tag: str, ids: list[int], numbers: list[float]) -> None:  # noqa: ARG002
-        if ids[0] in self.poses or ids[0] in self.landmarks:
-            raise FormatError(self.path, line, f"vertex {ids[0]} is given a second time; remove one of the two")
-        (self.poses if len(numbers) == 3 else self.landmarks)[ids[0]] = numbers
 
-    def edge(self, line: int, tag: str, ids: list[int], numbers: list[float]) -> None:
-        if len(numbers) == 9:
-            if ids[0] == ids[1]:
-                raise FormatError(
-                    self.path, line, f"the edge goes from node {ids[0]} to itself; an edge ties two nodes"
-                )
-            self.pose_edges.append((ids[0], ids[1]))
-            self.pose_numbers.append(numbers)
-            self.pose_lines.append(line)
-            self.pose_tags.append(tag)
-        else:
-            self.point_edges.append((ids[0], ids[1]))
-            self.point_numbers.append(numbers)
-            self.point_lines.append(line)
-            self.point_tags.append(tag)
-
-
-#: tag -> ids, numbers, what takes them, form of the line
-_TAGS: dict[str, tuple[int, int, Callable[[_Lines, int, str, list[int], list[float]], None], str]] = {
-    "VERTEX_SE2": (1, 3, _Lines.vertex, "id x y theta"),
-    "VERTEX2": (1, 3, _Lines.vertex, "id x y theta"),
-    "VERTEX_XY": (1, 2, _Lines.vertex, "id x y"),
-    "EDGE_SE2": (2, 9, _Lines.edge, "i j x y theta and 6 of the information"),
-    "EDGE2": (2, 9, _Lines.edge, "i j x y theta and 6 of the information"),
-    "ODOMETRY": (2, 9, _Lines.edge, "i j x y theta and 6 of the square-root information"),
-    "EDGE_SE2_XY": (2, 5, _Lines.edge, "i j x y and 3 of the information"),
-    "LANDMARK": (2, 5, _Lines.edge, "i j x y and 3 of the square-root information"),
+#: tag -> number of ids, number of numbers, form of the line
+_TAGS: dict[str, tuple[int, int, str]] = {
+    "VERTEX_SE2": (1, 3, "id x y theta"),
+    "VERTEX2": (1, 3, "id x y theta"),
+    "VERTEX_XY": (1, 2, "id x y"),
+    "EDGE_SE2": (2, 9, "i j x y theta and 6 of the information"),
+    "EDGE2": (2, 9, "i j x y theta and 6 of the information"),
+    "ODOMETRY": (2, 9, "i j x y theta and 6 of the square-root information"),
+    "EDGE_SE2_XY": (2, 5, "i j x y and 3 of the information"),
+    "LANDMARK": (2, 5, "i j x y and 3 of the square-root information"),
 }
-#: which dialect an edge's tag belongs to; EDGE2 is TORO's or iSAM's
+#: the dialect of an edge's tag; EDGE2 is TORO's or iSAM's
 _DIALECT_OF = {"EDGE_SE2": "g2o", "EDGE_SE2_XY": "g2o", "ODOMETRY": "isam", "LANDMARK": "isam"}
 
 
@@ -120,8 +110,8 @@ def read_pose_graph(path: Path, dialect: str | None = None, unknown: str = "erro
 
     Args:
         path: the file.
-        dialect: "g2o", "toro" or "isam"; decides what an EDGE2 line means. (In g2o's there is none: it is TORO's then.)
-        unknown: "error" refuses tags that no dialect knows, "skip" leaves them out with a warning that counts them.
+        dialect: "g2o", "toro" or "isam"; decides what an EDGE2 line means. (g2o has none, so it is TORO's then.)
+        unknown: "error" refuses tags that no dialect has, "skip" leaves them out with a warning that counts them.
 
     Raises:
         FormatError: the file breaks the rules; the message has file and line, what was expected and what to do.
@@ -130,141 +120,97 @@ def read_pose_graph(path: Path, dialect: str | None = None, unknown: str = "erro
     if dialect is not None:
         check_choice("format", dialect, DIALECTS)
     check_choice("unknown", unknown, ("error", "skip"))
-    check_file(path)
-    lines, tags = _Lines(path), Counter[str]()
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise FormatError(path, None, "not a text file (it has bytes that are not UTF-8)") from None
-    for number, content in enumerate(text.split("\n"), start=1):
+    lines = _Lines(path)
+    for line, content in enumerate(read_text(path).split("\n"), start=1):
         words = content.split()
-        if not words or words[0].startswith("#"):
-            continue
-        tags[words[0]] += 1
-        _take(lines, number, words, unknown)
+        if words and not words[0].startswith("#"):
+            lines.tags[words[0]] += 1
+            _take(lines, line, words, unknown)
+    tags = lines.tags
     if lines.unknown:
         counted = ", ".join(f"{count} x {tag}" for tag, count in lines.unknown.items())
         warnings.warn(f"{path}: left out lines with unknown tags: {counted}", UserWarning, stacklevel=3)
-    if not lines.pose_edges and not lines.point_edges:
+    if not lines.pose_edges.ids and not lines.point_edges.ids:
         raise FormatError(path, None, "no edges: a graph has at least one line like 'EDGE_SE2 i j x y theta ...'")
     if dialect is None:
-        isam = "LANDMARK" in tags or "ODOMETRY" in tags
-        if "EDGE2" in tags and "VERTEX2" in tags and isam:
+        if "EDGE2" in tags and "VERTEX2" in tags and ("LANDMARK" in tags or "ODOMETRY" in tags):
             raise FormatError(
-                path, None, "EDGE2 is TORO's beside VERTEX2 and iSAM's beside ODOMETRY or LANDMARK, and here are both; name "
-                "the format that is meant, toro or isam"
-            )  # fmt: skip
+                path,
+                None,
+                "EDGE2 is TORO's beside VERTEX2 and iSAM's beside ODOMETRY or LANDMARK, and this file has both; name "
+                "the format that is meant, toro or isam",
+            )
         dialect = "toro" if "VERTEX2" in tags else "isam"
     return _assemble(lines, "isam" if dialect == "isam" else "toro")
 
 
-def _take(lines: _Lines, number: int, words: list[str], unknown: str) -> None:
+def _take(lines: _Lines, line: int, words: list[str], unknown: str) -> None:
     path, tag = lines.path, words[0]
     if tag == "FIX":
         if len(words) == 1:
-            raise FormatError(path, number, "expected 'FIX id ...', at least one id")
+            raise FormatError(path, line, "expected 'FIX id ...', at least one id")
         for word in words[1:]:
-            lines.fixed.setdefault(_whole(path, number, word), number)
+            lines.fixed.setdefault(whole(path, line, "a node's id", word), line)
         return
     if tag not in _TAGS:
         if unknown == "error":
             known = ", ".join([*_TAGS, "FIX"])
-            raise FormatError(
-                path, number, f"unknown tag {tag!r}; known are {known} (unknown='skip' leaves others out)"
-            )
+            raise FormatError(path, line, f"unknown tag {tag!r}; known are {known} (unknown='skip' leaves others out)")
         lines.unknown[tag] += 1
         return
-    ids, numbers, take, form = _TAGS[tag]
-    if len(words) != 1 + ids + numbers:
-        raise FormatError(path, number, f"expected '{tag} {form}', {1 + ids + numbers} columns, found {len(words)}")
-    wrong = next((word for word in words[1:] if "_" in word), None)
-    if wrong is not None:
-        # Python reads 1_0 as 10, nobody else does
-        raise FormatError(path, number, f"expected a number, found {wrong!r}")
-    try:
-        values = [float(word) for word in words[1 + ids :]]
-    except ValueError:
-        wrong = next(word for word in words[1 + ids :] if not _is_number(word))
-        raise FormatError(path, number, f"expected a number, found {wrong!r}") from None
-    if not all(map(math.isfinite, values)):
-        raise FormatError(path, number, "only finite numbers make sense here, found nan or inf")
-    take(lines, number, tag, [_whole(path, number, word) for word in words[1 : 1 + ids]], values)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
-def _whole(path: Path, line: int, word: str) -> int:
-    try:
-        value = int(word)
-    except ValueError:
-        raise FormatError(path, line, f"a node's id should be a whole number, not {word!r}") from None
-    if not -(2**63) <= value < 2**63:
-        raise FormatError(path, line, f"a node's id should be a whole number of at most 64 bits, not {word!r}")
-    return value
+    num_ids, count, form = _TAGS[tag]
+    if len(words) != 1 + num_ids + count:
+        raise FormatError(path, line, f"expected '{tag} {form}', {1 + num_ids + count} columns, found {len(words)}")
+    ids = [whole(path, line, "a node's id", word) for word in words[1 : 1 + num_ids]]
+    numbers = [number(path, line, "an entry", word) for word in words[1 + num_ids :]]
+    if num_ids == 2:
+        if count == 9 and ids[0] == ids[1]:
+            raise FormatError(path, line, f"the edge goes from node {ids[0]} to itself; an edge ties two nodes")
+        (lines.pose_edges if count == 9 else lines.point_edges).add(line, tag, ids, numbers)
+    elif ids[0] in lines.poses or ids[0] in lines.landmarks:
+        raise FormatError(path, line, f"vertex {ids[0]} is given a second time; remove one of the two")
+    else:
+        (lines.poses if count == 3 else lines.landmarks)[ids[0]] = numbers
 
 
 def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
     path = lines.path
-    pose_edges = np.array(lines.pose_edges, dtype=np.int64).reshape(-1, 2)
-    point_edges = np.array(lines.point_edges, dtype=np.int64).reshape(-1, 2)
-    pose_numbers = np.array(lines.pose_numbers).reshape(-1, 9)
-    point_numbers = np.array(lines.point_numbers).reshape(-1, 5)
-    information = _information(pose_numbers[:, 3:], lines.pose_tags, edge2)
-    point_information = _information(point_numbers[:, 2:], lines.point_tags, edge2)
-    for matrices, where in ((information, lines.pose_lines), (point_information, lines.point_lines)):
-        if len(matrices):
-            beyond = ~np.isfinite(matrices).all(axis=(1, 2))
-            if np.any(beyond):
-                raise FormatError(
-                    path,
-                    where[int(np.argmax(beyond))],
-                    "the square-root information is so large that its square overflows",
-                )
-            smallest = np.linalg.eigvalsh(matrices)[:, 0]
-            bad = smallest < -1e-9 * np.abs(matrices).max(axis=(1, 2))
-            if np.any(bad):
-                k = int(np.argmax(bad))
-                raise FormatError(
-                    path, where[k], f"the information is not positive semi-definite (eigenvalue {smallest[k]:.3g})"
-                )
-    # g2o's residual is turned by R(theta_z)' against ours
+    pose_edges, point_edges = (
+        np.array(e.ids, dtype=np.int64).reshape(-1, 2) for e in (lines.pose_edges, lines.point_edges)
+    )
+    pose_numbers = np.array(lines.pose_edges.numbers).reshape(-1, 9)
+    point_numbers = np.array(lines.point_edges.numbers).reshape(-1, 5)
+    information = _information(path, lines.pose_edges, pose_numbers[:, 3:], edge2)
+    point_information = _information(path, lines.point_edges, point_numbers[:, 2:], edge2)
+    # the residual of g2o is turned by R(theta_z)' against ours
     turn = np.broadcast_to(np.eye(3), (len(pose_edges), 3, 3)).copy()
     turn[:, :2, :2] = rotation(pose_numbers[:, 2])
     information = turn @ information @ np.swapaxes(turn, 1, 2)
 
     pose_values, landmark_values = lines.poses, lines.landmarks
     if not pose_values and not landmark_values:
-        pose_values, landmark_values = _laid_out(pose_edges, pose_numbers, point_edges, point_numbers)
-        for k, (i, _) in enumerate(lines.pose_edges + lines.point_edges):
-            if i not in pose_values:
-                first = next(iter(pose_values))
-                raise FormatError(
-                    path, (lines.pose_lines + lines.point_lines)[k], f"the graph falls into pieces: no edges lead from "
-                    f"pose {first} to pose {i}; add the edge that ties them, or give all vertices"
-                )  # fmt: skip
-    for edges, where, ends in (
-        (pose_edges, lines.pose_lines, (pose_values, pose_values)),
-        (point_edges, lines.point_lines, (pose_values, landmark_values)),
+        pose_values, landmark_values = _initial_values(pose_edges, pose_numbers, point_edges, point_numbers)
+        for edges in (lines.pose_edges, lines.point_edges):
+            for line, (i, _) in zip(edges.lines, edges.ids):
+                if i not in pose_values:
+                    raise FormatError(
+                        path,
+                        line,
+                        f"the graph falls into pieces: no edges lead from pose {next(iter(pose_values))} to pose {i}; add "
+                        "the edge that ties them, or give all vertices",
+                    )
+    for edges, ids, kind, values in (
+        (lines.pose_edges, pose_edges[:, 0], "pose", pose_values),
+        (lines.pose_edges, pose_edges[:, 1], "pose", pose_values),
+        (lines.point_edges, point_edges[:, 0], "pose", pose_values),
+        (lines.point_edges, point_edges[:, 1], "landmark", landmark_values),
     ):
-        for column, vertices in enumerate(ends):
-            absent = ~np.isin(edges[:, column], np.fromiter(vertices, dtype=np.int64, count=len(vertices)))
-            if np.any(absent):
-                k = int(np.argmax(absent))
-                kind = "pose" if vertices is pose_values else "landmark"
-                raise FormatError(
-                    path, where[k], f"the edge uses {kind} {edges[k, column]}, which no vertex line gives"
-                )
+        if (k := first(~np.isin(ids, np.fromiter(values, dtype=np.int64, count=len(values))))) is not None:
+            raise FormatError(path, edges.lines[k], f"the edge uses {kind} {ids[k]}, which no vertex line gives")
     for node, line in lines.fixed.items():
         if node not in pose_values:
             raise FormatError(path, line, f"FIX names node {node}, which is no pose of the file")
-    pose_ids = np.array(sorted(pose_values), dtype=np.int64)
-    landmark_ids = np.array(sorted(landmark_values), dtype=np.int64)
+    pose_ids, landmark_ids = (np.array(sorted(values), dtype=np.int64) for values in (pose_values, landmark_values))
     poses = np.array([pose_values[k] for k in pose_ids.tolist()]).reshape(-1, 3)
     return PoseGraphFile(
         pose_ids=pose_ids,
@@ -281,11 +227,11 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
     )
 
 
-def _information(entries: Array, tags: list[str], edge2: str) -> Array:
-    """The symmetric matrices (E, d, d) of their entries (E, 6 or 3) in the order of each tag's dialect."""
+def _information(path: Path, edges: _Edges, entries: Array, edge2: str) -> Array:
+    """The symmetric matrices (E, d, d) from their entries (E, 6 or 3) in the order of each tag's dialect."""
     d = 3 if entries.shape[1] == 6 else 2
-    dialects = np.array([_DIALECT_OF.get(tag, edge2) for tag in tags], dtype="U4")
-    found = np.zeros((len(entries), d, d))
+    dialects = np.array([_DIALECT_OF.get(tag, edge2) for tag in edges.tags], dtype="U4")
+    information = np.zeros((len(entries), d, d))
     for dialect in np.unique(dialects).tolist():
         those = dialects == dialect
         rows, columns = np.triu_indices(d)
@@ -298,14 +244,20 @@ def _information(entries: Array, tags: list[str], edge2: str) -> Array:
                 matrices = np.swapaxes(matrices, 1, 2) @ matrices
         else:
             matrices[:, columns, rows] = entries[those]
-        found[those] = matrices
-    return found
+        information[those] = matrices
+    if (k := first(~np.isfinite(information).all(axis=(1, 2)))) is not None:
+        raise FormatError(path, edges.lines[k], "the square-root information is so large that its square overflows")
+    smallest = np.linalg.eigvalsh(information)[:, 0]
+    if (k := first(smallest < -1e-9 * np.abs(information).max(axis=(1, 2)))) is not None:
+        what = f"the information is not positive semi-definite (eigenvalue {smallest[k]:.3g})"
+        raise FormatError(path, edges.lines[k], what)
+    return information
 
 
-def _laid_out(
+def _initial_values(
     pose_edges: np.ndarray, pose_numbers: Array, point_edges: np.ndarray, point_numbers: Array
 ) -> tuple[dict[int, list[float]], dict[int, list[float]]]:
-    """Initial values of all nodes that edges lead to from the first pose, odometry first."""
+    """Initial values of all nodes that edges connect with the first pose, along the odometry first."""
     neighbours: dict[int, list[tuple[int, int, bool]]] = {}
     for k, (i, j) in enumerate(pose_edges.tolist()):
         neighbours.setdefault(i, []).append((j, k, False))
@@ -343,7 +295,7 @@ def _laid_out(
 
 
 def write_g2o(data: PoseGraphFile, path: Path) -> None:
-    """Write a file in g2o's dialect, numbers at full precision, whole or not at all."""
+    """Write a file in g2o's dialect, numbers at full precision, completely or not at all."""
     out = [f"VERTEX_SE2 {k} {_numbers(pose)}" for k, pose in zip(data.pose_ids.tolist(), data.poses)]
     out += [f"VERTEX_XY {k} {_numbers(m)}" for k, m in zip(data.landmark_ids.tolist(), data.landmarks)]
     out += [f"FIX {k}" for k in data.fixed]

@@ -1,8 +1,8 @@
-"""The sparse system Omega Delta = xi: the pattern of Omega once per graph, its numbers at every step.
+"""The sparse system Omega Delta = xi: the pattern of Omega is computed once per graph, its numbers at every step.
 
 Omega is symmetric, of 3 x 3 blocks, and kept as upper block-CSC in the order of the nodes: column j has the row nodes
 ``indices[indptr[j]:indptr[j+1]]`` <= j in increasing order, the diagonal always last, and block k is ``values[k]``.
-The module knows blocks and slots, not robots.
+A slot is the number k of a block.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import numpy as np
 import scipy.sparse as sp
 from numba import njit
 
-from ..edges.base import BinaryEdges
 from ..se2 import Array
 from .cholesky import Factor, Symbolic, analyze
 
@@ -33,9 +32,7 @@ class BlockSystem:
     xi: Array
     workspace: np.ndarray
     _held: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict, repr=False)
-    _slots: dict[int, tuple[BinaryEdges, tuple[np.ndarray, np.ndarray, np.ndarray]]] = field(
-        default_factory=dict, repr=False
-    )
+    _slots: dict[tuple[int, int], tuple[np.ndarray, ...]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def from_cliques(cls, num_nodes: int, cliques: Iterable[tuple[np.ndarray, np.ndarray]]) -> BlockSystem:
@@ -44,13 +41,8 @@ class BlockSystem:
         nodes = np.concatenate([np.zeros(0, dtype=np.int64)] + [nodes for _, nodes in parts])
         sizes = np.concatenate([np.zeros(0, dtype=np.int64)] + [starts[1:] - starts[:-1] for starts, _ in parts])
         indptr, indices = _pattern(num_nodes, sizes, nodes)
-        return cls(
-            indptr,
-            indices,
-            np.zeros((len(indices), 3, 3)),
-            np.zeros((num_nodes, 3)),
-            np.zeros(num_nodes, dtype=np.int64),
-        )
+        values, xi, workspace = np.zeros((len(indices), 3, 3)), np.zeros((num_nodes, 3)), np.zeros(num_nodes, np.int64)
+        return cls(indptr, indices, values, xi, workspace)
 
     @property
     def num_nodes(self) -> int:
@@ -59,7 +51,7 @@ class BlockSystem:
 
     @cached_property
     def symbolic(self) -> Symbolic:
-        """Ordering and structure of the factor, found once for the pattern."""
+        """Ordering and structure of the factor, computed once for the pattern."""
         return analyze(self.indptr, self.indices)
 
     @cached_property
@@ -87,7 +79,7 @@ class BlockSystem:
         _hold(self.values, self.xi, self._held[key], nodes, self.diagonal_slots)
 
     def rest(self, nodes: np.ndarray, coordinate: int) -> None:
-        """Keep coordinates that no edge touches, ``coordinate`` and those behind it, where they are."""
+        """Hold the coordinates of nodes from ``coordinate`` on, which no edge may touch: their diagonal becomes 1."""
         _rest(self.values, self.diagonal_slots, nodes, coordinate)
 
     def clear(self) -> None:
@@ -99,20 +91,16 @@ class BlockSystem:
         """The scalar diagonal of Omega, (n, 3)."""
         return np.diagonal(self.values[self.diagonal_slots], axis1=1, axis2=2)
 
-    def slots(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """The slots of blocks (row, column), row <= column, which must be in the pattern; shapes (E,)."""
-        return _slots(self.indptr, self.indices, rows, columns)
+    def slots_of(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The slots of (first, first), (second, second) and of the pair's upper block for edges between nodes (E,).
 
-    def slots_of(self, edges: BinaryEdges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The slots of (first, first), (second, second) and the pair for each edge; looked up once per family."""
-        # the family is kept with its slots, so that its id cannot pass to another object
-        if id(edges) not in self._slots:
-            self._slots[id(edges)] = (edges, self.edge_slots(edges))
-        return self._slots[id(edges)][1]
-
-    def edge_slots(self, edges: BinaryEdges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same for edges that are not kept, such as the relations of a start."""
-        return _edge_slots(self.indptr, self.indices, edges.first, edges.second)
+        They are looked up once for each pair of arrays, which must not change afterwards.
+        """
+        key = (id(first), id(second))
+        if key not in self._slots:
+            # the arrays are kept with the slots, so that their ids cannot pass to other objects
+            self._slots[key] = (*_edge_slots(self.indptr, self.indices, first, second), first, second)
+        return self._slots[key][:3]  # type: ignore[return-value]
 
     def to_sparse(self) -> sp.csc_matrix:
         """Omega whole, both triangles, as a SciPy matrix (3n, 3n)."""
@@ -142,7 +130,7 @@ def _pattern(num_nodes, sizes, nodes):  # type: ignore[no-untyped-def]
         if fill:
             low, high = np.empty(count.sum(), dtype=np.int64), np.empty(count.sum(), dtype=np.int64)
             mark[:] = -1
-        found = 0
+        total = 0
         for j in range(num_nodes):
             mark[j] = j
             for here in occurrence[by_node[j] : by_node[j + 1]]:
@@ -151,10 +139,10 @@ def _pattern(num_nodes, sizes, nodes):  # type: ignore[no-untyped-def]
                     if mark[i] != j:
                         mark[i] = j
                         if fill:
-                            low[found], high[found] = i, j
+                            low[total], high[total] = i, j
                         else:
                             count[j] += 1
-                        found += 1
+                        total += 1
     # ... and a stable sort by the neighbour, then by the node, brings them into columns with increasing rows
     _, by_low = _sorted_by(num_nodes, low)
     start, by_high = _sorted_by(num_nodes, high[by_low])
@@ -185,12 +173,12 @@ def _sorted_by(num_keys, keys):  # type: ignore[no-untyped-def]
 def _slots_in_rows_and_columns(indptr, indices, nodes):  # type: ignore[no-untyped-def]
     held = np.zeros(len(indptr) - 1, dtype=np.bool_)
     held[nodes] = True
-    found = []
+    slots = []
     for j in range(len(held)):
         for k in range(indptr[j], indptr[j + 1]):
             if held[j] or held[indices[k]]:
-                found.append(k)
-    return np.array(found)
+                slots.append(k)
+    return np.array(slots)
 
 
 @njit(cache=True)
@@ -210,15 +198,10 @@ def _rest(values, diagonal, nodes, coordinate):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _slots(indptr, indices, rows, columns):  # type: ignore[no-untyped-def]
-    slots = np.empty(len(rows), dtype=np.int64)
-    for k in range(len(rows)):
-        low, high = indptr[columns[k]], indptr[columns[k] + 1]
-        slots[k] = low + np.searchsorted(indices[low:high], rows[k])
-    return slots
-
-
-@njit(cache=True)
 def _edge_slots(indptr, indices, first, second):  # type: ignore[no-untyped-def]
-    at_first, at_second = indptr[first + 1] - 1, indptr[second + 1] - 1
-    return at_first, at_second, _slots(indptr, indices, np.minimum(first, second), np.maximum(first, second))
+    pair = np.empty(len(first), dtype=np.int64)
+    for k in range(len(first)):
+        row, column = min(first[k], second[k]), max(first[k], second[k])
+        low, high = indptr[column], indptr[column + 1]
+        pair[k] = low + np.searchsorted(indices[low:high], row)
+    return indptr[first + 1] - 1, indptr[second + 1] - 1, pair

@@ -1,1 +1,1 @@
-"""Solvers of a graph: the hand-written Omega/xi iteration, its starts, robust solves, and GTSAM's beside them."""
+"""Solvers of a graph: the hand-written Omega/xi iteration and its starts, graduated non-convexity, and GTSAM's."""

@@ -1,4 +1,7 @@
-"""The same graph through GTSAM: our factor types, GTSAM's Levenberg-Marquardt."""
+"""The same graph solved by GTSAM: the factor types of this package, and GTSAM's Levenberg-Marquardt.
+
+This solver shares with the hand-written one the state that it starts from, and nothing else.
+"""
 
 from __future__ import annotations
 
@@ -10,102 +13,98 @@ from itertools import pairwise
 import gtsam
 import numpy as np
 
+from .. import edges
+from .. import factors as factor_types
 from ..checks import check_choice, check_count, check_positive
-from ..edges import (
-    AnchorEdges,
-    EdgeFamily,
-    LandmarkSightings,
-    MarginalEdges,
-    ObservationEdges,
-    RelativePointEdges,
-    RelativePoseEdges,
-    VirtualMotionEdges,
-)
 from ..errors import GraphError
-from ..factors import (
-    AnchorFactor,
-    InverseObservationFactor,
-    LandmarkFactor,
-    ObservationFactor,
-    RelativePointFactor,
-    RelativePoseFactor,
-    VirtualMotionFactor,
-    describe,
-)
 from ..graph import Graph
 from ..se2 import Array, wrap
 from ..solution import Solution, make_solution
 from .mixing import AndersonMixing
+from .starting import starting_state
 
 #: how virtual-motion edges become factors
 FACTORS = ("fastest", "per-edge")
 
 
 def solve_with_gtsam(
-    graph: Graph, tolerance: float = 1e-9, max_iterations: int = 100, factors: str = "fastest"
+    graph: Graph,
+    *,
+    tolerance: float = 1e-9,
+    max_iterations: int = 100,
+    initialize: str = "auto",
+    factors: str = "fastest",
 ) -> Solution:
     """Minimise the cost J of a graph with GTSAM's Levenberg-Marquardt on the custom factors.
 
     GTSAM's noise models are fixed. Where the information depends on the state (``frame="world"``, or no psi) an outer
-    loop freezes it, solves, and freezes it anew at the result, until that moves by less than the tolerance; as this
-    converges slowly, its iterates are mixed (`AndersonMixing`). ``iterations`` and ``step_norms`` count the outer loop
-    then, and GTSAM's own iterations otherwise.
+    loop freezes it, solves, and freezes it again at the result, until that moves by less than the tolerance. As this
+    converges slowly, Anderson acceleration mixes its iterates (`AndersonMixing`). ``iterations`` and ``step_norms``
+    count the outer loop then, and GTSAM's own iterations otherwise. ``seconds`` counts the start, as for `solve`, but
+    not the first translation of the graph into factors.
 
     Args:
         graph: what to solve.
         tolerance: converged when the Euclidean norm of a whole correction is below this.
         max_iterations: the most steps to take.
+        initialize: the state to start from, as for `graphslam.solve`. "auto" takes the first state that `solve` would
+            try, and no other if the end is bad.
         factors: "fastest", one `LandmarkFactor` for all edges of a landmark; or "per-edge", one `VirtualMotionFactor`
-            for each, the same cost with some ten times the work. Where each edge has a robust kernel, it is per edge
-            anyway. A note of the solution says what was used.
+            for each, which has the same cost and takes about ten times as long. If each edge has a robust kernel,
+            the factors are per edge in any case. A note of the solution names the factors that were used.
 
     Raises:
-        GraphError: GTSAM finds the system indeterminate.
+        GraphError: GTSAM finds the system indeterminate, or the edges do not allow the start.
         OptionError: an option has an impossible value.
     """
     check_positive(tolerance=tolerance)
     check_count(max_iterations=max_iterations)
     begin = time.perf_counter()
+    started = graph.with_initial(starting_state(graph, initialize))
+    starting = time.perf_counter() - begin
+    made = to_gtsam(started, factors=factors)
+    begin = time.perf_counter()
     try:
         if graph.frozen_information:
-            made = to_gtsam(graph, graph.initial, factors)
-            state, norms, converged = _refrozen(graph, tolerance, max_iterations, factors)
+            state, norms, converged = _refrozen(started, tolerance, max_iterations, factors)
         else:
-            made = to_gtsam(graph, graph.initial, factors)
-            begin = time.perf_counter()
-            state, norms, converged = _optimize(graph, made, graph.initial, tolerance, max_iterations)
+            state, norms, converged = _optimize(started, made, tolerance, max_iterations)
     except RuntimeError as error:
-        raise GraphError(f"gtsam gave up: {str(error).strip().splitlines()[0]}") from None
-    seconds = time.perf_counter() - begin
+        raise GraphError(f"gtsam failed: {str(error).strip().splitlines()[0]}") from None
+    seconds = starting + time.perf_counter() - begin
     if converged:
         reason = f"step norm {norms[-1]:.1e} below the tolerance {tolerance:g}"
     elif len(norms) >= max_iterations:
         reason = f"max_iterations = {max_iterations} reached"
     else:
         reason = "stuck: gtsam finds no step that lowers the cost"
-    kinds = Counter(_kind(made.at(k)) for k in range(made.size()))
-    used = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
     return make_solution(
         graph, state, step_norms=norms, costs=[], converged=converged, reason=reason, seconds=seconds, solver="gtsam",
-        notes=(f"worked on {used}",),
+        notes=(_contents(made),),
     )  # fmt: skip
 
 
-def _kind(factor: gtsam.NonlinearFactor) -> str:
-    return describe(factor).kind if isinstance(factor, gtsam.CustomFactor) else type(factor).__name__
+def _contents(factors: gtsam.NonlinearFactorGraph) -> str:
+    """The number of factors of each type, as a note of a solution."""
+    each = [factors.at(k) for k in range(factors.size())]
+    kinds = Counter(
+        factor_types.describe(f).kind if isinstance(f, gtsam.CustomFactor) else type(f).__name__ for f in each
+    )
+    return "graph: " + ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in kinds.items())
 
 
-def to_gtsam(graph: Graph, reference: Array, factors: str = "fastest") -> gtsam.NonlinearFactorGraph:
-    """The factors of a graph, keyed by node number, state-dependent information frozen at ``reference`` (n, 3).
+def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fastest") -> gtsam.NonlinearFactorGraph:
+    """The factors of a graph, keyed by node number.
 
     Args:
         graph: what to translate.
-        reference: the state at which information is frozen.
+        reference: the state (n, 3) at which state-dependent information is frozen; default: the initial values.
         factors: see `solve_with_gtsam`.
 
     Marginal edges with a robust kernel get landmark nodes of their own, after the graph's; see `eliminated_landmarks`.
     """
     check_choice("factors", factors, FACTORS)
+    reference = graph.initial if reference is None else reference
     made = gtsam.NonlinearFactorGraph()
     for family in graph.families:
         for factor in _factors_of(family, reference, graph.num_nodes, factors):
@@ -115,61 +114,65 @@ def to_gtsam(graph: Graph, reference: Array, factors: str = "fastest") -> gtsam.
     return made
 
 
-def _factors_of(family: EdgeFamily, reference: Array, num_nodes: int, factors: str) -> Iterator[gtsam.NonlinearFactor]:
-    if isinstance(family, AnchorEdges):
-        for node, value, information in zip(family.nodes.tolist(), family.values, family.information):
-            yield AnchorFactor(node, value, information)
-    elif isinstance(family, RelativePoseEdges):
-        ends = zip(family.first.tolist(), family.second.tolist(), family.measured, family.information)
-        for i, j, z, information in ends:
-            yield RelativePoseFactor(i, j, z, information, family.frame, at=reference[i])
-    elif isinstance(family, MarginalEdges) and family.kernel is not None:
-        trust = family.trusted.tolist()
-        for i, j, z, w in zip(family.nodes.tolist(), (num_nodes + family.group).tolist(), family.sightings, trust):
-            yield InverseObservationFactor(
-                i, j, z, family.sensor, family.frame, at=reference[i], weight=w, kernel=family.kernel
+def _factors_of(
+    family: edges.EdgeFamily, reference: Array, num_nodes: int, factors: str
+) -> Iterator[gtsam.NonlinearFactor]:
+    if isinstance(family, edges.AnchorEdges):
+        yield from map(factor_types.AnchorFactor, family.nodes.tolist(), family.values, family.information)
+    elif isinstance(family, edges.RelativePoseEdges):
+        for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
+            yield factor_types.RelativePoseFactor(i, j, z, information, frame=family.frame, at=reference[i])
+    elif isinstance(family, edges.RelativePointEdges):
+        for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
+            yield factor_types.RelativePointFactor(i, j, z, information)
+    elif isinstance(family, edges.ObservationEdges):
+        for i, j, z, trust in _rows(family.first, family.second, family.sightings, family.trusted):
+            factor = factor_types.ObservationFactor(i, j, z, family.sensor, scale=trust, kernel=family.kernel)
+            yield factor.fastest()
+    elif isinstance(family, edges.MarginalEdges) and family.kernel is not None:
+        for i, j, z, trust in _rows(family.nodes, num_nodes + family.group, family.sightings, family.trusted):
+            yield factor_types.InverseObservationFactor(
+                i, j, z, family.sensor, frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel
             )
-    elif isinstance(family, MarginalEdges):
+    elif isinstance(family, edges.MarginalEdges):
         yield from _landmark_factors(family, reference, "marginal")
-    elif isinstance(family, VirtualMotionEdges) and family.kernel is None and factors == "fastest":
+    elif isinstance(family, edges.VirtualMotionEdges) and family.kernel is None and factors == "fastest":
         yield from _landmark_factors(family, reference, "tempered" if family.tempered else "pairs")
-    elif isinstance(family, VirtualMotionEdges):
+    elif isinstance(family, edges.VirtualMotionEdges):
         a, b, group = family.pairs()
-        weights = (family.group_weights[group] * family.trusted[a] * family.trusted[b]).tolist()
-        z, nodes = family.sightings, family.nodes.tolist()
-        for first, second, weight in zip(a.tolist(), b.tolist(), weights):
-            i, j = nodes[first], nodes[second]
-            yield VirtualMotionFactor(
-                i, j, z[first], z[second], family.sensor, family.frame,
-                at=(reference[i], reference[j]), weight=weight, kernel=family.kernel,
+        scales = family.group_weights[group] * family.trusted[a] * family.trusted[b]
+        z, nodes = family.sightings, family.nodes
+        for i, j, z_1, z_2, scale in _rows(nodes[a], nodes[b], z[a], z[b], scales):
+            yield factor_types.VirtualMotionFactor(
+                i, j, z_1, z_2, family.sensor,
+                frame=family.frame, at=(reference[i], reference[j]), scale=scale, kernel=family.kernel,
             )  # fmt: skip
-    elif isinstance(family, ObservationEdges):
-        ends = zip(family.first.tolist(), family.second.tolist(), family.sightings, family.trusted.tolist())
-        for i, j, z, weight in ends:
-            yield ObservationFactor(i, j, z, family.sensor, weight=weight, kernel=family.kernel)
-    elif isinstance(family, RelativePointEdges):
-        ends = zip(family.first.tolist(), family.second.tolist(), family.measured, family.information)
-        for i, j, z, information in ends:
-            yield RelativePointFactor(i, j, z, information)
     else:
         raise GraphError(f"no gtsam factor is known for {type(family).__name__}")
 
 
-def _landmark_factors(family: LandmarkSightings, reference: Array, weight: str) -> Iterator[LandmarkFactor]:
+def _rows(*columns: Array) -> Iterator[tuple]:
+    """The rows of several columns, one per edge; numbers as Python's own."""
+    return zip(*(column.tolist() if column.ndim == 1 else column for column in columns))
+
+
+def _landmark_factors(
+    family: edges.LandmarkSightings, reference: Array, weight: str
+) -> Iterator[factor_types.LandmarkFactor]:
     for start, end in pairwise(family.starts.tolist()):
         nodes = family.nodes[start:end]
         if len(np.unique(nodes)) > 1 or weight == "marginal":
-            yield LandmarkFactor(
-                nodes.tolist(), family.sightings[start:end], family.sensor, family.frame, weight,
-                at=reference[nodes], trust=family.trusted[start:end],
+            yield factor_types.LandmarkFactor(
+                nodes.tolist(), family.sightings[start:end], family.sensor,
+                frame=family.frame, weight=weight, at=reference[nodes], trust=family.trusted[start:end],
             )  # fmt: skip
 
 
 def eliminated_landmarks(graph: Graph, state: Array) -> gtsam.Values:
-    """The landmark nodes that `to_gtsam` gives to marginal edges with a kernel, at their robust means; else nothing."""
+    """The values of the landmark nodes that `to_gtsam` adds for marginal edges with a kernel: their robust means."""
     values = gtsam.Values()
     for family in graph.families:
-        if isinstance(family, MarginalEdges) and family.kernel is not None:
+        if isinstance(family, edges.MarginalEdges) and family.kernel is not None:
             for key, (x, y, heading) in enumerate(family.landmarks(state, state).tolist(), start=graph.num_nodes):
                 oriented = family.sightings.shape[1] == 3
                 values.insert(key, gtsam.Pose2(x, y, heading) if oriented else gtsam.Point2(x, y))
@@ -178,25 +181,25 @@ def eliminated_landmarks(graph: Graph, state: Array) -> gtsam.Values:
 
 def to_values(graph: Graph, state: Array) -> gtsam.Values:
     """The values of all nodes (n, 3), keyed by node number: `gtsam.Pose2`, or `gtsam.Point2` for a point landmark."""
-    values = gtsam.Values()
+    values, poses = gtsam.Values(), _count_poses(graph)
     for node, (x, y, theta) in enumerate(state.tolist()):
-        if node < len(graph.steps) or graph.landmark_dimension == 3:
-            values.insert(node, gtsam.Pose2(x, y, theta))
-        else:
-            values.insert(node, gtsam.Point2(x, y))
+        values.insert(node, gtsam.Pose2(x, y, theta) if node < poses else gtsam.Point2(x, y))
     return values
 
 
 def from_values(graph: Graph, values: gtsam.Values) -> Array:
     """The state (n, 3) of values that `to_values` made and an optimiser moved."""
-    state = np.zeros((graph.num_nodes, 3))
-    points = len(graph.landmark_ids) and graph.landmark_dimension == 2
-    poses = len(graph.steps) if points else graph.num_nodes
-    # the landmarks of `eliminated_landmarks` come behind the graph's own nodes
+    state, poses = np.zeros((graph.num_nodes, 3)), _count_poses(graph)
+    # the landmarks of `eliminated_landmarks` follow the graph's own nodes
     state[:poses] = gtsam.utilities.extractPose2(values)[:poses]
-    if points:
+    if poses < len(state):
         state[poses:, :2] = gtsam.utilities.extractPoint2(values)[: len(state) - poses]
     return state
+
+
+def _count_poses(graph: Graph) -> int:
+    """The number of nodes that are `gtsam.Pose2`: poses, and landmarks with a heading."""
+    return graph.num_nodes if graph.landmark_dimension == 3 else len(graph.steps)
 
 
 def _difference(a: Array, b: Array) -> Array:
@@ -208,17 +211,16 @@ def _difference(a: Array, b: Array) -> Array:
 def _optimize(
     graph: Graph,
     factors: gtsam.NonlinearFactorGraph,
-    initial: Array,
     tolerance: float,
     max_iterations: int,
     roughly: bool = False,
 ) -> tuple[Array, list[float], bool]:
-    """Levenberg-Marquardt to the end: the state, the norm of every step, and whether the last was short enough.
+    """Levenberg-Marquardt until it converges: the state, the norm of every step, and whether the last was short enough.
 
-    ``roughly`` lets a short step count even where damping may have shortened it.
+    With ``roughly`` a short step counts even where damping may have shortened it.
     """
-    values = to_values(graph, initial)
-    values.insert(eliminated_landmarks(graph, initial))
+    values = to_values(graph, graph.initial)
+    values.insert(eliminated_landmarks(graph, graph.initial))
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setVerbosityLM("SILENT")
     parameters.setlambdaUpperBound(1e12)
@@ -236,8 +238,8 @@ def _optimize(
         if roughly and not stalled and norms[-1] < tolerance:
             return state, norms, True
         if not polishing and stalled:
-            # The rest is below what a comparison of costs can resolve, and Levenberg-Marquardt refuses to move.
-            # Gauss-Newton, which does not compare, walks the last steps; damping would only hide how long they are.
+            # The remaining decrease is below the rounding error of the cost, so Levenberg-Marquardt refuses to move.
+            # Gauss-Newton, which compares no costs, takes the last steps; damping would hide how long they are.
             polishing = True
             optimizer = gtsam.GaussNewtonOptimizer(factors, optimizer.values())
         elif polishing and norms[-1] < tolerance:
@@ -248,13 +250,14 @@ def _optimize(
 
 
 def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str) -> tuple[Array, list[float], bool]:
-    """Freeze, solve, and freeze again, until the solution no longer moves."""
+    """Freeze the information, solve, and freeze it again, until the solution no longer moves."""
     state, mixing = graph.initial.copy(), AndersonMixing()
     norms: list[float] = []
     while len(norms) < max_iterations:
-        # the inner problem moves on at every freezing: solving it much closer than that is wasted
+        # every freezing changes the inner problem, so there is no use in solving it much more closely than that
         inner = max(tolerance / 10, 0.1 * norms[-1] if norms else 0.1)
-        solved, _, _ = _optimize(graph, to_gtsam(graph, state, factors), state, inner, max_iterations, roughly=True)
+        here = graph.with_initial(state)
+        solved, _, _ = _optimize(here, to_gtsam(here, factors=factors), inner, max_iterations, roughly=True)
         move = _difference(solved, state)
         norms.append(float(np.linalg.norm(move)))
         state = mixing.next(state, move)

@@ -1,7 +1,7 @@
-"""Acceleration of a slow linear iteration x -> g(x).
+"""Anderson acceleration of an iteration x -> g(x) that converges linearly.
 
-With state-dependent information re-evaluated at every step, Gauss-Newton is such an iteration: measured rates go from
-0.4 (3-D sensor) to 0.97 (2-D sensor), where plain steps need some 700 to reach 1e-9 and mixed ones about 30.
+With state-dependent information re-evaluated at every step, Gauss-Newton is such an iteration. Measured rates range from
+0.4 (3-D sensor) to 0.97 (2-D sensor); at 0.97 plain steps need about 700 iterations to reach 1e-9, mixed ones about 30.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from ..se2 import Array
 
 
 class AndersonMixing:
-    """Anderson's mixing of the last iterates (type II), with a restart when it does harm.
+    """Anderson mixing of the last iterates (type II), with a restart where it does not help.
 
     With f = g(x) - x and the differences dX, dF of the last ``depth`` iterates, gamma = argmin |f - dF gamma| gives the
     next iterate x + f - (dX + dF) gamma. A fixed point of g stays one.
@@ -21,14 +21,14 @@ class AndersonMixing:
     *Anderson acceleration for fixed-point iterations*, SIAM J. Numer. Anal. 49 (2011).
     """
 
-    def __init__(self, depth: int = 8, begin_below: float = 0.1) -> None:
-        """``begin_below``: mix only once the root-mean-square of f is below this, where the map is nearly linear."""
+    def __init__(self, *, depth: int = 8, begin_below: float = 0.1) -> None:
+        """Mix the last ``depth`` iterates once the root mean square of f is below ``begin_below``: g is nearly linear."""
         self.depth, self.begin_below = depth, begin_below
         self._x: list[Array] = []
         self._f: list[Array] = []
 
     def next(self, x: Array, f: Array) -> Array:
-        """The iterate to go on with, from x and f = g(x) - x (same shape)."""
+        """The next iterate, from x and f = g(x) - x (same shape)."""
         rms = float(np.sqrt(np.mean(f * f)))
         if rms > self.begin_below or (self._f and rms > 2 * float(np.sqrt(np.mean(self._f[-1] ** 2)))):
             self._x, self._f = [], []

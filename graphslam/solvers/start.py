@@ -1,9 +1,9 @@
 """Where the iteration starts: given values, dead reckoning, or headings first and then positions.
 
-Gauss-Newton ends in the optimum only from near it, and what misleads it is headings. They can be found first, by linear
+Gauss-Newton reaches the optimum only from near it, mostly because of the headings. They can be computed first, by linear
 least squares on unit vectors: with r_i = (cos theta_i, sin theta_i), every edge that measures a relative heading d asks
 for R(d) r_i = r_j. With the headings known, the positions are linear, too. Both systems have the pattern of Omega, so
-the ordering and structure found for it serve three times.
+its ordering and structure are computed only once.
 
 Source: Carlone, Tron, Daniilidis and Dellaert, *Initialization techniques for 3D SLAM: a survey on rotation estimation
 and its use in pose graph optimization*, ICRA 2015 (there called chordal relaxation, for the plane).
@@ -11,22 +11,11 @@ and its use in pose graph optimization*, ICRA 2015 (there called chordal relaxat
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import cast
-
 import numpy as np
 from numba import njit
 
-from ..edges import (
-    AnchorEdges,
-    EdgeFamily,
-    MarginalEdges,
-    ObservationEdges,
-    RelativePointEdges,
-    RelativePoseEdges,
-    VirtualMotionEdges,
-)
-from ..edges.base import BinaryEdges, Relations
+from ..edges import AnchorEdges, ObservationEdges, RelativePoseEdges, kernels
+from ..edges.base import Relations
 from ..errors import GraphError
 from ..graph import Graph
 from ..linear.cholesky import SingularPivot
@@ -51,7 +40,7 @@ def rotation_first(graph: Graph) -> Array:
     for family in graph.families:
         relative = family.headings()
         if relative is not None:
-            _add_headings(*_ends(system, family, relative), unit, system.values, system.xi)
+            _add_headings(*_ends(system, relative), unit, system.values, system.xi)
             tied[relative.first] = tied[relative.second] = True
     if not np.all(tied[: len(graph.steps)]):
         loose = np.flatnonzero(~tied[: len(graph.steps)])
@@ -60,9 +49,10 @@ def rotation_first(graph: Graph) -> Array:
         )
     system.rest(np.flatnonzero(~tied), 0)
     unit += _solved(graph, system, held)
-    # a held heading keeps its own value, its turns included
+    # a held heading keeps its own value, with its full turns
     tied[held] = False
-    _turn(state, unit, tied)
+    moved = tied & np.any(unit != 0, axis=1)
+    state[moved, 2] = np.arctan2(unit[moved, 1], unit[moved, 0])
 
     system.clear()
     position = np.zeros((graph.num_nodes, 2))
@@ -70,7 +60,7 @@ def rotation_first(graph: Graph) -> Array:
     for family in graph.families:
         offset = family.positions(state)
         if offset is not None:
-            _add_positions(*_ends(system, family, offset), position, system.values, system.xi)
+            _add_positions(*_ends(system, offset), position, system.values, system.xi)
     state[:, :2] = position + _solved(graph, system, held)
     return state
 
@@ -96,56 +86,6 @@ def dead_reckoning(graph: Graph) -> Array:
     return state
 
 
-def without_landmarks(graph: Graph) -> Graph | None:
-    """The graph with its landmark nodes exchanged for virtual-motion edges between the poses that saw them.
-
-    Only a landmark's sightings that follow each other are paired: as many edges as sightings, and hardly more fill than
-    the landmarks themselves make. The cost is far less crooked than that of landmark nodes, whose bearings turn quickly
-    near a landmark that starts in the wrong place. None where there are no sightings to exchange.
-    """
-    families: list[EdgeFamily] = []
-    for family in graph.families:
-        if isinstance(family, ObservationEdges):
-            order = np.lexsort((family.first, family.second))
-            landmark = family.second[order]
-            here = np.flatnonzero(landmark[1:] == landmark[:-1])
-            pairs = order[np.column_stack([here, here + 1]).ravel()]
-            starts = np.arange(0, len(pairs) + 1, 2)
-            families.append(
-                VirtualMotionEdges(starts, family.first[pairs], family.sightings[pairs], family.sensor, "body")
-            )
-        elif not isinstance(family, RelativePointEdges):
-            families.append(family)
-    if not any(isinstance(family, ObservationEdges) for family in graph.families):
-        return None
-    poses = len(graph.steps)
-    return replace(
-        graph, initial=graph.initial[:poses], families=tuple(families), landmark_ids=graph.landmark_ids[:0], log=None
-    )
-
-
-def with_landmarks_eliminated(graph: Graph) -> tuple[Graph, np.ndarray] | None:
-    """The graph with its landmark nodes exchanged for marginal edges, and the sighting behind each of theirs (M,).
-
-    None where there are no sightings of landmark nodes.
-    """
-    found = [family for family in graph.families if isinstance(family, ObservationEdges)]
-    if not found:
-        return None
-    seen = found[0]
-    order = np.lexsort((seen.first, seen.second))
-    _, starts = np.unique(seen.second[order], return_index=True)
-    marginal = MarginalEdges(
-        np.append(starts, len(order)), seen.first[order], seen.sightings[order], seen.sensor, "body",
-        trust=None if seen.trust is None else seen.trust[order],
-    )  # fmt: skip
-    others = [family for family in graph.families if not isinstance(family, ObservationEdges | RelativePointEdges)]
-    return replace(
-        graph, initial=graph.initial[: len(graph.steps)], families=(marginal, *others),
-        landmark_ids=graph.landmark_ids[:0], log=None,
-    ), order  # fmt: skip
-
-
 def place_landmarks(graph: Graph, poses: Array) -> Array:
     """A state (n, 3) of poses (P, 3) and every landmark node at the mean of where its trusted sightings put it."""
     state = np.concatenate([poses, graph.initial[len(graph.steps) :]])
@@ -159,13 +99,13 @@ def place_landmarks(graph: Graph, poses: Array) -> Array:
             seen = np.flatnonzero(count)
             state[seen, :2] = total[seen, :2] / count[seen, None]
             if d == 3:
-                # the circular mean has no seam
+                # the circular mean does not depend on where headings wrap
                 state[seen, 2] = np.arctan2(total[seen, 3], total[seen, 2])
     return state
 
 
 def _held(graph: Graph, state: Array) -> np.ndarray:
-    """The nodes that a start leaves where they are; anchored ones are put where their anchor is."""
+    """The nodes that keep their values; anchored ones get the value of their anchor."""
     held = [graph.fixed]
     for family in graph.families:
         if isinstance(family, AnchorEdges):
@@ -175,11 +115,9 @@ def _held(graph: Graph, state: Array) -> np.ndarray:
     return nodes if len(nodes) else np.zeros(1, dtype=np.int64)
 
 
-def _ends(system: BlockSystem, family: EdgeFamily, relations: Relations) -> tuple[Array, ...]:
-    """The relations' nodes, slots, values and information: what the kernels below begin with."""
-    # a family's relations are mostly its edges, whose slots serve the iteration, too
-    same = getattr(family, "first", None) is relations.first
-    slots = system.slots_of(cast(BinaryEdges, family)) if same else system.edge_slots(relations)
+def _ends(system: BlockSystem, relations: Relations) -> tuple[Array, ...]:
+    """The relations' nodes, slots, values and information: the first arguments of the kernels below."""
+    slots = system.slots_of(relations.first, relations.second)
     return (relations.first, relations.second, *slots, relations.value, relations.information)
 
 
@@ -191,7 +129,7 @@ def _solved(graph: Graph, system: BlockSystem, held: np.ndarray) -> Array:
         return system.factorize().solve(system.xi)[:, :2]
     except SingularPivot as error:
         raise GraphError(
-            f"initialize='rotation-first' needs edges that tie all nodes; {graph.names(np.array([error.node]))} floats"
+            f"initialize='rotation-first' needs edges that tie all nodes; nothing holds {graph.names(np.array([error.node]))}"
         ) from None
 
 
@@ -219,24 +157,10 @@ def _add_headings(first, second, at_first, at_second, at_pair, turn, information
 
 @njit(cache=True, error_model="numpy")
 def _add_positions(first, second, at_first, at_second, at_pair, offset, information, position, values, xi):  # type: ignore[no-untyped-def]
-    """Add edges with residual e = p_first + offset - p_second in the first two coordinates of their nodes."""
+    """Add edges with residual e = p_second - p_first - offset in the first two coordinates of their nodes."""
     for k in range(len(first)):
-        i, j, W = first[k], second[k], information[k]
-        ex = position[i, 0] + offset[k, 0] - position[j, 0]
-        ey = position[i, 1] + offset[k, 1] - position[j, 1]
-        for row in range(2):
-            for column in range(2):
-                values[at_first[k], row, column] += W[row, column]
-                values[at_second[k], row, column] += W[row, column]
-                values[at_pair[k], row, column] -= W[row, column]
-            g = W[row, 0] * ex + W[row, 1] * ey
-            xi[i, row] -= g
-            xi[j, row] += g
-
-
-@njit(cache=True)
-def _turn(state, unit, moved):  # type: ignore[no-untyped-def]
-    """Headings of the vectors (n, 2) of the nodes that moved, those without direction left out."""
-    for k in np.flatnonzero(moved):
-        if unit[k, 0] != 0 or unit[k, 1] != 0:
-            state[k, 2] = np.arctan2(unit[k, 1], unit[k, 0])
+        i, j, omega = first[k], second[k], information[k]
+        W = (omega[0, 0], omega[0, 1], omega[1, 1], 0.0, 0.0, 0.0)
+        e = (position[j, 0] - position[i, 0] - offset[k, 0], position[j, 1] - position[i, 1] - offset[k, 1], 0.0)
+        slots = (at_first[k], at_second[k], at_pair[k])
+        kernels.add_point(values, xi, i, j, slots, W, kernels.product(W, e), (0.0, 0.0))

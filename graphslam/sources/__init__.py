@@ -1,1 +1,1 @@
-"""Where logs come from besides files: the simulator with its worlds, and the synchronisation of recorded streams."""
+"""Sources of logs besides files: the simulator with its worlds, and the synchronisation of recorded streams."""

@@ -1,8 +1,8 @@
-"""Data that come at their own times, odometry, sightings and truth, brought together in one `Log`.
+"""Odometry, sightings and ground truth with separate times, brought together in one `Log`.
 
-Poses stand only where something was seen (keyframes). Between them nothing is rounded to a grid: a control holds from
-its own time to that of the next, an event in between splits it, and the pieces stay in the log
-(`Log.control_starts`), so that motions and their covariances are accumulated exactly.
+There are poses only where something was seen. Between them nothing is rounded to a grid: a control holds from its own
+time to that of the next, an event in between divides it, and the pieces stay in the log (`Log.control_starts`), so that
+motions and their covariances are accumulated exactly.
 """
 
 from __future__ import annotations
@@ -15,16 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_positive
+from ..checks import check_positive, first
 from ..errors import LogError
 from ..log import Log
 from ..models import MotionModel
+from ..reading import ReadOptions
 from ..se2 import Array, interpolate
 
-#: odometry that is silent for longer [s] is bridged with grown noise, or refused
+#: odometry that is silent for longer [s] is bridged with additional noise, or refused
 BRIDGED_GAP, LONGEST_GAP = 2.0, 30.0
 
-#: truth is interpolated between samples that are at most so far apart [s]
+#: truth is interpolated between samples that are at most this far apart [s]
 TRUTH_GAP = 0.5
 
 
@@ -40,34 +41,34 @@ class Stream:
         return len(self.times)
 
 
-def join(
+def synchronize(
     odometry: Stream,
     sightings: Stream,
     landmarks: np.ndarray,
     *,
+    options: ReadOptions | None = None,
     truth: Stream | None = None,
     true_landmarks: Mapping[int, ArrayLike] | None = None,
     start: ArrayLike | None = None,
-    keep_every: float | None = None,
     longest_gap: float = LONGEST_GAP,
     truth_gap: float = TRUTH_GAP,
     name: str = "log",
     notes: tuple[str, ...] = (),
     **models: Any,
 ) -> Log:
-    """The log of a robot whose odometry, sightings and truth have each their own times.
+    """The log of a robot whose odometry, sightings and ground truth have separate times.
 
     Args:
-        odometry: controls (nu, omega) (N, 2), each held until the next one's time.
+        odometry: controls (nu, omega) (N, 2), each held until the time of the next one.
         sightings: (K, 2 or 3); those before the first or after the last odometry are left out, with a note.
         landmarks: (K,) ids.
+        options: ``keep_every``, the greatest time between poses; default: poses only where something was seen.
         truth: poses (G, 3), interpolated in SE(2), or positions (G, 2), interpolated along lines.
-        true_landmarks: {id: place}.
-        start: the first pose (3,); default: the truth there, or (0, 0, 0) where it does not say.
-        keep_every: also keep a pose at least every so many seconds; None keeps only those that saw something.
-        longest_gap: odometry that is silent for longer [s] is refused. Above `BRIDGED_GAP` the last control is held on,
-            with noise as large as the controls of the whole log differ, and a warning.
-        truth_gap: no truth is known between samples farther apart than this [s].
+        true_landmarks: {id: position}.
+        start: the first pose (3,); default: the true one, or (0, 0, 0) where it is unknown.
+        longest_gap: odometry that is silent for longer [s] is refused. Above `BRIDGED_GAP` the last control is held,
+            with noise as large as the spread of all controls of the log, and a warning.
+        truth_gap: the truth is unknown between samples farther apart than this [s].
         name, notes, models: of the `Log`.
 
     Raises:
@@ -81,27 +82,26 @@ def join(
         raise LogError(f"the odometry has {len(odometry)} rows, but motion takes two")
     inside = (sightings.times >= odometry.times[0]) & (sightings.times <= odometry.times[-1])
     if not inside.any():
-        raise LogError("no landmark is seen while there is odometry, so there is no pose to keep")
-    said = list(notes)
+        raise LogError("no landmark is seen while there is odometry, so the log would have no pose")
+    remarks = list(notes)
     if not inside.all():
-        said.append(f"{np.sum(~inside)} of {len(inside)} sightings are from before or after the odometry: left out")
+        remarks.append(f"{np.sum(~inside)} of {len(inside)} sightings are from before or after the odometry: left out")
     seen = sightings.times[inside]
     times = np.unique(seen)
-    if keep_every is not None:
-        check_positive(keep_every=keep_every)
-        times = _filled(times, keep_every)
+    if options is not None and options.keep_every is not None:
+        times = _filled(times, options.keep_every)
     controls, dt, starts, variances, gaps = divide(odometry, times, longest_gap)
     if gaps:
-        said.append(told_of_gaps(gaps))
-        warnings.warn(f"{name}: {said[-1]}", UserWarning, stacklevel=3)
+        remarks.append(gap_note(gaps))
+        warnings.warn(f"{name}: {remarks[-1]}", UserWarning, stacklevel=3)
     true_poses = None if truth is None else truth_at(times, truth, truth_gap)
     if true_poses is not None:
         covered = np.isfinite(true_poses[:, 0])
         if not covered.any():
             true_poses = None
-            said.append("the truth covers no pose")
+            remarks.append("the truth covers no pose")
         elif not covered.all():
-            said.append(f"the truth covers {covered.sum()} of {len(covered)} poses")
+            remarks.append(f"the truth covers {covered.sum()} of {len(covered)} poses")
     if start is None:
         known = true_poses is not None and bool(np.all(np.isfinite(true_poses[0])))
         start = true_poses[0] if known and true_poses is not None else np.zeros(3)
@@ -118,7 +118,7 @@ def join(
         true_landmarks=dict(true_landmarks) if true_landmarks is not None else None,  # type: ignore[arg-type]
         start_time=float(times[0]),
         name=name,
-        notes=tuple(said),
+        notes=tuple(remarks),
         **models,
     )
 
@@ -126,7 +126,7 @@ def join(
 def divide(
     odometry: Stream, times: Array, longest_gap: float = LONGEST_GAP
 ) -> tuple[Array, Array, np.ndarray, Array | None, list[float]]:
-    """The pieces of the controls between the poses at ``times`` (T+1,), increasing and within the odometry's.
+    """The pieces of the controls between poses at ``times`` (T+1,), which increase and lie within those of the odometry.
 
     Returns:
         controls (S, 2), dt (S,), control_starts (T+1,), control_variances (S, 2) or None, and the bridged gaps [s].
@@ -140,12 +140,7 @@ def divide(
     row = np.searchsorted(odometry.times, cuts[:-1], side="right") - 1
     following = np.minimum(row + 1, len(odometry) - 1)
     silence = odometry.times[following] - odometry.times[row]
-    if np.any(silence > longest_gap):
-        k = int(np.argmax(silence))
-        raise LogError(
-            f"the odometry is silent for {silence[k]:.1f} s after t = {odometry.times[row[k]]:.3f} s, longer than "
-            f"{longest_gap:g} s: cut the log there"
-        )
+    check_gaps(silence, odometry.times[row], longest_gap)
     lasting = np.diff(cuts)
     bridged = silence > BRIDGED_GAP
     gaps = silence[bridged][np.unique(row[bridged], return_index=True)[1]].tolist()
@@ -153,24 +148,33 @@ def divide(
     return odometry.rows[row], lasting, np.searchsorted(cuts, times), variances, gaps
 
 
+def check_gaps(silence: Array, after: Array, longest_gap: float = LONGEST_GAP) -> None:
+    """Raise `LogError` where the odometry is silent for too long; ``silence`` (N,) follows the times ``after`` (N,) [s]."""
+    if (k := first(silence > longest_gap)) is not None:
+        raise LogError(
+            f"the odometry is silent for {silence[k]:.1f} s after t = {after[k]:.3f} s, longer than {longest_gap:g} s: "
+            "cut the log there"
+        )
+
+
 def bridging(controls: Array, silence: Array, lasting: Array) -> Array:
     """The variances (S, 2) of control pieces that last ``lasting`` (S,) within a silence of ``silence`` (S,) seconds.
 
-    One unknown control holds throughout a silence: it moves the robot by an error of variance V silence², V the variance
-    of all controls. Pieces are independent in a log, and each adds V_piece lasting²; with V_piece = V silence / lasting
-    they sum up to the same, however many poses stand in the gap. Zero where there is no gap.
+    One unknown control holds throughout a silence, so the motion has an error of variance V silence², where V is the
+    variance of all controls. Pieces are independent in a log, and each adds V_piece lasting². With V_piece = V silence /
+    lasting their sum is the same, however many poses are in the gap. Zero where there is no gap.
     """
     grown = np.where(silence > BRIDGED_GAP, silence / lasting, 0.0)
     return grown[:, None] * np.var(controls, axis=0)
 
 
-def told_of_gaps(gaps: list[float]) -> str:
-    """The sentence about bridged gaps [s]."""
+def gap_note(gaps: list[float]) -> str:
+    """The note about bridged gaps [s]."""
     if len(gaps) == 1:
         what = f"1 gap of {gaps[0]:.1f} s"
     else:
         what = f"{len(gaps)} gaps of {min(gaps):.1f} to {max(gaps):.1f} s"
-    return f"{what} in the odometry: bridged by the last control, with noise as large as the controls of the whole log differ"
+    return f"{what} in the odometry: bridged by the last control, with noise as large as the spread of all controls"
 
 
 def truth_at(times: Array, truth: Stream, gap: float = TRUTH_GAP) -> Array:
@@ -181,14 +185,14 @@ def truth_at(times: Array, truth: Stream, gap: float = TRUTH_GAP) -> Array:
     poses = np.full((len(times), 3), np.nan)
     if len(truth) < 2:
         return poses
-    # of several samples with one time one is enough
+    # samples with the same time count once
     at, first = np.unique(truth.times, return_index=True)
     rows = truth.rows[first]
     after = np.clip(np.searchsorted(at, times, side="right"), 1, len(at) - 1)
     before = after - 1
     apart = at[after] - at[before]
     share = (times - at[before]) / apart
-    # a sample at the very time needs no neighbour
+    # a sample at exactly this time needs no neighbour
     known = ((share >= 0) & (share <= 1) & (apart <= gap)) | (share == 0) | (share == 1)
     a, b, s = rows[before[known]], rows[after[known]], share[known]
     if rows.shape[1] == 2:
@@ -199,17 +203,16 @@ def truth_at(times: Array, truth: Stream, gap: float = TRUTH_GAP) -> Array:
 
 
 def check_times(what: str, stream: Stream | None) -> None:
-    """Raise `LogError` where times run backwards; readers that know the line say so first."""
-    if stream is not None and np.any(np.diff(stream.times) < 0):
-        k = int(np.argmax(np.diff(stream.times) < 0)) + 1
+    """Raise `LogError` where times run backwards."""
+    if stream is not None and (k := first(np.diff(stream.times) < 0)) is not None:
         raise LogError(
-            f"the times of the {what} run backwards in row {k + 1}: {stream.times[k]:.3f} s comes after "
-            f"{stream.times[k - 1]:.3f} s"
+            f"the times of the {what} run backwards in row {k + 2}: {stream.times[k + 1]:.3f} s comes after "
+            f"{stream.times[k]:.3f} s"
         )
 
 
 def _filled(times: Array, most: float) -> Array:
-    """The times with more of them in between, so that none is farther than ``most`` from the next."""
+    """The times with others inserted, so that neighbours are at most ``most`` apart."""
     pieces = np.maximum(1, np.ceil(np.diff(times) / most - 1e-9)).astype(int)
     first = np.repeat(times[:-1], pieces)
     part = np.arange(len(first)) - np.repeat(np.cumsum(pieces) - pieces, pieces)

@@ -1,31 +1,100 @@
-"""Named worlds for the simulator, and the sample log that was made in one of them."""
+"""`World`: the course of a simulated robot, its landmarks and camera; named worlds; and the sample log."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from math import pi
 from pathlib import Path
 from typing import Any
 
-from .simulator import BOOK_LANDMARKS
+import numpy as np
 
-#: keyword arguments of `simulate`, by name
-WORLDS: dict[str, dict[str, Any]] = {
+from ..checks import check_positive, option
+from ..errors import OptionError
+
+#: rows of x, y (and heading) [m, m, rad]
+Places = tuple[tuple[float, ...], ...]
+
+#: the six landmarks of the book's logs, ids 0 to 5 [m]
+BOOK_LANDMARKS: Places = ((-4.0, 2.0), (2.0, -3.0), (3.0, 3.0), (0.0, 4.0), (1.0, 1.0), (-3.0, -1.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """What `simulate` simulates; arrays and lists are accepted for tuples.
+
+    Raises:
+        OptionError: an option has an impossible value.
+    """
+
+    steps: int = option(62, "Number of motions T; the log has T + 1 poses")
+    dt: float = option(3.0, "Duration of each motion", "s")
+    speed: float = option(0.2, "Speed on the circle; with way points, the highest speed", "m/s")
+    turn_rate: float = option(pi / 36, "Turn rate on the circle; with way points, the highest turn rate", "rad/s")
+    way_points: tuple[tuple[float, ...], ...] | None = option(
+        None, "Positions to visit in turn, repeatedly; default: drive a circle", "m"
+    )
+    start: tuple[float, ...] = option((0.0, -3.0, 0.0), "First pose, true and dead-reckoned", "m, m, rad")
+    landmarks: tuple[tuple[float, ...], ...] | int = option(
+        BOOK_LANDMARKS, "Landmarks x, y (and heading), or the number of random ones", "m"
+    )
+    arena: float | None = option(None, "Half the side of the square world; default: as large as needed", "m")
+    min_range: float = option(0.5, "Least range of the camera", "m")
+    max_range: float = option(6.0, "Greatest range of the camera", "m")
+    field_of_view: float = option(2 * pi / 3, "Whole opening angle of the camera", "rad")
+    orientation: bool = option(True, "Sightings have the orientation psi; landmarks without a heading face along x")
+    clean: bool = option(False, "No faults; the noise follows the estimators' models exactly")
+
+    def __post_init__(self) -> None:
+        if self.steps < 1:
+            raise OptionError(f"steps must be at least 1, not {self.steps}")
+        check_positive(dt=self.dt, speed=self.speed, max_range=self.max_range, field_of_view=self.field_of_view)
+        if not 0 <= self.min_range < self.max_range:
+            raise OptionError(f"min_range must lie between 0 and {self.max_range:g} m, not {self.min_range!r}")
+        start, route, landmarks = np.asarray(self.start, dtype=float), self.way_points, self.landmarks
+        if start.shape != (3,):
+            raise OptionError(f"start must be (x, y, theta), not an array of shape {start.shape}")
+        object.__setattr__(self, "start", tuple(start.tolist()))
+        if route is not None:
+            object.__setattr__(self, "way_points", _places("way_points must have shape (W, 2)", route, (2,)))
+        if np.ndim(landmarks) == 0:
+            object.__setattr__(self, "landmarks", int(landmarks))  # type: ignore[arg-type]
+            if self.landmarks < 1:  # type: ignore[operator]
+                raise OptionError(f"landmarks must be at least 1, not {landmarks}")
+        else:
+            rule = "landmarks must be a number or an array of shape (L, 2) or (L, 3)"
+            object.__setattr__(self, "landmarks", _places(rule, landmarks, (2, 3)))
+
+    def changed(self, **options: Any) -> World:
+        """This world with some options replaced.
+
+        Raises:
+            OptionError: an option has an impossible value.
+        """
+        return replace(self, **options)
+
+
+def _places(rule: str, value: Any, columns: tuple[int, ...]) -> Places:
+    places = np.asarray(value, dtype=float)
+    if places.ndim != 2 or places.shape[1] not in columns or len(places) == 0:
+        raise OptionError(f"{rule}, not {places.shape}")
+    return tuple(map(tuple, places.tolist()))
+
+
+#: the named worlds
+WORLDS: dict[str, World] = {
     # six landmarks around a circle, as in the logs of the book
-    "book": {
-        "steps": 62, "dt": 3.0, "speed": 0.2, "turn_rate": pi / 36, "start": (0.0, -3.0, 0.0),
-        "landmarks": BOOK_LANDMARKS,
-    },
+    "book": World(),
     # two rounds through thirteen landmarks; the robot sees about two of them at a time
-    "garden": {
-        "steps": 160, "dt": 1.0, "speed": 0.4, "turn_rate": 0.5, "start": (0.0, -2.5, 0.0),
-        "max_range": 5.0, "field_of_view": pi,
-        "way_points": ((4, -3.5), (6, 0), (4, 3.5), (0, 2), (-4, 3.5), (-6, 0), (-4, -3.5), (0, -2)),
-        "landmarks": (
+    "garden": World(
+        steps=160, dt=1.0, speed=0.4, turn_rate=0.5, start=(0.0, -2.5, 0.0), max_range=5.0, field_of_view=pi,
+        way_points=((4, -3.5), (6, 0), (4, 3.5), (0, 2), (-4, 3.5), (-6, 0), (-4, -3.5), (0, -2)),
+        landmarks=(
             (-7.5, -3.5), (-7.5, 3), (-4, 0), (-2, 5), (2, 4.6), (0, 0), (4, 0), (7.5, 3.2), (7.6, -3), (2.2, -4.8),
             (-2, -4.8), (-4.9, 5.6), (5.2, 6),
         ),
-    },
+    ),
 }  # fmt: skip
 
 

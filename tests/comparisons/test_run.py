@@ -72,7 +72,7 @@ def test_poses_outside_the_graph_do_not_count(log: Log) -> None:
     outcome = run(log, estimators=["graph"], edges="virtual")
     estimated = outcome["graph"].estimated
     assert not estimated.all()
-    assert outcome.metrics["graph"].ate_m == ate(log.true_poses, outcome["graph"].poses, estimated)  # type: ignore[arg-type]
+    assert outcome.metrics["graph"].ate_m == ate(log.true_poses, outcome["graph"].poses, mask=estimated)  # type: ignore[arg-type]
 
 
 def test_those_that_cannot_run_are_rows_with_their_reason(log: Log) -> None:

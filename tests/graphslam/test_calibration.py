@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from graphslam import Graph, Log, LogError, MotionModel, OptionError, SensorModel, simulate, solve
-from graphslam.calibration import calibrate
+from graphslam import Graph, Log, LogError, MotionModel, OptionError, SensorModel, calibrate, simulate, solve
 from graphslam.calibration.parts import motion_parts, motion_variances, sensor_parts, sensor_variances
 from graphslam.calibration.variances import fit_variances, standard_errors
 from graphslam.uncertainty import Uncertainty
@@ -95,7 +94,7 @@ def test_noise_from_residuals(seed: int) -> None:
 def test_residuals_do_not_look_at_the_truth() -> None:
     log = drive(1, steps=200)
     blind = calibrate(log.replace(true_poses=None, true_landmarks=None))
-    assert calibrate(log, "residuals").numbers == blind.numbers
+    assert calibrate(log, source="residuals").numbers == blind.numbers
 
 
 def test_wrong_sightings_and_slips_do_not_blow_the_noise_up() -> None:
@@ -172,7 +171,7 @@ def test_truth_without_landmarks_or_headings() -> None:
     log = drive(0, steps=20)
     for poorer in (log.replace(true_landmarks=None), log.replace(true_poses=log.true_poses * [1, 1, np.nan])):
         with pytest.raises(LogError, match="residuals"):
-            calibrate(poorer, "truth")
+            calibrate(poorer, source="truth")
 
 
 def test_landmarks_without_names() -> None:
@@ -190,7 +189,7 @@ def test_no_controls() -> None:
     assert found.motion is None
     assert found.sensor.bearing_std == pytest.approx(SENSOR.bearing_std, rel=0.3)
     with pytest.raises(LogError, match="no controls"):
-        calibrate(still, "residuals")
+        calibrate(still, source="residuals")
 
 
 def test_too_few_and_too_exact() -> None:
@@ -206,7 +205,7 @@ def test_too_few_and_too_exact() -> None:
 def test_wrong_options() -> None:
     log = drive(0, steps=20)
     with pytest.raises(OptionError, match="source"):
-        calibrate(log, "guess")
+        calibrate(log, source="guess")
     with pytest.raises(OptionError, match="range_scale"):
         log.with_corrected_ranges(-1.0, 0.0)
     with pytest.raises(OptionError, match="range_bias"):
@@ -219,7 +218,7 @@ def test_wrong_options() -> None:
 def test_noise_that_enters_by_the_controls(seed):
     """Speed and turn rate are off by noise, and the robot drives true arcs: nothing sideways but epsilon, 1e-8."""
     rng, steps = np.random.default_rng(seed), 1500
-    true = MotionModel(0.05, 0.02, 0.04, 0.06, 1e-8, 0.03, 0.05)
+    true = MotionModel(nn=0.05, no=0.02, on=0.04, oo=0.06, epsilon=1e-8, sigma_v=0.03, sigma_omega=0.05)
     u = np.column_stack([np.abs(rng.normal(0.5, 0.3, steps)), rng.normal(0, 0.5, steps)])
     dt = np.full(steps, 0.5)
     noise = rng.normal(size=(steps, 2)) * np.sqrt(np.diagonal(true.M(u, dt), axis1=1, axis2=2))

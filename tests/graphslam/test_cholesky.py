@@ -104,7 +104,6 @@ def test_against_dense(graph, method, ordering, k):
         exact = inverse[3 * i : 3 * i + 3, 3 * j : 3 * j + 3]
         assert np.abs(factor.covariance(i, j) - exact).max() <= 1e-9 * scale
     assert np.allclose(before, factor.covariance(0, n - 1), rtol=0, atol=1e-9 * scale)
-    assert factor.logdet() == pytest.approx(np.linalg.slogdet(a)[1], rel=1e-9, abs=1e-9)
 
 
 @settings(max_examples=30, deadline=None)
@@ -118,9 +117,8 @@ def test_damping(graph, damping, relative, method):
     factor = analyze(indptr, indices, method=method).factorize(values, damping=damping, relative=relative)
     assert np.array_equal(copy, values)
     rhs = np.random.default_rng(0).normal(size=(n, 3))
-    x = factor.solve(rhs, refine=1)
+    x = factor.solve(rhs)
     assert np.abs(a @ x.reshape(-1) - rhs.reshape(-1)).max() < 1e-9
-    assert factor.logdet() == pytest.approx(np.linalg.slogdet(a)[1], rel=1e-9, abs=1e-9)
 
 
 @settings(max_examples=60, deadline=None)
@@ -181,7 +179,7 @@ def test_only_the_upper_triangle_of_diagonal_blocks_is_read():
         values[indptr[j + 1] - 1][np.tril_indices(3, -1)] = np.nan
     rhs = rng.normal(size=(20, 3))
     for method in METHODS:
-        x = analyze(indptr, indices, method=method).factorize(values).solve(rhs, refine=1)
+        x = analyze(indptr, indices, method=method).factorize(values).solve(rhs)
         assert np.abs(a @ x.reshape(-1) - rhs.reshape(-1)).max() < 1e-9
 
 
@@ -338,7 +336,6 @@ def test_isolated_nodes_and_a_single_node():
             assert np.allclose(factor.solve(np.ones((m, 3))), [1, 0.5, 0.25])
             assert np.allclose(factor.diagonal_covariances(), np.diag([1, 0.5, 0.25]))
             assert np.allclose(factor.covariance(0, m - 1), np.diag([1, 0.5, 0.25]) if m == 1 else 0)
-            assert factor.logdet() == pytest.approx(m * np.log(8))
 
 
 def test_clear_errors():

@@ -1,4 +1,4 @@
-"""A drive seen from afar: joined motions, what lies between, and the same answer."""
+"""Coarse graphs: joined motions, the poses between the kept ones, and the same solution."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,10 @@ from graphslam.transform import coarse, filled
 
 @pytest.fixture(scope="module")
 def graph():
-    gentle = {"motion": MotionModel(nn=0.02, no=1e-4, on=0.01, oo=0.02), "sensor": SensorModel(0.02, 0.01, 0.01)}
+    gentle = {
+        "motion": MotionModel(nn=0.02, no=1e-4, on=0.01, oo=0.02),
+        "sensor": SensorModel(range_rate=0.02, bearing_std=0.01, orientation_std=0.01),
+    }
     log = simulate(seed=6, steps=61, clean=True, orientation=False, **gentle)
     return Graph.from_log(log, edges="landmark+motion", **gentle)
 

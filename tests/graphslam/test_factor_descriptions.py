@@ -32,15 +32,16 @@ Z = [[1.0, 0.2, 0.3], [1.5, -0.2, 0.1], [2.0, 0.4, -0.5]]
 AT = [[0.0, 0.1, 0.2], [1.0, 0.0, 0.3], [0.5, 0.5, 0.4]]
 FACTORS = {
     "anchor": lambda: AnchorFactor(0, [1, 2, 3], np.diag([1.0, 2.0, 3.0])),
-    "virtual": lambda: VirtualMotionFactor(0, 1, Z[0], Z[1], sensor, weight=2.0),
-    "virtual world": lambda: VirtualMotionFactor(0, 1, Z[0][:2], Z[1][:2], sensor, "world", at=(AT[0], AT[1])),
+    "virtual": lambda: VirtualMotionFactor(0, 1, Z[0], Z[1], sensor, scale=2.0),
+    "virtual world": lambda: VirtualMotionFactor(0, 1, Z[0][:2], Z[1][:2], sensor, frame="world", at=(AT[0], AT[1])),
     "virtual robust": lambda: VirtualMotionFactor(0, 1, Z[0], Z[1], kernel=Huber(2.0)),
-    "relative": lambda: RelativePoseFactor(0, 1, [1, 2, 3], np.eye(3), "world", at=AT[0]),
-    "motion": lambda: MotionFactor(0, 1, [0.2, 0.1], 3.0, MotionModel(nn=0.5), weight=3.0),
+    "relative": lambda: RelativePoseFactor(0, 1, [1, 2, 3], np.eye(3), frame="world", at=AT[0]),
+    "motion": lambda: MotionFactor(0, 1, [0.2, 0.1], 3.0, MotionModel(nn=0.5), scale=3.0),
     "observation": lambda: ObservationFactor(0, 2, Z[0], sensor),
-    "inverse": lambda: InverseObservationFactor(0, 2, Z[0], sensor, "world", at=AT[0]),
+    "observation without psi": lambda: ObservationFactor(0, 3, Z[0][:2], sensor, scale=0.5, kernel="cauchy"),
+    "inverse": lambda: InverseObservationFactor(0, 2, Z[0], sensor, frame="world", at=AT[0]),
     "point": lambda: RelativePointFactor(0, 3, [1, 2], np.eye(2)),
-    "landmark": lambda: LandmarkFactor([0, 1, 2], Z, sensor, "body", "tempered", trust=[1, 0.5, 1]),
+    "landmark": lambda: LandmarkFactor([0, 1, 2], Z, sensor, weight="tempered", trust=[1, 0.5, 1]),
     "landmark twice": lambda: LandmarkFactor([0, 1, 0], np.array(Z)[:, :2], weight="marginal", frame="world", at=AT),
 }
 
@@ -75,7 +76,7 @@ def test_a_factor_built_anew_is_the_same(name, values, tmp_path):
         assert describe(other) == description
 
 
-def test_a_factor_that_only_the_graph_holds_still_tells():
+def test_a_factor_that_only_the_graph_holds_can_be_described():
     graph = gtsam.NonlinearFactorGraph()
     graph.add(VirtualMotionFactor(7, 9, Z[0], Z[1]))
     gc.collect()
@@ -85,6 +86,25 @@ def test_a_factor_that_only_the_graph_holds_still_tells():
     np.testing.assert_array_equal(description.arguments["z_2"], Z[1])
     rekeyed = description.rekeyed({9: 4})
     assert list(rekeyed.build().keys()) == [7, 4] and rekeyed != description
+
+
+def test_a_type_registers_itself():
+    class HeadingFactor(AnchorFactor):
+        pass
+
+    factor = HeadingFactor(4, [0, 0, 1])
+    assert type(describe(factor).build()) is HeadingFactor
+    assert type(describe(AnchorFactor(4, [0, 0, 1])).build()) is AnchorFactor
+
+
+def test_repeated_keys_of_a_landmark_are_renamed_together(values):
+    factor = LandmarkFactor([0, 1, 0], Z)
+    assert list(factor.keys()) == [0, 1]
+    moved = describe(factor).rekeyed({0: 2, 1: 0}).build()
+    other = gtsam.Values()
+    other.insert(2, values.atPose2(0))
+    other.insert(0, values.atPose2(1))
+    assert list(moved.keys()) == [2, 0] and moved.error(other) == factor.error(values)
 
 
 def test_others_and_functions_are_refused(tmp_path):

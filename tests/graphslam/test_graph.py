@@ -25,6 +25,11 @@ def test_the_books_numbers_of_edges(book_log, shared_data):
     assert Graph.from_log(load(shared_data("lnpr/log_for_book.txt")), edges="virtual").num_edges == 700
 
 
+def test_repr_is_one_line_with_the_counts(book_log):
+    edges = "1 AnchorEdges, 807 VirtualMotionEdges, 61 RelativePoseEdges"
+    assert repr(Graph.from_log(book_log)) == f"Graph(62 poses, 0 landmarks; {edges})"
+
+
 def test_poses_without_sightings_leave_the_graph_but_keep_their_numbers():
     graph = Graph.from_log(log_of([(0, 1), (1, 1), (3, 1)]), edges="virtual")
     assert graph.steps.tolist() == [0, 1, 3]

@@ -7,7 +7,15 @@ from graphslam.solvers.start import dead_reckoning, rotation_first
 
 PERFECT = {
     "motion_faults": MotionFaults(kicks_per_metre=0, velocity_bias_std=0),
-    "sensor_faults": SensorFaults(0, 0, 0, 0, 0, 0, oversight=0),
+    "sensor_faults": SensorFaults(
+        range_noise_rate=0,
+        bearing_noise=0,
+        orientation_noise=0,
+        range_bias_rate_std=0,
+        bearing_bias_std=0,
+        orientation_bias_std=0,
+        oversight=0,
+    ),
 }
 
 
@@ -16,7 +24,7 @@ PERFECT = {
     [("virtual", 3), ("virtual+motion", 3), ("virtual+motion", 2), ("landmark+motion", 3), ("landmark+motion", 2)],
 )
 def test_noise_free_logs_are_solved_by_the_start_alone(edges, dimensions):
-    log = simulate(**WORLDS["garden"], **PERFECT, seed=0)
+    log = simulate(WORLDS["garden"], **PERFECT, seed=0)
     graph = Graph.from_log(log, edges=edges, dimensions=dimensions)
     lost = graph.initial + np.random.default_rng(0).normal(size=graph.initial.shape) * 3
     lost[0] = graph.initial[0]
@@ -48,9 +56,7 @@ def test_auto_is_never_above_the_given_start(edges):
 
 def test_auto_does_without_headings_where_it_must(book_log):
     # 2-D virtual edges alone measure no heading: auto then starts from the given values
-    log = simulate(
-        **WORLDS["garden"] | {"max_range": 12.0, "field_of_view": 6.28}, **PERFECT, seed=0, orientation=False
-    )
+    log = simulate(WORLDS["garden"], max_range=12.0, field_of_view=6.28, **PERFECT, seed=0, orientation=False)
     solution = solve(Graph.from_log(log, edges="virtual"), initialize="auto")
     assert solution.converged
     assert "started given" in solution.reason

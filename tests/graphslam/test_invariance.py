@@ -29,7 +29,7 @@ def random_graph(seed, nodes=12):
 def graph_of(initial, first, second, measured, information, fixed=0):
     edges = RelativePoseEdges(np.asarray(first), np.asarray(second), measured, information)
     steps = np.arange(len(initial))
-    return Graph(initial, (edges,), steps=steps, trajectory=initial, pose_ids=steps, fixed=np.array([fixed]))
+    return Graph(initial, families=(edges,), steps=steps, trajectory=initial, pose_ids=steps, fixed=np.array([fixed]))
 
 
 def same(a, b, tolerance=1e-9):

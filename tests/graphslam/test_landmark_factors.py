@@ -72,11 +72,21 @@ def test_observations_of_landmark_nodes(sensor):
         z = random_sightings(rng, 1, 3)[0]
         if np.hypot(*(m - sensor.mount(x))[:2]) > 0.3:
             check(ObservationFactor(0, 1, z, sensor), [x, m], angles=[1, 2])
-            # GTSAM's own, bearing first, where it can be
-            check(ObservationFactor(0, 1, z[:2], sensor), [x, m[:2]], angles=[0 if sensor.centred else 1])
+            ours = ObservationFactor(0, 1, z[:2], sensor, scale=1.7)
+            check(ours, [x, m[:2]], angles=[1])
+            fastest = ours.fastest()
+            assert (type(fastest) is gtsam.BearingRangeFactor2D) == sensor.centred
+            values = values_of(x, m[:2])
+            assert fastest.error(values) == pytest.approx(ours.error(values), rel=1e-9)
+            a, b = (factor.linearize(values).augmentedJacobian() for factor in (fastest, ours))
+            np.testing.assert_allclose(a.T @ a, b.T @ b, rtol=1e-9, atol=1e-9 * np.abs(b.T @ b).max())
+            with_psi = ObservationFactor(0, 1, z, sensor)
+            assert with_psi.fastest() is with_psi
         for frame in ("world", "body"):
-            check(InverseObservationFactor(0, 1, z, sensor, frame, at=random_poses(rng, 1)[0]), [x, m], angles=[2])
-            check(InverseObservationFactor(0, 1, z[:2], sensor, frame, at=random_poses(rng, 1)[0]), [x, m[:2]])
+            check(
+                InverseObservationFactor(0, 1, z, sensor, frame=frame, at=random_poses(rng, 1)[0]), [x, m], angles=[2]
+            )
+            check(InverseObservationFactor(0, 1, z[:2], sensor, frame=frame, at=random_poses(rng, 1)[0]), [x, m[:2]])
         check(RelativePointFactor(0, 1, rng.normal(size=2), np.array([[2.0, 0.5], [0.5, 1.0]])), [x, m[:2]])
 
 
@@ -86,7 +96,7 @@ def test_relative_poses():
     for _ in range(STATES):
         a, b = random_poses(rng)
         for frame in ("world", "body"):
-            check(RelativePoseFactor(0, 1, rng.normal(size=3), omega, frame, at=a + 0.1), [a, b], angles=[2])
+            check(RelativePoseFactor(0, 1, rng.normal(size=3), omega, frame=frame, at=a + 0.1), [a, b], angles=[2])
 
 
 @sensors
@@ -102,7 +112,7 @@ def test_the_landmark_eliminated(frame, d, sensor):
         at = poses[node] + rng.normal(scale=0.1, size=(5, 3))
         state = poses + rng.normal(scale=0.1, size=poses.shape)
         trust = rng.uniform(0.2, 1, 5)
-        check(LandmarkFactor(node, z[:, :d], sensor, frame, "marginal", at=at, trust=trust), list(state))
+        check(LandmarkFactor(node, z[:, :d], sensor, frame=frame, weight="marginal", at=at, trust=trust), list(state))
 
 
 @sensors
@@ -116,14 +126,15 @@ def test_all_pairs_in_one_factor(frame, d, weight, sensor):
         node = np.array([0, 1, 2, 3, 1, 4])
         poses, z, trust = random_poses(rng, 5), random_sightings(rng, 6, d), rng.uniform(0.2, 1, 6)
         at = random_poses(rng, 6)
-        one = LandmarkFactor(node, z, sensor, frame, weight, at=at, trust=trust)
+        one = LandmarkFactor(node, z, sensor, frame=frame, weight=weight, at=at, trust=trust)
         many = gtsam.NonlinearFactorGraph()
         for a in range(6):
             for b in range(a + 1, 6):
                 if node[a] != node[b]:
                     w = trust[a] * trust[b] * (2 / trust.sum() if weight == "tempered" else 1.0)
                     i, j = node[a], node[b]
-                    many.add(VirtualMotionFactor(i, j, z[a], z[b], sensor, frame, at=(at[a], at[b]), weight=w))
+                    pair_at = (at[a], at[b])
+                    many.add(VirtualMotionFactor(i, j, z[a], z[b], sensor, frame=frame, at=pair_at, scale=w))
         values = values_of(*poses)
         assert one.error(values) == pytest.approx(many.error(values), rel=1e-12)
         linear, expected = one.linearize(values), many.linearize(values).hessian()

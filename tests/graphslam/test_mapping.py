@@ -21,7 +21,7 @@ def test_weighted_mean_by_hand():
     # both from the origin: straight ahead at 1 m and at 2 m, so variances 0.01 and 0.04 along x
     log = Log(initial_poses=np.zeros((1, 3)), steps=[0, 0], landmarks=[5, 5], sightings=[[1.0, 0.0], [2.0, 0.0]])
     sensor = SensorModel(range_rate=0.1, bearing_std=0.3)
-    landmarks = estimate_map(log, log.initial_poses, sensor)
+    landmarks = estimate_map(log, log.initial_poses, sensor=sensor)
     np.testing.assert_allclose(landmarks[5], [(1 / 0.01 + 2 / 0.04) / (1 / 0.01 + 1 / 0.04), 0.0], atol=1e-12)
     across = 1 / (1 / 0.3**2 + 1 / 0.6**2)
     np.testing.assert_allclose(landmarks.covariances[5], np.diag([1 / 125, across]), atol=1e-12)

@@ -30,13 +30,13 @@ def random_edges(rng, frame, d, kernel=None, trust=True, noise=0.3):
         size=(12, 3)
     )
     weights = rng.uniform(0.3, 1, 12) if trust else None
-    return MarginalEdges(starts, nodes, z[:, :d], sensor, frame, kernel, weights), poses
+    return MarginalEdges(starts, nodes, z[:, :d], sensor, frame=frame, kernel=kernel, trust=weights), poses
 
 
 def with_landmark_nodes(edges, state, reference, means):
     """Omega, xi over poses and landmarks of the residuals e = m - h^-1(x, z), edge by edge, in world axes."""
     d = edges.sightings.shape[1]
-    y, lever, _ = edges.placed(state)
+    y, lever = edges.placed(state)
     at = state if edges.frame == "body" else reference
     W = np.linalg.inv(sensor.landmark_covariance(at[edges.nodes], edges.sightings))
     size = 18 + 3 * d
@@ -52,8 +52,8 @@ def with_landmark_nodes(edges, state, reference, means):
         B[:, 3 * node : 3 * node + 3] = by_pose
         at_landmark = 18 + d * edges.group[k]
         B[:, at_landmark : at_landmark + d] = np.eye(d)
-        squares[k] = e @ W[k] @ e * edges._robust[2][k]
-        w = edges._robust[2][k] * (1.0 if edges.kernel is None else edges.kernel.weight(squares[k]))
+        squares[k] = e @ W[k] @ e * edges.trusted[k]
+        w = edges.trusted[k] * (1.0 if edges.kernel is None else edges.kernel.weight(squares[k]))
         omega += w * B.T @ W[k] @ B
         xi -= w * B.T @ W[k] @ e
     cost = squares.sum() if edges.kernel is None else edges.kernel.loss(squares).sum()
@@ -130,8 +130,8 @@ def test_tempered_equals_marginal_where_all_sightings_are_alike():
     z = np.column_stack([np.full(4, 2.0), np.zeros(4)])
     dense = []
     for edges in (
-        VirtualMotionEdges(starts, nodes, z, isotropic, "world", tempered=True),
-        MarginalEdges(starts, nodes, z, isotropic, "world"),
+        VirtualMotionEdges(starts, nodes, z, isotropic, frame="world", tempered=True),
+        MarginalEdges(starts, nodes, z, isotropic, frame="world"),
     ):
         system = BlockSystem.from_cliques(4, [edges.cliques()])
         edges.accumulate(poses, poses, system)
@@ -162,7 +162,7 @@ def test_pairs_are_too_sure_by_about_half_the_sightings():
 
 
 def test_a_landmark_seen_once_costs_nothing():
-    one = MarginalEdges(np.array([0, 1]), np.array([0]), np.array([[2.0, 0.1, 0.2]]), sensor, "body")
+    one = MarginalEdges(np.array([0, 1]), np.array([0]), np.array([[2.0, 0.1, 0.2]]), sensor)
     system = BlockSystem.from_cliques(1, [one.cliques()])
     assert one.accumulate(np.zeros((1, 3)), np.zeros((1, 3)), system) == 0.0
     np.testing.assert_allclose(system.values, 0, atol=1e-10)
@@ -180,7 +180,7 @@ def test_the_books_log_without_and_with_trust(book_log):
 
 @pytest.mark.parametrize("turned", [np.pi, 2.9, 2.0])
 def test_the_landmark_does_not_depend_on_which_sighting_comes_first(turned):
-    """A heading on the far side of the seam: the cost is that of m̂, and the same in every order of the sightings."""
+    """A heading that wraps: the cost is that of m̂, and the same in every order of the sightings."""
     rng = np.random.default_rng(5)
     K, costs = 6, []
     state = np.column_stack([rng.normal(size=(K, 2)), rng.uniform(-np.pi, np.pi, K)])
@@ -190,7 +190,7 @@ def test_the_landmark_does_not_depend_on_which_sighting_comes_first(turned):
     z[2, 2] += turned
     gradients = []
     for order in [np.roll(np.arange(K), k) for k in range(K)]:
-        edges = MarginalEdges(np.array([0, K]), order, z[order], sensor, "body")
+        edges = MarginalEdges(np.array([0, K]), order, z[order], sensor)
         costs.append(edges.cost(state, state))
         e = edges.linearize(state, state)
         assert np.abs(e.residuals[:, 2]).max() <= np.pi

@@ -74,7 +74,7 @@ def test_huang_without_truth_or_noise(huang):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("store_turnrate", np.zeros((1, 2)), "2 turn rates for the 3 speeds"),
+        ("store_turnrate", np.zeros((1, 2)), "'store_turnrate' should be 1 x 3, but is 1 x 2"),
         ("store_speed", np.zeros((3, 1)), "'store_speed' should be 1 x N, but is 3 x 1"),
         ("store_speed", np.array([[1.0, np.nan, 2.0]]), "not finite"),
         ("store_robotTrue", np.zeros((3, 9)), "should be 3 x 4"),
@@ -119,7 +119,7 @@ def test_lost_in_the_woods(tmp_path):
     ("changes", "message"),
     [
         ({"t": np.zeros((4, 1))}, "run backwards or stand still at row 2"),
-        ({"l": np.zeros((3, 2))}, "l has 3 landmarks, but r has 2 columns"),
+        ({"l": np.zeros((3, 2))}, "'l' should be 2 x 2, but is 3 x 2"),
         ({"r": np.zeros((4, 2))}, "no sighting of any landmark"),
         ({"b": np.zeros((4, 3))}, "'b' should be 4 x 2, but is 4 x 3"),
         ({"d": [[0.1, 0.2]]}, "'d' should be 1 x 1"),

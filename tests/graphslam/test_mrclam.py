@@ -46,7 +46,7 @@ def test_a_folder_is_read_by_what_is_in_it(folder):
         np.testing.assert_allclose(y + 2 * np.sin(theta + np.pi / 2), 0, atol=1e-4)
     assert sorted(log.true_landmarks) == [6, 7]
     assert "1 of 5 sightings are of other robots: left out" in log.notes
-    assert "1 of 5 sightings are of barcodes that belong to nobody: left out" in log.notes
+    assert "1 of 5 sightings are of unknown barcodes: left out" in log.notes
     assert "the truth covers 2 of 3 poses" in log.notes
 
 
@@ -77,9 +77,9 @@ def test_of_several_robots_one_must_be_named(folder):
 @pytest.mark.parametrize(
     ("name", "holds"),
     [
-        ("Barcodes.dat", "which barcode each robot and landmark wears"),
+        ("Barcodes.dat", "which barcode each robot and landmark has"),
         ("Robot2_Odometry.dat", "the velocities of the robot"),
-        ("Robot2_Measurement.dat", "the ranges and bearings that the robot saw"),
+        ("Robot2_Measurement.dat", "the ranges and bearings that the robot measured"),
     ],
 )
 def test_a_missing_file_is_named_with_what_it_would_hold(folder, name, holds):
@@ -106,7 +106,7 @@ def test_a_missing_map_is_said(folder):
         ("Robot2_Groundtruth.dat", "1248444170.000 1 1 1", "time runs backwards"),
         ("Robot2_Measurement.dat", "1248444178.900 63 0.0 0.5", ":8: the range should be above zero, not 0"),
         ("Robot2_Measurement.dat", "1248444178.900 63.7 1.0 0.5", ":8: the barcode should be a whole number, not 63.7"),
-        ("Barcodes.dat", "9 63", "two subjects wear the same barcode"),
+        ("Barcodes.dat", "9 63", "two subjects have the same barcode"),
     ],
 )  # fmt: skip
 def test_damaged_lines_are_blamed(folder, name, line, message):

@@ -42,7 +42,7 @@ def test_it_ends_at_the_batch_answer(name, options, book_log):
         assert np.abs(off).max() < 1e-5
 
 
-def test_fed_by_hand_it_tells_where_it_is(clean_log):
+def test_fed_step_by_step_it_knows_the_poses_so_far(clean_log):
     """After every step the estimate is that of the batch graph of the log so far."""
     log = clean_log
     smoother = IncrementalSmoother(log.initial_poses[0], weight="marginal")
@@ -53,24 +53,35 @@ def test_fed_by_hand_it_tells_where_it_is(clean_log):
         smoother.observe(log.landmarks[now], log.sightings[now])
         smoother.update()
         assert len(smoother.poses) == step + 1
-    seen = log.steps <= 30
+    past = log.steps <= 30
     so_far = log.replace(
         dt=log.dt[:30], controls=log.controls[:30], initial_poses=log.initial_poses[:31], true_poses=None,
-        steps=log.steps[seen], landmarks=log.landmarks[seen], sightings=log.sightings[seen],
+        steps=log.steps[past], landmarks=log.landmarks[past], sightings=log.sightings[past],
     )  # fmt: skip
-    batch = solve(Graph.from_log(so_far, weight="marginal"))
+    batch = solve(Graph.from_log(so_far, weight="marginal"), initialize="given")
     off = smoother.poses - batch.poses
     off[:, 2] = wrap(off[:, 2])
     assert np.abs(off).max() < 1e-2
     assert smoother.landmarks == {}
-    # and it goes on after everything was relinearised
+    # it continues after everything was relinearised
     smoother.settle()
-    smoother.move(log.controls[30], log.dt[30])
-    smoother.update()
-    assert len(smoother.poses) == 32
+    for step in (31, 32, 33):
+        smoother.move(log.controls[step - 1], log.dt[step - 1])
+        now = log.steps == step
+        assert now.any()
+        smoother.observe(log.landmarks[now], log.sightings[now])
+        smoother.update()
+    past = log.steps <= 33
+    so_far = log.replace(
+        dt=log.dt[:33], controls=log.controls[:33], initial_poses=log.initial_poses[:34], true_poses=None,
+        steps=log.steps[past], landmarks=log.landmarks[past], sightings=log.sightings[past],
+    )  # fmt: skip
+    batch = solve(Graph.from_log(so_far, weight="marginal"), initialize="given")
+    smoother.settle()
+    np.testing.assert_allclose(wrap(smoother.poses - batch.poses), 0, atol=1e-6)
 
 
-def test_parameters_of_ones_own(book_log):
+def test_given_parameters(book_log):
     params = gtsam.ISAM2Params()
     params.setOptimizationParams(gtsam.ISAM2DoglegParams())
     params.relinearizeSkip = 1
@@ -87,8 +98,32 @@ def test_parameters_of_ones_own(book_log):
         ({"dimensions": 2}, GraphError, "use weight='marginal'"),
         ({"kernel": "huber"}, OptionError, "landmark\\+motion"),
         ({"weight": "all"}, OptionError, "weight must be one of"),
+        ({"frame": "world"}, GraphError, "use frame='body'"),
     ],
 )
-def test_what_does_not_go_online(options, error, message, book_log):
+def test_options_that_isam2_does_not_have(options, error, message, book_log):
     with pytest.raises(error, match=message):
         solve_online(book_log, **options)
+
+
+@pytest.mark.parametrize(
+    ("call", "arguments", "message"),
+    [
+        ("observe", ([1.5], [[1, 0, 0]]), "ids must be whole numbers"),
+        ("observe", ([1, 2], [[1, 0, 0]]), "sightings must be 2 rows of 2 or 3 finite numbers"),
+        ("observe", ([1], [[float("nan"), 0, 0]]), "finite numbers"),
+        ("observe", ([1], [[0, 0, 0]]), "ranges of sightings must be above zero"),
+        ("move_by", ([1, 0], np.eye(3)), "motion must be 3 finite numbers"),
+        ("move_by", ([1, 0, 0], -np.eye(3)), "covariance must be a symmetric positive definite 3 x 3 matrix"),
+        ("move_by", ([1, 0, 0], "large"), "covariance must be a symmetric positive definite 3 x 3 matrix"),
+        ("move", ([1, 0], 0.0), "dt must be a positive number"),
+    ],
+)
+def test_an_impossible_input_changes_nothing(call, arguments, message):
+    smoother = IncrementalSmoother(gtsam.Pose2(1, 2, 3), edges="landmark+motion")
+    with pytest.raises(OptionError, match=message):
+        getattr(smoother, call)(*arguments)
+    assert smoother.num_poses == 1
+    smoother.update()
+    np.testing.assert_allclose(smoother.poses, [[1, 2, 3]])
+    assert smoother.landmarks == {}

@@ -181,8 +181,8 @@ def test_an_angle_of_a_billion(tmp_path):
         (SQUARE + "EDGE_SE2 1 1 0 0 0 1 0 0 1 0 1\n", 10, "from node 1 to itself"),
         (SQUARE + "EDGE_SE2 0 1 0 0 0 1 0 0 -1 0 1\n", 10, "not positive semi-definite"),
         (SQUARE + "EDGE_SE2 0 1 0 0 0 1 5 0 1 0 1\n", 10, "not positive semi-definite"),
-        (SQUARE + "EDGE_SE2 0 1 0 0 nan 1 0 0 1 0 1\n", 10, "found nan or inf"),
-        (SQUARE + "EDGE_SE2 0 1 0 0 x 1 0 0 1 0 1\n", 10, "expected a number, found 'x'"),
+        (SQUARE + "EDGE_SE2 0 1 0 0 nan 1 0 0 1 0 1\n", 10, "an entry is nan; only finite numbers"),
+        (SQUARE + "EDGE_SE2 0 1 0 0 x 1 0 0 1 0 1\n", 10, "an entry should be a number, not 'x'"),
         (SQUARE + "EDGE_SE2 0 1 0 0 0 1 0 0 1 0\n", 10, "12 columns, found 11"),
         (SQUARE + "EDGE_SE2 0 1.5 0 0 0 1 0 0 1 0 1\n", 10, "should be a whole number, not '1.5'"),
         (SQUARE + "FIX 5\n", 10, "FIX names node 5"),
@@ -253,7 +253,7 @@ def test_an_edge2_that_could_be_either_is_refused(tmp_path):
     [
         ("EDGE_SE2 0 9223372036854775808 1 0 0 1 0 0 1 0 1", r":4: .*64 bits"),
         ("EDGE_SE2 0 1_0 1 0 0 1 0 0 1 0 1", ":4: "),
-        ("EDGE_SE2 0 1 1_0 0 0 1 0 0 1 0 1", ":4: expected a number"),
+        ("EDGE_SE2 0 1 1_0 0 0 1 0 0 1 0 1", ":4: an entry should be a number"),
         ("ODOMETRY 0 1 1 0 0 1e200 0 0 1 0 1", ":4: .*overflows"),
         ("FIX", ":4: expected 'FIX id"),
     ],
@@ -284,5 +284,5 @@ def test_a_state_that_is_none_is_not_written(tmp_path):
     graph = Graph.from_g2o(written(tmp_path, SQUARE))
     for state in (graph.initial[:-1], np.full_like(graph.initial, np.nan)):
         with pytest.raises(OptionError, match="state must be"):
-            graph.save_g2o(tmp_path / "bad.g2o", state)
+            graph.save_g2o(tmp_path / "bad.g2o", state=state)
     assert not (tmp_path / "bad.g2o").exists()

@@ -47,15 +47,15 @@ def test_relative_edges_say_the_same_where_sightings_have_no_noise(edges, dimens
     log = log if dimensions == 3 else log.without_orientation()
     graph = Graph.from_log(log, edges=edges, sensor=sensor, **options)
     relative = relative_graph(graph)
-    expected, found = omega(graph, graph.initial), omega(relative, relative.initial)
-    assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
+    expected, ours = omega(graph, graph.initial), omega(relative, relative.initial)
+    assert np.abs(ours - expected).max() < 1e-9 * np.abs(expected).max()
     assert relative.cost(relative.initial) == pytest.approx(graph.cost(graph.initial), rel=1e-9)
 
 
 def test_written_graph_read_again_has_the_optimum(tmp_path):
     graph = Graph.from_log(load(sample_log_path()), edges="virtual+motion")
     solution = solve(graph, initialize="auto")
-    relative = relative_graph(graph, solution.state)
+    relative = relative_graph(graph, state=solution.state)
     relative.save_g2o(tmp_path / "sample.g2o")
     again = solve(Graph.from_g2o(tmp_path / "sample.g2o"))
     here = solve(relative)

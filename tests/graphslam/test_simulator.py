@@ -15,12 +15,16 @@ from graphslam import (
 )
 from graphslam.se2 import wrap
 
-QUIET = SensorFaults(0, 0, 0, 0, 0, 0, oversight=0.0)
+STILL = {
+    "range_noise_rate": 0.0, "bearing_noise": 0.0, "orientation_noise": 0.0, "oversight": 0.0,
+}  # fmt: skip
+NO_BIAS = {"range_bias_rate_std": 0.0, "bearing_bias_std": 0.0, "orientation_bias_std": 0.0}
+QUIET = SensorFaults(**STILL, **NO_BIAS)
 SMOOTH = MotionFaults(kicks_per_metre=0, velocity_bias_std=0)
 
 
 def test_the_sample_log_is_what_its_command_makes():
-    assert load(sample_log_path()).equals(simulate(**WORLDS["garden"], seed=1))
+    assert load(sample_log_path()).equals(simulate(WORLDS["garden"], seed=1))
 
 
 def test_the_same_seed_makes_the_same_log():
@@ -101,7 +105,7 @@ def test_kidnapping_sets_the_robot_down_elsewhere():
 
 
 def test_sensor_bias_is_one_for_the_run():
-    faults = SensorFaults(0, 0, 0, range_bias_rate_std=0.2, bearing_bias_std=0.1, orientation_bias_std=0.1, oversight=0)
+    faults = SensorFaults(**STILL, range_bias_rate_std=0.2, bearing_bias_std=0.1, orientation_bias_std=0.1)
     log = simulate(motion_faults=SMOOTH, sensor_faults=faults, seed=3)
     world = np.array([log.true_landmarks[j] for j in log.landmarks.tolist()])
     exact = SensorModel().h(log.true_poses[log.steps], world)
@@ -113,7 +117,7 @@ def test_sensor_bias_is_one_for_the_run():
 @pytest.mark.parametrize(("fault", "share"), [("oversight", 0.3), ("phantom", 0.3), ("occlusion", 0.3)])
 def test_faulty_sightings_come_at_their_rate(fault, share):
     clear = simulate(motion_faults=SMOOTH, sensor_faults=QUIET, steps=1500)
-    faults = SensorFaults(0, 0, 0, 0, 0, 0, **({"oversight": 0.0} | {fault: share}))
+    faults = SensorFaults(**(STILL | NO_BIAS | {fault: share}))
     log = simulate(motion_faults=SMOOTH, sensor_faults=faults, steps=1500)
     if fault == "oversight":
         assert len(log.steps) / len(clear.steps) == pytest.approx(1 - share, abs=0.05)

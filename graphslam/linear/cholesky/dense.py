@@ -1,5 +1,5 @@
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
-"""Dense factorisation with LAPACK, for matrices whose factor is all but full."""
+"""Dense factorisation with LAPACK, for matrices whose factor is almost full."""
 
 from typing import Any
 
@@ -27,36 +27,6 @@ def scatter(n, indptr, indices, values, scaled, shift, a):
     return diagonal
 
 
-def factorize(a: NDArray[Any], diagonal: NDArray[Any], tolerance: float) -> int:
-    """Cholesky factor in place in the lower triangle of Fortran-ordered ``a``; the bad scalar pivot, or -1."""
-    _, info = lapack.dpotrf(a, lower=1, clean=0, overwrite_a=1)
-    done = info - 1 if info > 0 else diagonal.size
-    pivots = np.diagonal(a)[:done]
-    bad = np.flatnonzero(~(pivots * pivots > tolerance * diagonal[:done]))
-    if bad.size:
-        return int(bad[0])
-    return done if info > 0 else -1
-
-
-def null_vector(a: NDArray[Any], bad: int) -> NDArray[np.float64]:
-    """Vector (3n,) with a unit at the bad pivot that the leading rows of the matrix map to zero."""
-    v = np.zeros(a.shape[0])
-    v[bad] = 1.0
-    if bad:
-        v[:bad] = -lapack.dtrtrs(a[:bad, :bad], a[bad, :bad], lower=1, trans=1)[0]
-    return v
-
-
-def inverse(a: NDArray[Any]) -> NDArray[np.float64]:
-    """Lower triangle of the inverse from the factor."""
-    return lapack.dpotri(a, lower=1)[0]
-
-
-def solve(a: NDArray[Any], rhs: NDArray[Any]) -> NDArray[np.float64]:
-    """Solution (3n, k) from the factor."""
-    return lapack.dpotrs(a, rhs, lower=1)[0]
-
-
 class DenseStore:
     """Full matrix, factor and inverse of one dense factorisation."""
 
@@ -68,13 +38,23 @@ class DenseStore:
         self.z: NDArray[np.float64] | None = None
 
     def factorize(self, values: NDArray[Any], tolerance: float, scaled: float, shift: float) -> int:
-        """Bad scalar pivot, or -1."""
+        """Cholesky factor in place in the lower triangle of ``a``; the bad scalar pivot, or -1."""
         diagonal = scatter(self.n, self.indptr, self.indices, values, scaled, shift, self.a.T)
-        return factorize(self.a, diagonal, tolerance)
+        _, info = lapack.dpotrf(self.a, lower=1, clean=0, overwrite_a=1)
+        done = info - 1 if info > 0 else diagonal.size
+        pivots = np.diagonal(self.a)[:done]
+        bad = np.flatnonzero(~(pivots * pivots > tolerance * diagonal[:done]))
+        if bad.size:
+            return int(bad[0])
+        return done if info > 0 else -1
 
     def null_vector(self, bad: int) -> NDArray[np.float64]:
-        """Null vector (n, 3) after a bad pivot."""
-        return null_vector(self.a, bad).reshape(-1, 3)
+        """Vector (n, 3) with a unit at the bad pivot that the leading rows of the matrix map to zero."""
+        v = np.zeros(3 * self.n)
+        v[bad] = 1.0
+        if bad:
+            v[:bad] = -lapack.dtrtrs(self.a[:bad, :bad], self.a[bad, :bad], lower=1, trans=1)[0]
+        return v.reshape(-1, 3)
 
     def pivot_place(self, bad: int) -> tuple[int, int]:
         """Node and component of a scalar pivot."""
@@ -82,15 +62,14 @@ class DenseStore:
 
     def solve(self, rhs: NDArray[Any], out: NDArray[Any]) -> None:
         """One right-hand side, flat (3n,)."""
-        out[:] = solve(self.a, rhs)
+        out[:] = lapack.dpotrs(self.a, rhs, lower=1)[0]
 
     def invert(self) -> NDArray[np.float64]:
         """Inverse; returns its diagonal blocks (n, 3, 3)."""
-        self.z = inverse(self.a)
+        self.z = lapack.dpotri(self.a, lower=1)[0]
         k = np.arange(self.n)
         blocks = self._blocks(k, k)
-        lower = np.tril(blocks)
-        return lower + np.tril(blocks, -1).transpose(0, 2, 1)
+        return np.tril(blocks) + np.tril(blocks, -1).transpose(0, 2, 1)
 
     def _blocks(self, i: NDArray[Any], j: NDArray[Any]) -> NDArray[np.float64]:
         assert self.z is not None
@@ -103,7 +82,3 @@ class DenseStore:
         if i == j:
             return np.tril(block) + np.tril(block, -1).T
         return block if i > j else block.T
-
-    def logdet(self) -> float:
-        """log det Omega."""
-        return float(2.0 * np.log(np.diagonal(self.a)).sum())

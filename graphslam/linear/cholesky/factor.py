@@ -37,25 +37,6 @@ def _pattern_fault(n, indptr, indices):
     return -1
 
 
-@njit(cache=True, error_model="numpy")
-def _product(n, indptr, indices, values, scaled, shift, d, out):
-    """out -= (Omega + damping) d, flat vectors, from the upper triangle."""
-    for j in range(n):
-        for p in range(indptr[j], indptr[j + 1]):
-            i = indices[p]
-            for a in range(3):
-                for b in range(3):
-                    v = values[9 * p + 3 * a + b]
-                    if i != j:
-                        out[3 * i + a] -= v * d[3 * j + b]
-                        out[3 * j + b] -= v * d[3 * i + a]
-                    elif a == b:
-                        out[3 * j + a] -= (v * scaled + shift) * d[3 * j + a]
-                    elif a < b:
-                        out[3 * j + a] -= v * d[3 * j + b]
-                        out[3 * j + b] -= v * d[3 * j + a]
-
-
 class Symbolic:
     """Symbolic analysis of a symmetric pattern of 3x3 blocks; made by :func:`analyze`, good for any values.
 
@@ -105,8 +86,6 @@ class Factor:
             self._store = MultifrontalStore(symbolic.layout)
         self._diagonal: NDArray[np.float64] | None = None
         self._valid = False
-        self._values: NDArray[np.float64]
-        self._damping = (1.0, 0.0)
 
     def refactorize(
         self,
@@ -119,7 +98,7 @@ class Factor:
         """Factorise new values on the same pattern in place; arguments and errors as :meth:`Symbolic.factorize`.
 
         Args:
-            values: as there; kept, not copied, for iterative refinement.
+            values: as there.
             damping: as there.
             relative: as there.
             tolerance: a pivot must be greater than this times its (damped) diagonal entry.
@@ -132,9 +111,8 @@ class Factor:
             raise ValueError(f"damping must be finite and not negative, not {damping}")
         self._diagonal = None
         self._valid = False
-        self._values = values
-        self._damping = (1.0 + damping, 0.0) if relative else (1.0, damping)
-        bad = self._store.factorize(values.reshape(-1), tolerance, *self._damping)
+        scaled, shift = (1.0 + damping, 0.0) if relative else (1.0, damping)
+        bad = self._store.factorize(values.reshape(-1), tolerance, scaled, shift)
         if bad >= 0:
             self._raise(values, bad)
         self._valid = True
@@ -155,12 +133,11 @@ class Factor:
         if not self._valid:
             raise ValueError("no valid factorisation: the last one failed or none was made")
 
-    def solve(self, rhs: NDArray[Any], *, refine: int = 0) -> NDArray[np.float64]:
+    def solve(self, rhs: NDArray[Any]) -> NDArray[np.float64]:
         """Solve (Omega + damping) x = rhs.
 
         Args:
             rhs: (n, 3) or (n, 3, k), node order.
-            refine: steps of iterative refinement; none is needed for a relative residual of 1e-10.
 
         Returns:
             Solution of the same shape.
@@ -175,24 +152,11 @@ class Factor:
             raise ValueError(f"rhs must have shape ({n}, 3) or ({n}, 3, k), not {rhs.shape}")
         if not np.isfinite(rhs).all():
             raise ValueError("rhs holds NaN or infinity")
-        if rhs.ndim == 2:
-            return self._solve(np.ascontiguousarray(rhs).reshape(-1), refine).reshape(n, 3)
-        out = np.empty(rhs.shape)
-        for k in range(rhs.shape[2]):
-            out[:, :, k] = self._solve(np.ascontiguousarray(rhs[:, :, k]).reshape(-1), refine).reshape(n, 3)
-        return out
-
-    def _solve(self, rhs: NDArray[np.float64], refine: int) -> NDArray[np.float64]:
-        out = np.empty_like(rhs)
-        self._store.solve(rhs, out)
-        t = self.symbolic
-        for _ in range(refine):
-            residual = rhs.copy()
-            _product(t.n, t.indptr, t.indices, self._values.reshape(-1), *self._damping, out, residual)
-            step = np.empty_like(rhs)
-            self._store.solve(residual, step)
-            out += step
-        return out
+        if rhs.ndim == 3:
+            return np.stack([self.solve(rhs[:, :, k]) for k in range(rhs.shape[2])], axis=2)
+        out = np.empty(3 * n)
+        self._store.solve(np.ascontiguousarray(rhs).reshape(-1), out)
+        return out.reshape(n, 3)
 
     def diagonal_covariances(self) -> NDArray[np.float64]:
         """Diagonal blocks (n, 3, 3) of Omega^-1: the marginal covariance of every node.
@@ -222,11 +186,6 @@ class Factor:
         unit = np.zeros((n, 3, 3))
         unit[j] = np.eye(3)
         return self.solve(unit)[i].copy()
-
-    def logdet(self) -> float:
-        """log det(Omega + damping)."""
-        self._check()
-        return self._store.logdet()
 
 
 def analyze(

@@ -9,12 +9,6 @@ import numpy as np
 from numba import njit
 
 from .simd import (
-    add4x3,
-    add4x6,
-    add8x3,
-    add8x6,
-    add16x3,
-    add16x6,
     axpy4,
     axpy8,
     copy_vector,
@@ -24,18 +18,34 @@ from .simd import (
     plus3,
     plus6,
     plus12,
+    product_kernel,
     put,
     row_solve4,
     row_solve8,
-    set4x3,
-    set4x6,
-    set8x3,
-    set8x6,
-    set16x3,
-    set16x6,
 )
 
 PACK_ROWS, PACK_DEPTH = 240, 192  # a block of A in a third of a 1 MB second-level cache
+
+
+def _column_kernel(columns, accumulate):
+    """C = [C] - A B for ``columns`` columns and any multiple of 4 rows from i on, inlined into its caller."""
+    by16, by8, by4 = (product_kernel(*shape, columns, accumulate) for shape in ((8, 2), (8, 1), (4, 1)))
+
+    @njit(inline="always", error_model="numpy")
+    def kernel(c, ic, ldc, a, ia, lda, b, ib, step_k, step_j, i, rows, depth):
+        while i + 16 <= rows:
+            by16(c, ic + i, ldc, a, ia + i, lda, b, ib, step_k, step_j, depth)
+            i += 16
+        if i + 8 <= rows:
+            by8(c, ic + i, ldc, a, ia + i, lda, b, ib, step_k, step_j, depth)
+            i += 8
+        if i < rows:
+            by4(c, ic + i, ldc, a, ia + i, lda, b, ib, step_k, step_j, depth)
+
+    return kernel
+
+
+_add6, _add3, _set6, _set3 = (_column_kernel(*kind) for kind in ((6, True), (3, True), (6, False), (3, False)))
 
 
 @njit(cache=True, error_model="numpy")
@@ -43,29 +53,11 @@ def subtract_product(c, ic, ldc, a, ia, lda, b, ib, step_k, step_j, rows, column
     """C -= A B for ``rows`` (multiple of 4) x ``columns`` (multiple of 3), all inside flat arrays."""
     j = 0
     while j < columns:
-        wide = columns - j >= 6
-        cj = ic + j * ldc
-        bj = ib + j * step_j
-        i = 0
-        if wide:
-            while i + 16 <= rows:
-                add16x6(c, cj + i, ldc, a, ia + i, lda, b, bj, step_k, step_j, depth)
-                i += 16
-            if i + 8 <= rows:
-                add8x6(c, cj + i, ldc, a, ia + i, lda, b, bj, step_k, step_j, depth)
-                i += 8
-            if i < rows:
-                add4x6(c, cj + i, ldc, a, ia + i, lda, b, bj, step_k, step_j, depth)
+        if columns - j >= 6:
+            _add6(c, ic + j * ldc, ldc, a, ia, lda, b, ib + j * step_j, step_k, step_j, 0, rows, depth)
             j += 6
         else:
-            while i + 16 <= rows:
-                add16x3(c, cj + i, ldc, a, ia + i, lda, b, bj, step_k, step_j, depth)
-                i += 16
-            if i + 8 <= rows:
-                add8x3(c, cj + i, ldc, a, ia + i, lda, b, bj, step_k, step_j, depth)
-                i += 8
-            if i < rows:
-                add4x3(c, cj + i, ldc, a, ia + i, lda, b, bj, step_k, step_j, depth)
+            _add3(c, ic + j * ldc, ldc, a, ia, lda, b, ib + j * step_j, step_k, step_j, 0, rows, depth)
             j += 3
 
 
@@ -138,27 +130,11 @@ def negative_gram(c, ic, ldc, a, ia, lda, rows, columns, depth):
     """
     j = 0
     while j < columns:
-        cj = ic + j * ldc
-        i = j & ~3
         if columns - j >= 6:
-            while i + 16 <= rows:
-                set16x6(c, cj + i, ldc, a, ia + i, lda, a, ia + j, lda, 1, depth)
-                i += 16
-            if i + 8 <= rows:
-                set8x6(c, cj + i, ldc, a, ia + i, lda, a, ia + j, lda, 1, depth)
-                i += 8
-            if i < rows:
-                set4x6(c, cj + i, ldc, a, ia + i, lda, a, ia + j, lda, 1, depth)
+            _set6(c, ic + j * ldc, ldc, a, ia, lda, a, ia + j, lda, 1, j & ~3, rows, depth)
             j += 6
         else:
-            while i + 16 <= rows:
-                set16x3(c, cj + i, ldc, a, ia + i, lda, a, ia + j, lda, 1, depth)
-                i += 16
-            if i + 8 <= rows:
-                set8x3(c, cj + i, ldc, a, ia + i, lda, a, ia + j, lda, 1, depth)
-                i += 8
-            if i < rows:
-                set4x3(c, cj + i, ldc, a, ia + i, lda, a, ia + j, lda, 1, depth)
+            _set3(c, ic + j * ldc, ldc, a, ia, lda, a, ia + j, lda, 1, j & ~3, rows, depth)
             j += 3
 
 

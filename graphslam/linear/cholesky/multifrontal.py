@@ -12,8 +12,9 @@ from .symbolic import Layout
 
 
 @njit(cache=True, error_model="numpy")
-def _null_vector(bad, first, row_start, rows, panel_start, x, b, work):
+def _null_vector(bad, layout, x, b, work):
     """L' b = unit of column ``bad`` over the columns in front of it; b (3n,) comes in as zero."""
+    first, row_start, panel_start = layout.first, layout.row_start, layout.panel_start
     s = np.searchsorted(first, bad // 3, side="right") - 1
     head = 3 * first[s]
     width = 3 * (first[s + 1] - first[s])
@@ -27,18 +28,7 @@ def _null_vector(bad, first, row_start, rows, panel_start, x, b, work):
         for i in range(j + 1, bad - head + 1):
             total += x[at + j * ld + i] * b[head + i]
         b[head + j] = -total * x[at + j * (ld + 1)]
-    triangular.backward(first, row_start, rows, panel_start, x, b, work, s)
-
-
-@njit(cache=True, error_model="numpy")
-def _log_determinant(first, row_start, panel_start, x):
-    total = 0.0
-    for s in range(first.size - 1):
-        width = 3 * (first[s + 1] - first[s])
-        ld = width + ((3 * (row_start[s + 1] - row_start[s]) + 3) & ~3)
-        for j in range(width):
-            total -= np.log(x[panel_start[s] + j * (ld + 1)])
-    return 2.0 * total
+    triangular.backward(first, row_start, layout.rows, panel_start, x, b, work, s)
 
 
 class MultifrontalStore:
@@ -83,7 +73,7 @@ class MultifrontalStore:
         """Null vector (n, 3) in node order after a bad pivot."""
         t = self.layout
         b = np.zeros(self.b.size)
-        _null_vector(bad, t.first, t.row_start, t.rows, t.panel_start, self.x, b, self.work)
+        _null_vector(bad, t, self.x, b, self.work)
         out = np.empty((t.order.size, 3))
         out[t.order] = b.reshape(-1, 3)
         return out
@@ -107,37 +97,12 @@ class MultifrontalStore:
             self._transposed = np.empty(selected_inverse.BLOCK * t.tallest)
             self._gram = np.empty(selected_inverse.BLOCK * selected_inverse.BLOCK)
         diagonal = np.empty((t.order.size, 3, 3))
-        selected_inverse.selected_inverse(
-            t.order,
-            t.first,
-            t.row_start,
-            t.relative,
-            t.child_start,
-            t.children,
-            t.panel_start,
-            t.stack_start,
-            self.x,
-            self.z,
-            self.stack,
-            self.run,
-            self._front,
-            self._y,
-            self._transposed,
-            self._gram,
-            diagonal,
-        )
+        scratch = (self._front, self._y, self._transposed, self._gram)
+        selected_inverse.selected_inverse(t, self.x, self.z, self.stack, self.run, *scratch, diagonal)
         return diagonal
 
     def inverse_block(self, i: int, j: int) -> NDArray[np.float64] | None:
         """Block (i, j) of the inverse if it lies on the pattern of L; ``invert`` has run."""
         t = self.layout
         block = np.empty((3, 3))
-        found = selected_inverse.stored_block(
-            i, j, t.position, t.first, t.row_start, t.rows, t.panel_start, self.z, block
-        )
-        return block if found else None
-
-    def logdet(self) -> float:
-        """log det Omega."""
-        t = self.layout
-        return float(_log_determinant(t.first, t.row_start, t.panel_start, self.x))
+        return block if selected_inverse.stored_block(i, j, t, self.z, block) else None

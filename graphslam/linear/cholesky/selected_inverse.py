@@ -181,30 +181,15 @@ def _front(x, at, ld, width, r, f, y, transposed, gram):
 
 
 @njit(cache=True, error_model="numpy")
-def selected_inverse(
-    order,
-    first,
-    row_start,
-    relative,
-    child_start,
-    children,
-    panel_start,
-    stack_start,
-    x,
-    z,
-    u,
-    run,
-    f,
-    y,
-    transposed,
-    gram,
-    diagonal,
-):
+def selected_inverse(layout, x, z, u, run, f, y, transposed, gram, diagonal):
     """Panels ``z`` of Omega^-1 (diagonal blocks full), and its diagonal blocks (n, 3, 3) in node order.
 
     The factorisation run backwards: a supernode takes the inverse over its rows from the stack, extends it by its
     own columns and leaves its children their part at the very place where their update matrices had stood.
     """
+    order, first, row_start, relative = layout.order, layout.first, layout.row_start, layout.relative
+    child_start, children, stack_start = layout.child_start, layout.children, layout.stack_start
+    panel_start = layout.panel_start
     for s in range(first.size - 2, -1, -1):
         w = first[s + 1] - first[s]
         width = 3 * w
@@ -233,9 +218,10 @@ def selected_inverse(
 
 
 @njit(cache=True, error_model="numpy")
-def stored_block(i, j, position, first, row_start, rows, panel_start, z, block):
+def stored_block(i, j, layout, z, block):
     """Block (i, j) of the selected inverse into ``block`` (3, 3); False where the pattern of L has none."""
-    a, b = position[i], position[j]
+    a, b = layout.position[i], layout.position[j]
+    first, row_start, rows = layout.first, layout.row_start, layout.rows
     column, row = min(a, b), max(a, b)
     s = np.searchsorted(first, column, side="right") - 1
     w = first[s + 1] - first[s]
@@ -248,7 +234,7 @@ def stored_block(i, j, position, first, row_start, rows, panel_start, z, block):
             return False
         local += w
     ld = 3 * w + ((3 * (high - low) + 3) & ~3)
-    at = panel_start[s] + 3 * (column - first[s]) * ld + 3 * local
+    at = layout.panel_start[s] + 3 * (column - first[s]) * ld + 3 * local
     for c in range(3):
         for k in range(3):
             if a >= b:

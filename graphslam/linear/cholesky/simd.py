@@ -41,7 +41,7 @@ def _store(builder: Any, vector: Any, base: Any, index: Any) -> None:
     builder.store(vector, builder.bitcast(builder.gep(base, [index]), vector.type.as_pointer()), align=8)
 
 
-def _product_kernel(lanes: int, vectors: int, columns: int, accumulate: bool) -> Callable[..., None]:
+def product_kernel(lanes: int, vectors: int, columns: int, accumulate: bool) -> Callable[..., None]:
     """C (lanes*vectors, columns) = [C] - A B with A's rows contiguous and B of strides ``(step_k, step_j)``."""
 
     @intrinsic
@@ -101,20 +101,6 @@ def _product_kernel(lanes: int, vectors: int, columns: int, accumulate: bool) ->
         return signature, codegen
 
     return kernel
-
-
-add16x6 = _product_kernel(8, 2, 6, True)
-add8x6 = _product_kernel(8, 1, 6, True)
-add4x6 = _product_kernel(4, 1, 6, True)
-add16x3 = _product_kernel(8, 2, 3, True)
-add8x3 = _product_kernel(8, 1, 3, True)
-add4x3 = _product_kernel(4, 1, 3, True)
-set16x6 = _product_kernel(8, 2, 6, False)
-set8x6 = _product_kernel(8, 1, 6, False)
-set4x6 = _product_kernel(4, 1, 6, False)
-set16x3 = _product_kernel(8, 2, 3, False)
-set8x3 = _product_kernel(8, 1, 3, False)
-set4x3 = _product_kernel(4, 1, 3, False)
 
 
 def _row_solve_kernel(lanes: int) -> Callable[..., None]:

@@ -111,12 +111,12 @@ def test_steps_that_are_not_estimated_count_nowhere() -> None:
     truth, estimate = walk(5, steps=9)
     mask = np.array([True, True, False, True, True, True, False, True, False])
     spoiled = np.where(mask[:, None], estimate, 1e6)
-    assert ate(truth, spoiled, mask) == pytest.approx(ate(truth[mask], estimate[mask]))
-    assert np.isnan(position_errors(truth, spoiled, mask)[~mask]).all()
+    assert ate(truth, spoiled, mask=mask) == pytest.approx(ate(truth[mask], estimate[mask]))
+    assert np.isnan(position_errors(truth, spoiled, mask=mask)[~mask]).all()
     # of the neighbours only 0-1, 3-4 and 4-5 are both estimated
     parts = [rpe(truth[a : a + 2], estimate[a : a + 2]) for a in (0, 3, 4)]
     by_hand = np.sqrt(np.mean(np.square([part for part in parts if part is not None]), axis=0))
-    assert rpe(truth, spoiled, mask) == pytest.approx(tuple(by_hand))
+    assert rpe(truth, spoiled, mask=mask) == pytest.approx(tuple(by_hand))
 
 
 def test_headings_count_after_the_alignment_of_positions() -> None:
@@ -134,7 +134,7 @@ def test_headings_count_after_the_alignment_of_positions() -> None:
 
 def test_rpe_needs_neighbours() -> None:
     truth, estimate = walk(1, steps=4)
-    assert rpe(truth, estimate, np.array([True, False, True, False])) is None
+    assert rpe(truth, estimate, mask=np.array([True, False, True, False])) is None
     assert rpe(truth[:1], estimate[:1]) is None
 
 
@@ -210,7 +210,7 @@ def test_aligned_carries_headings_too() -> None:
 )
 def test_shapes_are_checked(truth: Array, estimate: Array, mask: list[bool] | None) -> None:
     with pytest.raises(OptionError):
-        ate(truth, estimate, mask)
+        ate(truth, estimate, mask=mask)
 
 
 def test_rpe_wants_headings() -> None:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from graphslam import LogError, MotionModel, OptionError
-from graphslam.sources.synchronize import Stream, divide, join, truth_at
+from graphslam.formats import ReadOptions
+from graphslam.sources.synchronize import Stream, divide, synchronize, truth_at
 
 DRIVE = Stream(np.arange(0.0, 10.01, 0.5), np.column_stack([np.linspace(0.5, 1.5, 21), np.linspace(-1, 1, 21)]))
 
@@ -14,7 +15,7 @@ def seen(*times):
 
 
 def joined(*times, **changes):
-    return join(DRIVE, seen(*times), np.full(len(times), 3), **changes)
+    return synchronize(DRIVE, seen(*times), np.full(len(times), 3), **changes)
 
 
 def pose_at(time, origin):
@@ -57,12 +58,12 @@ def test_sightings_of_one_time_are_of_one_pose_and_those_outside_the_odometry_ar
 
 
 def test_a_pose_at_least_every_so_often():
-    log = joined(1.0, 1.5, 4.0, keep_every=1.0)
+    log = joined(1.0, 1.5, 4.0, options=ReadOptions(keep_every=1.0))
     np.testing.assert_allclose(log.times, [1.0, 1.5, 1.5 + 2.5 / 3, 1.5 + 5 / 3, 4.0])
     assert log.steps.tolist() == [0, 1, 4]
     np.testing.assert_allclose(log.initial_poses[[0, 1, 4]], joined(1.0, 1.5, 4.0).initial_poses, atol=1e-12)
     with pytest.raises(OptionError, match="keep_every"):
-        joined(1.0, keep_every=0.0)
+        ReadOptions(keep_every=0.0)
 
 
 def test_truth_is_interpolated_where_it_is_dense_and_nan_elsewhere():
@@ -99,11 +100,11 @@ def gapped(length):
 def test_a_gap_in_the_odometry_is_bridged_with_grown_noise_and_a_warning():
     odometry = gapped(5.0)
     with pytest.warns(UserWarning, match="1 gap of 5.0 s in the odometry"):
-        log = join(odometry, seen(0.5, 4.0, 6.2), np.zeros(3))
+        log = synchronize(odometry, seen(0.5, 4.0, 6.2), np.zeros(3))
     np.testing.assert_allclose(log.controls[:, 0], [1, 2, 2, 1])
     bridged = np.var(odometry.rows, axis=0)
     np.testing.assert_allclose(log.control_variances, [[0, 0], bridged * 5 / 3, bridged * 5 / 2, [0, 0]])
-    quiet = MotionModel(0, 0, 0, 0, 1e-8)
+    quiet = MotionModel.constant(0.0, 0.0, epsilon=1e-8)
     _, covariance = log.motions(quiet)
     # five seconds of a control that is off by its usual spread, all the time: three here, two in the next motion
     assert covariance[0, 2, 2] == pytest.approx(3 * 5 * bridged[1], rel=1e-6)
@@ -114,18 +115,18 @@ def test_a_gap_in_the_odometry_is_bridged_with_grown_noise_and_a_warning():
 def test_the_noise_of_a_gap_does_not_depend_on_the_poses_in_it(poses):
     odometry = gapped(5.0)
     with pytest.warns(UserWarning, match="bridged"):
-        log = join(odometry, seen(1.0, *np.linspace(1.0, 6.0, poses + 2)[1:-1], 6.0), np.zeros(poses + 2))
-    _, covariance = log.motions(MotionModel(0, 0, 0, 0, 1e-10))
+        log = synchronize(odometry, seen(1.0, *np.linspace(1.0, 6.0, poses + 2)[1:-1], 6.0), np.zeros(poses + 2))
+    _, covariance = log.motions(MotionModel.constant(0.0, 0.0, epsilon=1e-10))
     assert covariance[:, 2, 2].sum() == pytest.approx(25 * np.var(odometry.rows[:, 1]), rel=1e-4)
 
 
 def test_too_long_a_gap_is_refused():
     with pytest.raises(LogError, match=r"silent for 40\.0 s after t = 1\.000 s"):
-        join(gapped(40.0), seen(0.5, 41.2), np.zeros(2))
+        synchronize(gapped(40.0), seen(0.5, 41.2), np.zeros(2))
     with pytest.warns(UserWarning, match="bridged"):
-        join(gapped(40.0), seen(0.5, 41.2), np.zeros(2), longest_gap=60.0)
+        synchronize(gapped(40.0), seen(0.5, 41.2), np.zeros(2), longest_gap=60.0)
     # a gap that no motion of the log crosses does not matter
-    assert join(gapped(40.0), seen(0.5, 0.9), np.zeros(2)).num_poses == 2
+    assert synchronize(gapped(40.0), seen(0.5, 0.9), np.zeros(2)).num_poses == 2
 
 
 @pytest.mark.parametrize(
@@ -140,4 +141,4 @@ def test_too_long_a_gap_is_refused():
 )
 def test_data_that_make_no_log(odometry, sightings, message):
     with pytest.raises(LogError, match=message):
-        join(odometry, sightings, np.zeros(len(sightings)))
+        synchronize(odometry, sightings, np.zeros(len(sightings)))

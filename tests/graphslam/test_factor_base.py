@@ -1,5 +1,5 @@
 # ruff: noqa: E501  (a table of one-line abuses)
-"""The layer between GTSAM's callback and our residuals: mistakes become exceptions, never a crash, and nothing leaks."""
+"""What all factors share: mistakes become exceptions and never a crash, no memory leaks, and arguments are checked."""
 
 import subprocess
 import sys
@@ -12,12 +12,15 @@ import pytest
 from graphslam import FactorError, OptionError
 from graphslam.factors import (
     AnchorFactor,
+    InverseObservationFactor,
     LandmarkFactor,
     MotionFactor,
     ObservationFactor,
     RelativePointFactor,
+    RelativePoseFactor,
     ResidualFactor,
     VirtualMotionFactor,
+    describe,
 )
 
 X1, X2, M = gtsam.symbol("x", 1), gtsam.symbol("x", 2), gtsam.symbol("m", 1)
@@ -103,7 +106,7 @@ def test_memory_comes_back():
     """)
     done = run(code)
     if "statm" in done.stderr:
-        pytest.skip("this system does not tell the resident memory in /proc")
+        pytest.skip("this system has no resident memory in /proc")
     before, after = map(float, done.stdout.split())
     assert after < 1.05 * before
 
@@ -151,12 +154,14 @@ def test_a_residual_between_a_pose_and_a_point():
         (lambda: ResidualFactor([X1], len, np.eye(2), kinds=["pose", "pose"]), "one kind per key"),
         (lambda: LandmarkFactor([X1, X2], [[1, 0], [1, 0]]), "give them as 'at'"),
         (lambda: LandmarkFactor([X1, X2], [[1, 0, 0], [0, 0, 0]]), "ranges above zero"),
-        (lambda: LandmarkFactor([X1, X2], [[1, 0, 0], [1, 0, 0]], trust=[1, 0]), "trust must be 2 positive"),
-        (lambda: LandmarkFactor([X1, X2], [[1, 0, 0]] * 3, of=[0, 0, 0]), "of must name each"),
+        (lambda: LandmarkFactor([X1, X2], [[1, 0, 0], [1, 0, 0]], trust=[1, 0]), "trust must be above zero"),
+        (lambda: LandmarkFactor([X1, X2], [[1, 0, 0]] * 3), "sightings must be 2 rows of 2 or 3 finite numbers"),
+        (lambda: LandmarkFactor(X1, [[1, 0, 0]]), "takes a list of keys"),
+        (lambda: ResidualFactor(X1, len, np.eye(3)), "takes a list of keys"),
         (lambda: MotionFactor(X1, X2, [1, 0], 1.0, kernel="l7"), "kernel must be one of"),
         (lambda: VirtualMotionFactor(X1, X2, [1, 0], [1, 0], frame="world", at=([0, 0, 0],) * 2).to_between(), "no relative pose"),
         (lambda: MotionFactor(X1, X2, [1, 0], 1.0, frame="world", at=[0, 0, 0]).to_between(), "frame='body'"),
-        (lambda: ObservationFactor(X1, M, [1, 0], weight=-1), "weight must be a positive"),
+        (lambda: ObservationFactor(X1, M, [1, 0], scale=-1), "scale must be a positive"),
         (lambda: AnchorFactor(True, [0, 0, 0]), "a key must be an integer"),
         (lambda: RelativePointFactor(X1, M, [1, 2, 3], np.eye(2)), "2 finite numbers"),
     ],
@@ -169,3 +174,35 @@ def test_impossible_arguments(make, message):
 def test_the_error_names_factor_and_keys():
     with pytest.raises(FactorError, match=r"VirtualMotionFactor\(x1, x2\): the values have nothing at its key x1"):
         VirtualMotionFactor(X1, X2, [1, 0, 0], [1, 0, 0]).error(gtsam.Values())
+
+
+def test_poses_and_points_of_gtsam_are_taken():
+    """A `gtsam.Pose2` stands for (x, y, theta) and a `gtsam.Point2` for (x, y), wherever one is an argument."""
+    pose, other, point = gtsam.Pose2(1, 2, 0.5), gtsam.Pose2(0.3, -1, -2), gtsam.Point2(0.5, 1.5)
+    x, y = (np.array([p.x(), p.y(), p.theta()]) for p in (pose, other))
+    z, omega, world = [[1.0, 0.1, 0.2], [2.0, 0.3, -0.4]], np.eye(3), {"frame": "world"}
+    pairs = [
+        (AnchorFactor(X1, pose), AnchorFactor(X1, x)),
+        (RelativePoseFactor(X1, X2, pose, omega), RelativePoseFactor(X1, X2, x, omega)),
+        (RelativePoseFactor(X1, X2, x, omega, **world, at=pose), RelativePoseFactor(X1, X2, x, omega, **world, at=x)),
+        (MotionFactor(X1, X2, [1, 0], 1.0, **world, at=pose), MotionFactor(X1, X2, [1, 0], 1.0, **world, at=x)),
+        (
+            VirtualMotionFactor(X1, X2, *z, **world, at=(pose, other)),
+            VirtualMotionFactor(X1, X2, *z, **world, at=(x, y)),
+        ),
+        (LandmarkFactor([X1, X2], z, **world, at=[pose, other]), LandmarkFactor([X1, X2], z, **world, at=[x, y])),
+        (
+            InverseObservationFactor(X1, X2, z[0], **world, at=pose),
+            InverseObservationFactor(X1, X2, z[0], **world, at=x),
+        ),
+        (RelativePointFactor(X1, M, point, np.eye(2)), RelativePointFactor(X1, M, [0.5, 1.5], np.eye(2))),
+    ]
+    values = gtsam.Values()
+    values.insert(X1, gtsam.Pose2(0.1, 0.2, 0.3))
+    values.insert(X2, gtsam.Pose2(1.1, 0.4, -0.3))
+    values.insert(M, gtsam.Point2(4, 6))
+    for given, expected in pairs:
+        assert given.error(values) == pytest.approx(expected.error(values), rel=1e-12)
+        assert describe(given) == describe(expected)
+    with pytest.raises(OptionError, match="pose must be 3 finite numbers"):
+        AnchorFactor(X1, point)

@@ -1,0 +1,246 @@
+"""The parts of a `Graph` (see there for their names) from a log or a pose-graph file, and back into a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from .checks import listed
+from .edges import (
+    ANCHOR_INFORMATION,
+    AnchorEdges,
+    EdgeFamily,
+    LandmarkSightings,
+    MarginalEdges,
+    ObservationEdges,
+    RelativePointEdges,
+    RelativePoseEdges,
+    VirtualMotionEdges,
+    motion_edges,
+)
+from .edges.robust import Kernel
+from .errors import GraphError
+from .formats.pose_graph import PoseGraphFile
+from .log import Log
+from .mapping import estimate_map
+from .models import MotionModel, SensorModel
+from .se2 import Array
+
+
+def parts_of_log(
+    log: Log,
+    *,
+    motion: MotionModel,
+    sensor: SensorModel,
+    edges: str,
+    frame: str,
+    weight: str,
+    scale: float,
+    kernel: Kernel | None,
+) -> dict[str, Any]:
+    """The parts of the graph of a log; arguments and errors as in `Graph.from_log`, ``scale`` for the motion edges."""
+    with_motion = edges.endswith("+motion")
+    _check_log(log, with_motion)
+    sighted: EdgeFamily
+    parts: dict[str, Any] = {"trajectory": log.initial_poses, "log": log, "sensor": sensor}
+    if edges.startswith("landmark"):
+        steps = np.arange(log.num_poses)
+        ids = log.landmark_ids
+        nodes = log.num_poses + np.searchsorted(ids, log.landmarks)
+        sighted = ObservationEdges(log.steps, nodes, log.sightings, sensor, kernel=kernel)
+        d = log.sightings.shape[1]
+        landmarks = np.zeros((len(ids), 3))
+        landmarks[:, :d] = list(estimate_map(log, log.initial_poses, sensor=sensor).values())
+        parts |= {"landmark_ids": ids, "landmark_dimension": d, "sighting_rows": np.arange(len(log.steps))}
+    else:
+        steps, notes = _tied_steps(log, with_motion)
+        rows, starts, nodes = _grouped(log, steps)
+        grouped = (starts, nodes, log.sightings[rows], sensor)
+        if weight == "marginal":
+            sighted = MarginalEdges(*grouped, frame=frame, kernel=kernel)
+        else:
+            sighted = VirtualMotionEdges(*grouped, frame=frame, kernel=kernel, tempered=weight == "tempered")
+        if not with_motion:
+            _check_determined(sighted, steps)
+        landmarks = np.zeros((0, 3))
+        parts |= {"sighting_rows": rows, "notes": tuple(notes)}
+    poses = log.initial_poses[steps]
+    families: list[EdgeFamily] = [
+        AnchorEdges(np.zeros(1, dtype=int), poses[:1].copy(), ANCHOR_INFORMATION[None]),
+        sighted,
+    ]
+    if with_motion:
+        assert log.controls is not None and log.dt is not None
+        families.append(
+            motion_edges(
+                steps, log.controls, log.dt, motion, starts=log.control_starts,
+                control_variances=log.control_variances, frame=frame, scale=scale,
+            )
+        )  # fmt: skip
+    return parts | {
+        "initial": np.concatenate([poses, landmarks]), "families": tuple(families), "steps": steps, "pose_ids": steps,
+    }  # fmt: skip
+
+
+def _check_log(log: Log, with_motion: bool) -> None:
+    if len(log.steps) == 0:
+        raise GraphError(f"{log.name} has no sightings at all, so there is nothing to correct dead reckoning with")
+    if not log.identified:
+        raise GraphError(
+            f"{log.name} has sightings of unidentified landmarks, and a graph needs the identities; use FastSLAM with "
+            "association='maximum-likelihood'"
+        )
+    if with_motion and log.controls is None:
+        raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")
+
+
+def _tied_steps(log: Log, with_motion: bool) -> tuple[np.ndarray, list[str]]:
+    """The steps whose poses are nodes of a graph without landmarks, and notes on what is left out."""
+    ids, group = np.unique(log.landmarks, return_inverse=True)
+    seen = np.unique(np.column_stack([group, log.steps]), axis=0)
+    often = np.bincount(seen[:, 0]) > 1
+    notes = []
+    if not np.all(often):
+        notes.append(f"no edge comes from {listed('landmark', ids[~often].tolist())}, seen in one step only")
+    if with_motion:
+        return np.arange(log.num_poses), notes
+    if not np.any(often):
+        raise GraphError(f"{log.name} has no landmark that was seen twice, so there are no virtual-motion edges")
+    steps = np.unique(seen[often[seen[:, 0]], 1])
+    left_out = np.setdiff1d(np.arange(log.num_poses), steps).tolist()
+    if left_out:
+        notes.append(f"{listed('pose', left_out)} shared no sighting with any other and stayed out of the graph")
+    return steps, notes
+
+
+def _grouped(log: Log, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The sightings from given steps by landmark, and by step within one: rows (M,), starts (G+1,), nodes (M,)."""
+    node_of = np.full(log.num_poses, -1)
+    node_of[steps] = np.arange(len(steps))
+    rows = np.argsort(log.landmarks, kind="stable")
+    # a sighting from a pose that is no node is a landmark's only one, and has no partner
+    rows = rows[node_of[log.steps[rows]] >= 0]
+    _, starts = np.unique(log.landmarks[rows], return_index=True)
+    return rows, np.append(starts, len(rows)), node_of[log.steps[rows]]
+
+
+def parts_of_file(data: PoseGraphFile, path: Path) -> dict[str, Any]:
+    """The parts of the graph that a pose-graph file holds; see `Graph.from_g2o`.
+
+    Raises:
+        GraphError: the graph falls into several pieces.
+    """
+    num_poses = len(data.pose_ids)
+    families: list[RelativePoseEdges | RelativePointEdges] = []
+    if len(data.pose_edges):
+        first, second = np.searchsorted(data.pose_ids, data.pose_edges).T
+        families.append(RelativePoseEdges(first, second, data.pose_measured, data.pose_information))
+    if len(data.point_edges):
+        first = np.searchsorted(data.pose_ids, data.point_edges[:, 0])
+        second = num_poses + np.searchsorted(data.landmark_ids, data.point_edges[:, 1])
+        families.append(RelativePointEdges(first, second, data.point_measured, data.point_information))
+    fixed = np.searchsorted(data.pose_ids, data.fixed) if data.fixed else np.zeros(1, dtype=np.int64)
+    num_nodes = num_poses + len(data.landmark_ids)
+    label = _pieces(num_nodes, [family.first for family in families], [family.second for family in families])
+    loose = np.flatnonzero(~np.isin(label, label[fixed]))
+    if len(loose):
+        names, tied = (node_names(nodes, data.pose_ids, data.landmark_ids) for nodes in (loose, fixed[:1]))
+        raise GraphError(
+            f"{path}: the graph falls into several pieces: nothing ties {names} to {tied}; add the edge that ties them, "
+            "or a FIX line for a pose of each piece"
+        )
+    return {
+        "initial": np.concatenate([data.poses, np.pad(data.landmarks, ((0, 0), (0, 1)))]),
+        "families": tuple(families), "steps": np.arange(num_poses), "trajectory": data.poses,
+        "pose_ids": data.pose_ids, "landmark_ids": data.landmark_ids, "fixed": fixed,
+    }  # fmt: skip
+
+
+def file_of_parts(
+    state: Array,
+    *,
+    families: Sequence[EdgeFamily],
+    pose_ids: np.ndarray,
+    landmark_ids: np.ndarray,
+    fixed: np.ndarray,
+) -> PoseGraphFile:
+    """What a g2o file holds of a graph whose nodes have the values ``state`` (n, 3); see `Graph.save_g2o`.
+
+    Raises:
+        GraphError: the graph has edges that g2o has no line for.
+    """
+    if len(np.intersect1d(pose_ids, landmark_ids)):
+        landmark_ids = int(pose_ids.max()) + 1 + np.arange(len(landmark_ids))
+    ids, held = np.concatenate([pose_ids, landmark_ids]), [fixed]
+    poses: list[EdgeFamily] = []
+    points: list[EdgeFamily] = []
+    for family in families:
+        if isinstance(family, AnchorEdges):
+            held.append(family.nodes)
+        elif isinstance(family, RelativePoseEdges) and not family.frozen_information:
+            poses.append(family)
+        elif isinstance(family, RelativePointEdges):
+            points.append(family)
+        else:
+            raise GraphError(
+                f"g2o has no line for {type(family).__name__} with state-dependent or angular residuals; "
+                "graphslam.relative.relative_graph makes relative poses of them where that is possible"
+            )
+
+    def columns(kind: str, chosen: list[Any], d: int) -> dict[str, Array]:
+        return {
+            f"{kind}_edges": np.concatenate(
+                [np.zeros((0, 2), dtype=np.int64)] + [ids[np.column_stack([f.first, f.second])] for f in chosen]
+            ),
+            f"{kind}_measured": np.concatenate([np.zeros((0, d))] + [f.measured for f in chosen]),
+            f"{kind}_information": np.concatenate([np.zeros((0, d, d))] + [f.information for f in chosen]),
+        }
+
+    return PoseGraphFile(
+        pose_ids=pose_ids, poses=state[: len(pose_ids)], landmark_ids=landmark_ids,
+        landmarks=state[len(pose_ids) :, :2], fixed=ids[np.unique(np.concatenate(held))].tolist(),
+        **columns("pose", poses, 3), **columns("point", points, 2),
+    )  # fmt: skip
+
+
+def node_names(nodes: np.ndarray, pose_ids: np.ndarray, landmark_ids: np.ndarray) -> str:
+    """The names of nodes in a sentence: 'poses 3 and 4', 'landmark 7', 'pose 2 and landmark 5'."""
+    pose = nodes < len(pose_ids)
+    named = (("pose", pose_ids[nodes[pose]]), ("landmark", landmark_ids[nodes[~pose] - len(pose_ids)]))
+    return " and ".join(listed(noun, ids.tolist()) for noun, ids in named if len(ids))
+
+
+def _pieces(num_nodes: int, first: list[np.ndarray], second: list[np.ndarray]) -> np.ndarray:
+    """The number (n,) of the connected piece that each node belongs to."""
+    ends = np.concatenate([np.zeros(0, dtype=int), *first]), np.concatenate([np.zeros(0, dtype=int), *second])
+    ties = sp.coo_matrix((np.ones(len(ends[0])), ends), shape=(num_nodes, num_nodes))
+    return connected_components(ties, directed=False)[1]
+
+
+def _check_determined(virtual: LandmarkSightings, steps: np.ndarray) -> None:
+    """Raise `GraphError` where the pattern alone shows that virtual edges leave poses undetermined."""
+    num_nodes, num_groups = len(steps), len(virtual.starts) - 1
+    label = _pieces(num_nodes + num_groups, [virtual.nodes], [num_nodes + virtual.group])
+    loose = steps[label[:num_nodes] != label[0]].tolist()
+    if loose:
+        raise GraphError(
+            f"the graph falls into several pieces: nothing ties {listed('pose', loose)} to pose {steps[0]}; "
+            "use edges='virtual+motion', or a log in which they share a landmark"
+        )
+    if virtual.oriented:
+        return
+    shared = np.unique(np.column_stack([virtual.nodes, virtual.group]), axis=0)
+    ties = np.bincount(shared[:, 1], minlength=num_groups) > 1
+    landmarks_of = np.bincount(shared[ties[shared[:, 1]], 0], minlength=num_nodes)
+    loose = steps[landmarks_of < 2].tolist()
+    if loose:
+        share = "shares" if len(loose) == 1 else "share"
+        raise GraphError(
+            f"without psi one landmark does not fix a pose: {listed('pose', loose)} {share} only one with the rest; "
+            "use edges='virtual+motion' or a sensor with psi"
+        )

@@ -1,0 +1,232 @@
+"""What all factor types share: a base class, and a callback that makes a residual safe for GTSAM.
+
+GTSAM reads the Jacobians of a Python factor without a check (one left unset, or too small, ends the process), never
+frees a factor whose callback refers back to it, and perturbs a pose on its right, in the pose's own axes. Here every
+Jacobian gets its full shape, callbacks close over numbers and never over a factor, derivatives by world coordinates are
+turned into the pose's axes, and every mistake becomes a `FactorError` that names the factor and its keys.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from math import cos, floor, isfinite, pi, sin
+from operator import index
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..checks import check_positive
+from ..edges.robust import Cauchy, GemanMcClure, Huber, Kernel, kernel_of
+from ..errors import FactorError, OptionError
+from ..se2 import Array
+from .description import FACTOR_TYPES, FactorDescription, key_name
+
+#: the value at a key: a `gtsam.Pose2`, given to residuals as (x, y, theta), or a `gtsam.Point2`, given as (x, y)
+POSE, POINT = "pose", "point"
+KINDS = {POSE: (3, "gtsam.Pose2"), POINT: (2, "gtsam.Point2")}
+
+KernelLike = Kernel | str | None
+Coordinates = Sequence[float] | Array
+#: e, and for each key de/dx by the coordinates of its value
+Linearized = tuple[ArrayLike, Sequence[ArrayLike]]
+
+
+class Factor(gtsam.CustomFactor):
+    """The base of all factor types: safe to evaluate, and able to be described, saved, pickled and copied.
+
+    Args:
+        keys: one for each argument of the residual.
+        kinds: "pose" or "point" for each key.
+        residual: called with one (x, y, theta) or (x, y) per key; returns e and one Jacobian (rows, 3 or 2) per key.
+        arguments: all other arguments of the factor type, by name. Among them may be ``scale``, a factor on the
+            information, and ``kernel``, a robust kernel around the noise model; see `graphslam.edges.robust`.
+        covariance, information: (rows, rows), one of the two.
+        named_keys: the keys as the factor type takes them; default: ``keys``.
+        in_own_axes: the Jacobians are by GTSAM's perturbations already, those of poses in their own axes.
+        error: a faster way to an e of the same norm, for evaluations without Jacobians.
+
+    Raises:
+        OptionError: a key is impossible, the scale is not positive, or there is no such kernel.
+    """
+
+    #: whether the constructor takes its keys as one list
+    keys_in_list = False
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        FACTOR_TYPES[cls.__name__] = cls
+
+    def __init__(
+        self,
+        keys: Sequence[int],
+        kinds: Sequence[str],
+        residual: Callable[..., Linearized],
+        arguments: Mapping[str, Any],
+        *,
+        covariance: Array | None = None,
+        information: Array | None = None,
+        named_keys: Sequence[int] | None = None,
+        in_own_axes: bool = False,
+        error: Callable[..., ArrayLike] | None = None,
+    ) -> None:
+        keys = checked_keys(type(self).__name__, keys)
+        noise = noise_model(arguments, covariance=covariance, information=information)
+        arguments = {**arguments, "kernel": kernel_of(arguments["kernel"])}
+        for value in arguments.values():
+            if isinstance(value, np.ndarray):
+                # a factor must not change when its maker goes on working with an array
+                value.flags.writeable = False
+        named = keys if named_keys is None else map(index, named_keys)
+        #: what the factor was made from; `describe` reads it also from a factor that only a graph holds
+        self.description = FactorDescription(type(self).__name__, tuple(named), arguments)
+        callback = _guarded(self.description, keys, kinds, noise.dim(), residual, in_own_axes, error)
+        super().__init__(noise, keys, callback)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return FactorDescription.build, (self.description,)
+
+
+def _guarded(
+    description: FactorDescription,
+    keys: Sequence[int],
+    kinds: Sequence[str],
+    rows: int,
+    residual: Callable[..., Linearized],
+    in_own_axes: bool,
+    error: Callable[..., ArrayLike] | None,
+) -> Callable[..., Array]:
+    """The callback of a `gtsam.CustomFactor` around a residual; the arguments are those of `Factor`."""
+    ends = [(key, kind == POSE) for key, kind in zip(keys, kinds)]
+    expected, shapes = (rows,), [(rows, KINDS[kind][0]) for kind in kinds]
+
+    def callback(_this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> Array:
+        at: list[Coordinates] = []
+        try:
+            try:
+                for key, is_pose in ends:
+                    if is_pose:
+                        pose = values.atPose2(key)
+                        at.append((pose.x(), pose.y(), pose.theta()))
+                    else:
+                        at.append(values.atPoint2(key))
+            except (RuntimeError, TypeError) as problem:
+                raise FactorError(_unreadable(values, keys, kinds)) from problem
+            if jacobians is None and error is not None:
+                e = np.array(error(*at), dtype=float)
+            else:
+                raw, by_value = residual(*at)
+                e = np.array(raw, dtype=float)
+            if e.shape != expected:
+                raise FactorError(f"its residual must have shape ({rows},), not {e.shape}")
+            if not isfinite(e.dot(e)):
+                raise FactorError(f"its residual is not finite at {_text(at)}: {e}")
+            if jacobians is not None:
+                if not hasattr(by_value, "__len__") or len(by_value) != len(keys):
+                    raise FactorError(f"it needs {len(keys)} Jacobians, one per key, not {by_value!r}")
+                for k, (value, (_, is_pose), shape) in enumerate(zip(at, ends, shapes)):
+                    jacobian = _matrix(k, by_value[k], value[2] if is_pose and not in_own_axes else None)
+                    if jacobian.shape != shape:
+                        raise FactorError(f"Jacobian {k} must have shape {shape}, not {jacobian.shape}")
+                    if not isfinite(jacobian.sum()):
+                        raise FactorError(f"its Jacobian {k} is not finite at {_text(at)}")
+                    jacobians[k] = jacobian
+        except FactorError as problem:
+            raise FactorError(str(problem), description) from problem.__cause__
+        except Exception as problem:
+            raise FactorError(f"its residual raised {type(problem).__name__}: {problem}", description) from problem
+        return e
+
+    return callback
+
+
+def _matrix(k: int, raw: Any, heading: float | None) -> Array:
+    """A Jacobian as GTSAM wants it; by world coordinates where the pose's heading is given, else in its own axes."""
+    try:
+        if np.iscomplexobj(raw):
+            raise TypeError("it is complex")
+        return np.asarray(raw if heading is None else turned(raw, heading), dtype=float, order="F")
+    except (TypeError, ValueError, IndexError) as problem:
+        raise FactorError(f"Jacobian {k} is no matrix of numbers: {problem}") from problem
+
+
+def turned(by_world: Any, theta: float) -> Any:
+    """A Jacobian (d, 3) by (x, y, theta) in world axes, by a perturbation in the pose's own: times blkdiag(R(theta), 1)."""
+    c, s = cos(theta), sin(theta)
+    if isinstance(by_world, list):
+        # for rows of three numbers this is faster than NumPy
+        return [[a * c + b * s, b * c - a * s, turn] for a, b, turn in by_world]
+    own = np.array(by_world, dtype=float, order="F")
+    if own.ndim == 2 and own.shape[1] == 3:
+        own[:, :2] = own[:, :2] @ np.array([[c, -s], [s, c]])
+    return own
+
+
+def noise_model(
+    arguments: Mapping[str, Any], *, covariance: Array | None = None, information: Array | None = None
+) -> gtsam.noiseModel.Base:
+    """The noise model of a covariance or an information matrix, with the scale and the kernel among the arguments.
+
+    Raises:
+        OptionError: the scale is not positive, or there is no such kernel.
+    """
+    scale, kernel = arguments.get("scale", 1.0), kernel_of(arguments["kernel"])
+    check_positive(scale=scale)
+    if covariance is None:
+        noise = gtsam.noiseModel.Gaussian.Information(information * scale)
+    else:
+        noise = gtsam.noiseModel.Gaussian.Covariance(covariance / scale)
+    if kernel is None:
+        return noise
+    estimators = gtsam.noiseModel.mEstimator
+    of_kernel = {Huber: estimators.Huber, Cauchy: estimators.Cauchy, GemanMcClure: estimators.GemanMcClure}
+    return gtsam.noiseModel.Robust.Create(of_kernel[type(kernel)](kernel.width), noise)
+
+
+def checked_keys(name: str, keys: Sequence[Any]) -> list[int]:
+    """The keys as integers.
+
+    Raises:
+        OptionError: a key is no integer, negative, or given twice.
+    """
+    checked = []
+    for key in keys:
+        try:
+            number = -1 if isinstance(key, bool) else index(key)
+        except TypeError:
+            number = -1
+        if not 0 <= number < 2**64:
+            raise OptionError(f"{name}: a key must be an integer from 0 to 2^64 - 1 (gtsam.symbol), not {key!r}")
+        checked.append(number)
+    if len(set(checked)) < len(checked):
+        raise OptionError(f"{name}: its keys must differ, but are {', '.join(map(key_name, checked))}")
+    return checked
+
+
+def check_keys_listed(name: str, keys: Any) -> None:
+    """Raise `OptionError` unless ``keys`` is a sequence."""
+    if not hasattr(keys, "__len__") or isinstance(keys, str):
+        raise OptionError(f"{name} takes a list of keys, not {keys!r}")
+
+
+def wrapped(angle: float) -> float:
+    """The same angle in [-pi, pi), for scalars."""
+    return angle - 2 * pi * floor((angle + pi) / (2 * pi))
+
+
+def _unreadable(values: gtsam.Values, keys: Sequence[int], kinds: Sequence[str]) -> str:
+    """What is wrong with the values at the keys."""
+    for key, kind in zip(keys, kinds):
+        name, wanted = key_name(key), KINDS[kind][1]
+        if not values.exists(key):
+            return f"the values have nothing at its key {name}; insert a {wanted} there"
+        try:
+            values.atPose2(key) if kind == POSE else values.atPoint2(key)
+        except (RuntimeError, TypeError):
+            return f"the value at its key {name} is no {wanted}"
+    return "its values cannot be read"
+
+
+def _text(at: Sequence[Coordinates]) -> str:
+    return " and ".join("(" + ", ".join(f"{part:g}" for part in value) + ")" for value in at)

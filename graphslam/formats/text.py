@@ -1,0 +1,93 @@
+"""Text files of numbers: words, and tables of columns; errors name the line."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from ..checks import first
+from ..errors import FormatError
+from ..files import read_text
+from ..se2 import Array
+
+
+def number(path: Path, line: int, what: str, word: str) -> float:
+    """A word as a finite number.
+
+    Raises:
+        FormatError: it is none; the message begins with ``what`` it should be.
+    """
+    try:
+        value = float(word)
+        if "_" in word:
+            raise ValueError  # Python reads 1_0 as 10, other programs do not
+    except ValueError:
+        raise FormatError(path, line, f"{what} should be a number, not {word!r}") from None
+    if not math.isfinite(value):
+        raise FormatError(path, line, f"{what} is {word}; only finite numbers are allowed")
+    return value
+
+
+def whole(path: Path, line: int, what: str, word: str) -> int:
+    """A word as a whole number of at most 64 bits.
+
+    Raises:
+        FormatError: it is none; the message begins with ``what`` it should be.
+    """
+    try:
+        value = int(word)
+        if "_" in word:
+            raise ValueError
+    except ValueError:
+        raise FormatError(path, line, f"{what} should be a whole number, not {word!r}") from None
+    if not -(2**63) <= value < 2**63:
+        raise FormatError(path, line, f"{what} should be a whole number of at most 64 bits, not {word!r}")
+    return value
+
+
+def read_columns(path: Path, columns: tuple[str, ...], *, times: bool = False) -> Array:
+    """The numbers of a file, one row per line, (N, len(columns)). ``#`` begins a comment.
+
+    Args:
+        path: the file.
+        columns: the names of the columns, for messages.
+        times: whether the first column is times, which must not run backwards.
+
+    Raises:
+        FormatError: the file is not text, a line has other columns, or times run backwards; with the line.
+    """
+    # loadtxt warns about files without rows, which the caller checks
+    lines = [line for line in read_text(path).splitlines() if line.split("#", 1)[0].strip()]
+    try:
+        rows = np.loadtxt(lines, comments="#", ndmin=2) if lines else np.empty((0, len(columns)))
+    except ValueError:
+        rows = np.empty((0, 0))
+    if rows.shape[1] != len(columns) or not np.all(np.isfinite(rows)):
+        _refuse(path, columns)
+    if times and (k := first(np.diff(rows[:, 0]) < 0)) is not None:
+        message = f"time runs backwards: {rows[k + 1, 0]:.3f} s comes after {rows[k, 0]:.3f} s; sort the lines by time"
+        raise FormatError(path, line_of(path, k + 1), message)
+    return rows
+
+
+def line_of(path: Path, row: int) -> int:
+    """The line, counted from 1, of a row of `read_columns`."""
+    return _numbered(path)[row][0]
+
+
+def _numbered(path: Path) -> list[tuple[int, list[str]]]:
+    lines = enumerate(read_text(path).splitlines(), start=1)
+    return [(number, words) for number, line in lines if (words := line.split("#", 1)[0].split())]
+
+
+def _refuse(path: Path, columns: tuple[str, ...]) -> None:
+    """Raise the error of the first line that is wrong."""
+    form = ", ".join(columns)
+    for line, words in _numbered(path):
+        if len(words) != len(columns):
+            raise FormatError(path, line, f"expected {len(columns)} columns ({form}), found {len(words)}")
+        for column, word in zip(columns, words):
+            number(path, line, column, word)
+    raise FormatError(path, None, f"cannot be read as columns {form}")

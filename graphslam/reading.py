@@ -1,0 +1,25 @@
+"""How a log is read: the options of `graphslam.load` that depend on the kind of data set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .checks import check_positive, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadOptions:
+    """Options of `load`. The metadata "needs" names the property of a `formats.base.Format` that an option requires.
+
+    Raises:
+        OptionError: an option has an impossible value.
+    """
+
+    robot: int | None = option(None, "Number of the robot, for data sets with several", needs="several_robots")
+    keep_every: float | None = option(
+        None, "Keep a pose at least this often; default: only where a landmark was seen", "s", needs="separate_times"
+    )
+
+    def __post_init__(self) -> None:
+        if self.keep_every is not None:
+            check_positive(keep_every=self.keep_every)

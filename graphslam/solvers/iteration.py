@@ -1,0 +1,126 @@
+"""The state of an iteration Omega Delta = xi, x <- x + Delta, and the rules that stop it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+
+from ..diagnosis import undetermined
+from ..graph import Graph
+from ..linear.cholesky import Factor, SingularPivot
+from ..se2 import Array
+from .mixing import AndersonMixing
+
+#: a step is confirmed where its predicted decrease of J is below this many times the cost tolerance
+CONFIRMED = 1e3
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """What a callback receives after each step: its number, the state (n, 3) reached, the cost before it, its norm."""
+
+    number: int
+    state: Array
+    cost: float
+    step_norm: float
+
+
+@dataclass
+class Run:
+    """An iteration under way.
+
+    Attributes:
+        state: (n, 3), the current iterate.
+        tolerance: the step norm below which the iteration has converged.
+        max_iterations: the most steps to take.
+        cost_tolerance: the relative change of J below which the iteration has converged; 0 for none.
+        callback: called after each step.
+        mixing: Anderson acceleration of the steps, or None for plain steps.
+        costs, step_norms: J before each step, and the norm of each step.
+        predicted: how much the last step should lower J by the quadratic model.
+        converged, reason: whether a stop rule was met, and why the iteration ended.
+    """
+
+    state: Array
+    tolerance: float
+    max_iterations: int = 100
+    cost_tolerance: float = 0.0
+    callback: Callable[[Iteration], None] | None = None
+    mixing: AndersonMixing | None = None
+    costs: list[float] = field(default_factory=list)
+    step_norms: list[float] = field(default_factory=list)
+    predicted: float = np.inf
+    converged: bool = False
+    reason: str = ""
+
+    def step(self, cost: float, delta: Array) -> None:
+        """Take the correction (n, 3) from a state with this cost."""
+        self.state = self.state + delta if self.mixing is None else self.mixing.next(self.state, delta)
+        self.costs.append(cost)
+        self.step_norms.append(inner(delta, delta) ** 0.5)
+        if self.callback is not None:
+            self.callback(Iteration(len(self.step_norms), self.state.copy(), cost, self.step_norms[-1]))
+
+    def diverged(self, cost: float) -> bool:
+        """Whether the cost is infinite or not a number."""
+        if np.isfinite(cost):
+            return False
+        self.reason = f"diverged: the cost is {cost} after {len(self.step_norms)} steps"
+        return True
+
+    def settled(self, cost: float) -> bool:
+        """Whether the last step changed the cost by less than the cost tolerance.
+
+        The predicted decrease must be small, too: a step from one side of a valley to the other also leaves J unchanged.
+        """
+        enough = self.cost_tolerance * self.costs[-1] if self.costs else 0.0
+        if abs(self.predicted) <= CONFIRMED * enough and abs(self.costs[-1] - cost) <= enough != 0:
+            self._converge(f"J changed by less than {self.cost_tolerance:g} of it")
+        return self.converged
+
+    def finished(self, predicted: float) -> bool:
+        """Whether the last step, which should lower J by ``predicted``, was short enough to stop.
+
+        On badly scaled graphs rounding keeps the steps from becoming shorter than some 1e-7 (INTEL). Therefore a step
+        that no longer shrinks is also the last one, if its predicted decrease is below the rounding error of J. Mixed
+        steps may grow for a while and shrink again, so ten of them are compared.
+        """
+        self.predicted = predicted
+        norm, window = self.step_norms[-1], 1 if self.mixing is None else 10
+        before = self.step_norms[-1 - window : -1]
+        if norm < self.tolerance:
+            self._converge(f"step norm {norm:.1e} below the tolerance {self.tolerance:g}")
+        elif abs(predicted) <= self.cost_tolerance * self.costs[-1] != 0:
+            self._converge(f"the last step lowered J by less than {self.cost_tolerance:g} of it")
+        elif abs(predicted) < 1e-15 * self.costs[-1] and len(before) == window and norm > 0.5 * min(before):
+            self._converge(f"step norm {norm:.1e} at its rounding floor: J can fall no further")
+        return self.converged
+
+    def _converge(self, reason: str) -> None:
+        self.converged, self.reason = True, reason
+
+
+def factorized(graph: Graph, state: Array, damping: float = 0.0) -> Factor:
+    """The Cholesky factor of Omega + damping diag(Omega), as `Graph.linearize` left Omega at ``state``.
+
+    Raises:
+        GraphError: Omega is singular; the message names the nodes that are not determined.
+    """
+    try:
+        return graph.system.factorize(damping)
+    except SingularPivot as error:
+        raise undetermined(graph, state, error) from None
+
+
+@njit(cache=True)
+def inner(a: Array, b: Array) -> float:
+    """The inner product of two arrays (n, 3)."""
+    # np.vdot starts the threads of BLAS beyond 10^4 numbers, which costs more than a factorisation
+    total = 0.0
+    for k in range(len(a)):
+        for c in range(3):
+            total += a[k, c] * b[k, c]
+    return total

@@ -1,0 +1,50 @@
+"""Levenberg-Marquardt: damped Gauss-Newton steps, of which only those that lower J are taken."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..graph import Graph
+from .iteration import Run, factorized
+from .mixing import AndersonMixing
+
+
+def levenberg_marquardt(graph: Graph, run: Run) -> None:
+    """Iterate (Omega + lambda diag(Omega)) Delta = xi, with lambda chosen so that J falls, until ``run`` stops.
+
+    lambda is Marquardt's damping by the diagonal, updated by Nielsen's rule from the gain, the actual decrease of J
+    divided by the predicted one.
+
+    Raises:
+        GraphError: the edges do not determine the nodes.
+
+    Source: Madsen, Nielsen and Tingleff, *Methods for non-linear least squares problems* (2004), section 3.2.
+    """
+    run.mixing = AndersonMixing() if graph.frozen_information else None
+    run.reason = f"max_iterations = {run.max_iterations} reached"
+    damping, growth = 1e-4, 2.0
+    while len(run.step_norms) < run.max_iterations:
+        # state-dependent information is evaluated once per step and kept while the step is tried
+        reference = run.state
+        system, cost = graph.linearize(run.state, reference)
+        if run.diverged(cost) or (damping < 1e-6 and run.settled(cost)):
+            return
+        while True:
+            delta = factorized(graph, run.state, damping).solve(system.xi)
+            tried = graph.cost(run.state + delta, reference)
+            # the damped quadratic model predicts that J falls by Delta'(xi + lambda diag(Omega) Delta)
+            predicted = float(np.sum(delta * (system.xi + damping * system.diagonal() * delta)))
+            # below the rounding error of J the costs cannot be compared
+            negligible = abs(predicted) <= 1e-12 * cost
+            if negligible or (np.isfinite(tried) and tried < cost):
+                break
+            damping, growth = damping * growth, growth * 2
+            if damping > 1e16:
+                run.reason = f"stuck: no step lowers the cost {cost:.6g}, however short"
+                return
+        gain = 1.0 if negligible else (cost - tried) / predicted
+        damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-15), 2.0
+        run.step(cost, delta)
+        # a short step counts only where damping does not shorten it
+        if damping < 1e-6 and run.finished(predicted):
+            return

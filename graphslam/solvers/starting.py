@@ -1,0 +1,63 @@
+"""The choice of the state that a solver starts from; the starts themselves are in `start`."""
+
+from __future__ import annotations
+
+from ..checks import check_choice
+from ..errors import GraphError
+from ..graph import Graph
+from ..se2 import Array
+from ..transform import coarse, filled, without_landmarks
+from .gauss_newton import gauss_newton
+from .iteration import Run
+from .start import dead_reckoning, place_landmarks, rotation_first
+
+#: the choices of the option ``initialize``
+INITIALIZE = ("given", "dead-reckoning", "rotation-first", "auto")
+#: the starts that "auto" tries, in this order
+AUTO = ("virtual-motion", "rotation-first", "given")
+#: longer trajectories are first solved for every eighth pose, recursively
+LONG, EVERY = 5_000, 8
+
+
+def starting_state(graph: Graph, initialize: str) -> Array:
+    """The state (n, 3) that a solver starts from; for "auto" the first of `AUTO` that the edges allow.
+
+    Args:
+        graph: the graph to solve.
+        initialize: one of `INITIALIZE`, or "virtual-motion".
+
+    Raises:
+        GraphError: the edges do not allow this start.
+        OptionError: there is no such start.
+    """
+    check_choice("initialize", initialize, (*INITIALIZE, "virtual-motion"))
+    if initialize == "auto":
+        for choice in AUTO:
+            try:
+                return starting_state(graph, choice)
+            except GraphError:
+                continue
+    if initialize == "rotation-first":
+        return rotation_first(graph)
+    if initialize == "virtual-motion":
+        return virtual_motion_first(graph)
+    return dead_reckoning(graph) if initialize == "dead-reckoning" else graph.initial
+
+
+def virtual_motion_first(graph: Graph) -> Array:
+    """The poses by virtual-motion edges instead of landmark nodes, then the landmarks from these poses; (n, 3).
+
+    Raises:
+        GraphError: the graph has no sightings of landmark nodes, or they do not determine the poses.
+    """
+    easier = without_landmarks(graph)
+    if easier is None:
+        raise GraphError("there are no sightings of landmark nodes to make virtual-motion edges of")
+    if len(graph.steps) > LONG and (coarser := coarse(graph, EVERY)) is not None:
+        smaller, nodes = coarser
+        poses = virtual_motion_first(smaller)[: len(smaller.steps)]
+        easier = easier.with_initial(filled(graph, nodes[: len(poses)], poses))
+    # a starting state needs little accuracy
+    run = Run(easier.initial.copy(), tolerance=1e-3 * len(graph.steps) ** 0.5)
+    gauss_newton(easier, run)
+    return place_landmarks(graph, run.state)
