@@ -27,24 +27,25 @@ class Renderer:
     figure: Callable[..., Any] | None = None
 
 
-_RENDERERS: dict[type, Renderer] = {}
+#: by the name of the class, so that registering loads none of them
+_RENDERERS: dict[str, Renderer] = {}
 #: loads the presentation layer, which registers its renderers; set by the package
 load_renderers: list[Callable[[], object]] = []
 #: writes a figure into files; registered by the presentation layer
 figure_writers: list[Callable[[Any, Sequence[str | PathLike[str]]], None]] = []
 
 
-def register(kind: type, renderer: Renderer) -> None:
-    """Let a renderer show the results of a class."""
+def register(kind: str, renderer: Renderer) -> None:
+    """Let a renderer show the results of the class of this name."""
     _RENDERERS[kind] = renderer
 
 
 def renderer_of(result: object) -> Renderer:
     """The renderer of a result."""
-    if type(result) not in _RENDERERS:
+    if type(result).__name__ not in _RENDERERS:
         for load in load_renderers:
             load()
-    return _RENDERERS[type(result)]
+    return _RENDERERS[type(result).__name__]
 
 
 class Displayed:

@@ -51,6 +51,9 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
             values = _without_outranked(ctx, values, options)
             if config is not None:
                 _check_log(ctx, values.get("log"))
+                if "log" in ctx.meta[_META] and len(values.get("words") or ()) == 1:
+                    # of the words [LOG] OUT
+                    values["words"] = [str(ctx.meta[_META]["log"]), *values["words"]]
             output = Output(values.pop("json"), quiet=quiet, verbose=verbose)
             for name, group in groups.items():
                 values[name] = group.of(**{o: values.pop(o) for o in options_of(group) if o in values})

@@ -1,8 +1,7 @@
-"""What the report page says, without a browser: numbers against other sources, text that cannot break out, whole files."""
+"""The report without a browser: numbers against other sources, text that cannot break out, files written whole."""
 
 from __future__ import annotations
 
-import inspect
 import json
 from html.parser import HTMLParser
 from pathlib import Path
@@ -13,20 +12,16 @@ import pytest
 from plotly import graph_objects
 from typer.testing import CliRunner
 
+from comparisons import run
 from comparisons.cli import app
-from comparisons.cli.verbs import run
-from comparisons.comparison import Comparison, compare, with_models
-from comparisons.config import RunConfig
-from comparisons.estimator import EstimatorResult, RunOptions
+from comparisons.comparison import Comparison
 from comparisons.estimators import make_graph
-from comparisons.report import matrix, page, page_of, plotly_bundle, trajectories, write_report
-from comparisons.report.convergence import plain_steps, stories
-from comparisons.report.costs import convergence_figure, costs_figure
-from comparisons.report.ellipses import outline
-from comparisons.report.errors import errors_figure
-from comparisons.report.style import dash_of
-from comparisons.report.uncertainty import dead_reckoning_covariances, pose_covariances
-from comparisons.report.view import view_of
+from comparisons.results import EstimatorResult, dead_reckoning_covariances
+from comparisons.show.report import matrix, page, page_of, paths, write_report
+from comparisons.show.report.convergence import iterations, plain_steps
+from comparisons.show.report.curves import convergence_figure, costs_figure, errors_figure
+from comparisons.show.report.traces import dash_of
+from comparisons.show.report.view import view_of
 from graphslam import FormatError, Graph, Log, MotionModel, OptionError, SlamError, save, simulate, solve, textbook
 from graphslam.linear.cholesky import analyze
 from graphslam.log import UNIDENTIFIED
@@ -41,18 +36,13 @@ def log() -> Log:
 
 
 @pytest.fixture(scope="module")
-def options(log: Log) -> RunOptions:
-    return with_models(RunOptions(particles=20), log)
+def comparison(log: Log) -> Comparison:
+    return run(log, particles=20)
 
 
 @pytest.fixture(scope="module")
-def comparison(log: Log, options: RunOptions) -> Comparison:
-    return compare(log, options=options)
-
-
-@pytest.fixture(scope="module")
-def html(comparison: Comparison, options: RunOptions) -> str:
-    return page_of(comparison, RunConfig(options=options))
+def html(comparison: Comparison) -> str:
+    return page_of(comparison)
 
 
 class Elements(HTMLParser):
@@ -116,13 +106,16 @@ def test_every_check_box_has_a_label_and_every_figure_words(html: str) -> None:
     assert len(boxes) == shown > 8
 
 
-def test_the_table_and_the_configuration_are_there(html: str, comparison: Comparison, options: RunOptions) -> None:
+def test_the_table_and_the_configuration_are_there(html: str, comparison: Comparison) -> None:
     text = Elements(html).text
     for row in comparison.table:
         assert row.name in text
         if row.ate_m is not None:
             assert f"{row.ate_m:.3f}" in text
-    assert RunConfig(options=options).to_toml() in text
+        if row.nees is not None:
+            assert f"{row.nees:.3f}" in text
+    assert comparison.config in text
+    assert "particles = 20" in comparison.config
     for package in ("numpy 2", "gtsam", "plotly.js", "Python 3"):
         assert package in text
 
@@ -138,39 +131,49 @@ def test_all_figures_are_what_plotly_knows(html: str) -> None:
 # -- numbers -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_path_tells_step_time_error_and_covariance(comparison: Comparison, log: Log, options: RunOptions) -> None:
-    view = view_of(comparison, options)
+def test_a_path_has_step_time_error_and_covariance(comparison: Comparison, log: Log) -> None:
+    view = view_of(comparison)
     estimate = next(e for e in view.estimates if e.name == "graph")
-    rows = np.array(trajectories.pose_columns(view, estimate), dtype=float)
+    rows = np.array(paths.pose_columns(view, estimate), dtype=float)
     result = comparison["graph"]
     assert log.times is not None and log.true_poses is not None
     np.testing.assert_array_equal(rows[:, 0], np.arange(25))
     np.testing.assert_allclose(rows[:, 1], log.times, rtol=1e-7)
     np.testing.assert_allclose(rows[:, 3], position_errors(log.true_poses, result.poses), rtol=1e-3)
-    # the variances' sum does not change when the path is laid onto the truth; the heading's stays as it is
-    solved = solve(make_graph(log, options), initialize="auto").covariances()
+    # a rigid motion changes neither the sum of the variances of x and y nor that of the heading
+    solved = solve(make_graph(log, comparison.options), initialize="auto").covariances()
     np.testing.assert_allclose(rows[:, 4] ** 2 + rows[:, 5] ** 2, solved[:, 0, 0] + solved[:, 1, 1], rtol=2e-3)
     np.testing.assert_allclose(rows[:, 7] ** 2, solved[:, 2, 2], rtol=2e-3)
 
 
 @pytest.mark.parametrize("edges", ["virtual", "virtual+motion", "landmark+motion"])
 def test_covariances_are_those_of_the_solution(log: Log, edges: str) -> None:
-    options = with_models(RunOptions(edges=edges, weight="tempered", motion_weight=2.0, initialize="given"), log)
-    result = compare(log, ["graph"], options)["graph"]
-    expected = solve(make_graph(log, options)).covariances()
-    np.testing.assert_allclose(pose_covariances(result, log, options), expected, rtol=1e-6, atol=1e-14)
+    comparison = run(log, estimators="graph", edges=edges, weight="tempered", motion_weight=2.0, initialize="given")
+    expected = solve(make_graph(log, comparison.options), initialize="given").covariances()
+    covariances = view_of(Comparison(log.replace(true_poses=None), comparison.results)).estimates[0].covariances
+    assert covariances is not None
+    np.testing.assert_allclose(covariances, expected, rtol=1e-6, atol=1e-14)
 
 
-def test_covariances_turn_with_the_path(log: Log, options: RunOptions) -> None:
+def test_covariances_turn_with_the_path(log: Log) -> None:
     # the truth, turned by a quarter: what was uncertain along x is uncertain along y
-    comparison = compare(log, ["graph"], options)
+    comparison = run(log, estimators="graph")
     assert log.true_poses is not None
     quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     turned = log.true_poses @ quarter.T + [0, 0, np.pi / 2]
-    before = view_of(comparison, options).estimates[0].covariances
-    after = view_of(Comparison(log.replace(true_poses=turned), comparison.results), options).estimates[0].covariances
+    before = view_of(comparison).estimates[0].covariances
+    after = view_of(Comparison(log.replace(true_poses=turned), comparison.results)).estimates[0].covariances
     assert before is not None and after is not None
     np.testing.assert_allclose(after, quarter @ before @ quarter.T, atol=1e-12)
+
+
+def test_gnc_has_covariances_too(log: Log) -> None:
+    comparison = run(log, estimators="graph", kernel="gnc")
+    (estimate,) = view_of(comparison).estimates
+    solution = comparison["graph"].origin
+    assert estimate.covariances is not None
+    np.testing.assert_allclose(estimate.covariances[:, 2, 2], solution.covariances()[:, 2, 2], rtol=1e-6)  # type: ignore[union-attr]
+    assert "Ω of graph: 25 nodes" in page_of(comparison)
 
 
 def test_dead_reckoning_is_as_uncertain_as_a_graph_of_its_motions_alone() -> None:
@@ -188,32 +191,36 @@ def test_dead_reckoning_is_as_uncertain_as_a_graph_of_its_motions_alone() -> Non
     np.testing.assert_array_equal(found[0], start)
 
 
-def test_covariances_that_nobody_knows_stay_unknown(comparison: Comparison, options: RunOptions, log: Log) -> None:
-    for name in ("mcl", "fastslam1", "fastslam2"):
-        assert pose_covariances(comparison[name], log, options) is None
-    gnc = compare(log, ["graph"], with_models(RunOptions(robust="gnc"), log))["graph"]
-    assert pose_covariances(gnc, log, options) is None
-    view = view_of(comparison, options)
+def test_covariances_of_particle_filters_stay_unknown(comparison: Comparison) -> None:
+    view = view_of(comparison)
+    assert [e.name for e in view.estimates if e.covariances is None] == ["mcl", "fastslam1", "fastslam2"]
     mcl = next(e for e in view.estimates if e.name == "mcl")
-    assert all(row[4:] == [None] * 4 for row in trajectories.pose_columns(view, mcl))
+    assert all(row[4:] == [None] * 4 for row in paths.pose_columns(view, mcl))
 
 
-def test_ellipses_lie_at_three_standard_deviations() -> None:
-    mean, covariance = np.array([3.0, -1]), np.array([[2.0, 0.7], [0.7, 0.5]])
-    off = outline(mean, covariance) - mean
-    np.testing.assert_allclose(np.einsum("ki,ij,kj->k", off, np.linalg.inv(covariance), off), 9)
+def test_ellipses_of_the_page_lie_at_three_standard_deviations(comparison: Comparison) -> None:
+    view = view_of(comparison)
+    estimate = next(e for e in view.estimates if e.name == "graph")
+    traces = [t for t in paths.paths_figure(view)["data"] if t["meta"].get("estimator") == "graph"]
+    (trace,) = (t for t in traces if t["meta"]["layer"] == "landmark-ellipses")
+    points = np.array([trace["x"], trace["y"]], dtype=float).T.reshape(len(estimate.landmarks), -1, 2)
+    assert np.isnan(points[:, -1]).all()
+    for curve, j in zip(points[:, :-1], estimate.landmarks):
+        off = curve - estimate.landmarks[j]
+        squares = np.einsum("ki,ij,kj->k", off, np.linalg.inv(estimate.landmark_covariances[j]), off)
+        np.testing.assert_allclose(squares, 9, rtol=0.02)  # coordinates are rounded to a tenth of a millimetre
 
 
-def test_the_textbook_story_is_the_textbooks(log: Log) -> None:
+def test_the_textbook_iterations_are_those_of_the_textbook(log: Log) -> None:
     world = Graph.from_log(log, edges="virtual+motion", frame="world")
-    story = plain_steps("", world, anchored=False)
-    lectures = textbook.solve(log, edges="virtual+motion", threshold=1e-30, max_iterations=len(story.costs))
-    np.testing.assert_allclose(story.costs, lectures.costs, rtol=1e-7)
-    np.testing.assert_allclose(story.step_norms, lectures.step_norms, rtol=1e-4)
+    drifting = plain_steps("", world, anchored=False)
+    lectures = textbook.solve(log, edges="virtual+motion", threshold=1e-30, max_iterations=len(drifting.costs))
+    np.testing.assert_allclose(drifting.costs, lectures.costs, rtol=1e-7)
+    np.testing.assert_allclose(drifting.step_norms, lectures.step_norms, rtol=1e-4)
 
 
-def test_the_textbook_drifts_and_the_body_frame_jumps_to_the_end(log: Log, options: RunOptions) -> None:
-    drifting, held, _, body = stories(log, options)
+def test_the_textbook_drifts_and_the_body_frame_converges_fast(log: Log, comparison: Comparison) -> None:
+    drifting, held, _, body = iterations(log, comparison.options)
     assert drifting.step_norms[-1] > 1e-7
     # by the same amount, step after step
     assert drifting.step_norms[-1] == pytest.approx(drifting.step_norms[-5], rel=0.05)
@@ -234,8 +241,8 @@ def test_the_fill_in_is_that_of_a_factorisation() -> None:
     assert pattern.sum() == analyze(indptr, upper, ordering="natural").blocks
 
 
-def test_both_pictures_show_the_same_matrix(log: Log, options: RunOptions) -> None:
-    graph = make_graph(log, options)
+def test_both_pictures_show_the_same_matrix(log: Log, comparison: Comparison) -> None:
+    graph = make_graph(log, comparison.options)
     before, after = matrix.pictures(graph)
     solve(graph)
     omega = np.abs(graph.system.to_sparse().toarray()).reshape(25, 3, 25, 3).max(axis=(1, 3)) > 0
@@ -246,8 +253,8 @@ def test_both_pictures_show_the_same_matrix(log: Log, options: RunOptions) -> No
         assert np.count_nonzero(np.tril(picture.cells)) == picture.factor_blocks
 
 
-def test_curves_over_the_drive_are_the_errors(comparison: Comparison, options: RunOptions, log: Log) -> None:
-    figure = errors_figure(view_of(comparison, options))
+def test_curves_over_the_drive_are_the_errors(comparison: Comparison) -> None:
+    figure = errors_figure(view_of(comparison))
     assert figure is not None
     for trace, result in zip(figure["data"], comparison.results):
         assert trace["meta"]["estimator"] == result.name
@@ -291,7 +298,7 @@ def variants(log: Log) -> dict[str, Log]:
 def test_every_kind_of_log_has_a_page(log: Log, kind: str) -> None:
     changed = variants(log)[kind]
     names = ["dead-reckoning"] if kind == "one sighting" else ["dead-reckoning", "graph"]
-    elements = Elements(page_of(compare(changed, names)))
+    elements = Elements(page_of(run(changed, estimators=names)))
     figures = elements.data["figures"]
     assert "map" in figures
     assert ("errors" in figures) == (kind != "one sighting" or changed.true_poses is not None)
@@ -308,21 +315,21 @@ def test_every_kind_of_log_has_a_page(log: Log, kind: str) -> None:
 def test_only_true_landmarks_that_were_seen_are_drawn(log: Log) -> None:
     assert log.true_landmarks is not None
     more = log.replace(true_landmarks={**log.true_landmarks, 99: np.array([500.0, 0])})
-    figure = Elements(page_of(compare(more, ["dead-reckoning"]))).data["figures"]["map"]
+    figure = Elements(page_of(run(more, estimators="dead-reckoning"))).data["figures"]["map"]
     drawn = next(t for t in figure["data"] if "true landmark" in t.get("hovertemplate", ""))
     assert drawn["customdata"] == log.landmark_ids.tolist()
     assert figure["layout"]["xaxis"]["range"][1] < 100
 
 
-def test_sightings_that_do_not_tell_their_landmark_have_a_page(log: Log) -> None:
+def test_sightings_of_unidentified_landmarks_have_a_page(log: Log) -> None:
     unknown = log.replace(landmarks=np.full(len(log.landmarks), UNIDENTIFIED))
-    options = RunOptions(particles=5, association="maximum-likelihood")
-    elements = Elements(page_of(compare(unknown, ["dead-reckoning", "fastslam1"], options), RunConfig(options=options)))
-    assert "that do not tell their landmark" in elements.text
+    names = ["dead-reckoning", "fastslam1"]
+    elements = Elements(page_of(run(unknown, estimators=names, particles=5, association="maximum-likelihood")))
+    assert "of unidentified landmarks" in elements.text
     assert set(elements.data["figures"]) == {"map", "errors"}
 
 
-def test_long_logs_are_thinned_and_the_page_says_so() -> None:
+def test_long_logs_are_thinned_and_the_page_mentions_it() -> None:
     steps = 6000
     log = simulate(seed=1, steps=60, clean=True)
     poses = np.column_stack([np.linspace(0, 90, steps), np.zeros(steps), np.zeros(steps)])
@@ -336,17 +343,19 @@ def test_long_logs_are_thinned_and_the_page_says_so() -> None:
     assert f"of {steps} steps are shown" in elements.text
 
 
-def test_too_many_pairs_are_left_out_with_a_reason(log: Log, options: RunOptions, monkeypatch: Any) -> None:
-    monkeypatch.setattr("comparisons.report.convergence.MOST_PAIRS", 3)
+def test_too_many_pairs_are_left_out_with_a_reason(log: Log, comparison: Comparison, monkeypatch: Any) -> None:
+    monkeypatch.setattr("comparisons.show.report.convergence.MOST_PAIRS", 3)
     with pytest.raises(SlamError, match="pairs of sightings"):
-        stories(log, options)
-    assert "pairs of sightings, more than" in Elements(page_of(compare(log, ["graph"]))).text
+        iterations(log, comparison.options)
+    assert "pairs of sightings, more than" in Elements(page_of(comparison)).text
 
 
-def test_convergence_is_drawn_with_every_story(log: Log, options: RunOptions) -> None:
-    told = stories(log, options)
-    figure = convergence_figure(told)
-    assert [t["name"] for t in figure["data"] if t.get("showlegend")] == [story.name for story in told]
+def test_convergence_is_drawn_with_every_variant(log: Log, comparison: Comparison) -> None:
+    variants = iterations(log, comparison.options)
+    figure = convergence_figure(variants)
+    names = [t["name"] for t in figure["data"] if t.get("showlegend")]
+    assert names == [variant.name for variant in variants]
+    assert len(set(names)) == 4
 
 
 # -- files and the command line ----------------------------------------------------------------------------------------
@@ -374,7 +383,7 @@ def test_a_bad_place_is_refused(comparison: Comparison, tmp_path: Path, name: st
 
 
 def test_without_plotly_the_extra_is_named(comparison: Comparison, tmp_path: Path, monkeypatch: Any) -> None:
-    monkeypatch.setattr(plotly_bundle, "find_spec", lambda _: None)
+    monkeypatch.setattr(page, "find_spec", lambda _: None)
     with pytest.raises(OptionError, match=r"pip install 'virtual-motion-slam\[report\]'"):
         write_report(comparison, tmp_path / "page.html")
     assert list(tmp_path.iterdir()) == []
@@ -382,15 +391,6 @@ def test_without_plotly_the_extra_is_named(comparison: Comparison, tmp_path: Pat
 
 def invoke(*arguments: object) -> Any:
     return CliRunner().invoke(app, [str(a) for a in arguments])
-
-
-def test_report_takes_what_run_takes() -> None:
-    ours = set(inspect.signature(run).parameters)
-    command = next(c for c in app.registered_commands if c.name == "report")
-    assert command.callback is not None
-    theirs = set(inspect.signature(command.callback).parameters)
-    assert ours - theirs == {"log", "out", "html", "figures"}
-    assert theirs - ours == {"words"}
 
 
 def test_both_verbs_write_the_page(log: Log, tmp_path: Path, monkeypatch: Any) -> None:
@@ -403,7 +403,7 @@ def test_both_verbs_write_the_page(log: Log, tmp_path: Path, monkeypatch: Any) -
     assert sorted(p.name for p in tmp_path.iterdir()) == ["log.npz", "page.html"]
     result = invoke("run", "log.npz", "--html", "run.html", "--out", "out", *quick, "--json", "run.json")
     assert result.exit_code == 0, result.output
-    assert "Wrote run.html" in result.output
+    assert "Wrote the interactive report run.html" in result.output
     assert json.loads((tmp_path / "run.json").read_text())["files"]["html"] == "run.html"
     assert Elements((tmp_path / "run.html").read_text()).data["facts"]["estimators"] == ["dead-reckoning", "graph"]
     # the log of the configuration, and its estimators
@@ -417,7 +417,7 @@ def test_both_verbs_write_the_page(log: Log, tmp_path: Path, monkeypatch: Any) -
     "arguments",
     [("report", "log.npz", "page.pdf"), ("report", "log.npz", "more", "page.html"), ("run", "--html", "page.txt")],
 )
-def test_wrong_use_is_told_before_the_work_begins(tmp_path: Path, monkeypatch: Any, arguments: tuple[str]) -> None:
+def test_wrong_use_is_refused_before_the_work_begins(tmp_path: Path, monkeypatch: Any, arguments: tuple[str]) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("comparisons.comparison.compare", lambda *_, **__: pytest.fail("the work began"))
     result = invoke(*arguments)

@@ -1,4 +1,4 @@
-"""The report page in a real browser: opened from disk, clicked through, and asked through its DOM what it shows."""
+"""The report in a real browser: opened from disk, operated, and compared with the numbers through its DOM."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from typing import Any
 import pytest
 from chromium import Chromium, find_browser
 
-from comparisons.comparison import Comparison, compare, with_models
-from comparisons.config import RunConfig
-from comparisons.estimator import RunOptions
-from comparisons.report import write_report
-from comparisons.report.view import View, view_of
+from comparisons import run
+from comparisons.comparison import Comparison
+from comparisons.show.report import write_report
+from comparisons.show.report.view import View, view_of
 from graphslam import simulate
 from graphslam.metrics import position_errors
 
 BROWSER = find_browser()
-pytestmark = pytest.mark.skipif(BROWSER is None, reason="needs a browser: apt-get install chromium")
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(BROWSER is None, reason="needs a browser: apt-get install chromium"),
+]
 
 NAMES = ["dead-reckoning", "textbook", "graph", "gtsam", "fastslam1"]
 #: where a pose lies in the window: the drawing area of the map is a rectangle, its axes are linear
@@ -35,18 +37,18 @@ PLACE = """((x, y) => {
 @pytest.fixture(scope="module")
 def comparison() -> Comparison:
     log = simulate(seed=2, steps=24, clean=True).replace(name='a <b>log</b> & its "name" </script>')
-    return compare(log, NAMES, RunOptions(particles=50))
+    return run(log, estimators=NAMES, particles=50)
 
 
 @pytest.fixture(scope="module")
 def view(comparison: Comparison) -> View:
-    return view_of(comparison, with_models(RunOptions(), comparison.log))
+    return view_of(comparison)
 
 
 @pytest.fixture(scope="module")
 def page(comparison: Comparison, tmp_path_factory: Any) -> Path:
     path = Path(tmp_path_factory.mktemp("report")) / "page.html"
-    write_report(comparison, path, RunConfig(options=RunOptions(particles=50)))
+    write_report(comparison, path)
     return path
 
 
@@ -136,15 +138,15 @@ def test_the_slider_goes_through_the_steps(opened: Chromium, view: View, compari
     opened.evaluate("document.getElementById('step').focus()")
     for _ in range(3):
         opened.press("ArrowRight", 39)
-    opened.click("#forth")
-    opened.click("#forth")
+    opened.click("#forward")
+    opened.click("#forward")
     opened.click("#back")
     k = 4
     assert view.times is not None
     words = opened.evaluate("document.getElementById('moment').textContent")
-    assert words.startswith(f"step {k} of 24, {view.times[k]:.2f} s, saw ")
+    assert words.startswith(f"step {k} of 24, {view.times[k]:.2f} s, ")
     seen = [str(j) for t, j in zip(comparison.log.steps, comparison.log.landmarks) if t == k]
-    assert words.endswith(f"saw {len(seen)}: {', '.join(seen)}" if seen else "saw nothing")
+    assert words.endswith(f" {len(seen)} sightings: {', '.join(seen)}" if seen else " no sightings")
     opened.wait_for(f"{cursor} !== {before[0]!r} && {robots} !== {before[1]!r}")
     for row, estimate in enumerate(view.estimates):
         cells = opened.evaluate(
@@ -165,7 +167,7 @@ def test_the_slider_goes_through_the_steps(opened: Chromium, view: View, compari
     assert lines.count(None) == len(seen) + 1
 
 
-def test_hover_tells_step_time_error_and_covariance(opened: Chromium, view: View, comparison: Comparison) -> None:
+def test_hover_shows_step_time_error_and_covariance(opened: Chromium, view: View, comparison: Comparison) -> None:
     for name in NAMES:
         if name != "graph":
             opened.click(f"input[data-estimator='{name}']")
@@ -195,9 +197,7 @@ def test_hover_tells_step_time_error_and_covariance(opened: Chromium, view: View
     assert re.match(rf"step {k} of ", opened.evaluate("document.getElementById('moment').textContent"))
 
 
-def test_hover_takes_nothing_that_is_not_known_for_zero(
-    browser: Chromium, comparison: Comparison, tmp_path: Path
-) -> None:
+def test_hover_shows_no_zero_for_unknown_values(browser: Chromium, comparison: Comparison, tmp_path: Path) -> None:
     log = comparison.log
     assert log.true_poses is not None
     some = log.true_poses.copy()

@@ -1,16 +1,31 @@
+"""Tables and the sentences below them: what they say, and that no number is ever cut."""
+
 from __future__ import annotations
 
 import io
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
+from rich.table import Table
 
-from comparisons import tables
-from comparisons.comparison import Comparison, Skipped
-from comparisons.estimator import EstimatorResult
+from comparisons.backends import BackendComparison, BackendRow
+from comparisons.comparison import Comparison, ResultTable, Row, Skipped
+from comparisons.consistency import Consistency, ConsistencyStudy
+from comparisons.datasets import DATA_SETS, Found, Survey
+from comparisons.particles import ParticleRun, ParticleStudy
+from comparisons.results import EstimatorResult
+from comparisons.show.cells import LeanTable, number, seconds
+from comparisons.show.tables import as_html, as_text, tables_of, variant_line
 from comparisons.solvers import SkippedVariant, SolverComparison, VariantResult
-from graphslam import Log, simulate
+from comparisons.studies.bootstrap import Median
+from comparisons.studies.summary import METRICS, MethodSummary, PairedDifference, Summary
+from graphslam import Log, MotionModel, SensorModel, simulate
+from graphslam.calibration import Calibration
+
+LONG = "a-long-name-that-must-wrap/of-a-method with its options lambda=10"
 
 
 @pytest.fixture(scope="module")
@@ -18,45 +33,158 @@ def log() -> Log:
     return simulate(seed=2, steps=5).replace(notes=("a control was dropped",))
 
 
-def shown(table: object) -> str:
-    console = Console(file=io.StringIO(), width=160)
+def printed(table: Table, width: int) -> str:
+    console = Console(file=io.StringIO(), width=width)
     console.print(table)
     return console.file.getvalue()  # type: ignore[attr-defined, no-any-return]
 
 
-def result(log: Log, name: str, **rest: object) -> EstimatorResult:
+def result(log: Log, name: str, /, **rest: object) -> EstimatorResult:
     return EstimatorResult(name=name, poses=log.initial_poses, estimated=np.ones(6, bool), seconds=0.0123, **rest)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(None, "–"), (0.0, "0.000"), (0.1234, "0.123"), (12.0, "12.000"), (1e-4, "1.00e-04"), (2.5e7, "2.50e+07")],
-)
+    [(None, "–"), (float("nan"), "–"), (0.0, "0.000"), (0.1234, "0.123"), (12.0, "12.000"), (1e-4, "1.00e-04"),
+     (2.5e7, "2.50e+07")],
+)  # fmt: skip
 def test_numbers(value: float | None, text: str) -> None:
-    assert tables.number(value) == text
+    assert number(value) == text
 
 
 @pytest.mark.parametrize(("value", "text"), [(None, "–"), (2e-5, "20 µs"), (0.0123, "12.3 ms"), (3.0, "3.00 s")])
 def test_seconds(value: float | None, text: str) -> None:
-    assert tables.seconds(value) == text
+    assert seconds(value) == text
+
+
+# -- no number is ever cut ---------------------------------------------------------------------------------------------
+
+
+def _comparison() -> object:
+    rows = [
+        Row(LONG, True, 1234, 1234.5678, 98765.4321, 12345.678, 23456.789, 34567.891, 45678.912, 56789.123),
+        Row("graph", False, 100, 0.1234, 1.5e7, 0.123, 0.456, 0.789, 0.987, 1.234),
+    ]
+    return ResultTable("a log", tuple(rows))
+
+
+def _solvers() -> object:
+    variant = VariantResult("virtual+motion world tempered 3-D lambda=10 geman-mcclure", 1.2e-11, 3.4e-13, 5.0, 123, 456,
+                            0.1234, 1234.5, True, True)  # fmt: skip
+    return SolverComparison((variant,))
+
+
+def _backends() -> object:
+    rows = (
+        BackendRow(f"/somewhere/{LONG}.g2o", "graphslam", 98765.432109, 123, 0.12345, True, ""),
+        BackendRow(f"/somewhere/{LONG}.g2o", "gtsam-lm", 98765.432108, 456, 1234.567, True, ""),
+    )
+    return BackendComparison(rows)
+
+
+def _particles() -> object:
+    runs = [
+        ParticleRun(name="fastslam1", particles=n, seed=0, ate_m=12345.678, mean_ate_m=23456.789, landmark_rmse_m=34567.891,
+                    ess_share=0.123, ancestors=98765, seconds=1234.56)
+        for n in (31_623, 1_000_000)
+    ]  # fmt: skip
+    return ParticleStudy(LONG, tuple(runs))
+
+
+def _consistency() -> object:
+    nees = np.full((200, 7), 12345.678)
+    return ConsistencyStudy(200, 0.1, 7, 3, 0, 4.0, (Consistency("landmark nodes", nees, nees[:, 0]),))
+
+
+def _study() -> object:
+    figures = {metric: Median(12345.678, 11111.111, 23456.789, 500) for metric in METRICS}
+    method = MethodSummary("simulated world noise=0.1", LONG, 12345, 12, 34, 0.875, figures)
+    other = PairedDifference("simulated world noise=0.1", LONG, "graph", figures, dict.fromkeys(METRICS, 321))
+    return Summary(12345, 12345, "graph", (method,), (other,), {})
+
+
+def _survey() -> object:
+    entry = Found(path=Path("/data") / LONG / "log.g2o", robot=5, poses=1234567, sightings=7654321, landmarks=98765,
+                  controls=1357911, seconds=98765.4, poses_covered=617284)  # fmt: skip
+    return Survey(Path("/data"), {known.name: (entry,) for known in DATA_SETS})
+
+
+def _calibration() -> object:
+    return Calibration(motion=MotionModel(), sensor=SensorModel(), errors={"nn": 0.0123, "orientation_std": 0.02},
+                       counts={"motion": 160, "sensor": 283})  # fmt: skip
+
+
+RESULTS = {
+    f.__name__[1:]: f()
+    for f in (_comparison, _solvers, _backends, _particles, _consistency, _study, _survey, _calibration)
+}
+
+
+@pytest.mark.parametrize("width", [80, 100])
+@pytest.mark.parametrize("name", RESULTS)
+def test_every_number_is_whole_at_any_width(name: str, width: int) -> None:
+    for table in tables_of(RESULTS[name])[0]:
+        text = printed(table, width)
+        assert "…" not in text
+        assert max(map(len, text.splitlines())) <= width
+        words = set(re.split(r"\s{2,}|\n", text)) | set(text.split())
+        for column in table.columns:
+            if column.no_wrap:
+                for heading in str(column.header).split("\n"):
+                    assert heading in text
+                    assert not heading.endswith("-")
+                cells = [str(cell) for cell in column.cells]
+                assert [cell for cell in cells if not set(cell.split()) <= words] == []
+                # whole cells stand on one line
+                assert all(any(cell in line for line in text.splitlines()) for cell in cells)
+        # of the names no letter is lost
+        for column in table.columns:
+            if not column.no_wrap:
+                squeezed = re.sub(r"\s", "", text)
+                for cell in column.cells:
+                    assert all(part[:10] in squeezed for part in str(cell).split())
+
+
+def test_a_narrow_terminal_gets_as_few_tables_as_possible() -> None:
+    table = LeanTable("title", ["name"], ["first", "second", "third", "fourth"])
+    table.add_row("x", *["12345.678"] * 4)
+    # 4 + 4 (9 + 2) characters in one table; with single gaps 44; else two and two
+    for width, rows in ((48, 1), (44, 1), (43, 2), (26, 2), (23, 4)):
+        text = printed(table, width)
+        assert text.count("x") == rows, width
+        assert text.count("12345.678") == 4
+    assert printed(table, 43).splitlines()[1].split() == ["name", "first", "second"]
+
+
+def test_the_table_of_the_sample_fits_into_80_characters() -> None:
+    row = Row("dead-reckoning", True, 100, 0.1234, 12345.678, 0.123, 0.123, 0.123, 0.123, 22.702)
+    (table,), _ = tables_of(ResultTable("sample", (row,)))
+    text = printed(table, 80)
+    line = "dead-reckoning   yes, 100 123.4 ms 12345.678 0.123 0.123 0.123 0.123 22.702"
+    assert [each.strip() for each in text.splitlines() if "dead" in each] == [line]
+
+
+# -- what they say -----------------------------------------------------------------------------------------------------
 
 
 def test_table_keeps_its_units_and_dashes(log: Log) -> None:
     outcome = Comparison(
         log, (result(log, "graph", converged=True, iterations=7, cost=12.5),), (Skipped("mcl", "no map"),)
     )
-    text = shown(tables.comparison_table(outcome.table))
-    for word in ("ATE", "[m]", "[rad]", "graph", "yes", " 7 ", "12.3 ms", "12.500", "mcl"):
+    text = as_text(outcome)
+    for word in ("ATE", "[m]", "[rad]", "graph", "yes, 7", "12.3 ms", "12.500", "mcl"):
         assert word in text
-    (row,) = [line for line in text.splitlines() if "mcl" in line]
-    assert row.count("–") == 8
+    (row,) = [line for line in text.splitlines() if line.startswith("mcl  ")]
+    assert row.split() == ["mcl", *["–"] * 7]
 
 
-def test_the_table_fits_into_80_characters(log: Log) -> None:
-    row = result(log, "dead-reckoning", converged=True, iterations=100, cost=12345.6789)
-    console = Console(file=io.StringIO(), width=80)
-    console.print(tables.comparison_table(Comparison(log, (row,)).table))
-    assert "dead-reckoning     yes     100  12.3 ms  12345.679" in console.file.getvalue()  # type: ignore[attr-defined]
+def test_the_nees_is_a_column_where_it_is_known(log: Log) -> None:
+    rows = (Row("graph", nees=22.7), Row("mcl"))
+    assert "NEES" in as_text(ResultTable("t", rows))
+    assert "NEES" not in as_text(ResultTable("t", rows[1:]))
+    known = Comparison(log, (result(log, "dead-reckoning", log=log),))
+    assert f"{known.nees['dead-reckoning']:.3f}" in as_text(known)
+    assert "NEES: 1 means consistent" in as_text(known)
 
 
 def test_remarks(log: Log) -> None:
@@ -65,7 +193,7 @@ def test_remarks(log: Log) -> None:
     outcome = Comparison(
         log.replace(true_poses=None), (graph, result(log, "gtsam", notes=(note,))), (Skipped("mcl", "no map"),)
     )
-    assert tables.comparison_remarks(outcome) == [
+    assert tables_of(outcome)[1] == [
         "graph and gtsam differ by at most 0.0e+00 in any x, y [m] or heading [rad].",
         "The log has no true poses, so no error can be measured.",
         "mcl left out: no map.",
@@ -79,14 +207,84 @@ def test_solvers_table_and_remarks() -> None:
     good = VariantResult("a body", 1e-9, 1e-12, 5.0, 9, 10, 0.01, 1.2, True, True)
     bad = VariantResult("b world", 1e-3, 1e-12, 5.0, 9, 10, 0.01, 1.2, True, True)
     outcome = SolverComparison((good, bad), tuple(SkippedVariant(name, "in pieces") for name in "cd"))
-    text = shown(tables.solvers_table(outcome, "log"))
-    assert [("yes" in line, "no" in line) for line in text.splitlines() if "1.0e-" in line] == [
-        (True, False),
-        (False, True),
-    ]
-    assert tables.solvers_remarks(outcome) == [
+    lines = [line for line in as_text(outcome).splitlines() if "1.0e-" in line]
+    assert [("yes" in line, "no" in line) for line in lines[:2]] == [(True, False), (False, True)]
+    assert "9 / 10" in lines[0]
+    assert tables_of(outcome)[1] == [
         "DIFFERENT: b world: poses differ by 1.0e-03, more than 1e-06.",
         "2 variants (c, ...) left out: in pieces.",
     ]
-    assert tables.variant_line(good) == "a body: 10.0 ms, gtsam 1.20 s"
-    assert tables.variant_line(SkippedVariant("c", "in pieces")) == "c: skipped"
+    assert variant_line(good) == "a body: 10.0 ms, gtsam 1.20 s"
+    assert variant_line(SkippedVariant("c", "in pieces")) == "c: skipped"
+
+
+def test_backends_table_and_remarks() -> None:
+    rows = (
+        BackendRow("a.g2o", "graphslam", 10.0, 3, 0.1, True, ""),
+        BackendRow("a.g2o", "g2o-gn", 10.0, 3, 0.4, True, ""),
+        BackendRow("a.g2o", "gtsam-lm", 900.0, 3, 0.01, False, "the limit was reached"),
+    )
+    (table,), sentences = tables_of(BackendComparison(rows))
+    assert list(table.columns[0].cells) == ["a.g2o", "", ""]
+    assert list(table.columns[-1].cells) == ["–", "1/4.0", "–"]
+    assert sentences == [
+        "graphslam takes 1/4.0 of the time of g2o-gn (geometric mean).",
+        "a.g2o: gtsam-lm did not reach the best chi2: the limit was reached.",
+    ]
+
+
+def test_study_tables() -> None:
+    def method(log: str, name: str, failed: int, ate: Median) -> MethodSummary:
+        figures = dict.fromkeys(METRICS) | {"ate_m": ate, "seconds": Median(0.5, None, None, 3)}
+        return MethodSummary(log, name, 3, failed, 0, None, figures)
+
+    wide, alone = Median(0.25, 0.125, 0.5, 3), Median(-0.5, None, None, 1)
+    summary = Summary(
+        9, 6, "graph", (method("w", "graph", 0, wide), method("w", "mcl", 2, alone), method("v", "graph", 0, wide)),
+        (PairedDifference("w", "mcl", "graph", dict.fromkeys(METRICS) | {"ate_m": wide}, {"ate_m": 2}),),
+        {f"error {k}": 9 - k for k in range(7)},
+    )  # fmt: skip
+    (table, gaps), sentences = tables_of(summary)
+    cells = [[str(cell) for cell in column.cells] for column in table.columns]
+    assert cells[0] == ["w", "", "v"]
+    assert cells[3] == ["0", "2", "0"]
+    assert cells[5] == ["500.0 ms"] * 3
+    assert cells[6] == ["0.250 [0.125, 0.500]", "-0.500", "0.250 [0.125, 0.500]"]
+    assert [str(next(column.cells)) for column in gaps.columns] == [  # type: ignore[call-overload]
+        "w", "mcl", "3", "2/3", "+0.250 [+0.125, +0.500]", "–", "–",
+    ]  # fmt: skip
+    assert sentences[0] == "9 x error 0"
+    assert sentences[-1].startswith("... and 2 other errors")
+
+
+def test_calibration_table() -> None:
+    (table,), sentences = tables_of(RESULTS["calibration"], name="a log")
+    assert str(table.title) == "a log: noise models from the ground truth"
+    cells = dict(zip(table.columns[0].cells, zip(table.columns[2].cells, table.columns[3].cells)))
+    assert cells["nn"] == ("0.19", "0.012")
+    assert cells["oo"] == ("0.2", "–")
+    assert sentences[0].startswith("From 160 motions and 283 sightings.")
+
+
+def test_the_survey_tells_what_is_at_hand_and_what_cannot_be_read(tmp_path: Path) -> None:
+    found = {known.name: () for known in DATA_SETS} | {
+        "lnpr": (Found(path=tmp_path / "a.txt", poses=4, poses_covered=2), Found(path=tmp_path / "b.txt", error="bad")),
+    }
+    (table,), sentences = tables_of(Survey(tmp_path, found))
+    rows = list(zip(*([str(cell) for cell in column.cells] for column in table.columns)))
+    assert rows[0][:4] == ("lnpr", "a.txt", "–", "4")
+    assert rows[0][-2:] == ("50 %", "yes")
+    assert rows[1][-1] == "no"
+    assert "  at hand:   2" in sentences
+    assert "  at hand:   no" in sentences
+
+
+def test_html_has_all_cells_and_escapes_them() -> None:
+    rows = (Row("<b>", True, 3, cost=1.5), Row("skipped", skipped="no map"))
+    page = as_html(ResultTable("a [m] & b", rows))
+    assert "<caption>a [m] &amp; b</caption>" in page
+    assert '<th scope="row" style="text-align:left">&lt;b&gt;</th>' in page
+    assert ">converged, iterations</th>" in page
+    assert ">yes, 3</td>" in page
+    assert page.count("<tr>") == 3
+    assert page.count("<td") == 14

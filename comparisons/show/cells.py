@@ -1,0 +1,103 @@
+"""The parts that all tables are made of: cells, and a table in which no number is ever cut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from rich import box
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.table import Column, Table
+from rich.text import Text
+
+NOTHING = "–"
+#: columns of names wrap in a narrow terminal, but each keeps this width where it needs it
+NAMES = 18
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number for a table: short, and a dash where it is not known."""
+    if value is None or value != value:
+        return NOTHING
+    if value == 0 or 1e-3 <= abs(value) < 1e5:
+        return f"{value:.{digits}f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def seconds(value: float | None) -> str:
+    """A time with the unit that suits it."""
+    if value is None or value != value:
+        return NOTHING
+    if value < 1e-3:
+        return f"{value * 1e6:.0f} µs"
+    return f"{value * 1e3:.1f} ms" if value < 1 else f"{value:.2f} s"
+
+
+def yes_no(value: bool | None, more: str = "") -> Text:
+    """Yes, no, or a dash where the question makes no sense; ``more`` follows in the same cell."""
+    if value is None:
+        return Text(NOTHING)
+    return (Text("yes", style="green") if value else Text("no", style="bold red")).append(
+        more, style="not bold default"
+    )
+
+
+class LeanTable(Table):
+    """A table without frame. Names wrap, numbers never do: it becomes several tables where the terminal is too narrow.
+
+    Args:
+        title: above the table.
+        names: the headings of the columns of names, which come first.
+        numbers: the headings of the other columns, aligned to the right.
+    """
+
+    def __init__(self, title: str, names: Sequence[str], numbers: Sequence[str]) -> None:
+        super().__init__(
+            title=Text(title, style="bold"), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1),
+            pad_edge=False, show_edge=False,
+        )  # fmt: skip
+        # as Text: rich would take [m] for markup
+        for heading in names:
+            self.add_column(Text(heading), overflow="fold")
+        for heading in numbers:
+            self.add_column(Text(heading), justify="right", no_wrap=True)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """The table, with narrow gaps where that lets it fit, else as few tables with the same rows as possible."""
+        names = [column for column in self.columns if not column.no_wrap]
+        numbers = self.columns[len(names) :]
+
+        def split(gap: int, limit: int = options.max_width) -> list[list[Column]]:
+            used = sum(min(NAMES, _width(column)) + gap for column in names) - gap
+            return _split(numbers, limit - used, gap)
+
+        gap = 1 if len(split(2)) > 1 == len(split(1)) else 2
+        # as even as possible
+        widths = range(1, options.max_width + 1)
+        parts = next(even for limit in widths if len(even := split(gap, limit)) == len(split(gap)))
+        for k, part in enumerate(parts):
+            table = LeanTable("", (), ())
+            table.title = None if k else self.title
+            table.padding = (0, 0, 0, gap - 1)
+            table.columns = [replace(column, _index=i) for i, column in enumerate((*names, *part))]
+            table.rows = self.rows
+            if k:
+                yield ""
+            yield from Table.__rich_console__(table, console, options)
+
+
+def _split(columns: Sequence[Column], limit: int, gap: int) -> list[list[Column]]:
+    """The columns in runs that are no wider than the limit, or a single column each where one is wider."""
+    parts: list[list[Column]] = [[]]
+    for column in columns:
+        if parts[-1] and sum(_width(other) + gap for other in (*parts[-1], column)) > limit:
+            parts.append([])
+        parts[-1].append(column)
+    return parts
+
+
+def _width(column: Column) -> int:
+    """The longest line of a column."""
+    texts = (cell.plain if isinstance(cell, Text) else str(cell) for cell in (column.header, *column.cells))
+    return max(cell_len(line) for text in texts for line in text.split("\n"))

@@ -1,0 +1,140 @@
+"""The figure of a comparison: trajectories and map on the left, errors (or convergence) on the right."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from graphslam import Log, SensorModel
+from graphslam.metrics import position_errors
+from graphslam.se2 import Array, compose
+
+from ..comparison import Comparison
+from ..results import EstimatorResult
+from .canvas import paper_figure, set_limits
+from .ellipses import ellipses
+from .placement import place_map, placement_of, reference_of, true_landmarks
+from .style import SIGHTING, START, TRUE_LANDMARK, TRUTH, colour_of, ellipse_style, style_of
+
+#: longer logs have some of their sightings drawn, evenly spread: more lines would only fill the page
+MOST_SIGHTINGS = 3000
+#: estimators whose maps are drawn with ellipses
+_MAPS = ("graph", "fastslam1")
+
+
+def comparison_figure(comparison: Comparison) -> Figure:
+    """The figure of a comparison, 7.16 inches wide (two columns of a page).
+
+    Left: the trajectories, the sightings from the graph's poses, the landmarks with the ellipses of three standard
+    deviations (of each landmark given the path: its whole uncertainty is larger). Where the truth is known each
+    estimate is aligned to it by the rigid motion that its errors are measured after: drawn from a common start, a small
+    error of the first heading would hide all others. Right: the position error of every step after that motion, whose
+    root mean square is the ATE; in a log without truth the norm of the correction of each iteration instead.
+    """
+    with paper_figure() as figure:
+        left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
+        legend: dict[str, Any] = {}
+        _draw_map(left, comparison, legend)
+        (_draw_convergence if comparison.log.true_poses is None else _draw_errors)(right, comparison)
+        figure.legend(
+            list(legend.values()), list(legend), loc="outside lower center", ncols=min(6, -(-len(legend) // 2))
+        )
+    return figure
+
+
+def _draw_map(axes: Axes, comparison: Comparison, legend: dict[str, Any]) -> None:
+    """Fill the left panel, and the legend {label: handle} with what is in it."""
+    log, truth, reference = comparison.log, comparison.log.true_poses, reference_of(comparison)
+    core: list[Array] = []
+    rest: list[Array] = []
+    maps: dict[str, Any] = {}
+    if truth is not None:
+        (legend["ground truth"],) = axes.plot(truth[:, 0], truth[:, 1], **TRUTH)
+        core.append(truth[log.covered, :2])
+    for result in comparison.results:
+        placement = placement_of(log, result.poses, result.estimated)
+        poses = np.where(result.estimated[:, None], compose(placement, result.poses), np.nan)
+        axes.plot(poses[:, 0], poses[:, 1], **style_of(result.name, len(poses)))
+        legend[result.name] = Line2D([], [], **style_of(result.name))
+        (core if result is reference else rest).append(poses[result.estimated, :2])
+        if result is reference:
+            _draw_sightings(axes, log, poses)
+        # the map of a second solver of the same graph would only cover that of the first
+        if result.landmarks and (result.name in _MAPS or result is reference):
+            core.append(_draw_landmarks(axes, result, placement, result is reference))
+            look = ellipse_style(colour_of(result.name), solid=result is reference)
+            maps[f"map of {result.name} (3σ)"] = Patch(**look)
+    if truth is not None and (marks := true_landmarks(log)):
+        places = np.array(list(marks.values()))
+        (legend["true landmark"],) = axes.plot(places[:, 0], places[:, 1], **TRUE_LANDMARK)
+        core.append(places)
+    legend.update(maps)
+    if log.steps.size and reference is not None:
+        legend["sighting"] = Line2D([], [], **SIGHTING | {"linewidth": 0.8})
+    start = log.initial_poses[0] if truth is None else truth[0]
+    (legend["start"],) = axes.plot(start[0], start[1], **START)
+    set_limits(axes, np.concatenate(core), rest)
+    how = "" if truth is None else ", aligned to the ground truth"
+    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"(a) {log.name}: paths and map{how}")
+
+
+def _draw_sightings(axes: Axes, log: Log, poses: Array) -> None:
+    used = np.flatnonzero(np.isfinite(poses[log.steps, 0]))
+    used = used[:: max(1, -(-len(used) // MOST_SIGHTINGS))]
+    begins = poses[log.steps[used]]
+    ends = SensorModel().h_inverse(begins, log.sightings[used])[:, :2]
+    lines = LineCollection(list(np.stack([begins[:, :2], ends], axis=1)), **SIGHTING)
+    lines.set_rasterized(len(used) > 1000)
+    axes.add_collection(lines, autolim=False)
+
+
+def _draw_landmarks(axes: Axes, result: EstimatorResult, placement: Array, solid: bool) -> Array:
+    """Draw means and ellipses; return all their points (k, 2)."""
+    means, covariances = place_map(placement, result.landmarks, result.landmark_covariances)
+    curves, places, color = ellipses(means, covariances), np.array(list(means.values())), colour_of(result.name)
+    axes.plot(places[:, 0], places[:, 1], ".", color=color, markersize=3, zorder=3.1)
+    axes.add_collection(PolyCollection(list(curves), zorder=3.0, **ellipse_style(color, solid=solid)), autolim=False)
+    return np.concatenate([places, curves.reshape(-1, 2)])
+
+
+def _draw_errors(axes: Axes, comparison: Comparison) -> None:
+    medians, truth = [], comparison.log.true_poses
+    assert truth is not None
+    for result in comparison.results:
+        if np.count_nonzero(result.estimated & comparison.log.covered) >= 2:
+            errors = position_errors(truth, result.poses, mask=result.estimated)
+            style = style_of(result.name, len(errors))
+            # errors cross each other more often than paths do
+            axes.plot(np.arange(len(errors)), errors, **style | {"linewidth": 0.7 * style.get("linewidth", 1.0)})
+            medians.append(float(np.nanmedian(errors)))
+    positive = [median for median in medians if median > 0]
+    if positive and max(positive) > 10 * min(positive):
+        axes.set_yscale("log")
+        # single steps that happen to be exact would otherwise stretch the axis for nothing
+        axes.set_ylim(bottom=min(positive) / 10)
+    else:
+        axes.set_ylim(bottom=0)
+    axes.set(xlabel="step", ylabel="position error [m]", title="(b) position error of every step")
+    axes.margins(x=0.02)
+
+
+def _draw_convergence(axes: Axes, comparison: Comparison) -> None:
+    longest = 1
+    for result in comparison.results:
+        if len(norms := result.step_norms):
+            style = style_of(result.name)
+            if style["linestyle"] == "none":
+                style |= {"linestyle": "-", "linewidth": 0.7}
+            axes.plot(np.arange(1, len(norms) + 1), norms, **style)
+            longest = max(longest, len(norms))
+    axes.set_yscale("log")
+    axes.set_xlim(0.5, longest + 0.5)
+    axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
+    axes.set(xlabel="iteration", ylabel="norm of the correction", title="(b) convergence (the log has no true poses)")

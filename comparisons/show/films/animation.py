@@ -1,0 +1,52 @@
+"""`animate`: an estimator at work on a log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from os import PathLike
+from typing import Any
+
+from graphslam import GraphError, Log
+
+from ...options import AnimationOptions, RunOptions
+from ...reading import prepare
+from .film import Film
+from .graph import graph_film
+from .isam2 import isam2_film
+from .particles import particle_film
+
+Progress = Callable[[], None]
+
+
+def animate(log: Log | str | PathLike[str] | None = None, *, progress: Progress | None = None, **options: Any) -> Film:
+    """Run an estimator on a log and keep what it estimates on the way.
+
+    The film of ``graph`` has one frame per iteration, its edges coloured by their Mahalanobis distances; the others have
+    one frame per step: the particles, maps and resamplings of a filter, the corrections that ``isam2`` makes to the path.
+
+    Args:
+        log: a log, the file or folder of one, or None for the sample log of the package.
+        progress: called after each step of the estimators that go step by step.
+        options: the fields of `options.AnimationOptions` (estimator, max_frames, fps) and of `options.RunOptions`.
+
+    Returns:
+        The film: ``film.save("out.gif")``, ``film.frames[-1].poses``; a notebook shows it.
+
+    Raises:
+        OptionError: an option is unknown or has an impossible value.
+        SlamError: the estimator cannot run on this log.
+    """
+    own = {f.name: options.pop(f.name) for f in fields(AnimationOptions) if f.name in options}
+    animation = AnimationOptions.of(**own)
+    data, source, run = prepare(log, RunOptions.of(**options))
+    if len(data.steps) == 0:
+        raise GraphError(f"{data.name} has no sightings at all, so there is nothing to estimate from")
+    progress = progress or (lambda: None)
+    if animation.estimator == "graph":
+        film = graph_film(data, run, animation)
+    elif animation.estimator == "isam2":
+        film = isam2_film(data, run, animation, progress)
+    else:
+        film = particle_film(data, run, animation, progress)
+    return replace(film, source=source)

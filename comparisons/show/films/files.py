@@ -1,0 +1,157 @@
+"""Films as files: GIF through Pillow, MP4 through matplotlib's writer for ffmpeg, HTML through ``player.html``."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import subprocess
+from collections.abc import Callable, Iterator
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.animation import FFMpegWriter
+from matplotlib.figure import Figure
+from PIL import Image
+
+from graphslam import OptionError
+from graphslam.files import write_whole
+
+from ...saving import check_can_write
+
+if TYPE_CHECKING:
+    from .film import Film
+
+SUFFIXES = (".gif", ".mp4", ".html")
+#: how long the last picture stays before the film begins again [s]
+HOLD = 2.0
+#: one less than a palette can have: the last entry stands for "as in the background"
+CLEAR = 255
+#: pictures that the colours are taken from, beside as many of those that light up
+SAMPLES = 8
+
+
+def check_can_film(path: Path) -> None:
+    """Raise now rather than after the work if no film can be written at ``path``.
+
+    Raises:
+        OptionError: the suffix is none of `SUFFIXES`, or is .mp4 and there is no ffmpeg.
+        FormatError: the place cannot be written.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise OptionError(f"{path}: the name of an animation must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
+    if suffix == ".mp4" and not FFMpegWriter.isAvailable():
+        raise OptionError(f"{path}: .mp4 needs the program ffmpeg: install it, or write a .gif or .html")
+    check_can_write(path)
+
+
+def write_film(film: Film, path: Path, progress: Callable[[], None]) -> None:
+    """Write a film in the format that the suffix names, whole or not at all.
+
+    Raises:
+        OptionError: ffmpeg fails.
+        FormatError: the place cannot be written.
+    """
+    with write_whole(path) as temporary:
+        if path.suffix.lower() == ".gif":
+            _write_gif(film, temporary, progress)
+        elif path.suffix.lower() == ".mp4":
+            try:
+                _write_mp4(film, temporary, progress)
+            except subprocess.CalledProcessError as error:
+                lines = (error.stderr or "").strip().splitlines()
+                reason = lines[-1] if lines else f"status {error.returncode}"
+                raise OptionError(f"{path}: ffmpeg failed: {reason}") from None
+        else:
+            temporary.write_text(player(film, progress), encoding="utf-8")
+
+
+def player(film: Film, progress: Callable[[], None]) -> str:
+    """A page with a player, which needs no other file: the background once, and each picture as a layer above it."""
+    still = film.pictures.still
+    layers = []
+    for picture, image in _indexed(film):
+        layer = Image.fromarray(np.where((picture == still).all(axis=2), CLEAR, np.asarray(image)).astype(np.uint8))
+        layer.putpalette(image.getpalette() or [])
+        layers.append(_data_url(layer, transparency=CLEAR))
+        progress()
+    template = Template(files("comparisons.show.films").joinpath("player.html").read_text(encoding="utf-8"))
+    return template.substitute(
+        title=escape(film.title), width=still.shape[1], height=still.shape[0], last=len(layers) - 1,
+        fps=json.dumps(film.fps), still=_data_url(Image.fromarray(still)), first=layers[0], pictures=json.dumps(layers),
+    )  # fmt: skip
+
+
+def _write_gif(film: Film, path: Path, progress: Callable[[], None]) -> None:
+    def images() -> Iterator[Image.Image]:
+        for _, image in _indexed(film):
+            yield image
+            progress()
+
+    # the format counts hundredths of a second, and viewers take a single one for ten
+    duration = max(20, round(100 / film.fps) * 10)
+    durations = [duration] * (len(film) - 1) + [max(duration, round(1000 * HOLD))]
+    first, rest = next(made := images()), made
+    # a file of our own, which is closed when the film is interrupted
+    with path.open("wb") as file:
+        first.save(
+            file,
+            format="GIF",
+            save_all=True,
+            append_images=rest,
+            duration=durations,
+            loop=0,
+            disposal=1,
+            optimize=False,
+        )
+
+
+def _write_mp4(film: Film, path: Path, progress: Callable[[], None]) -> None:
+    """Show the pictures one after the other in a figure of their size, and let matplotlib hand it to ffmpeg."""
+    height, width = film.pictures.still.shape[:2]
+    figure = Figure(figsize=(width / 100, height / 100), dpi=100)
+    screen = figure.figimage(film.pictures.still)
+    writer = FFMpegWriter(
+        fps=film.fps,  # type: ignore[arg-type]
+        metadata={"title": film.title},
+        extra_args=["-movflags", "+faststart", "-f", "mp4"],
+    )
+    with writer.saving(figure, str(path), dpi=100):
+        for number, picture in enumerate(film.pictures):
+            screen.set_data(picture)
+            for _ in range(1 if number < len(film) - 1 else round(HOLD * film.fps)):
+                writer.grab_frame()
+            progress()
+
+
+def _indexed(film: Film) -> Iterator[tuple[np.ndarray, Image.Image]]:
+    """The pictures (h, w, 3) of a film, each with its copy in the palette that all of them share.
+
+    With one palette what does not move has the same colours in every picture. Each colour that occurs counts once in it,
+    so that a small dot keeps its own.
+    """
+    # frames that light up have colours of their own
+    bright = [number for number, frame in enumerate(film.frames) if frame.flash]
+    spread = np.linspace(0, len(film) - 1, SAMPLES).round().astype(int).tolist()
+    samples = dict.fromkeys([*spread, *bright[:: max(1, len(bright) // SAMPLES)]])
+    codes = np.unique(np.concatenate([np.unique(film.pictures[k] @ _WEIGHTS) for k in samples]))
+    colours = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=-1).astype(np.uint8)
+    palette = Image.fromarray(colours[None]).quantize(CLEAR, method=Image.Quantize.MAXCOVERAGE)
+    # as long as it can be, since what is clear needs an entry, too
+    palette.putpalette((palette.getpalette() or [])[: 3 * CLEAR] + [255, 255, 255])
+    for picture in film.pictures:
+        yield picture, Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
+
+
+_WEIGHTS = np.array([65536, 256, 1])
+
+
+def _data_url(image: Image.Image, **options: int) -> str:
+    buffer = io.BytesIO()
+    image.save(buffer, format="PNG", **options)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -1,0 +1,218 @@
+"""The page: everything that is known of a comparison, put into the template and written as one file."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Sequence
+from html import escape
+from importlib.metadata import version
+from importlib.resources import files
+from importlib.util import find_spec
+from os import PathLike
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from graphslam import FormatError, OptionError, SlamError
+from graphslam.files import write_whole
+
+from ...comparison import Comparison
+from ...config import versions
+from ...saving import check_can_write, jsonable
+from ..placement import reference_of
+from ..style import MATRIX, colour_of
+from ..tables import table_as_html, tables_of
+from .convergence import iterations, remarks
+from .curves import convergence_figure, costs_figure, errors_figure
+from .matrix import ENTRY, FILL, description, matrix_figure, pictures
+from .paths import COLUMNS, paths_figure
+from .traces import Figure, line_of
+from .view import View, view_of
+
+SUFFIXES = (".html", ".htm")
+#: layers of the map: name, label, whether it is shown at first
+LAYERS = (
+    ("path", "paths", True),
+    ("landmarks", "landmarks", True),
+    ("landmark-ellipses", "landmark ellipses", True),
+    ("pose-ellipses", "pose ellipses", False),
+    ("truth", "ground truth", True),
+    ("now", "robot at the step", True),
+)
+_CONVERGENCE = (
+    "All four start at the initial poses of the log, with every pair of sightings as an edge. The lectures reset the "
+    "anchor x̂₀ at every step: the cost settles, but the whole graph keeps drifting, and the norm of the correction stays "
+    "constant. With a fixed anchor the world frame converges, at a constant rate, since its information changes with the "
+    "state; Anderson acceleration makes this faster. In the body frame the information depends on the measurements "
+    "alone, so that there is one cost to minimise, and a few steps suffice."
+)
+
+
+def check_page(path: Path) -> None:
+    """Raise now rather than after minutes of work if no report can be written at ``path``.
+
+    Raises:
+        FormatError: the name does not end in .html, or the place cannot be written.
+        OptionError: the extra ``report`` is not installed.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise FormatError(path, None, f"the name of a report must end in {' or '.join(SUFFIXES)}")
+    check_can_write(path)
+    if find_spec("plotly") is None:
+        raise OptionError("the interactive report needs the package plotly: pip install 'virtual-motion-slam[report]'")
+
+
+def write_report(comparison: Comparison, path: str | PathLike[str]) -> None:
+    """Write the interactive report of a comparison, one HTML file that works offline, whole or not at all.
+
+    Raises:
+        FormatError: the name does not end in .html, or the place cannot be written.
+        OptionError: the extra ``report`` is not installed.
+    """
+    check_page(Path(path))
+    text = page_of(comparison)
+    with write_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def page_of(comparison: Comparison) -> str:
+    """The HTML text of the report of a comparison; needs the extra ``report``."""
+    from plotly.offline import get_plotlyjs, get_plotlyjs_version
+
+    view = view_of(comparison)
+    matrix, matrix_note = _matrix(comparison)
+    convergence, convergence_note, endings = _convergence(comparison)
+    figures = {
+        "map": paths_figure(view),
+        "errors": errors_figure(view),
+        "costs": costs_figure(comparison),
+        "convergence": convergence,
+        "matrix": matrix,
+    }
+    (table,), sentences = tables_of(comparison)
+    table.title = None
+    plotly = f"plotly {version('plotly')} (plotly.js {get_plotlyjs_version()})"
+    part = {
+        "title": escape(comparison.log.name),
+        "summary": escape(_summary(view)),
+        "table": table_as_html(table),
+        "remarks": _items(sentences),
+        "estimators": "\n".join(
+            f'<label><input type="checkbox" checked data-estimator="{escape(e.name)}">{_sample(e.name)}{escape(e.name)}'
+            "</label>"
+            for e in view.estimates
+        ),
+        "layers": "\n".join(
+            f'<label><input type="checkbox"{" checked" * on} data-layer="{name}">{label}</label>'
+            for name, label, on in LAYERS
+            if name != "pose-ellipses" or any(e.covariances is not None for e in view.estimates)
+        ),
+        "last": str(len(view.steps) - 1),
+        "error_heading": escape(
+            "error [m]" if view.measured_from in ("truth", None) else f"from {view.measured_from} [m]"
+        ),
+        "map_note": escape(_map_note(view)),
+        "errors_note": escape(_errors_note(view)),
+        **{f"{name}_hidden": "hidden" if figure is None else "" for name, figure in figures.items()},
+        "convergence_note": escape(convergence_note),
+        "convergence_remarks": _items(endings),
+        "matrix_note": escape(matrix_note),
+        "entry": MATRIX[ENTRY],
+        "fill": MATRIX[FILL],
+        "configuration": escape(comparison.config),
+        "versions": _items([*versions(), plotly, platform.platform()]),
+        "figures": embedded({name: figure for name, figure in figures.items() if figure is not None}),
+        "facts": embedded(_facts(view)),
+        "style": _resource("page.css"),
+        "behaviour": _resource("page.js"),
+        "plotly": get_plotlyjs(),
+    }
+    return Template(_resource("page.html")).substitute(part)
+
+
+def embedded(value: Any) -> str:
+    """JSON that may stand inside a script element: nothing in it can end the element or begin another."""
+    text = json.dumps(jsonable(value), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return text
+
+
+def _facts(view: View) -> dict[str, Any]:
+    """What the slider shows: the steps, their times, and what is seen from them in the axes of the robot."""
+    return {
+        "columns": COLUMNS,
+        "steps": view.steps,
+        "times": view.times,
+        "last": view.log.num_poses - 1,
+        "measured_from": view.measured_from,
+        "estimators": [estimate.name for estimate in view.estimates],
+        "sightings": [[[round(x, 4), round(y, 4), int(j)] for x, y, j in seen.tolist()] for seen in view.sightings],
+    }
+
+
+def _summary(view: View) -> str:
+    log = view.log
+    landmarks = f"of {len(log.landmark_ids)} landmarks" if log.identified else "of unidentified landmarks"
+    kind = "range, bearing, orientation" if log.has_orientation else "range, bearing"
+    time = "" if view.times is None else f" in {view.times[-1] - view.times[0]:.1f} s"
+    return f"{log.num_poses} poses, {len(log.steps)} sightings {landmarks} ({kind}){time}"
+
+
+def _map_note(view: View) -> str:
+    note = "The ellipses are those of three standard deviations. A click on a path moves the slider to that step."
+    if view.truth is not None:
+        note += " Each estimate is aligned to the ground truth by the rigid motion that its errors are measured after."
+    if len(view.steps) < view.log.num_poses:
+        note += f" {len(view.steps)} of {view.log.num_poses} steps are shown; the table counts all of them."
+    return note
+
+
+def _errors_note(view: View) -> str:
+    if view.measured_from == "truth":
+        return "Distance from the true position after alignment; its root mean square over all steps is the ATE."
+    if view.measured_from is None:
+        return ""
+    return f"The log has no true poses: this is the distance from {view.measured_from} after alignment, not an error."
+
+
+def _convergence(comparison: Comparison) -> tuple[Figure | None, str, list[str]]:
+    """The figure, what it shows, and how each variant ended."""
+    try:
+        variants = iterations(comparison.log, comparison.options)
+    except SlamError as error:
+        return None, f"Left out: {error}.", []
+    return convergence_figure(variants), _CONVERGENCE, remarks(variants)
+
+
+def _matrix(comparison: Comparison) -> tuple[Figure | None, str]:
+    reference = reference_of(comparison)
+    if reference is None or reference.graph is None:
+        return None, "Left out: no estimator of this comparison solved a graph."
+    before, after = pictures(reference.graph)
+    return matrix_figure(before, after), description(reference.name, before, after)
+
+
+def _sample(name: str) -> str:
+    """A short piece of an estimator's line, as a picture beside its name."""
+    look, colour = line_of(name), colour_of(name)
+    line = look["line"]
+    dash = "" if line.get("dash", "solid") == "solid" else f' stroke-dasharray="{line["dash"].replace("px", "")}"'
+    mark = ""
+    if "marker" in look:
+        cross = look["marker"]["symbol"].startswith("x")
+        shape = '<path d="M13 4l8 8m0-8l-8 8"' if cross else '<circle cx="17" cy="8" r="4"'
+        mark = f'{shape} fill="none" stroke="{colour}" stroke-width="1.6"/>'
+    return (
+        f'<svg width="34" height="16" aria-hidden="true"><line x1="0" y1="8" x2="34" y2="8" stroke="{colour}" '
+        f'stroke-width="{line["width"]:.1f}"{dash}/>{mark}</svg>'
+    )
+
+
+def _items(sentences: Sequence[str]) -> str:
+    return "\n".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
+
+
+def _resource(name: str) -> str:
+    return files("comparisons.show.report").joinpath(name).read_text(encoding="utf-8")

@@ -1,0 +1,107 @@
+"""What the report shows of a comparison: all estimates aligned, with errors and covariances, thinned to fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from graphslam import Log, SensorModel
+from graphslam.metrics import position_errors
+from graphslam.se2 import Array, compose, rotation
+
+from ...comparison import Comparison
+from ...results import EstimatorResult
+from ..placement import place_map, placement_of, reference_of
+
+#: of longer logs every N-th step is shown: a screen has no more points, and the file must stay small
+MOST_STEPS = 1500
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """One estimate at the S steps that are shown, aligned to the ground truth where that is known.
+
+    Attributes:
+        name: of the estimator.
+        poses: (S, 3); NaN where the pose is not estimated.
+        errors: (S,) [m], see `View.measured_from`; NaN where unknown.
+        covariances: (S, 3, 3) in the aligned axes, NaN where unknown; None where none is known.
+        landmarks, landmark_covariances: {id: (2,)} and {id: (2, 2)} in the aligned axes.
+    """
+
+    name: str
+    poses: Array
+    errors: Array
+    covariances: Array | None
+    landmarks: Mapping[int, Array]
+    landmark_covariances: Mapping[int, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """All estimates of a comparison as they are drawn.
+
+    Attributes:
+        log: what was estimated from.
+        steps: (S,) the steps shown.
+        times: (S,) [s]; None where the log has none.
+        truth: (S, 3), NaN where unknown; None without ground truth.
+        estimates: in the order of the results.
+        measured_from: the path that errors are distances from, after alignment: "truth", or the name of an estimator
+            where the truth is not known; None where there is nothing to compare with.
+        sightings: for each step shown (K, 3): what is seen, in the axes of the robot [m], and the id of the landmark.
+    """
+
+    log: Log
+    steps: np.ndarray
+    times: Array | None
+    truth: Array | None
+    estimates: tuple[Estimate, ...]
+    measured_from: str | None
+    sightings: tuple[Array, ...]
+
+    @property
+    def abscissa(self) -> tuple[Array, str]:
+        """The horizontal axis of curves over the drive (S,), and its name with the unit."""
+        return (self.steps.astype(float), "step") if self.times is None else (self.times, "time [s]")
+
+
+def view_of(comparison: Comparison) -> View:
+    """The view of a comparison."""
+    log = comparison.log
+    stride = max(1, -(-log.num_poses // MOST_STEPS))
+    steps = np.unique(np.append(np.arange(0, log.num_poses, stride), log.num_poses - 1))
+    path, measured_from = log.true_poses, "truth" if log.true_poses is not None else None
+    reference = reference_of(comparison)
+    if path is None and reference is not None and len(comparison.results) >= 2:
+        path, measured_from = np.where(reference.estimated[:, None], reference.poses, np.nan), reference.name
+    sensor = comparison.options.sensor or log.sensor or SensorModel()
+    places = sensor.h_inverse(np.zeros((len(log.steps), 3)), log.sightings)[:, :2]
+    seen = np.column_stack([places, log.landmarks])
+    bounds = zip(np.searchsorted(log.steps, steps), np.searchsorted(log.steps, steps, side="right"))
+    return View(
+        log=log,
+        steps=steps,
+        times=None if log.times is None else log.times[steps],
+        truth=None if log.true_poses is None else log.true_poses[steps],
+        estimates=tuple(_estimate(log, result, steps, path) for result in comparison.results),
+        measured_from=measured_from,
+        sightings=tuple(seen[begin:end] for begin, end in bounds),
+    )
+
+
+def _estimate(log: Log, result: EstimatorResult, steps: np.ndarray, path: Array | None) -> Estimate:
+    placement = placement_of(log, result.poses, result.estimated)
+    errors = np.full(len(result.poses), np.nan)
+    if path is not None and np.count_nonzero(counted := result.estimated & np.isfinite(path[:, 0])) >= 2:
+        errors = position_errors(path, result.poses, mask=counted)
+    covariances = result.pose_covariances
+    if covariances is not None:
+        turn = np.eye(3)
+        turn[:2, :2] = rotation(placement[2])
+        covariances = turn @ covariances[steps] @ turn.T
+    poses = np.where(result.estimated[steps, None], compose(placement, result.poses[steps]), np.nan)
+    maps = place_map(placement, result.landmarks, result.landmark_covariances)
+    return Estimate(result.name, poses, errors[steps], covariances, *maps)

@@ -1,0 +1,174 @@
+"""The tables of studies, of the data sets at hand, and of a calibration."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+from .cells import NOTHING, LeanTable, number, seconds, yes_no
+
+if TYPE_CHECKING:
+    from graphslam.calibration import Calibration
+
+    from ..consistency import ConsistencyStudy
+    from ..datasets import Survey
+    from ..particles import ParticleStudy
+    from ..studies.bootstrap import Median
+    from ..studies.summary import Summary
+    from .tables import Tables
+
+#: the metrics of a study's tables
+_METRICS = {"ate_m": "ATE [m]", "rpe_m": "RPE [m]", "landmark_rmse_m": "map [m]"}
+#: error messages that are printed below a study
+_MOST_ERRORS = 5
+
+
+def particle_tables(study: ParticleStudy) -> Tables:
+    """Medians over the seeds, a row per filter and number of particles."""
+    metrics = {
+        "ate_m": "ATE\n[m]", "mean_ate_m": "ATE of\nmean [m]", "landmark_rmse_m": "map\n[m]", "ess_share": "ESS / N",
+    }  # fmt: skip
+    headings = ("particles", *metrics.values(), "ancestors", "time")
+    table = LeanTable(f"{study.log}: medians over random seeds", ["filter"], headings)
+    for row in study.rows():
+        values = (number(row[metric]) for metric in metrics)
+        ancestors = number(row["ancestors"], 0)
+        table.add_row(row["name"], str(row["particles"]), *values, ancestors, seconds(row["seconds"]))
+    return [table], []
+
+
+def consistency_tables(study: ConsistencyStudy) -> Tables:
+    """A row per estimator: the joint ANEES with its band, and that of its steps."""
+    table = LeanTable(
+        f"{study.logs} simulated logs of {study.steps} motions, {study.dimensions}-D sensor, {study.noise:g} times the "
+        "book's noise: ANEES / degrees of freedom, 1 means consistent",
+        ["estimator"],
+        ["logs", "joint", "95 % band", "inside", "median\nof steps", "worst\nstep", "95 % band\nof a step", "steps\ninside"],
+    )  # fmt: skip
+    for r in study.results:
+        joint = (number(r.anees), NOTHING if r.anees is None else _band(r.joint_band), yes_no(r.consistent))
+        steps = number(float(np.median(r.steps))), number(float(np.max(r.steps)))
+        table.add_row(r.name, str(r.logs), *joint, *steps, _band(r.step_band), f"{r.steps_inside:.0%}")
+    remarks = [
+        f"{r.name} failed on {r.failed} of {study.logs} logs, which count in no number."
+        for r in study.results
+        if r.failed
+    ]
+    if any(r.name == "pairs" for r in study.results):
+        remarks.append(
+            "pairs counts every sighting about K/2 times, with K sightings per landmark: "
+            f"{study.sightings_per_landmark / 2:.1f} times on these logs."
+        )
+    return [table], remarks
+
+
+def _band(limits: tuple[float, float]) -> str:
+    return f"{limits[0]:.3f} to {limits[1]:.3f}"
+
+
+def summary_tables(summary: Summary) -> Tables:
+    """Medians with their intervals, then the differences from the baseline, and the errors with their counts."""
+    table = LeanTable(
+        f"{summary.done} of {summary.planned} runs: medians with 95 % bootstrap intervals", ["log", "method"],
+        ["runs", "failed", "converged", "time", *_METRICS.values()],
+    )  # fmt: skip
+    for line in summary.methods:
+        failed = line.failed + line.timeouts
+        time = line.figures["seconds"]
+        _add(
+            table, line.log, line.method, str(line.runs), Text(str(failed), style="bold red" if failed else ""),
+            NOTHING if line.converged is None else f"{line.converged:.0%}",
+            seconds(None if time is None else time.median), *_intervals(line.figures),
+        )  # fmt: skip
+    tables: list[Table] = [table]
+    if summary.differences:
+        tables.append(LeanTable(
+            f"differences from {summary.baseline} on the same logs and random seeds: lower is better",
+            ["log", "method"], ["pairs", "lower\nATE", *_METRICS.values()],
+        ))  # fmt: skip
+    for gap in summary.differences:
+        pairs = max((median.count for median in gap.figures.values() if median is not None), default=0)
+        ate = gap.figures["ate_m"]
+        lower = NOTHING if ate is None else f"{gap.lower['ate_m']}/{ate.count}"
+        _add(tables[-1], gap.log, gap.method, str(pairs), lower, *_intervals(gap.figures, "+"))
+    errors = list(summary.errors.items())
+    remarks = [f"{count} x {error}" for error, count in errors[:_MOST_ERRORS]]
+    if len(errors) > _MOST_ERRORS:
+        remarks.append(f"... and {len(errors) - _MOST_ERRORS} other errors; --csv and --json list all of them.")
+    return tables, remarks
+
+
+def _add(table: Table, log: str, *cells: str | Text) -> None:
+    """Add a row, with the name of its log only where that differs from the row above."""
+    above = next((name for name in reversed(list(table.columns[0].cells)) if name), log)
+    if above != log:
+        table.add_section()
+    table.add_row("" if above == log and table.rows else log, *cells)
+
+
+def _intervals(figures: Mapping[str, Median | None], sign: str = "") -> list[str]:
+    def text(value: float) -> str:
+        return sign * (value > 0) + number(value)
+
+    def interval(m: Median) -> str:
+        return text(m.median) + ("" if m.low is None or m.high is None else f" [{text(m.low)}, {text(m.high)}]")
+
+    return [NOTHING if (m := figures[metric]) is None else interval(m) for metric in _METRICS]
+
+
+def survey_tables(survey: Survey) -> Tables:
+    """A row per log or pose graph at hand; below, what the known data sets are."""
+    from ..datasets import DATA_SETS
+
+    headings = ["robot", "poses", "sightings,\nedges", "landmarks", "controls", "time\n[s]", "truth\ncovers", "reads"]
+    table = LeanTable("At hand", ["data set", "file or folder"], headings)
+    for name, entries in survey.found.items():
+        for entry in entries:
+            place = os.path.relpath(entry.path, survey.folder)
+            cells: list[Any] = [NOTHING if entry.robot is None else str(entry.robot)]
+            if entry.error is not None:
+                cells += [NOTHING] * 6
+            else:
+                share = None if entry.poses_covered is None else f"{100 * entry.poses_covered / entry.poses:.0f} %"
+                controls = NOTHING if entry.controls is None else str(entry.controls)
+                cells += [str(entry.poses), str(entry.sightings), str(entry.landmarks), controls]
+                cells += [number(entry.seconds, 1), share or NOTHING]
+            table.add_row(name, Text(place), *cells, yes_no(entry.error is None))
+    remarks = []
+    for known in DATA_SETS:
+        remarks += [
+            f"{known.name}: {known.title}",
+            f"  published: {known.source}",
+            f"  terms:     {known.terms}",
+            f"  layout:    {known.layout}",
+            f"  at hand:   {len(survey.found[known.name]) or 'no'}",
+        ]
+    missing = "" if survey.folder.is_dir() else " There is no such folder: name another with SLAM_DATA or --folder."
+    return [table], [*remarks, f"Searched below {survey.folder}.{missing}", ""]
+
+
+def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
+    """The numbers of the noise models with their standard errors, a row each."""
+    from ..options import NoiseOptions, options_of
+
+    source = "the ground truth" if calibration.source == "truth" else calibration.source
+    table = LeanTable(
+        f"{name}: noise models from {source}" if name else f"noise models from {source}",
+        ["number", "unit"],
+        ["value", "± error"],
+    )
+    for number_of, value in calibration.numbers.items():
+        error = calibration.errors.get(number_of, np.nan)
+        known = f"{error:.2g}" if np.isfinite(error) else NOTHING
+        table.add_row(number_of, Text(options_of(NoiseOptions)[number_of].unit), f"{value:.4g}", known)
+    names = {"motion": "motions", "sensor": "sightings"}
+    counts = " and ".join(f"{count} {names[part]}" for part, count in calibration.counts.items())
+    return [table], [
+        f'From {counts}. Measured range = range_scale * range + range_bias. "{NOTHING}": zero or not identifiable.',
+        *(f"{note}." for note in calibration.notes),
+    ]
