@@ -24,6 +24,7 @@ from scipy.stats import chi2
 from fastslam import FastSLAM1, FastSLAM2, ParticleFilter
 from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorModel, Solution, simulate, solve
 from graphslam.checks import check_choice, check_positive
+from graphslam.metrics import pose_nees
 from graphslam.se2 import Array, wrap
 
 from .results import jsonable
@@ -218,11 +219,6 @@ def band(degrees: int) -> tuple[float, float]:
     tail = (1 - CONFIDENCE) / 2
     low, high = chi2.ppf([tail, 1 - tail], degrees) / degrees
     return float(low), float(high)
-
-
-def pose_nees(error: Array, covariance: Array) -> Array:
-    """e' P^-1 e / 3 for errors (T, 3) with covariances (T, 3, 3); (T,)."""
-    return np.asarray(np.einsum("ti,ti->t", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0]) / 3)
 
 
 def joint_nees(solution: Solution, graph: Graph, truth: Array) -> float:
