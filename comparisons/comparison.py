@@ -107,7 +107,8 @@ class Comparison(Shown):
         """The figures of every result against the truth, by name."""
         truth, landmarks = self.log.true_poses, self.log.true_landmarks
         return {
-            r.name: evaluate(truth, landmarks, r.poses, r.landmarks, mask=r.estimated, named=r.named) for r in self.results
+            r.name: evaluate(truth, landmarks, r.poses, r.landmarks, mask=r.estimated, named=r.named)
+            for r in self.results
         }
 
     def __getitem__(self, name: str) -> EstimatorResult:

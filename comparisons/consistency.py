@@ -208,7 +208,9 @@ def study_consistency(
 def models(noise: float) -> tuple[MotionModel, SensorModel]:
     """The book's models with all standard deviations times ``noise``; epsilon is a variance."""
     m, s = MotionModel(), SensorModel()
-    motion = MotionModel(nn=m.nn * noise, no=m.no * noise, on=m.on * noise, oo=m.oo * noise, epsilon=m.epsilon * noise**2)
+    motion = MotionModel(
+        nn=m.nn * noise, no=m.no * noise, on=m.on * noise, oo=m.oo * noise, epsilon=m.epsilon * noise**2
+    )
     return motion, SensorModel(
         range_rate=s.range_rate * noise, bearing_std=s.bearing_std * noise, orientation_std=s.orientation_std * noise
     )

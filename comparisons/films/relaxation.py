@@ -90,7 +90,11 @@ def _run(graph: Graph, initialize: str, method: str = "gauss-newton", max_iterat
     start = starting_state(graph, initialize)
     seen: list[Iteration] = []
     solution = solve(
-        graph.with_initial(start), method=method, max_iterations=max_iterations, initialize="given", callback=seen.append
+        graph.with_initial(start),
+        method=method,
+        max_iterations=max_iterations,
+        initialize="given",
+        callback=seen.append,
     )
     # a run that left the numbers ends where it still had some
     finite = [step for step in seen if np.isfinite(step.state).all()]
