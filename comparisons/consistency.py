@@ -18,15 +18,15 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import scipy.sparse.linalg as spla
 from scipy.special import gammaincinv
 
-from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, Solution, simulate, solve
+from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, World, simulate, solve
+from graphslam.metrics import pose_nees
 from graphslam.se2 import Array, wrap
 
 from .display import Displayed
-from .estimators import FILTERS
-from .options import ConsistencyOptions
+from .estimators import FILTERS, particle_filter
+from .options import ConsistencyOptions, RunOptions
 from .pool import results
 from .saving import jsonable
 
@@ -179,31 +179,12 @@ def band(degrees: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def pose_nees(error: Array, covariance: Array) -> Array:
-    """e' P^-1 e / 3 for errors (T, 3) with covariances (T, 3, 3); (T,)."""
-    return np.asarray(np.einsum("ti,ti->t", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0]) / 3)
-
-
-def joint_nees(solution: Solution, graph: Graph, truth: Array) -> float:
-    """e' Omega e / (3 T) over all poses but the first, given it; landmark nodes are eliminated."""
-    poses = len(graph.steps)
-    error = solution.state[:poses] - truth[graph.steps]
-    error[:, 2] = wrap(error[:, 2])
-    system, _ = graph.linearize(solution.state)
-    omega = system.to_sparse().tocsc()
-    e = error[1:].ravel()
-    of_poses = omega[3 : 3 * poses, 3 : 3 * poses]
-    squares = float(e @ (of_poses @ e))
-    if graph.num_nodes > poses:
-        across = omega[3 * poses :, 3 : 3 * poses] @ e
-        squares -= float(across @ spla.spsolve(omega[3 * poses :, 3 * poses :], across))
-    return squares / len(e)
-
-
 def _one_log(seed: int, options: ConsistencyOptions) -> tuple[float, dict[str, tuple[Array, float]]]:
     """Sightings per landmark, and per estimator the NEES of each step (T,) and of the trajectory; NaN where it failed."""
-    noise = dict(zip(("motion", "sensor"), models(options.noise)))
-    log = simulate(seed=seed, steps=options.steps, clean=True, orientation=options.dimensions == 3, **noise)
+    motion, sensor = models(options.noise)
+    noise = {"motion": motion, "sensor": sensor}
+    world = World(steps=options.steps, clean=True, orientation=options.dimensions == 3)
+    log = simulate(world, seed=seed, motion=motion, sensor=sensor)
     row = {}
     for name in options.estimators:
         if name in FILTERS:
@@ -226,7 +207,7 @@ def _graph_nees(log: Log, keywords: dict[str, Any]) -> tuple[Array, float] | Non
         return None
     error = solution.poses - log.true_poses
     error[:, 2] = wrap(error[:, 2])
-    return pose_nees(error[1:], covariances[1:]), joint_nees(solution, graph, log.true_poses)
+    return pose_nees(error[1:], covariances[1:]), solution.joint_nees(log.true_poses)
 
 
 def _filter_nees(name: str, log: Log, seed: int, noise: dict[str, Any]) -> Array:
@@ -234,7 +215,8 @@ def _filter_nees(name: str, log: Log, seed: int, noise: dict[str, Any]) -> Array
     assert log.true_poses is not None
     errors: list[Array] = []
     covariances: list[Array] = []
-    for state in FILTERS[name](log, particles=PARTICLES, seed=seed, **noise):
+    options = RunOptions.of(particles=PARTICLES, seed=seed, **noise)
+    for state in particle_filter(name, log, options):
         weights = np.exp(state.log_weights - np.max(state.log_weights))
         weights /= weights.sum()
         off = state.poses - log.true_poses[len(errors)]

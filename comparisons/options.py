@@ -140,6 +140,7 @@ class Option:
             value = Path(value)
         elif self.each in (int, float) and hasattr(value, "item"):
             value = value.item()  # a NumPy number
+        checked: Any = value
         if not isinstance(value, self.each) or (isinstance(value, bool) and self.each is not bool):
             raise OptionError(f"{self.name} must be {self._wanted}, not {value!r}")
         if self.choices and value not in self.choices:
@@ -149,11 +150,11 @@ class Option:
             )
         if isinstance(value, float) and not math.isfinite(value) and value != self.default:
             raise OptionError(f"{self.name} must be a finite number, not {value!r}")
-        if self.minimum is not None and value < self.minimum:
+        if self.minimum is not None and checked < self.minimum:
             raise OptionError(f"{self.name} must be at least {self.minimum:g}, not {value}")
-        if self.maximum is not None and value > self.maximum:
+        if self.maximum is not None and checked > self.maximum:
             raise OptionError(f"{self.name} must be at most {self.maximum:g}, not {value}")
-        if self.positive and value <= 0:
+        if self.positive and checked <= 0:
             raise OptionError(f"{self.name} must be a positive number, not {value!r}")
         return value
 
@@ -211,6 +212,10 @@ class Options:
                 yield each, getattr(self, each.name)
         yield from ((known[name], value) for name, value in self.numbers.items())
 
+    def with_numbers(self, **numbers: Any) -> Self:
+        """The same options with other values of components."""
+        return replace(self, numbers={**self.numbers, **numbers})
+
     def of_component(self, component: str) -> dict[str, Any]:
         """The fields of a component that are given, by the names that they have there."""
         known = options_of(type(self))
@@ -221,16 +226,21 @@ class Options:
         return {option.name: value for option, value in self.changed()}
 
 
-@cache
 def options_of(group: type) -> dict[str, Option]:
     """The options of a dataclass by name, in their order; those of its components, too."""
+    return _options_of(group)
+
+
+@cache
+def _options_of(group: Any) -> dict[str, Option]:
     hints = get_type_hints(group)
     found = {f.name: _option(f, hints[f.name]) for f in fields(group) if "help" in f.metadata}
     components: Mapping[str, tuple[type, str]] = getattr(group, "components", {})
+    hidden: tuple[str, ...] = getattr(group, "hidden", ())
     for component, (kind, panel) in components.items():
         for each in options_of(kind).values():
             name = _RENAMED.get(each.name, each.name)
-            if name not in found and name not in group.hidden:
+            if name not in found and name not in hidden:
                 found[name] = replace(each, name=name, model=component, panel=panel)
     return found
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from os import PathLike
 from typing import Any
@@ -126,8 +126,7 @@ def study_particles(
         LogError: the log has no controls.
     """
     data, _, given = prepare(log, ParticleStudyOptions.of(**options))
-    common = {f.name for f in fields(given)} & {f.name for f in fields(RunOptions)} - {"particles"}
-    of_run = RunOptions(**{name: getattr(given, name) for name in common})
+    of_run = RunOptions.of(motion=given.motion, sensor=given.sensor, **given.of_component("filter"))
     tasks = [
         (name, particles, seed)
         for name in given.filters
@@ -145,7 +144,7 @@ def study_particles(
 
 def _run(task: tuple[str, int, int], log: Log, options: RunOptions) -> ParticleRun:
     name, particles, seed = task
-    estimate = ESTIMATORS[name].run(log, replace(options, particles=particles, seed=seed))
+    estimate = ESTIMATORS[name].run(log, options.with_numbers(particles=particles, seed=seed))
     result = estimate.origin
     assert isinstance(result, FilterResult)
     metrics = evaluate(log.true_poses, log.true_landmarks, result.poses, estimate.landmarks, named=estimate.named)

@@ -267,7 +267,8 @@ def test_all_impossible_on_a_known_map() -> None:
 
 def test_very_unlikely_is_not_impossible() -> None:
     """A landmark on the wrong side at a thousand standard deviations underflows as a number, not as a logarithm."""
-    mcl = make(MonteCarloLocalization, particles=100, sensor=SensorModel(range_rate=0.001, bearing_std=0.001, orientation_std=0.001))
+    exact = SensorModel(range_rate=0.001, bearing_std=0.001, orientation_std=0.001)
+    mcl = make(MonteCarloLocalization, particles=100, sensor=exact)
     mcl.move((0.2, 0.1), 1.0)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
