@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ import graphslam
 from graphslam import Graph, GraphError, Log, OptionError, SensorModel, Solution
 from graphslam.se2 import wrap
 
-from .options import GraphOptions, RunOptions, nearest
+from .options import GraphOptions, RunOptions, nearest, options_of
 from .results import EstimatorResult
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
@@ -58,7 +58,7 @@ def make_graph(log: Log, options: RunOptions) -> Graph:
 
 def graph_keywords(log: Log, options: RunOptions) -> dict[str, Any]:
     """The keywords of `Graph.from_log` that the options ask for."""
-    given = {f.name: getattr(options, f.name) for f in fields(GraphOptions) if f.name != "initialize"}
+    given = {name: getattr(options, name) for name in _GRAPH if name != "initialize"}
     kernel = None if options.kernel in ("none", "gnc") else options.kernel
     models = {"motion": options.motion, "sensor": options.sensor}
     return given | models | {"edges": options.edges or default_edges(log), "kernel": kernel}
@@ -243,8 +243,8 @@ def _isam2_seconds(log: Log) -> float:
     return 1e-3 * log.num_poses + _gtsam_seconds(log)
 
 
-_GRAPH = tuple(f.name for f in fields(GraphOptions))
-_FILTER = tuple(f.name for f in fields(fastslam.FilterOptions) if f.name not in ("seed", "threads"))
+_GRAPH = tuple(options_of(GraphOptions))
+_FILTER = tuple(name for name in options_of(fastslam.FilterOptions) if name not in ("seed", "threads"))
 #: without those of the association
 _LOCALISATION = _FILTER[: _FILTER.index("association")]
 
@@ -280,7 +280,7 @@ def check_estimators(names: Any) -> tuple[str, ...]:
 
 
 def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -> EstimatorResult:
-    used = {f.name: getattr(options, f.name) for f in fields(GraphOptions)}
+    used = {name: getattr(options, name) for name in _GRAPH}
     return EstimatorResult(
         name=name,
         poses=solution.poses,
