@@ -18,7 +18,8 @@ from graphslam.files import check_file
 from graphslam.sources.worlds import sample_log_path
 
 from .estimators import check_estimators
-from .options import MODELS, RunOptions, options_of
+from .option import options_of
+from .options import MODELS, RunOptions
 from .reading import sha256_of
 from .toml_files import TomlFile, to_toml
 

@@ -17,7 +17,8 @@ import graphslam
 from graphslam import Graph, GraphError, Log, OptionError, SensorModel, Solution
 from graphslam.se2 import wrap
 
-from .options import GraphOptions, RunOptions, nearest, options_of
+from .option import nearest, options_of
+from .options import GraphOptions, RunOptions
 from .results import EstimatorResult
 
 #: seconds per iteration above which an estimator is left out unless asked for by name

@@ -21,7 +21,8 @@ from graphslam import FormatError
 from graphslam.calibration import Calibration
 from graphslam.files import write_whole
 
-from .options import MODELS, NoiseOptions, options_of
+from .option import options_of
+from .options import MODELS, NoiseOptions
 from .toml_files import TomlFile, to_toml
 
 _RANGES = ("scale", "bias")

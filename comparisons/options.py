@@ -1,284 +1,50 @@
 """Every option of the project, declared once.
 
 An option is a field of one of the dataclasses below: its name, type and default are those of the field, its help, unit,
-choices and limits are the field's metadata. The command line, configuration files, study files, the printed next
-commands and the keywords of the Python functions all derive from these fields (`options_of`). The numbers of the noise
-models are the fields of `graphslam.MotionModel` and `graphslam.SensorModel`, and are not repeated here.
+choices and limits are the field's metadata (see `comparisons.option`). The command line, configuration files, study files,
+the printed next commands and the keywords of the Python functions all derive from these fields. The numbers of the noise
+models, of the particle filters and of the simulator are fields of dataclasses of their packages, and are not repeated here.
 
 To add an option, add a field here and use it where it takes effect.
 """
 
 from __future__ import annotations
 
-import difflib
-import math
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
-from functools import cache
+from dataclasses import dataclass
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
+from typing import Any
 
 from fastslam.options import FilterOptions
+from graphslam.checks import option
 from graphslam.errors import OptionError
 from graphslam.models import MotionModel, SensorModel
 from graphslam.sources.simulator import MotionFaults, SensorFaults
 from graphslam.sources.worlds import WORLDS, World
 
+from .option import Options
+
 #: the noise models: parameter name of an estimator and table of a TOML file -> the model
 MODELS: dict[str, type[MotionModel] | type[SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
-#: fields of the models that have another name among the options
-_RENAMED = {"offset": "sensor_offset"}
 
-READING, NOISE, GRAPH, FILTER, OUTPUT = "Reading the log", "Noise models", "Graph", "Particle filters", "Output"
-
-
-def option(
-    default: Any, help: str, *, unit: str = "", choices: tuple[str, ...] = (), minimum: float | None = None,
-    maximum: float | None = None, positive: bool = False, default_text: str = "", metavar: str = "", alias: str = "",
-    panel: str = "", only: str = "",
-) -> Any:  # fmt: skip
-    """A field of an options dataclass.
-
-    Args:
-        default: the value where nothing is given; None where it depends on the log.
-        help: one sentence.
-        unit: of a number, "" for none.
-        choices: the values that a text may have.
-        minimum, maximum: the least and the greatest value of a number.
-        positive: whether a number must be above zero.
-        default_text: how help names the default, where the value itself says too little.
-        metavar: how help names the value.
-        alias: a second name on the command line.
-        panel: the group in the help of a verb.
-        only: "python" for a field that is no option of the command line.
-    """
-    return field(default=default, metadata={
-        "help": help, "unit": unit, "choices": choices, "minimum": minimum, "maximum": maximum, "positive": positive,
-        "metavar": metavar, "default_text": default_text, "alias": alias, "panel": panel, "only": only,
-    })  # fmt: skip
-
-
-class Points:
-    """The kind of options that are a list of points, or their number: 'x,y x,y ...' on the command line."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Option:
-    """One option, as the command line, files and Python see it.
-
-    Attributes:
-        name: of the field.
-        kind: str, int, float, bool, Path, or for several values of a kind ``tuple``.
-        each: the kind of a single value.
-        default: where nothing is given.
-        model: the component that it belongs to ("motion" and "sensor" for the noise models), else "".
-        field: its name there.
-    """
-
-    name: str
-    kind: type
-    each: type
-    default: Any
-    help: str = ""
-    unit: str = ""
-    choices: tuple[str, ...] = ()
-    minimum: float | None = None
-    maximum: float | None = None
-    positive: bool = False
-    default_text: str = ""
-    metavar: str = ""
-    alias: str = ""
-    panel: str = ""
-    only: str = ""
-    model: str = ""
-    field: str = ""
-
-    @property
-    def flag(self) -> str:
-        """The option's name on the command line."""
-        return "--" + self.name.replace("_", "-")
-
-    def checked(self, value: Any) -> Any:
-        """The value in the option's type, from Python, TOML, or the text of the command line ("a,b" for several).
-
-        Raises:
-            OptionError: it has the wrong type, is none of the choices, or is out of range.
-        """
-        if value is None:
-            return None
-        if self.kind is Points:
-            return self._points(value)
-        if self.kind is not tuple:
-            return self._single(value)
-        parts = value
-        if isinstance(value, str):
-            words = [word.strip() for word in value.split(",")]
-            try:
-                parts = [self.each(word) for word in words if word or self.each is not str]
-            except ValueError:
-                raise OptionError(f"{self.name} must be {self._wanted}, not {value!r}") from None
-        if not isinstance(parts, (list, tuple)) or not (parts or self.name == "figures"):
-            raise OptionError(f"{self.name} must be {self._wanted}, at least one, not {value!r}")
-        return tuple(dict.fromkeys(map(self._single, parts)) if self.each is str else map(self._single, parts))
-
-    def _points(self, value: Any) -> Any:
-        if isinstance(value, str):
-            try:
-                rows = [tuple(float(number) for number in word.split(",")) for word in value.split()]
-                value = int(value) if "," not in value else rows
-            except ValueError:
-                raise OptionError(f"{self.name} must be points 'x,y x,y ...', not {value!r}") from None
-        if not isinstance(value, (int, list, tuple)) or isinstance(value, bool):
-            raise OptionError(f"{self.name} must be a list of points, not {value!r}")
-        return value if isinstance(value, int) else tuple(tuple(row) for row in value)
-
-    def _single(self, value: Any) -> Any:
-        if self.each is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
-        elif self.each is Path and isinstance(value, str):
-            value = Path(value)
-        elif self.each in (int, float) and hasattr(value, "item"):
-            value = value.item()  # a NumPy number
-        checked: Any = value
-        if not isinstance(value, self.each) or (isinstance(value, bool) and self.each is not bool):
-            raise OptionError(f"{self.name} must be {self._wanted}, not {value!r}")
-        if self.choices and value not in self.choices:
-            raise OptionError(
-                f"{self.name} must be one of {', '.join(self.choices)}, not {value!r}; "
-                f"did you mean {nearest(str(value), self.choices)!r}?"
-            )
-        if isinstance(value, float) and not math.isfinite(value) and value != self.default:
-            raise OptionError(f"{self.name} must be a finite number, not {value!r}")
-        if self.minimum is not None and checked < self.minimum:
-            raise OptionError(f"{self.name} must be at least {self.minimum:g}, not {value}")
-        if self.maximum is not None and checked > self.maximum:
-            raise OptionError(f"{self.name} must be at most {self.maximum:g}, not {value}")
-        if self.positive and checked <= 0:
-            raise OptionError(f"{self.name} must be a positive number, not {value!r}")
-        return value
-
-    @property
-    def _wanted(self) -> str:
-        names = {str: "text", int: "a whole number", float: "a number", bool: "true or false", Path: "a path"}
-        return f"a list, each {names[self.each]}" if self.kind is tuple else names[self.each]
-
-    def text(self, value: Any) -> str:
-        """The value as one word of a command line."""
-        if self.kind is Points and isinstance(value, tuple):
-            return " ".join(",".join(f"{number:g}" for number in row) for row in value)
-        return ",".join(map(str, value)) if isinstance(value, (tuple, list)) else str(value)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """The base of all option dataclasses: makes one from keywords, checks every value, and lists what was changed.
-
-    The fields of a component, which is a dataclass of another package, are options too. Those that are given are kept in
-    ``numbers``; `of_component` returns those of one component.
-    """
-
-    components: ClassVar[Mapping[str, tuple[type, str]]] = {}
-    #: fields of components that are no options here
-    hidden: ClassVar[tuple[str, ...]] = ()
-    numbers: Mapping[str, Any] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, **given: Any) -> Self:
-        """The options with the values given; None stands for the default.
-
-        Raises:
-            OptionError: there is no such option, or a value is impossible.
-        """
-        known = options_of(cls)
-        given |= dict(given.pop("numbers", {}))
-        given = {name: value for name, value in given.items() if value is not None}
-        for name in given:
-            if name not in known:
-                raise OptionError(f"there is no option {name!r}; did you mean {nearest(name, known)!r}?")
-        numbers = {name: known[name].checked(given.pop(name)) for name in list(given) if known[name].model}
-        return cls(**given, numbers=numbers)
-
-    def __post_init__(self) -> None:
-        for each in options_of(type(self)).values():
-            if not each.model and each.name not in MODELS:
-                object.__setattr__(self, each.name, each.checked(getattr(self, each.name)))
-
-    def changed(self) -> Iterator[tuple[Option, Any]]:
-        """The options that differ from their defaults, with their values."""
-        known = options_of(type(self))
-        for each in known.values():
-            if not each.model and getattr(self, each.name) != each.default:
-                yield each, getattr(self, each.name)
-        yield from ((known[name], value) for name, value in self.numbers.items())
-
-    def with_numbers(self, **numbers: Any) -> Self:
-        """The same options with other values of components."""
-        return replace(self, numbers={**self.numbers, **numbers})
-
-    def of_component(self, component: str) -> dict[str, Any]:
-        """The fields of a component that are given, by the names that they have there."""
-        known = options_of(type(self))
-        return {known[name].field: value for name, value in self.numbers.items() if known[name].model == component}
-
-    def keywords(self) -> dict[str, Any]:
-        """The options that differ from their defaults, as keywords of a function that takes them."""
-        return {option.name: value for option, value in self.changed()}
-
-
-def options_of(group: type) -> dict[str, Option]:
-    """The options of a dataclass by name, in their order; those of its components, too."""
-    return _options_of(group)
-
-
-@cache
-def _options_of(group: Any) -> dict[str, Option]:
-    hints = get_type_hints(group)
-    found = {f.name: _option(f, hints[f.name]) for f in fields(group) if "help" in f.metadata}
-    components: Mapping[str, tuple[type, str]] = getattr(group, "components", {})
-    hidden: tuple[str, ...] = getattr(group, "hidden", ())
-    for component, (kind, panel) in components.items():
-        for each in options_of(kind).values():
-            name = _RENAMED.get(each.name, each.name)
-            if name not in found and name not in hidden:
-                found[name] = replace(each, name=name, model=component, panel=panel)
-    return found
-
-
-def _option(f: Any, hint: Any) -> Option:
-    if get_origin(hint) is UnionType:
-        hint = next(part for part in get_args(hint) if part is not NoneType)
-    kind, each = (tuple, get_args(hint)[0]) if get_origin(hint) is tuple else (hint, hint)
-    if get_origin(each) is tuple:
-        kind = each = Points
-    default = f.default if f.default_factory is MISSING else f.default_factory()
-    return Option(name=f.name, field=f.name, kind=kind, each=each, default=default, **f.metadata)
-
-
-def nearest(word: str, known: Collection[str]) -> str:
-    """The known word that is most like a mistyped one."""
-    return difflib.get_close_matches(word, list(known), n=1, cutoff=0.0)[0]
+#: groups of options in the help of a verb
+NOISE, FILTER, OUTPUT = "Noise models", "Particle filters", "Output"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingOptions(Options):
     """How a log is read, and which part of it is kept."""
 
-    format: str | None = option(
-        None, "Format of the log: npz, lnpr, mrclam, huang, ...", default_text="by its content", panel=READING
-    )
-    robot: int | None = option(None, "The robot of a data set that has several.", minimum=0, panel=READING)
+    panel = "Reading the log"
+    format: str | None = option(None, "Format of the log: npz, lnpr, mrclam, huang, ...", default_text="by its content")
+    robot: int | None = option(None, "The robot of a data set that has several.", minimum=0)
     keep_every: float | None = option(
         None, "Also keep a pose at least every so many seconds, even where nothing was seen.", unit="s", positive=True,
-        default_text="poses only where something was seen", panel=READING,
+        default_text="poses only where something was seen",
     )  # fmt: skip
-    stride: int = option(1, "Keep every N-th pose and the sightings from it.", minimum=1, metavar="N", panel=READING)
-    max_range: float | None = option(
-        None, "Leave out sightings from farther away.", unit="m", positive=True, panel=READING
-    )
+    stride: int = option(1, "Keep every N-th pose and the sightings from it.", minimum=1, metavar="N")
+    max_range: float | None = option(None, "Leave out sightings from farther away.", unit="m", positive=True)
     dimensions: int | None = option(
         None, "3: require the orientation psi; 2: ignore it.", default_text="what the log has", minimum=2, maximum=3,
-        panel=READING,
     )  # fmt: skip
 
 
@@ -291,18 +57,18 @@ class NoiseOptions(Options):
         numbers: single numbers of the models, {"range_std": 0.12}; they take precedence over all else.
     """
 
+    panel = NOISE
     components = {name: (model, NOISE) for name, model in MODELS.items()}
     noise: Path | None = option(
         None, "File of noise models (TOML), written by calibrate. Single numbers take precedence over it.",
-        metavar="FILE", default_text="the log's models, else the book's", panel=NOISE,
+        metavar="FILE", default_text="the log's models, else the book's",
     )  # fmt: skip
     range_scale: float | None = option(
         None, "Measured range = scale * range + bias; corrected before anything else.", default_text="1", positive=True,
-        panel=NOISE,
     )  # fmt: skip
-    range_bias: float | None = option(None, "The bias of the measured range.", unit="m", default_text="0", panel=NOISE)
-    motion: MotionModel | None = option(None, "The motion model.", only="python", panel=NOISE)
-    sensor: SensorModel | None = option(None, "The sensor model.", only="python", panel=NOISE)
+    range_bias: float | None = option(None, "The bias of the measured range.", unit="m", default_text="0")
+    motion: MotionModel | None = option(None, "The motion model.", only="python")
+    sensor: SensorModel | None = option(None, "The sensor model.", only="python")
 
     def models(
         self, motion: MotionModel | None = None, sensor: SensorModel | None = None
@@ -325,23 +91,24 @@ class LogOptions(NoiseOptions, ReadingOptions):
 class GraphOptions(Options):
     """The graph and how it is solved; see `graphslam.Graph.from_log` and `graphslam.solve`."""
 
+    panel = "Graph"
     edges: str | None = option(
         None, "Edges of the graph.", choices=("virtual", "virtual+motion", "landmark+motion"),
-        default_text="what suits the log", panel=GRAPH,
+        default_text="what suits the log",
     )  # fmt: skip
-    frame: str = option("body", "Axes of the residuals.", choices=("body", "world"), panel=GRAPH)
+    frame: str = option("body", "Axes of the residuals.", choices=("body", "world"))
     weight: str = option(
         "pairs", "Weight of virtual-motion edges: pairs as in the book; tempered and marginal count each sighting once.",
-        choices=("pairs", "tempered", "marginal"), panel=GRAPH,
+        choices=("pairs", "tempered", "marginal"),
     )  # fmt: skip
-    motion_weight: float = option(1.0, "Factor lambda on the motion edges.", positive=True, panel=GRAPH)
+    motion_weight: float = option(1.0, "Factor lambda on the motion edges.", positive=True)
     kernel: str = option(
         "none", "Robust kernel against wrong sightings; gnc is graduated non-convexity.",
-        choices=("none", "huber", "cauchy", "geman-mcclure", "gnc"), alias="robust", panel=GRAPH,
+        choices=("none", "huber", "cauchy", "geman-mcclure", "gnc"), alias="robust",
     )  # fmt: skip
     initialize: str = option(
         "auto", "Where the iteration starts; auto tries several starts.",
-        choices=("auto", "given", "dead-reckoning", "rotation-first"), panel=GRAPH,
+        choices=("auto", "given", "dead-reckoning", "rotation-first"),
     )  # fmt: skip
 
 
@@ -375,22 +142,20 @@ class EstimatorOptions(Options):
 class OutputOptions(Options):
     """Where the results of a run go."""
 
-    out: Path | None = option(
-        None, "Folder for the results.", metavar="DIR", default_text="results/<time>", panel=OUTPUT
-    )
-    figures: tuple[str, ...] = option(
-        ("png", "pdf"), "Formats of the figure.", choices=("png", "pdf", "svg"), panel=OUTPUT
-    )
-    html: Path | None = option(None, "Also write the interactive report, one HTML file.", metavar="FILE", panel=OUTPUT)
+    panel = OUTPUT
+    out: Path | None = option(None, "Folder for the results.", metavar="DIR", default_text="results/<time>")
+    figures: tuple[str, ...] = option(("png", "pdf"), "Formats of the figure.", choices=("png", "pdf", "svg"))
+    html: Path | None = option(None, "Also write the interactive report, one HTML file.", metavar="FILE")
 
 
 @dataclass(frozen=True, kw_only=True)
 class JsonOptions(Options):
     """The JSON of every verb."""
 
+    panel = OUTPUT
     json: str | None = option(
         None, "Write the results as JSON to a file; - writes them to standard output, and nothing else there.",
-        metavar="FILE", panel=OUTPUT,
+        metavar="FILE",
     )  # fmt: skip
 
 
@@ -398,7 +163,8 @@ class JsonOptions(Options):
 class FigureOptions(Options):
     """The figure of a study."""
 
-    figure: Path | None = option(None, "Also write the figure (.png, .pdf, .svg).", metavar="FILE", panel=OUTPUT)
+    panel = OUTPUT
+    figure: Path | None = option(None, "Also write the figure (.png, .pdf, .svg).", metavar="FILE")
 
 
 @dataclass(frozen=True, kw_only=True)

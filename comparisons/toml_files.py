@@ -13,7 +13,8 @@ import tomli_w
 from graphslam import FormatError, OptionError
 from graphslam.files import check_file
 
-from .options import MODELS, Option, nearest
+from .option import Option, nearest
+from .options import MODELS
 
 #: how messages name the types that a key may have
 _NAMES = {str: "text in quotes", int: "a whole number", float: "a number", bool: "true or false", list: "a list [..]",

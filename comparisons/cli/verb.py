@@ -15,7 +15,8 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from ..options import JsonOptions, NoiseOptions, Option, Options, ReadingOptions, options_of
+from ..option import Option, Options, options_of
+from ..options import JsonOptions, NoiseOptions, ReadingOptions
 from .output import Output, sentences
 
 #: the argument LOG of most verbs

@@ -154,7 +154,8 @@ def survey_tables(survey: Survey) -> Tables:
 
 def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
     """The numbers of the noise models with their standard errors, a row each."""
-    from ..options import NoiseOptions, options_of
+    from ..option import options_of
+    from ..options import NoiseOptions
 
     source = "the ground truth" if calibration.source == "truth" else calibration.source
     table = LeanTable(

@@ -13,7 +13,8 @@ from typing import Any
 from graphslam import Log, LogError, SlamError
 
 from ..comparison import compare
-from ..options import NoiseOptions, ReadingOptions, RunOptions, options_of
+from ..option import options_of
+from ..options import NoiseOptions, ReadingOptions, RunOptions
 from ..reading import read_log, sha256_of
 from .outcome import ERROR, Outcome
 from .plan import Run

@@ -16,7 +16,8 @@ from graphslam import FormatError, OptionError
 
 from ..estimators import ESTIMATORS
 from ..noise_files import read_noise
-from ..options import MODELS, NOISE, READING, Option, RunOptions, SimulationOptions, options_of
+from ..option import Option, options_of
+from ..options import MODELS, LogOptions, RunOptions, SimulationOptions
 from ..reading import OF_FILES, sha256_of
 from ..toml_files import TomlFile
 from .simulated import simulated_log
@@ -33,6 +34,8 @@ _KEYS = {
 }
 #: what [options] may have: every option of a run but its seed
 _OPTIONS = {n: each for n, each in options_of(RunOptions).items() if n != "seed" and each.only != "python"}
+#: those that decide which log the estimators work on
+_OF_LOGS = options_of(LogOptions)
 #: what [simulate] may have: every option of a simulated log but its seed
 _SETTINGS = {name: each for name, each in options_of(SimulationOptions).items() if name != "seed"}
 
@@ -191,7 +194,7 @@ def _methods(file: TomlFile, names: tuple[str, ...]) -> Iterator[tuple[str, str,
     for name in names:
         methods: set[str] = set()
         for varied in combinations:
-            used = {n for n in fixed | varied if _OPTIONS[n].panel in (READING, NOISE) or n in ESTIMATORS[name].uses}
+            used = {n for n in fixed | varied if n in _OF_LOGS or n in ESTIMATORS[name].uses}
             method = _label(name, {key: value for key, value in varied.items() if key in used})
             if method not in methods:
                 methods.add(method)

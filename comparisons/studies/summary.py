@@ -16,7 +16,7 @@ from typing import Any
 from graphslam import OptionError
 
 from ..display import Displayed
-from ..options import nearest
+from ..option import nearest
 from .bootstrap import Median, median_of
 from .database import StudyDatabase
 from .outcome import DONE, TIMEOUT

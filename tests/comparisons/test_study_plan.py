@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.options import RunOptions, options_of
+from comparisons.option import options_of
+from comparisons.options import RunOptions
 from comparisons.studies.plan import Run, read_study
 from comparisons.studies.simulated import simulated_log
 from graphslam import FormatError, MotionModel, save, simulate
