@@ -49,14 +49,12 @@ def read_config(path: Path) -> dict[str, Any]:
     values = {key: file.value(file.table, key, kind) for key, kind in of_run.items() if key in file.table}
     known = options_of(RunOptions)
     rest = {key: value for key, value in file.table.items() if key not in of_run}
-    plain = [name for name, each in known.items() if not each.model and each.only != "python"]
+    plain = [name for name, each in known.items() if each.model not in MODELS and each.only != "python"]
     file.check_keys(rest, (*of_run, *plain, *MODELS))
     values |= file.options(rest, known)
+    file.attempt(lambda: RunOptions.of(**{name: value for name, value in values.items() if name in known}))
     if "estimators" in values:
-        try:
-            check_estimators(values["estimators"])
-        except OptionError as error:
-            raise file.error("estimators", str(error)) from None
+        file.attempt(lambda: check_estimators(values["estimators"]))
     for key in ("log", "noise"):
         if key in values:
             values[key] = path.parent / values[key]

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import difflib
+import inspect
 import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
@@ -130,7 +131,8 @@ class Option:
     @property
     def _wanted(self) -> str:
         names = {str: "text", int: "a whole number", float: "a number", bool: "true or false", Path: "a path"}
-        return f"a list, each {names[self.each]}" if self.kind is tuple else names[self.each]
+        several = {str: "names", int: "whole numbers", float: "numbers"}
+        return several[self.each] if self.kind is tuple else names[self.each]
 
     def text(self, value: Any) -> str:
         """The value as one word of a command line."""

@@ -14,10 +14,13 @@ import numpy as np
 from graphslam import FormatError, Log, LogError, OptionError, load, sample_log_path
 
 from .noise_files import read_noise
+from .option import options_of
 from .options import LogOptions, NoiseOptions, ReadingOptions
 
 Given = TypeVar("Given", bound=LogOptions)
 
+#: the line by which ranges are measured without scale and bias
+_NO_LINE = {"range_scale": 1.0, "range_bias": 0.0}
 #: options that only a file or folder has; a `Log` has been read already
 OF_FILES = ("format", "robot", "keep_every")
 
@@ -40,16 +43,18 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
     """
     data, source = read_log(log, options)
     motion, sensor = data.motion, data.sensor
-    line: dict[str, Any] = {"range_scale": 1.0, "range_bias": 0.0}
+    line: dict[str, Any] = dict(_NO_LINE)
     if options.noise is not None:
         numbers, of_file = read_noise(options.noise)
         motion, sensor = NoiseOptions.of(**numbers).models(motion, sensor)
         line |= of_file
     line |= {name: value for name in line if (value := getattr(options, name)) is not None}
-    if line != {"range_scale": 1.0, "range_bias": 0.0}:
+    if line != _NO_LINE:
         data = data.with_corrected_ranges(line["range_scale"], line["range_bias"])
+    corrected: dict[str, Any] = {n: None if value == _NO_LINE[n] else value for n, value in line.items()}
     motion, sensor = options.models(motion, sensor)
-    return data, source, replace(options, motion=motion, sensor=sensor, noise=None, numbers={}, **line)
+    others = {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)}
+    return data, source, replace(options, motion=motion, sensor=sensor, noise=None, numbers=others, **corrected)
 
 
 def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> tuple[Log, Path | None]:
@@ -61,15 +66,17 @@ def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> 
             if getattr(options, name) is not None:
                 raise OptionError(f"{name} applies when a file is read, and {log.name!r} is a Log that has been read")
     else:
-        source = sample_log_path() if log is None else Path(log)
+        path = sample_log_path() if log is None else Path(log)
         keywords = {name: getattr(options, name) for name in OF_FILES}
         with warnings.catch_warnings():
             # the warnings of a reader are also notes of the log, which are shown
             warnings.simplefilter("ignore", UserWarning)
-            data = load(source, **keywords)
+            data = load(path, **keywords)
+        # absolute, so that a repeated run from another folder writes the same
+        source = path.absolute()
     if options.dimensions == 3 and not data.has_orientation:
         raise LogError(
-            f"{source or data.name}: the sightings have no orientation psi, but dimensions = 3 requires it; use 2"
+            f"{data.name if isinstance(log, Log) else path}: the sightings have no orientation psi, but dimensions 3 requires it; use dimensions 2"
         )
     if options.stride > 1:
         data = data.at_steps(np.arange(0, data.num_poses, options.stride))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import tomli_w
 
@@ -15,6 +15,8 @@ from graphslam.files import check_file
 
 from .option import Option, nearest
 from .options import MODELS
+
+T = TypeVar("T")
 
 #: how messages name the types that a key may have
 _NAMES = {str: "text in quotes", int: "a whole number", float: "a number", bool: "true or false", list: "a list [..]",
@@ -120,11 +122,27 @@ class TomlFile:
                 values |= self.options_of_model(self.value(table, key, dict, where=where), inside[key], place)
         return values
 
+    def attempt(self, make: Callable[[], T], where: str = "") -> T:
+        """What a function returns; its `OptionError` becomes a `FormatError` with the line of the option.
+
+        Args:
+            make: its error message begins with the name of the option.
+            where: the table of the option.
+        """
+        try:
+            return make()
+        except OptionError as error:
+            name = str(error).split()[0].rstrip(":")
+            raise self.error(f"{where}.{name}" if where else name, str(error)) from None
+
     def options_of_model(self, table: Mapping[str, Any], known: Mapping[str, Option], where: str) -> dict[str, Any]:
         """The numbers of one noise model in its table [motion] or [sensor], by the names of their options."""
         names = {name.removeprefix("sensor_"): name for name in known}
         self.check_keys(table, names, where)
-        return {names[key]: self.checked(known[names[key]], table[key], f"{where}.{key}") for key in table}
+        values = {key: self.checked(known[names[key]], table[key], f"{where}.{key}") for key in table}
+        model = MODELS[where.rpartition(".")[2]]
+        self.attempt(lambda: model().changed(**values), where)
+        return {names[key]: value for key, value in values.items()}
 
     def checked(self, option: Option, value: Any, place: str) -> Any:
         """The value of an option; ``place`` is its key.

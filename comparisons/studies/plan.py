@@ -187,7 +187,9 @@ def _methods(file: TomlFile, names: tuple[str, ...]) -> Iterator[tuple[str, str,
         raise file.error("options.seed", "a study has seeds: set seeds at the top of the file instead of options.seed")
 
     def check(file: TomlFile, part: Mapping[str, Any], where: str) -> dict[str, Any]:
-        return file.options(part, _OPTIONS, where)
+        values = file.options(part, _OPTIONS, where)
+        file.attempt(lambda: RunOptions.of(**values), where)
+        return values
 
     fixed = check(file, {key: value for key, value in table.items() if key != "vary"}, "options")
     combinations = list(_combinations(file, table, "options", check))

@@ -20,7 +20,7 @@ def test_the_numbers_are_saved_before_the_figure(tmp_path, monkeypatch):
     def fail(*_):
         raise OSError("no space left")
 
-    monkeypatch.setattr("comparisons.plots.save_figure", fail)
+    monkeypatch.setattr("comparisons.display.Displayed.save_figure", fail)
     words = ["particles", "--particles", "5", "--seeds", "1", "--filters", "fastslam1"]
     files = ["--figure", str(tmp_path / "study.png"), "--json", str(tmp_path / "study.json")]
     assert isinstance(CliRunner().invoke(app, [*words, *files]).exception, OSError)
@@ -33,7 +33,7 @@ def test_wrong_use_is_one_sentence(tmp_path):
         (["--particles", "0"], "at least 1"),
         (["--filters", "kalman"], "filters must be one of"),
         (["--association", "guess"], "association must be one of"),
-        (["--figure", str(tmp_path / "study.xyz")], "a figure is written as .png, .pdf, .svg"),
+        (["--figure", str(tmp_path / "study.xyz")], "must end in .png or .pdf or .svg"),
         ([str(tmp_path / "absent.npz")], "no such file"),
     ):
         result = CliRunner().invoke(app, ["particles", "--seeds", "1", *words])
