@@ -22,7 +22,7 @@ from .cells import NOTHING, LeanTable, number, seconds, yes_no
 if TYPE_CHECKING:
     from ..backends import BackendComparison
     from ..comparison import Comparison, ResultTable
-    from ..solvers import SkippedVariant, SolverComparison, VariantResult
+    from ..solvers import SolverComparison
 
 #: tables, and the sentences below them
 Tables = tuple[list[Table], list[str]]
@@ -98,12 +98,8 @@ def result_tables(results: ResultTable) -> Tables:
     metrics = {"ate_m": "ATE\n[m]", "rpe_m": "RPE\n[m]", "rpe_rad": "RPE\n[rad]", "landmark_rmse_m": "map\n[m]"}
     if any(row.nees is not None for row in results):
         metrics["nees"] = "NEES"
-    headings = ("converged,\niterations", "time", "cost J", *metrics.values())
-    table = LeanTable(results.title, ["estimator"], headings)
+    table = LeanTable(results.title, ["estimator"], ["converged,\niterations", "time", "cost J", *metrics.values()])
     for row in results:
-        if row.skipped is not None:
-            table.add_row(Text(row.name, style="dim"), *[Text(NOTHING, style="dim")] * len(headings))
-            continue
         values = (number(getattr(row, metric)) for metric in metrics)
         converged = yes_no(row.converged, f", {row.iterations}")
         table.add_row(row.name, converged, seconds(row.seconds), number(row.cost), *values)
@@ -153,13 +149,6 @@ def solver_tables(comparison: SolverComparison) -> Tables:
         which = names[0] if len(names) == 1 else f"{len(names)} variants ({names[0]}, ...)"
         remarks.append(f"{which} left out: {reason}.")
     return [table], remarks
-
-
-def variant_line(outcome: VariantResult | SkippedVariant) -> str:
-    """One line of progress of a solver comparison."""
-    if hasattr(outcome, "reason"):
-        return f"{outcome.name}: skipped"
-    return f"{outcome.name}: {seconds(outcome.seconds)}, gtsam {seconds(outcome.gtsam_seconds)}"
 
 
 def backend_tables(comparison: BackendComparison) -> Tables:

@@ -11,7 +11,7 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.animation import FFMpegWriter
@@ -42,12 +42,9 @@ def check_can_film(path: Path) -> None:
         OptionError: the suffix is none of `SUFFIXES`, or is .mp4 and there is no ffmpeg.
         FormatError: the place cannot be written.
     """
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise OptionError(f"{path}: the name of an animation must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
-    if suffix == ".mp4" and not FFMpegWriter.isAvailable():
+    check_can_write(path, endings=SUFFIXES)
+    if path.suffix.lower() == ".mp4" and not FFMpegWriter.isAvailable():
         raise OptionError(f"{path}: .mp4 needs the program ffmpeg: install it, or write a .gif or .html")
-    check_can_write(path)
 
 
 def write_film(film: Film, path: Path, progress: Callable[[], None]) -> None:
@@ -96,19 +93,13 @@ def _write_gif(film: Film, path: Path, progress: Callable[[], None]) -> None:
     # the format counts hundredths of a second, and viewers take a single one for ten
     duration = max(20, round(100 / film.fps) * 10)
     durations = [duration] * (len(film) - 1) + [max(duration, round(1000 * HOLD))]
-    first, rest = next(made := images()), made
+    rest = images()
+    first = next(rest)
     # a file of our own, which is closed when the film is interrupted
     with path.open("wb") as file:
         first.save(
-            file,
-            format="GIF",
-            save_all=True,
-            append_images=rest,
-            duration=durations,
-            loop=0,
-            disposal=1,
-            optimize=False,
-        )
+            file, format="GIF", save_all=True, append_images=rest, duration=durations, loop=0, disposal=1, optimize=False,
+        )  # fmt: skip
 
 
 def _write_mp4(film: Film, path: Path, progress: Callable[[], None]) -> None:
@@ -116,11 +107,9 @@ def _write_mp4(film: Film, path: Path, progress: Callable[[], None]) -> None:
     height, width = film.pictures.still.shape[:2]
     figure = Figure(figsize=(width / 100, height / 100), dpi=100)
     screen = figure.figimage(film.pictures.still)
-    writer = FFMpegWriter(
-        fps=film.fps,  # type: ignore[arg-type]
-        metadata={"title": film.title},
-        extra_args=["-movflags", "+faststart", "-f", "mp4"],
-    )
+    fps: Any = film.fps  # ffmpeg takes fractions, too
+    options = ["-movflags", "+faststart", "-f", "mp4"]
+    writer = FFMpegWriter(fps=fps, metadata={"title": film.title}, extra_args=options)
     with writer.saving(figure, str(path), dpi=100):
         for number, picture in enumerate(film.pictures):
             screen.set_data(picture)

@@ -107,7 +107,7 @@ class _Run:
     solution: Solution
 
 
-def _run(graph: Graph, start: str, method: str = METHODS[0], max_iterations: int = 100) -> _Run:
+def _run(graph: Graph, start: str, method: str = "gauss-newton", max_iterations: int = 100) -> _Run:
     state = starting_state(graph, start)
     steps: list[Iteration] = []
     solution = solve(

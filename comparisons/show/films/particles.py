@@ -17,7 +17,7 @@ from fastslam.state import ParticleState
 from graphslam import Log
 from graphslam.se2 import Array
 
-from ...estimators import FILTERS, filter_keywords
+from ...estimators import particle_filter
 from ...options import AnimationOptions, RunOptions
 from ..placement import placement_of
 from ..style import FLASH, PARTICLE
@@ -57,7 +57,7 @@ def particle_film(log: Log, options: RunOptions, animation: AnimationOptions, pr
         LogError, OptionError: the filter cannot run on this log.
     """
     name = animation.estimator
-    filter = FILTERS[name](log, **filter_keywords(name, options))
+    filter = particle_filter(name, log, options)
     wanted = set(kept(log.num_poses, animation.max_frames).tolist())
     frames: list[ParticleFrame] = []
     resamplings = 0

@@ -14,7 +14,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from graphslam import FormatError, OptionError, SlamError
+from graphslam import OptionError, SlamError
 from graphslam.files import write_whole
 
 from ...comparison import Comparison
@@ -53,12 +53,10 @@ def check_page(path: Path) -> None:
     """Raise now rather than after minutes of work if no report can be written at ``path``.
 
     Raises:
-        FormatError: the name does not end in .html, or the place cannot be written.
-        OptionError: the extra ``report`` is not installed.
+        FormatError: the place cannot be written.
+        OptionError: the name does not end in .html, or the extra ``report`` is not installed.
     """
-    if path.suffix.lower() not in SUFFIXES:
-        raise FormatError(path, None, f"the name of a report must end in {' or '.join(SUFFIXES)}")
-    check_can_write(path)
+    check_can_write(path, endings=SUFFIXES)
     if find_spec("plotly") is None:
         raise OptionError("the interactive report needs the package plotly: pip install 'virtual-motion-slam[report]'")
 
@@ -67,8 +65,7 @@ def write_report(comparison: Comparison, path: str | PathLike[str]) -> None:
     """Write the interactive report of a comparison, one HTML file that works offline, whole or not at all.
 
     Raises:
-        FormatError: the name does not end in .html, or the place cannot be written.
-        OptionError: the extra ``report`` is not installed.
+        FormatError, OptionError: see `check_page`.
     """
     check_page(Path(path))
     text = page_of(comparison)
