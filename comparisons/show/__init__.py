@@ -1,12 +1,12 @@
 """Everything that only shows: tables, figures, the interactive report and animations.
 
 Results do not import this package. They ask `comparisons.display`, with which a renderer is registered here for each
-class of results. Modules are loaded when something is first shown: a table does not need matplotlib.
+class of results. The modules that need matplotlib are loaded when the first figure is drawn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from os import PathLike
@@ -15,6 +15,7 @@ from typing import Any
 from graphslam import SlamError
 
 from .. import display
+from .tables import as_html, as_text
 
 #: class of results -> module and function of its figure; empty where it has none
 FIGURES = {
@@ -29,31 +30,24 @@ FIGURES = {
 }
 
 
-def _renderer(figure: str) -> display.Renderer:
-    def html(result: Any) -> str:
-        text: str = _function("tables.as_html")(result)
-        if figure:
-            # a table without its figure is better than neither
-            with suppress(SlamError):
-                text += "\n" + _function("canvas.png_as_html")(draw(result))
-        return text
-
-    def draw(result: Any, **options: Any) -> Any:
-        return _function(figure)(result, **options)
-
-    return display.Renderer(lambda result: _function("tables.as_text")(result), html, draw if figure else None)
+def _figure(result: Any, **options: Any) -> Any:
+    module, name = FIGURES[type(result).__name__].split(".")
+    return getattr(import_module(f".{module}", __name__), name)(result, **options)
 
 
-def _function(path: str) -> Callable[..., Any]:
-    module, name = path.split(".")
-    function: Callable[..., Any] = getattr(import_module(f".{module}", __name__), name)
-    return function
+def _html(result: Any) -> str:
+    text = as_html(result)
+    if FIGURES[type(result).__name__]:
+        # a table without its figure is better than neither
+        with suppress(SlamError):
+            text += "\n" + import_module(".canvas", __name__).png_as_html(_figure(result))
+    return text
 
 
 def _save(figure: Any, paths: Sequence[str | PathLike[str]]) -> None:
-    _function("canvas.save_figure")(figure, paths)
+    import_module(".canvas", __name__).save_figure(figure, paths)
 
 
 for _kind, _path in FIGURES.items():
-    display.register(_kind, _renderer(_path))
+    display.register(_kind, display.Renderer(as_text, _html, _figure if _path else None))
 display.figure_writers.append(_save)

@@ -26,7 +26,6 @@ from ...saving import check_can_write
 if TYPE_CHECKING:
     from .film import Film
 
-SUFFIXES = (".gif", ".mp4", ".html")
 #: how long the last picture stays before the film begins again [s]
 HOLD = 2.0
 #: one less than a palette can have: the last entry stands for "as in the background"
@@ -39,10 +38,10 @@ def check_can_film(path: Path) -> None:
     """Raise now rather than after the work if no film can be written at ``path``.
 
     Raises:
-        OptionError: the suffix is none of `SUFFIXES`, or is .mp4 and there is no ffmpeg.
+        OptionError: the suffix is none of .gif, .mp4 and .html, or is .mp4 and there is no ffmpeg.
         FormatError: the place cannot be written.
     """
-    check_can_write(path, endings=SUFFIXES)
+    check_can_write(path, endings=tuple(_WRITERS))
     if path.suffix.lower() == ".mp4" and not FFMpegWriter.isAvailable():
         raise OptionError(f"{path}: .mp4 needs the program ffmpeg: install it, or write a .gif or .html")
 
@@ -55,17 +54,12 @@ def write_film(film: Film, path: Path, progress: Callable[[], None]) -> None:
         FormatError: the place cannot be written.
     """
     with write_whole(path) as temporary:
-        if path.suffix.lower() == ".gif":
-            _write_gif(film, temporary, progress)
-        elif path.suffix.lower() == ".mp4":
-            try:
-                _write_mp4(film, temporary, progress)
-            except subprocess.CalledProcessError as error:
-                lines = (error.stderr or "").strip().splitlines()
-                reason = lines[-1] if lines else f"status {error.returncode}"
-                raise OptionError(f"{path}: ffmpeg failed: {reason}") from None
-        else:
-            temporary.write_text(player(film, progress), encoding="utf-8")
+        try:
+            _WRITERS[path.suffix.lower()](film, temporary, progress)
+        except subprocess.CalledProcessError as error:
+            lines = (error.stderr or "").strip().splitlines()
+            reason = lines[-1] if lines else f"status {error.returncode}"
+            raise OptionError(f"{path}: ffmpeg failed: {reason}") from None
 
 
 def player(film: Film, progress: Callable[[], None]) -> str:
@@ -116,6 +110,13 @@ def _write_mp4(film: Film, path: Path, progress: Callable[[], None]) -> None:
             for _ in range(1 if number < len(film) - 1 else round(HOLD * film.fps)):
                 writer.grab_frame()
             progress()
+
+
+def _write_html(film: Film, path: Path, progress: Callable[[], None]) -> None:
+    path.write_text(player(film, progress), encoding="utf-8")
+
+
+_WRITERS = {".gif": _write_gif, ".mp4": _write_mp4, ".html": _write_html}
 
 
 def _indexed(film: Film) -> Iterator[tuple[np.ndarray, Image.Image]]:

@@ -73,12 +73,11 @@ def graph_film(log: Log, options: RunOptions, animation: AnimationOptions) -> Fi
     title = f"{log.name}: graph SLAM, {graph.num_edges} edges"
 
     def set_up(figure: Figure) -> Show:
-        drifting = log.initial_poses if log.controls is None else log.dead_reckoning(options.motion)
         # one scale for the whole film, up to the largest residuals of the start but for single edges
         scale = LogNorm(1.0, max(float(np.quantile(frames[0].distances, 0.98)), 10.0))
         scene = Scene(
-            figure, log, "graph", placement_of(log, frames[-1].poses, frames[-1].estimated), frames, drifting, title,
-            (scale, COLORS, "Mahalanobis distance of an edge"),
+            figure, log, "graph", placement_of(log, frames[-1].poses, frames[-1].estimated), frames, title,
+            options.motion, (scale, COLORS, "Mahalanobis distance of an edge"),
         )  # fmt: skip
         lines = scene.add_lines(cmap=COLORS, norm=scale, linewidths=0.5)
 

@@ -76,10 +76,8 @@ def remarks(variants: Sequence[Iterations]) -> list[str]:
     sentences = []
     for variant in variants:
         count, last = len(variant.step_norms), variant.step_norms[-1]
-        if last < TOLERANCE:
-            sentences.append(f"{variant.name}: {count} steps until the norm of the correction is below {TOLERANCE:g}.")
-        else:
-            sentences.append(f"{variant.name}: after {count} steps the norm of the correction is still {last:.1e}.")
+        end = f"below {TOLERANCE:g}" if last < TOLERANCE else f"still {last:.1e}"
+        sentences.append(f"{variant.name}: after {count} steps the norm of the correction is {end}.")
     return sentences
 
 

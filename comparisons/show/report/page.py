@@ -80,6 +80,7 @@ def page_of(comparison: Comparison) -> str:
     view = view_of(comparison)
     matrix, matrix_note = _matrix(comparison)
     convergence, convergence_note, endings = _convergence(comparison)
+    error_heading, errors_note = _error_texts(view)
     figures = {
         "map": paths_figure(view),
         "errors": errors_figure(view),
@@ -106,11 +107,9 @@ def page_of(comparison: Comparison) -> str:
             if name != "pose-ellipses" or any(e.covariances is not None for e in view.estimates)
         ),
         "last": str(len(view.steps) - 1),
-        "error_heading": escape(
-            "error [m]" if view.measured_from in ("truth", None) else f"from {view.measured_from} [m]"
-        ),
+        "error_heading": escape(error_heading),
         "map_note": escape(_map_note(view)),
-        "errors_note": escape(_errors_note(view)),
+        "errors_note": escape(errors_note),
         **{f"{name}_hidden": "hidden" if figure is None else "" for name, figure in figures.items()},
         "convergence_note": escape(convergence_note),
         "convergence_remarks": _items(endings),
@@ -166,12 +165,12 @@ def _map_note(view: View) -> str:
     return note
 
 
-def _errors_note(view: View) -> str:
-    if view.measured_from == "truth":
-        return "Distance from the true position after alignment; its root mean square over all steps is the ATE."
-    if view.measured_from is None:
-        return ""
-    return f"The log has no true poses: this is the distance from {view.measured_from} after alignment, not an error."
+def _error_texts(view: View) -> tuple[str, str]:
+    """The heading of errors in a table, and what their figure shows."""
+    if view.measured_from in ("truth", None):
+        return "error [m]", "Distance from the true position after alignment; its root mean square is the ATE."
+    note = f"The log has no true poses: this is the distance from {view.measured_from} after alignment, not an error."
+    return f"from {view.measured_from} [m]", note
 
 
 def _convergence(comparison: Comparison) -> tuple[Figure | None, str, list[str]]:
