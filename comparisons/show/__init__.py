@@ -8,46 +8,32 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from importlib import import_module
 from os import PathLike
 from typing import Any
 
 from graphslam import SlamError
 
 from .. import display
-from .tables import as_html, as_text
-
-#: class of results -> module and function of its figure; empty where it has none
-FIGURES = {
-    "Comparison": "figures.comparison_figure",
-    "ParticleStudy": "study_figures.particles_figure",
-    "ConsistencyStudy": "study_figures.consistency_figure",
-    "BackendComparison": "study_figures.backends_figure",
-    "Summary": "study_figures.study_figure",
-    "ResultTable": "",
-    "SolverComparison": "",
-    "Survey": "",
-}
+from .tables import RESULTS, as_html, as_text, function
 
 
 def _figure(result: Any, **options: Any) -> Any:
-    module, name = FIGURES[type(result).__name__].split(".")
-    return getattr(import_module(f".{module}", __name__), name)(result, **options)
+    return function(RESULTS[type(result).__name__][1])(result, **options)
 
 
 def _html(result: Any) -> str:
     text = as_html(result)
-    if FIGURES[type(result).__name__]:
+    if RESULTS[type(result).__name__][1]:
         # a table without its figure is better than neither
         with suppress(SlamError):
-            text += "\n" + import_module(".canvas", __name__).png_as_html(_figure(result))
+            text += "\n" + function("canvas.png_as_html")(_figure(result))
     return text
 
 
 def _save(figure: Any, paths: Sequence[str | PathLike[str]]) -> None:
-    import_module(".canvas", __name__).save_figure(figure, paths)
+    function("canvas.save_figure")(figure, paths)
 
 
-for _kind, _path in FIGURES.items():
-    display.register(_kind, display.Renderer(as_text, _html, _figure if _path else None))
+for _kind, (_, _drawn) in RESULTS.items():
+    display.register(_kind, display.Renderer(as_text, _html, _figure if _drawn else None))
 display.figure_writers.append(_save)

@@ -28,18 +28,25 @@ if TYPE_CHECKING:
 Tables = tuple[list[Table], list[str]]
 #: the width of text that is not written to a terminal
 WIDTH = 140
-#: class of results -> module and function that make its tables
-_TABLES = {
-    "ResultTable": (".tables", "result_tables"),
-    "Comparison": (".tables", "comparison_tables"),
-    "SolverComparison": (".tables", "solver_tables"),
-    "BackendComparison": (".tables", "backend_tables"),
-    "ParticleStudy": (".study_tables", "particle_tables"),
-    "ConsistencyStudy": (".study_tables", "consistency_tables"),
-    "Summary": (".study_tables", "summary_tables"),
-    "Survey": (".study_tables", "survey_tables"),
-    "Calibration": (".study_tables", "calibration_tables"),
+#: class of results -> the functions that make its tables and its figure, empty where it has none
+RESULTS = {
+    "ResultTable": ("tables.result_tables", ""),
+    "Comparison": ("tables.comparison_tables", "figures.comparison_figure"),
+    "SolverComparison": ("tables.solver_tables", ""),
+    "BackendComparison": ("tables.backend_tables", "study_figures.backends_figure"),
+    "ParticleStudy": ("study_tables.particle_tables", "study_figures.particles_figure"),
+    "ConsistencyStudy": ("study_tables.consistency_tables", "study_figures.consistency_figure"),
+    "Summary": ("study_tables.summary_tables", "study_figures.study_figure"),
+    "Survey": ("study_tables.survey_tables", ""),
+    "Calibration": ("study_tables.calibration_tables", ""),
 }
+
+
+def function(path: str) -> Callable[..., Any]:
+    """A function of this package by module and name; the module is loaded now, if it has not been loaded before."""
+    module, name = path.split(".")
+    found: Callable[..., Any] = getattr(import_module(f".{module}", __package__), name)
+    return found
 
 
 def tables_of(result: object, **options: Any) -> Tables:
@@ -52,9 +59,8 @@ def tables_of(result: object, **options: Any) -> Tables:
     Raises:
         KeyError: the object is no result of this project.
     """
-    module, name = _TABLES[type(result).__name__]
-    make: Callable[..., Tables] = getattr(import_module(module, __package__), name)
-    return make(result, **options)
+    tables: Tables = function(RESULTS[type(result).__name__][0])(result, **options)
+    return tables
 
 
 def as_text(result: object, width: int = WIDTH) -> str:

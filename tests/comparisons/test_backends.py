@@ -1,8 +1,8 @@
 import math
 
 import pytest
-
 from comparisons.backend_report import backends_figure, backends_remarks, backends_table
+
 from comparisons.backends import BACKENDS, BackendComparison, BackendRow, compare_backends
 from comparisons.peers import information_of_g2o, native_gtsam_graph
 from graphslam import Graph, GraphError, OptionError, solve

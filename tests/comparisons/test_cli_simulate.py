@@ -11,12 +11,12 @@ from typing import Any, get_type_hints
 
 import numpy as np
 import pytest
+from comparisons.cli.simulate import simulate as simulate_verb
+from comparisons.cli.verbs import run as run_verb
 from typer.testing import CliRunner, Result
 
 import graphslam
 from comparisons.cli import app
-from comparisons.cli.simulate import simulate as simulate_verb
-from comparisons.cli.verbs import run as run_verb
 from graphslam import MotionFaults, MotionModel, SensorFaults, SensorModel, load, simulate
 
 Invoke = Callable[..., Result]

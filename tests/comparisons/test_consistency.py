@@ -4,10 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from comparisons.consistency_figure import consistency_figure
 from scipy.stats import chi2
 
 from comparisons.consistency import Consistency, band, joint_nees, models, pose_nees, study_consistency
-from comparisons.consistency_figure import consistency_figure
 from graphslam import Graph, MotionModel, OptionError, SensorModel, simulate, solve
 from graphslam.se2 import wrap
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from comparisons.plots import save_figure
+from comparisons.studies.figure import study_figure
+
 from comparisons.studies.bootstrap import median_of
 from comparisons.studies.database import COLUMNS
 from comparisons.studies.export import write_csv, write_json_lines
-from comparisons.studies.figure import study_figure
 from comparisons.studies.summary import ALL, METRICS, summarise
 from graphslam import OptionError
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
 from comparisons.estimator import Estimator, EstimatorResult, RunOptions
+
 from comparisons.estimators import ESTIMATORS
 from comparisons.studies.child import Child, ChildDied, TimeLimit
 from comparisons.studies.database import COLUMNS, StudyDatabase

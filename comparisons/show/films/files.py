@@ -129,16 +129,13 @@ def _indexed(film: Film) -> Iterator[tuple[np.ndarray, Image.Image]]:
     bright = [number for number, frame in enumerate(film.frames) if frame.flash]
     spread = np.linspace(0, len(film) - 1, SAMPLES).round().astype(int).tolist()
     samples = dict.fromkeys([*spread, *bright[:: max(1, len(bright) // SAMPLES)]])
-    codes = np.unique(np.concatenate([np.unique(film.pictures[k] @ _WEIGHTS) for k in samples]))
+    codes = np.unique(np.concatenate([np.unique(film.pictures[k] @ (65536, 256, 1)) for k in samples]))
     colours = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=-1).astype(np.uint8)
     palette = Image.fromarray(colours[None]).quantize(CLEAR, method=Image.Quantize.MAXCOVERAGE)
     # as long as it can be, since what is clear needs an entry, too
     palette.putpalette((palette.getpalette() or [])[: 3 * CLEAR] + [255, 255, 255])
     for picture in film.pictures:
         yield picture, Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
-
-
-_WEIGHTS = np.array([65536, 256, 1])
 
 
 def _data_url(image: Image.Image, **options: int) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -65,10 +66,8 @@ def iterations(log: Log, options: RunOptions) -> list[Iterations]:
 
 
 def _graphs(log: Log, options: RunOptions, edges: str) -> list[Graph]:
-    return [
-        Graph.from_log(log, edges=edges, frame=frame, motion=options.motion, sensor=options.sensor)
-        for frame in ("world", "body")
-    ]
+    models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
+    return [Graph.from_log(log, edges=edges, frame=frame, **models) for frame in ("world", "body")]
 
 
 def remarks(variants: Sequence[Iterations]) -> list[str]:

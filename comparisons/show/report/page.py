@@ -6,7 +6,6 @@ import json
 import platform
 from collections.abc import Sequence
 from html import escape
-from importlib.metadata import version
 from importlib.resources import files
 from importlib.util import find_spec
 from os import PathLike
@@ -30,7 +29,6 @@ from .paths import COLUMNS, paths_figure
 from .traces import Figure, line_of
 from .view import View, view_of
 
-SUFFIXES = (".html", ".htm")
 #: layers of the map: name, label, whether it is shown at first
 LAYERS = (
     ("path", "paths", True),
@@ -56,7 +54,7 @@ def check_page(path: Path) -> None:
         FormatError: the place cannot be written.
         OptionError: the name does not end in .html, or the extra ``report`` is not installed.
     """
-    check_can_write(path, endings=SUFFIXES)
+    check_can_write(path, endings=(".html", ".htm"))
     if find_spec("plotly") is None:
         raise OptionError("the interactive report needs the package plotly: pip install 'virtual-motion-slam[report]'")
 
@@ -90,7 +88,6 @@ def page_of(comparison: Comparison) -> str:
     }
     (table,), sentences = tables_of(comparison)
     table.title = None
-    plotly = f"plotly {version('plotly')} (plotly.js {get_plotlyjs_version()})"
     part = {
         "title": escape(comparison.log.name),
         "summary": escape(_summary(view)),
@@ -117,7 +114,7 @@ def page_of(comparison: Comparison) -> str:
         "entry": MATRIX[ENTRY],
         "fill": MATRIX[FILL],
         "configuration": escape(comparison.config),
-        "versions": _items([*versions(), plotly, platform.platform()]),
+        "versions": _items([*versions(), f"plotly.js {get_plotlyjs_version()}", platform.platform()]),
         "figures": embedded({name: figure for name, figure in figures.items() if figure is not None}),
         "facts": embedded(_facts(view)),
         "style": _resource("page.css"),
