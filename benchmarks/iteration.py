@@ -64,7 +64,7 @@ def main() -> None:
     solve(graph, initialize="given")
     runs = [solve(graph, initialize="given") for _ in range(30)]
     ours = statistics.median(run.seconds / run.iterations for run in runs)
-    book = median(lambda: textbook.solve(log, "virtual+motion", max_iterations=1), 3)
+    book = median(lambda: textbook.solve(log, edges="virtual+motion", max_iterations=1), 3)
     print(f"book's log2, {graph.num_edges} edges: {ours * 1e3:.2f} ms per iteration; textbook.py {book * 1e3:.0f} ms")
     print(f"{'graph':24s} {'sums':>7} {'factor':>7} {'solve':>7} {'all':>7} {'gtsam':>8} {'g2o':>8} {'inverse/factor':>15}"
           f" {'residual given':>15} {'at the optimum':>15}")  # fmt: skip

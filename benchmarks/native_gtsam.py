@@ -11,8 +11,8 @@ import time
 
 import gtsam
 import numpy as np
-
 from comparisons.estimator import EstimatorResult, RunOptions
+
 from comparisons.estimators import make_graph
 from graphslam import Log, SensorModel
 from graphslam.edges.robust import KERNELS

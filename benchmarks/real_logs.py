@@ -17,13 +17,13 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from comparisons.estimator import EstimatorResult, RunOptions
+from comparisons.plots import comparison_figure
 from native_gtsam import native_gtsam
 
 from comparisons.comparison import Comparison, compare, with_models
 from comparisons.datasets import data_folder
-from comparisons.estimator import EstimatorResult, RunOptions
 from comparisons.estimators import make_graph
-from comparisons.plots import comparison_figure
 from comparisons.results import jsonable
 from graphslam import Log, MotionModel, SensorModel, load, solve
 from graphslam.calibration import Calibration, calibrate

@@ -11,10 +11,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from comparisons.estimator import RunOptions
 from real_logs import BY_HAND, nees, read
 
 from comparisons.datasets import data_folder
-from comparisons.estimator import RunOptions
 from comparisons.estimators import graph_estimator, pair_count
 from graphslam.metrics import evaluate
 

@@ -1,4 +1,4 @@
-"""Kill a study at random moments and let it go on: every run exactly once, the database intact.
+"""Kill a study at random moments and continue it: every run exactly once, the database intact.
 
     python -m benchmarks.study_kills [--kills 20] [--runs 200] [--seed 0]
 
@@ -33,6 +33,10 @@ particles = {particles}
 """
 
 
+#: a sweep of its own process
+SWEEP = "import sys; from comparisons import sweep; sweep(sys.argv[1], jobs=int(sys.argv[2]))"
+
+
 def rows(database: Path) -> dict[str, tuple]:
     """The rows by key, after an integrity check; raises `AssertionError` where the database is not intact."""
     with closing(sqlite3.connect(database)) as connection:
@@ -45,7 +49,7 @@ def rows(database: Path) -> dict[str, tuple]:
 
 
 def killed_study(folder: Path, *, kills: int, runs: int, particles: int, seed: int, jobs: int = 2) -> list[int]:
-    """Run a study with kills at random moments of its work; how many rows there were at each kill.
+    """Run a study with kills at random moments of its work; returns the number of rows at each kill.
 
     Raises:
         AssertionError: a row was lost, changed or doubled, or the database is not intact.
@@ -54,12 +58,12 @@ def killed_study(folder: Path, *, kills: int, runs: int, particles: int, seed: i
     study_file = folder / "study.toml"
     study_file.write_text(STUDY.format(seeds=runs // 2, particles=particles), encoding="utf-8")
     study = read_study(study_file)
-    command = [sys.executable, "-m", "comparisons", "sweep", str(study_file), "--jobs", str(jobs)]
+    command = [sys.executable, "-c", SWEEP, str(study_file), str(jobs)]
     known: dict[str, tuple] = {}
     counts = []
     for kill in range(kills):
         process = subprocess.Popen(command, start_new_session=True)
-        # the work of a sweep begins with its first new row; wait for it, then for as many more as leave work for the rest
+        # a sweep begins with its first new row; wait for it, and for as many more as leave work for the other kills
         share = (len(study.runs) - len(known)) // (kills - kill + 1)
         wanted = len(known) + rng.randint(0, max(1, 2 * share - 1))
         while process.poll() is None and _count(study.database) < wanted:
@@ -84,12 +88,12 @@ def _count(database: Path) -> int:
             (count,) = connection.execute("SELECT count(*) FROM runs").fetchone()
             return int(count)
     except sqlite3.OperationalError:
-        # not made yet, or made this moment
+        # not made yet, or being made at this moment
         return 0
 
 
 def main() -> None:
-    """Parse the options and say how it went."""
+    """Parse the options and print the outcome."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--runs", type=int, default=200)

@@ -1,13 +1,13 @@
-"""What a study costs beside its estimators, and what more processes bring.
+"""The overhead of a study beside its estimators, and the speed-up of more processes.
 
     python -m benchmarks.study_speed [--dask tcp://host:8786] [--repeats 3]
 
-Overhead: 2,000 short runs in one process; the wall time without the start of the process, less the estimators' own
-``seconds``, for each run. It holds simulating or reading logs, building graphs, measuring errors, the way to the process
+Overhead: 2,000 short runs in one process; the wall time without the start of the process, minus the ``seconds`` of the
+estimators, per run. It consists of simulating or reading logs, building graphs, computing errors, sending to the process
 and back, and the row on the disk. Speed-up: 64 longer runs with one process, with two, and on the cluster if there is
-one; the time from the first row to the last, and the share of it in which the processes were at work on runs: what is
-missing to 100 % is the study's doing, what is missing to 2 x beyond that is the machine's. All are repeated in turn and
-the best is taken, because other work on the machine only ever makes them slower.
+one; the time from the first row to the last, and the share of it in which the processes were executing runs. What is
+missing to 100 % is overhead of the study; what is missing to a factor of 2 beyond that is due to the machine. All are
+repeated in turn and the best is taken, because other work on the machine can only make them slower.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ particles = 20000
 
 
 def measure(text: str, **where: object) -> tuple[float, float, float, int]:
-    """Seconds from the first row to the last; in these rows the estimators' own and the whole seconds; their number."""
+    """Seconds from the first row to the last; of these rows the sum of ``seconds`` and of ``total_seconds``; their number."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "study.toml"
         path.write_text(text, encoding="utf-8")
@@ -78,11 +78,11 @@ def main() -> None:
             busy[place].append(whole / wall / (1 if place == "one process" else 2))
     print(f"overhead of {count} short runs: {min(overheads):.2f} ms per run (all: {[round(o, 2) for o in overheads]}),")
     print(f"of it {min(handling):.2f} ms outside of the runs: sending, receiving, writing the row")
-    for place, found in seconds.items():
-        ratio = min(seconds["one process"]) / min(found)
+    for place, measured in seconds.items():
+        ratio = min(seconds["one process"]) / min(measured)
         print(
-            f"{place}: {min(found):.2f} s, {ratio:.2f} x, at work {max(busy[place]):.0%} "
-            f"(all: {[round(s, 2) for s in found]})"
+            f"{place}: {min(measured):.2f} s, {ratio:.2f} x, executing runs {max(busy[place]):.0%} "
+            f"(all: {[round(s, 2) for s in measured]})"
         )
     print(f"load after: {os.getloadavg()[0]:.1f}")
 

@@ -5,22 +5,26 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import cache
 from os import PathLike
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from graphslam import Graph, GraphError, OptionError, solve
-from graphslam.checks import check_choice
-from graphslam.solvers.solve import INITIALIZE
+from graphslam.solvers.solve import starting_state
 
 from .display import Displayed
+from .kernels import factorisation
+from .options import BackendOptions
 from .peers import PEERS, PeerRun
+from .saving import jsonable
 
 #: the names of the backends, ours first
 BACKENDS = ("graphslam", *PEERS)
 
-#: both stop when a step changes the cost by less than this part of it
+#: every backend stops when a step changes the cost by less than this part of it
 COST_TOLERANCE = 1e-9
 
 
@@ -31,11 +35,11 @@ class BackendRow:
     Attributes:
         file, backend: which.
         chi2: the cost of the state it ended in, by `Graph.cost`; NaN if it gave up.
-        iterations: that it took.
+        iterations: their number.
         seconds: of the optimisation alone, from initial values to the stop; median of the repetitions.
         converged: whether its stop rule was met (for a local minimum, too: compare the chi2).
         reason: how it ended.
-        trace: (seconds, chi2) after each iteration, for the figure; empty where a backend does not tell.
+        trace: (seconds, chi2) after each iteration, for the figure; empty where a backend does not report them.
     """
 
     file: str
@@ -59,7 +63,7 @@ class BackendComparison(Displayed):
         return min((r.chi2 for r in self.rows if r.file == file and not math.isnan(r.chi2)), default=math.nan)
 
     def reached(self, row: BackendRow, relative: float = 1e-3) -> bool:
-        """Whether a row ended at the lowest chi2 of its file, to a thousandth (residuals differ a little)."""
+        """Whether a row ended at the lowest chi2 of its file, to a thousandth (the residuals of GTSAM differ a little)."""
         return row.converged and row.chi2 <= self.best(row.file) * (1 + relative) + 1e-12
 
     def ratio(self, row: BackendRow) -> float | None:
@@ -75,76 +79,64 @@ class BackendComparison(Displayed):
         return math.exp(statistics.fmean(map(math.log, ratios))) if ratios else None
 
     def to_json(self) -> dict[str, Any]:
-        """{"rows": [{"file", "backend", "chi2", "iterations", "seconds", "converged", "reason", "ratio"}], "means"}."""
-        rows = [{k: v for k, v in vars(row).items() if k != "trace"} | {"ratio": self.ratio(row)} for row in self.rows]
+        """The comparison as plain data: {"rows": [fields of `BackendRow` and "ratio"], "geometric_means"}."""
+        rows = [
+            {k: v for k, v in asdict(row).items() if k != "trace"} | {"ratio": self.ratio(row)} for row in self.rows
+        ]
         names = dict.fromkeys(row.backend for row in self.rows if row.backend != "graphslam")
-        return {"rows": rows, "geometric_means": {name: self.geometric_mean(name) for name in names}}
+        return jsonable({"rows": rows, "geometric_means": {name: self.geometric_mean(name) for name in names}})
 
 
 def compare_backends(
-    files: Sequence[str | PathLike[str]],
+    files: Sequence[str | PathLike[str]] | str | PathLike[str],
     *,
-    backends: Sequence[str] | None = None,
-    initialize: str = "auto",
-    same_start: bool = False,
-    repeat: int = 5,
-    max_iterations: int = 100,
-    cost_tolerance: float = COST_TOLERANCE,
-    format: str | None = None,
     progress: Callable[[BackendRow], None] | None = None,
+    **options: Any,
 ) -> BackendComparison:
     """Optimise pose graphs with several backends: first pose fixed, the file's initial values, the same stop rule.
 
-    Each backend runs once to warm up, and then ``repeat`` times; its time is the median. GTSAM and g2o prepare their
-    graph outside the clock; our pattern, ordering and start count.
+    Each backend runs ``repeat`` times, after a run on a tiny graph that loads or compiles its code; its time is the
+    median. GTSAM and g2o prepare their graph before the time is measured; our pattern, ordering and start count.
 
     Args:
-        files: pose graphs, see `Graph.from_g2o`.
-        backends: some of `BACKENDS`; default: all that are installed.
-        initialize: where graphslam starts, see `graphslam.solve`.
-        same_start: hand every backend, this solver included, the state from which "auto" starts.
-        repeat: how many times the clock runs.
-        max_iterations: for all.
-        cost_tolerance: stop when a step changes the cost by less than this part of it.
-        format: of the files.
+        files: pose graphs, see `Graph.from_g2o`; one, or several.
         progress: called after each row.
+        options: the fields of `options.BackendOptions`: backends, initialize, same_start, repeat, max_iterations, format.
 
     Raises:
         OptionError: an option has an impossible value, or a backend asked for is not installed.
         FormatError, GraphError: a file is not a graph that can be solved.
     """
-    check_choice("initialize", initialize, INITIALIZE)
-    for name in backends or ():
-        check_choice("backends", name, BACKENDS)
-    if repeat < 1:
-        raise OptionError(f"repeat must be at least 1, not {repeat}")
+    given = BackendOptions.of(**options)
     rows: list[BackendRow] = []
-    for path in map(Path, files):
-        graph = Graph.from_g2o(path, format=format)
-        if same_start:
-            from graphslam.solvers.solve import starting_state
-
+    for path in [files] if isinstance(files, (str, PathLike)) else files:
+        graph, initialize = Graph.from_g2o(path, format=given.format), given.initialize
+        if given.same_start:
             graph, initialize = graph.with_initial(starting_state(graph, "auto")), "given"
-        for name in backends or BACKENDS:
+        for name in given.backends or BACKENDS:
             try:
-                run = _ours(graph, initialize, cost_tolerance, max_iterations) if name == "graphslam" else None
-                run = run or PEERS[name](graph, cost_tolerance, max_iterations)
+                run = _backend(name, graph, initialize, given.max_iterations)
             except OptionError:
-                if backends is None:
+                if given.backends is None:
                     continue  # not installed, and not asked for by name
                 raise
-            rows.append(_row(path, name, graph, run, repeat))
+            _warm_up(name)
+            rows.append(_row(str(path), name, graph, [run() for _ in range(given.repeat)]))
             if progress is not None:
                 progress(rows[-1])
     return BackendComparison(tuple(rows))
 
 
-def _ours(graph: Graph, initialize: str, cost_tolerance: float, max_iterations: int) -> Callable[[], PeerRun]:
+def _backend(name: str, graph: Graph, initialize: str, max_iterations: int) -> Callable[[], PeerRun]:
+    """A function that optimises the graph anew each time it is called."""
+    if name != "graphslam":
+        return PEERS[name](graph, COST_TOLERANCE, max_iterations)
+
     def run() -> PeerRun:
-        # a fresh graph, so that pattern and ordering are found within the clock
+        # a fresh graph, so that pattern and ordering count in the time
         fresh = graph.with_initial(graph.initial)
         try:
-            solution = solve(fresh, initialize=initialize, cost_tolerance=cost_tolerance, max_iterations=max_iterations)
+            solution = solve(fresh, initialize=initialize, cost_tolerance=COST_TOLERANCE, max_iterations=max_iterations)
         except GraphError as error:
             return PeerRun(graph.initial * math.nan, 0, math.nan, False, str(error))
         return PeerRun(
@@ -155,12 +147,21 @@ def _ours(graph: Graph, initialize: str, cost_tolerance: float, max_iterations: 
     return run
 
 
-def _row(path: Path, name: str, graph: Graph, run: Callable[[], PeerRun], repeat: int) -> BackendRow:
-    run()
-    runs = [run() for _ in range(repeat)]
-    seconds = statistics.median(r.seconds for r in runs)
+@cache
+def _warm_up(name: str) -> None:
+    """Let a backend compile or load its code on a tiny graph, a square with a landmark."""
+    factorisation()
+    lines = [f"VERTEX_SE2 {k} {k % 2} {k // 2} 0\nEDGE_SE2 {k} {(k + 1) % 4} 1 0 1.57 1 0 0 1 0 1" for k in range(4)]
+    lines += ["VERTEX_XY 4 2 2", "EDGE_SE2_XY 0 4 2 2 1 0 1", "EDGE_SE2_XY 1 4 2 -1 1 0 1"]
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "square.g2o"
+        path.write_text("\n".join(lines), encoding="utf-8")
+        _backend(name, Graph.from_g2o(path), "auto", 5)()
+
+
+def _row(file: str, name: str, graph: Graph, runs: Sequence[PeerRun]) -> BackendRow:
+    seconds = statistics.median(run.seconds for run in runs)
     last = runs[-1]
-    chi2 = graph.cost(last.state)
     steps = max(len(last.costs) - 1, 1)
     trace = tuple((seconds * k / steps, cost) for k, cost in enumerate(last.costs))
-    return BackendRow(str(path), name, chi2, last.iterations, seconds, last.converged, last.reason, trace)
+    return BackendRow(file, name, graph.cost(last.state), last.iterations, seconds, last.converged, last.reason, trace)

@@ -104,7 +104,8 @@ class Comparison(Displayed):
         """The metrics of every result against the ground truth, by name."""
         truth, landmarks = self.log.true_poses, self.log.true_landmarks
         return {
-            r.name: evaluate(truth, landmarks, r.poses, r.landmarks, mask=r.estimated, named=r.named) for r in self.results
+            r.name: evaluate(truth, landmarks, r.poses, r.landmarks, mask=r.estimated, named=r.named)
+            for r in self.results
         }
 
     @cached_property

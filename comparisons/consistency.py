@@ -1,50 +1,46 @@
-"""Is the uncertainty that comes out the uncertainty there is? ANEES over many simulated logs.
+"""Are the covariances of the estimators consistent with their errors? ANEES over many simulated logs.
 
-The normalised estimation error squared (NEES) of an estimate x̂ with covariance P is (x̂ - x)' P^-1 (x̂ - x). If P tells the
-truth, its average over n independent logs (ANEES), divided by the degrees of freedom d, is 1, and lies in 95 of 100
-studies between the quantiles chi2(n d) / (n d). Above the band an estimator is too sure; below, too modest.
+The normalised estimation error squared (NEES) of an estimate x̂ with covariance P is (x̂ - x)' P^-1 (x̂ - x). If P is
+consistent, its average over n independent logs (ANEES), divided by the degrees of freedom d, is 1, and lies in 95 of 100
+studies between the quantiles chi2(n d) / (n d). Above the band an estimator is overconfident, below it is underconfident.
 
 Per step d = 3, P is the marginal covariance of the pose. Joint over the trajectory d = 3 T, P^-1 is Omega over the poses,
-landmark nodes eliminated; the first pose, which is anchored at the truth, counts in neither.
+landmark nodes eliminated; the first pose, which is anchored at the ground truth, counts in neither.
 
 Source: Bar-Shalom, Li and Kirubarajan, *Estimation with applications to tracking and navigation*, section 5.4.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-import scipy.sparse.linalg as spla
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
-from fastslam import FastSLAM1, FastSLAM2, ParticleFilter
-from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorModel, Solution, simulate, solve
-from graphslam.checks import check_choice, check_positive
+from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, World, simulate, solve
+from graphslam.metrics import pose_nees
 from graphslam.se2 import Array, wrap
 
 from .display import Displayed
+from .estimators import FILTERS, particle_filter
+from .options import ConsistencyOptions, RunOptions
+from .pool import results
 from .saving import jsonable
-from .solvers import mapping
 
-#: what can be judged: options of the graph, or a filter
+#: the graphs that can be tested, by name: keywords of `Graph.from_log`
 GRAPHS: dict[str, dict[str, Any]] = {
     "landmark nodes": {"edges": "landmark+motion"},
     "marginal": {"weight": "marginal"},
     "tempered": {"weight": "tempered"},
     "pairs": {"weight": "pairs"},
 }
-FILTERS: dict[str, type[ParticleFilter]] = {"fastslam1": FastSLAM1, "fastslam2": FastSLAM2}
-ESTIMATORS = (*GRAPHS, *FILTERS)
 PARTICLES = 1000
 
-#: the part of studies in which a truthful estimator lies inside the band
+#: the share of studies in which a consistent estimator lies inside the band
 CONFIDENCE = 0.95
-#: the least and the most noise, in units of the book's
-NOISE = (1e-3, 10.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +59,12 @@ class Consistency:
 
     @property
     def logs(self) -> int:
-        """How many logs were solved."""
+        """The number of logs that were solved."""
         return int(np.count_nonzero(np.isfinite(self.per_step[:, 0])))
 
     @property
     def failed(self) -> int:
-        """On how many logs the estimator failed, or did not converge."""
+        """The number of logs on which the estimator failed, or did not converge."""
         return len(self.per_step) - self.logs
 
     @property
@@ -83,7 +79,7 @@ class Consistency:
 
     @property
     def steps_inside(self) -> float:
-        """The part of the steps inside their band; steps of one log are not independent."""
+        """The share of the steps inside their band; steps of one log are not independent."""
         low, high = self.step_band
         return float(np.mean((self.steps >= low) & (self.steps <= high)))
 
@@ -103,10 +99,18 @@ class Consistency:
         low, high = self.joint_band
         return None if self.anees is None else bool(low <= self.anees <= high)
 
+    def to_json(self) -> dict[str, Any]:
+        """The figures of this estimator as plain data."""
+        return {
+            "name": self.name, "logs": self.logs, "failed": self.failed, "anees": self.anees,
+            "band": list(self.joint_band), "consistent": self.consistent, "anees_per_step": self.steps,
+            "step_band": list(self.step_band), "steps_inside": self.steps_inside,
+        }  # fmt: skip
+
 
 @dataclass(frozen=True, eq=False)
 class ConsistencyStudy(Displayed):
-    """The outcome of `study_consistency`: what was simulated, and every estimator's NEES."""
+    """What was simulated, and every estimator's NEES."""
 
     logs: int
     noise: float
@@ -118,156 +122,108 @@ class ConsistencyStudy(Displayed):
 
     def to_json(self) -> dict[str, Any]:
         """The study as plain data; see docs/consistency.md."""
-        told = {k: v for k, v in asdict(self).items() if k != "results"}
-        results = [
-            {
-                "name": r.name, "logs": r.logs, "failed": r.failed, "anees": r.anees, "band": list(r.joint_band),
-                "consistent": r.consistent, "anees_per_step": r.steps, "step_band": list(r.step_band),
-                "steps_inside": r.steps_inside,
-            }
-            for r in self.results
-        ]  # fmt: skip
-        return jsonable(told | {"estimators": results})
+        simulated = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "results"}
+        return jsonable({**simulated, "estimators": [result.to_json() for result in self.results]})
 
 
-def study_consistency(
-    *,
-    logs: int = 200,
-    noise: float = 0.1,
-    steps: int = 62,
-    dimensions: int = 3,
-    estimators: Sequence[str] = tuple(GRAPHS),
-    seed: int = 0,
-    jobs: int = 1,
-    progress: Callable[[int], None] | None = None,
-) -> ConsistencyStudy:
-    """Simulate logs whose noise follows the models, and judge what the estimators say of their own errors.
+def study_consistency(*, progress: Callable[[int], None] | None = None, **options: Any) -> ConsistencyStudy:
+    """Simulate logs whose noise follows the models, and test the covariances of the estimators against their errors.
 
     Args:
-        logs: how many, with the seeds ``seed`` to ``seed`` + logs - 1.
-        noise: all standard deviations of the book's motion and sensor times this, within `NOISE`.
-        steps: T, the motions of each log.
-        dimensions: 3 with psi, 2 without (where pairs and tempered have no constant information, but can be solved).
-        estimators: of `ESTIMATORS`.
-        jobs: how many logs at a time, each in a process of its own.
-        progress: called after each log with how many are done.
+        progress: called after each log with the number of logs that are done.
+        options: the fields of `options.ConsistencyOptions`: logs, noise, steps, dimensions, estimators, seed, jobs.
 
     Raises:
         OptionError: an option has an impossible value.
     """
-    check_positive(noise=noise)
-    if not NOISE[0] <= noise <= NOISE[1]:
-        raise OptionError(
-            f"noise must lie between {NOISE[0]:g} and {NOISE[1]:g}, not {noise:g}: below, the anchor is less sure than the "
-            "sightings, and above nothing is nearly linear"
-        )
-    for name, value in (("logs", logs), ("steps", steps), ("jobs", jobs)):
-        if value < 1:
-            raise OptionError(f"{name} must be at least 1, not {value}")
-    if dimensions not in (2, 3):
-        raise OptionError(f"dimensions must be 2 or 3, not {dimensions!r}")
-    if not estimators:
-        raise OptionError(f"name at least one estimator: {', '.join(ESTIMATORS)}")
-    for name in estimators:
-        check_choice("estimators", name, ESTIMATORS)
-    estimators = tuple(dict.fromkeys(estimators))
-    work = partial(_one_log, noise=noise, steps=steps, dimensions=dimensions, estimators=estimators)
+    given = ConsistencyOptions.of(**options)
     rows: list[dict[str, tuple[Array, float]]] = []
-    seen: list[float] = []
-    with mapping(jobs) as run:
-        for per_landmark, row in run(work, range(seed, seed + logs)):
-            rows.append(row)
-            seen.append(per_landmark)
-            if progress is not None:
-                progress(len(rows))
-    results = []
-    for name in estimators:
-        per_step = np.array([row[name][0] for row in rows])
+    sightings: list[float] = []
+    work = partial(_one_log, options=given)
+    warm = ("graph", *(name for name in given.estimators if name in FILTERS))
+    for per_landmark, row in results(
+        work, range(given.seed, given.seed + given.logs), jobs=given.jobs, estimators=warm
+    ):
+        rows.append(row)
+        sightings.append(per_landmark)
+        if progress is not None:
+            progress(len(rows))
+    outcome = []
+    for name in given.estimators:
         joint = np.array([row[name][1] for row in rows]) if name in GRAPHS else None
-        results.append(Consistency(name, per_step, joint))
-    return ConsistencyStudy(logs, noise, steps, dimensions, seed, float(np.mean(seen)), tuple(results))
+        outcome.append(Consistency(name, np.array([row[name][0] for row in rows]), joint))
+    common = {f.name for f in fields(ConsistencyStudy)} & {f.name for f in fields(given)}
+    return ConsistencyStudy(
+        **{name: getattr(given, name) for name in common},
+        sightings_per_landmark=float(np.mean(sightings)),
+        results=tuple(outcome),
+    )
 
 
 def models(noise: float) -> tuple[MotionModel, SensorModel]:
     """The book's models with all standard deviations times ``noise``; epsilon is a variance."""
-    m, s = MotionModel(), SensorModel()
-    motion = MotionModel(nn=m.nn * noise, no=m.no * noise, on=m.on * noise, oo=m.oo * noise, epsilon=m.epsilon * noise**2)
-    return motion, SensorModel(
-        range_rate=s.range_rate * noise, bearing_std=s.bearing_std * noise, orientation_std=s.orientation_std * noise
-    )
+    motion, sensor = MotionModel(), SensorModel()
+    scaled = {name: value * (noise**2 if name == "epsilon" else noise) for name, value in asdict(motion).items()}
+    numbers: dict[str, Any] = {n: value * noise for n, value in asdict(sensor).items() if isinstance(value, float)}
+    return replace(motion, **scaled), replace(sensor, **numbers)
 
 
 def band(degrees: int) -> tuple[float, float]:
-    """Between which values the average of so many independent squares of unit variance lies in 95 of 100 cases."""
+    """The interval in which the mean of so many independent squares of unit variance lies in 95 of 100 cases.
+
+    The quantiles of chi2(d) / d; that of chi2 at probability p is twice the inverse of the regularised incomplete gamma
+    function P(d / 2, x) at p.
+    """
     tail = (1 - CONFIDENCE) / 2
-    low, high = chi2.ppf([tail, 1 - tail], degrees) / degrees
+    low, high = 2 * gammaincinv(degrees / 2, [tail, 1 - tail]) / degrees
     return float(low), float(high)
 
 
-def pose_nees(error: Array, covariance: Array) -> Array:
-    """e' P^-1 e / 3 for errors (T, 3) with covariances (T, 3, 3); (T,)."""
-    return np.asarray(np.einsum("ti,ti->t", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0]) / 3)
-
-
-def joint_nees(solution: Solution, graph: Graph, truth: Array) -> float:
-    """e' Omega e / (3 T) over all poses but the first, given it; landmark nodes are eliminated."""
-    poses = len(graph.steps)
-    error = solution.state[:poses] - truth[graph.steps]
-    error[:, 2] = wrap(error[:, 2])
-    system, _ = graph.linearize(solution.state)
-    omega = system.to_sparse().tocsc()
-    e = error[1:].ravel()
-    of_poses = omega[3 : 3 * poses, 3 : 3 * poses]
-    squares = float(e @ (of_poses @ e))
-    if graph.num_nodes > poses:
-        across = omega[3 * poses :, 3 : 3 * poses] @ e
-        squares -= float(across @ spla.spsolve(omega[3 * poses :, 3 * poses :], across))
-    return squares / len(e)
-
-
-def _one_log(
-    seed: int, noise: float, steps: int, dimensions: int, estimators: tuple[str, ...]
-) -> tuple[float, dict[str, tuple[Array, float]]]:
+def _one_log(seed: int, options: ConsistencyOptions) -> tuple[float, dict[str, tuple[Array, float]]]:
     """Sightings per landmark, and per estimator the NEES of each step (T,) and of the trajectory; NaN where it failed."""
-    motion, sensor = models(noise)
-    log = simulate(seed=seed, steps=steps, clean=True, motion=motion, sensor=sensor, orientation=dimensions == 3)
-    assert log.true_poses is not None
-    failed = (np.full(steps, np.nan), np.nan)
+    motion, sensor = models(options.noise)
+    noise = {"motion": motion, "sensor": sensor}
+    world = World(steps=options.steps, clean=True, orientation=options.dimensions == 3)
+    log = simulate(world, seed=seed, motion=motion, sensor=sensor)
     row = {}
-    for name in estimators:
+    for name in options.estimators:
         if name in FILTERS:
-            row[name] = (_filter_nees(name, log, motion, sensor, seed), np.nan)
-            continue
-        try:
-            graph = Graph.from_log(log, motion=motion, sensor=sensor, **GRAPHS[name])
-            solution = solve(graph, initialize="auto", max_iterations=500)
-            covariances = solution.covariances()
-        except GraphError:
-            row[name] = failed
-            continue
-        if not solution.converged:
-            row[name] = failed
-            continue
-        error = solution.poses - log.true_poses
-        error[:, 2] = wrap(error[:, 2])
-        row[name] = (pose_nees(error[1:], covariances[1:]), joint_nees(solution, graph, log.true_poses))
+            row[name] = (_filter_nees(name, log, seed, noise), np.nan)
+        else:
+            row[name] = _graph_nees(log, GRAPHS[name] | noise) or (np.full(options.steps, np.nan), np.nan)
     return len(log.steps) / max(len(log.landmark_ids), 1), row
 
 
-def _filter_nees(name: str, log: Log, motion: MotionModel, sensor: SensorModel, seed: int) -> Array:
+def _graph_nees(log: Log, keywords: dict[str, Any]) -> tuple[Array, float] | None:
+    """NEES / 3 of each step, (T,), and NEES / (3 T) of the trajectory; None where the solver failed."""
+    assert log.true_poses is not None
+    try:
+        graph = Graph.from_log(log, **keywords)
+        solution = solve(graph, initialize="auto", max_iterations=500)
+        covariances = solution.covariances()
+    except GraphError:
+        return None
+    if not solution.converged:
+        return None
+    error = solution.poses - log.true_poses
+    error[:, 2] = wrap(error[:, 2])
+    return pose_nees(error[1:], covariances[1:]), solution.joint_nees(log.true_poses)
+
+
+def _filter_nees(name: str, log: Log, seed: int, noise: dict[str, Any]) -> Array:
     """NEES / 3 of the particles' mean and covariance at each step, as it stood then; (T,)."""
     assert log.true_poses is not None
     errors: list[Array] = []
     covariances: list[Array] = []
-    for state in FILTERS[name](log, particles=PARTICLES, seed=seed, motion=motion, sensor=sensor):
-        truth = log.true_poses[len(errors)]
+    options = RunOptions.of(particles=PARTICLES, seed=seed, **noise)
+    for state in particle_filter(name, log, options):
         weights = np.exp(state.log_weights - np.max(state.log_weights))
         weights /= weights.sum()
-        off = state.poses - truth
+        off = state.poses - log.true_poses[len(errors)]
         off[:, 2] = wrap(off[:, 2])
         mean = weights @ off
         spread = off - mean
         errors.append(mean)
-        # a trace of the identity: all particles may descend from one
+        # a little of the identity: all particles may descend from one
         covariances.append((weights[:, None] * spread).T @ spread + 1e-12 * np.eye(3))
     return pose_nees(np.array(errors)[1:], np.array(covariances)[1:])

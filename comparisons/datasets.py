@@ -1,6 +1,6 @@
-"""The well-known data sets that can be read: where they are published, how they must look, and what is at hand.
+"""The well-known data sets that can be read: where they are published, how their files are laid out, what is present.
 
-The project ships readers, not data. `survey` looks below a folder and reads everything that it recognises.
+The project contains readers, not data. `survey` searches a folder and reads everything that it recognises.
 """
 
 from __future__ import annotations
@@ -8,34 +8,35 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from graphslam import Graph, Log, SlamError, load
+from graphslam import Graph, SlamError, load
 from graphslam.edges import AnchorEdges
 from graphslam.formats import FORMATS, mrclam
 
 from .display import Displayed
 from .saving import jsonable
 
-#: how far below the folder of the data is looked, and files larger than this [bytes] are not opened to see what they are
+#: how many levels of folders are searched, and the size from which on files are not opened for recognition [bytes]
 DEPTH, LARGEST = 3, 200_000_000
 
 
 def data_folder() -> Path:
-    """Where data sets lie: the environment variable SLAM_DATA, else ../shared/data."""
+    """The folder of the data sets: the environment variable SLAM_DATA, else ../shared/data."""
     return Path(os.environ.get("SLAM_DATA") or Path("..") / "shared" / "data")
 
 
 @dataclass(frozen=True)
 class DataSet:
-    """A data set that people know.
+    """A well-known data set.
 
     Attributes:
-        name: as tables call it; of a log also the name of its format.
-        title, source, terms: what it is, where it is published, and what its owners ask.
-        layout: how the file or folder must look.
+        name: in tables; of a log also the name of its format.
+        title, source, terms: what it is, where it is published, and the terms of its owners.
+        layout: of its files.
         is_graph: whether its files are pose graphs, for ``slam-compare backends``, and not logs.
     """
 
@@ -85,14 +86,15 @@ DATA_SETS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """A log or pose graph that is at hand, read.
+    """A log or pose graph that is present, read.
 
     Attributes:
-        path: where; robot: which one, where a folder has several.
-        poses, sightings, landmarks: how many; of a pose graph ``sightings`` counts all its edges.
-        controls, seconds: of the odometry: how many, and from the first pose to the last [s]; None where there is none.
-        poses_covered: how many poses the truth covers; None without truth.
-        notes: what the reader had to say.
+        path: of the file or folder.
+        robot: which one, where a folder has several.
+        poses, sightings, landmarks: their numbers; of a pose graph ``sightings`` counts all its edges.
+        controls, seconds: the number of controls, and the time from the first pose to the last [s]; None without odometry.
+        poses_covered: the number of poses that the ground truth covers; None without ground truth.
+        notes: of the reader.
         error: why it cannot be read, one sentence; None where it can.
     """
 
@@ -117,46 +119,50 @@ class Survey(Displayed):
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """One sentence for each thing that is there and cannot be read."""
+        """One sentence for each file or folder that cannot be read."""
         return tuple(entry.error for entries in self.found.values() for entry in entries if entry.error is not None)
 
     def to_json(self) -> dict[str, Any]:
         """The survey as plain data: {"folder", "exists", "sets": [{"name", ..., "found": [...]}]}."""
-        sets = [vars(known) | {"found": [vars(entry) for entry in self.found[known.name]]} for known in DATA_SETS]
+        sets = [asdict(known) | {"found": list(map(asdict, self.found[known.name]))} for known in DATA_SETS]
         return jsonable({"folder": self.folder, "exists": self.folder.is_dir(), "sets": sets})
 
 
-def survey(folder: Path | None = None, progress: Callable[[Path], None] | None = None) -> Survey:
-    """Look for the known data sets below a folder (default: `data_folder`) and read what is found."""
-    folder = data_folder() if folder is None else folder
-    found: dict[str, list[Found]] = {known.name: [] for known in DATA_SETS}
-    for path in _below(folder):
-        name = _kind(path)
-        if name is None:
-            continue
+def survey(folder: str | PathLike[str] | None = None, *, progress: Callable[[Path], None] | None = None) -> Survey:
+    """Search a folder (default: `data_folder`) for the known data sets, and read what is there.
+
+    Args:
+        folder: with the folders below it, to `DEPTH`.
+        progress: called with the path of each log or pose graph before it is read.
+    """
+    folder = data_folder() if folder is None else Path(folder)
+    entries: dict[str, list[Found]] = {known.name: [] for known in DATA_SETS}
+    for path, name in _below(folder):
         if progress is not None:
             progress(path)
-        found[name] += _read(name, path)
-    return Survey(folder, {name: tuple(entries) for name, entries in found.items()})
+        robots: list[int] = mrclam.robots(path) if name == "mrclam" else []
+        entries[name] += [_read(name, path, robot) for robot in robots] or [_read(name, path, None)]
+    return Survey(folder, {name: tuple(found) for name, found in entries.items()})
 
 
-def _below(folder: Path, depth: int = DEPTH) -> Iterator[Path]:
-    """The folders and files below a folder; nothing inside of what is itself a log."""
+def _below(folder: Path, depth: int = DEPTH) -> Iterator[tuple[Path, str]]:
+    """The logs and pose graphs below a folder, with the names of their data sets."""
     if not folder.is_dir():
         return
-    if _kind(folder) is not None:
-        yield folder
+    of_folder = _kind(folder)
+    if of_folder is not None:
+        yield folder, of_folder
     for path in sorted(folder.iterdir()):
-        if path.is_file():
-            # the files of a folder that is a log belong to it; others may lie beside them
-            if _kind(folder) is None or path.suffix in (".txt", ".g2o", ".graph"):
-                yield path
-        elif depth > 0 and not path.name.startswith("."):
-            yield from _below(path, depth - 1)
+        if path.is_dir():
+            if depth > 0 and not path.name.startswith("."):
+                yield from _below(path, depth - 1)
+        # the files of a folder that is a log belong to it; others may lie beside them
+        elif (of_folder is None or path.suffix in (".txt", ".g2o", ".graph")) and (name := _kind(path)) is not None:
+            yield path, name
 
 
 def _kind(path: Path) -> str | None:
-    """The data set that a file or folder is of, by what it looks like."""
+    """The data set that a file or folder belongs to, by its first lines or its files."""
     head = b""
     if path.is_file():
         try:
@@ -166,31 +172,26 @@ def _kind(path: Path) -> str | None:
                 head = stream.read(4096)
         except OSError:
             return None
-    names = {known.name for known in DATA_SETS}
     for form in FORMATS.values():
         if form.recognises(path, head):
-            return form.name if form.name in names else None
+            return form.name if form.name in {known.name for known in DATA_SETS} else None
     tags = {line.split()[0] for line in head.decode("utf-8", errors="replace").splitlines() if line.split()}
     of_graphs = {"VERTEX_SE2", "VERTEX_XY", "EDGE_SE2", "EDGE_SE2_XY", "VERTEX2", "EDGE2", "ODOMETRY"}
     return "pose-graphs" if path.is_file() and tags & of_graphs else None
 
 
-def _read(name: str, path: Path) -> list[Found]:
-    if name == "pose-graphs":
-        return [_graph(path)]
-    if name != "mrclam":
-        return [_log(path)]
-    return [_log(path, robot) for robot in mrclam.robots(path)] or [_log(path)]
-
-
-def _log(path: Path, robot: int | None = None) -> Found:
+def _read(name: str, path: Path, robot: int | None) -> Found:
     try:
         with warnings.catch_warnings():
-            # what a reader warns of is among the log's notes, too
+            # the warnings of a reader are also notes of the log
             warnings.simplefilter("ignore", UserWarning)
-            log: Log = load(path, robot=robot)
+            return _graph(path) if name == "pose-graphs" else _log(path, robot)
     except SlamError as error:
         return Found(path=path, robot=robot, error=str(error))
+
+
+def _log(path: Path, robot: int | None) -> Found:
+    log = load(path, robot=robot)
     times = log.times
     return Found(
         path=path,
@@ -206,12 +207,7 @@ def _log(path: Path, robot: int | None = None) -> Found:
 
 
 def _graph(path: Path) -> Found:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            graph = Graph.from_g2o(path)
-    except SlamError as error:
-        return Found(path=path, error=str(error))
+    graph = Graph.from_g2o(path)
     edges = sum(family.count for family in graph.families if not isinstance(family, AnchorEdges))
     return Found(
         path=path, poses=len(graph.steps), landmarks=len(graph.landmark_ids), sightings=edges, notes=graph.notes

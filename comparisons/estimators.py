@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ import graphslam
 from graphslam import Graph, GraphError, Log, OptionError, SensorModel, Solution
 from graphslam.se2 import wrap
 
-from .options import FilterOptions, GraphOptions, RunOptions, nearest
+from .options import GraphOptions, RunOptions, nearest, options_of
 from .results import EstimatorResult
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
@@ -58,7 +58,7 @@ def make_graph(log: Log, options: RunOptions) -> Graph:
 
 def graph_keywords(log: Log, options: RunOptions) -> dict[str, Any]:
     """The keywords of `Graph.from_log` that the options ask for."""
-    given = {f.name: getattr(options, f.name) for f in fields(GraphOptions) if f.name != "initialize"}
+    given = {name: getattr(options, name) for name in _GRAPH if name != "initialize"}
     kernel = None if options.kernel in ("none", "gnc") else options.kernel
     models = {"motion": options.motion, "sensor": options.sensor}
     return given | models | {"edges": options.edges or default_edges(log), "kernel": kernel}
@@ -195,24 +195,16 @@ def particle_filter(name: str, log: Log, options: RunOptions) -> fastslam.Partic
         SlamError: it cannot run on this log.
     """
     filter_class: type[fastslam.ParticleFilter] = getattr(fastslam, FILTERS[name])
-    return filter_class(log, **filter_keywords(name, options))
-
-
-def filter_keywords(name: str, options: RunOptions) -> dict[str, Any]:
-    """The keywords of a particle filter that the options ask for."""
-    keywords = {f.name: getattr(options, f.name) for f in fields(FilterOptions)}
-    if name == "mcl":
-        del keywords["association"]  # its landmarks are those of the map
-    return keywords | {"motion": options.motion, "sensor": options.sensor}
+    return filter_class(log, options=options.filter, motion=options.motion, sensor=options.sensor)
 
 
 def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResult:
-    keywords = filter_keywords(name, options)
+    particles = particle_filter(name, log, options)
     begin = time.perf_counter()
-    result = particle_filter(name, log, options).run()
+    result = particles.run()
     seconds = time.perf_counter() - begin
     # a filter that ignores the ids numbers its landmarks itself
-    named = name == "mcl" or options.association == "known"
+    named = name == "mcl" or options.filter.uses_ids
     maps = name != "mcl"
     return EstimatorResult(
         name=name,
@@ -223,8 +215,8 @@ def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResul
         landmark_covariances=dict(result.landmark_covariances) if maps else {},
         named=named,
         notes=() if named else ("landmarks are numbered by discovery, and matched to the true ones by position",),
-        options={key: value for key, value in keywords.items() if key not in ("motion", "sensor")},
-        reason=f"processed the log once with {options.particles} particles",
+        options={k: v for k, v in asdict(options.filter).items() if k in ("seed", *ESTIMATORS[name].uses)},
+        reason=f"processed the log once with {options.filter.particles} particles",
         origin=result,
     )
 
@@ -251,8 +243,10 @@ def _isam2_seconds(log: Log) -> float:
     return 1e-3 * log.num_poses + _gtsam_seconds(log)
 
 
-_GRAPH = tuple(f.name for f in fields(GraphOptions))
-_FILTER = tuple(f.name for f in fields(FilterOptions) if f.name != "seed")
+_GRAPH = tuple(options_of(GraphOptions))
+_FILTER = tuple(name for name in options_of(fastslam.FilterOptions) if name not in ("seed", "threads"))
+#: without those of the association
+_LOCALISATION = _FILTER[: _FILTER.index("association")]
 
 #: the estimators by name, in the order in which they run and are shown
 ESTIMATORS: dict[str, Estimator] = {
@@ -261,7 +255,7 @@ ESTIMATORS: dict[str, Estimator] = {
     "graph": Estimator(graph_estimator, _GRAPH),
     "gtsam": Estimator(gtsam_estimator, _GRAPH, _gtsam_seconds),
     "isam2": Estimator(isam2, tuple(name for name in _GRAPH if name != "initialize"), _isam2_seconds),
-    "mcl": Estimator(mcl, tuple(name for name in _FILTER if name != "association")),
+    "mcl": Estimator(mcl, _LOCALISATION),
     "fastslam1": Estimator(fastslam1, _FILTER),
     "fastslam2": Estimator(fastslam2, _FILTER),
 }
@@ -286,7 +280,7 @@ def check_estimators(names: Any) -> tuple[str, ...]:
 
 
 def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -> EstimatorResult:
-    used = {f.name: getattr(options, f.name) for f in fields(GraphOptions)}
+    used = {name: getattr(options, name) for name in _GRAPH}
     return EstimatorResult(
         name=name,
         poses=solution.poses,

@@ -75,7 +75,7 @@ def warm_up(estimator: str) -> None:
         log = simulate(steps=6, orientation=orientation)
         with suppress(SlamError), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            ESTIMATORS[estimator].run(log, RunOptions(particles=2, motion=MotionModel(), sensor=SensorModel()))
+            ESTIMATORS[estimator].run(log, RunOptions.of(particles=2, motion=MotionModel(), sensor=SensorModel()))
 
 
 def main() -> None:

@@ -17,10 +17,13 @@ from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Self, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
+from fastslam.options import FilterOptions
 from graphslam.errors import OptionError
 from graphslam.models import MotionModel, SensorModel
+from graphslam.sources.simulator import MotionFaults, SensorFaults
+from graphslam.sources.worlds import WORLDS, World
 
 #: the noise models: parameter name of an estimator and table of a TOML file -> the model
 MODELS: dict[str, type[MotionModel] | type[SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
@@ -32,7 +35,8 @@ READING, NOISE, GRAPH, FILTER, OUTPUT = "Reading the log", "Noise models", "Grap
 
 def option(
     default: Any, help: str, *, unit: str = "", choices: tuple[str, ...] = (), minimum: float | None = None,
-    positive: bool = False, default_text: str = "", metavar: str = "", alias: str = "", panel: str = "", only: str = "",
+    maximum: float | None = None, positive: bool = False, default_text: str = "", metavar: str = "", alias: str = "",
+    panel: str = "", only: str = "",
 ) -> Any:  # fmt: skip
     """A field of an options dataclass.
 
@@ -41,7 +45,7 @@ def option(
         help: one sentence.
         unit: of a number, "" for none.
         choices: the values that a text may have.
-        minimum: the least value of a number.
+        minimum, maximum: the least and the greatest value of a number.
         positive: whether a number must be above zero.
         default_text: how help names the default, where the value itself says too little.
         metavar: how help names the value.
@@ -50,9 +54,13 @@ def option(
         only: "python" for a field that is no option of the command line.
     """
     return field(default=default, metadata={
-        "help": help, "unit": unit, "choices": choices, "minimum": minimum, "positive": positive, "metavar": metavar,
-        "default_text": default_text, "alias": alias, "panel": panel, "only": only,
+        "help": help, "unit": unit, "choices": choices, "minimum": minimum, "maximum": maximum, "positive": positive,
+        "metavar": metavar, "default_text": default_text, "alias": alias, "panel": panel, "only": only,
     })  # fmt: skip
+
+
+class Points:
+    """The kind of options that are a list of points, or their number: 'x,y x,y ...' on the command line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +72,8 @@ class Option:
         kind: str, int, float, bool, Path, or for several values of a kind ``tuple``.
         each: the kind of a single value.
         default: where nothing is given.
-        model: "motion" or "sensor" for a number of a noise model, else "".
+        model: the component that it belongs to ("motion" and "sensor" for the noise models), else "".
+        field: its name there.
     """
 
     name: str
@@ -75,6 +84,7 @@ class Option:
     unit: str = ""
     choices: tuple[str, ...] = ()
     minimum: float | None = None
+    maximum: float | None = None
     positive: bool = False
     default_text: str = ""
     metavar: str = ""
@@ -82,6 +92,7 @@ class Option:
     panel: str = ""
     only: str = ""
     model: str = ""
+    field: str = ""
 
     @property
     def flag(self) -> str:
@@ -96,6 +107,8 @@ class Option:
         """
         if value is None:
             return None
+        if self.kind is Points:
+            return self._points(value)
         if self.kind is not tuple:
             return self._single(value)
         parts = value
@@ -109,6 +122,17 @@ class Option:
             raise OptionError(f"{self.name} must be {self._wanted}, at least one, not {value!r}")
         return tuple(dict.fromkeys(map(self._single, parts)) if self.each is str else map(self._single, parts))
 
+    def _points(self, value: Any) -> Any:
+        if isinstance(value, str):
+            try:
+                rows = [tuple(float(number) for number in word.split(",")) for word in value.split()]
+                value = int(value) if "," not in value else rows
+            except ValueError:
+                raise OptionError(f"{self.name} must be points 'x,y x,y ...', not {value!r}") from None
+        if not isinstance(value, (int, list, tuple)) or isinstance(value, bool):
+            raise OptionError(f"{self.name} must be a list of points, not {value!r}")
+        return value if isinstance(value, int) else tuple(tuple(row) for row in value)
+
     def _single(self, value: Any) -> Any:
         if self.each is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
@@ -116,6 +140,7 @@ class Option:
             value = Path(value)
         elif self.each in (int, float) and hasattr(value, "item"):
             value = value.item()  # a NumPy number
+        checked: Any = value
         if not isinstance(value, self.each) or (isinstance(value, bool) and self.each is not bool):
             raise OptionError(f"{self.name} must be {self._wanted}, not {value!r}")
         if self.choices and value not in self.choices:
@@ -123,11 +148,13 @@ class Option:
                 f"{self.name} must be one of {', '.join(self.choices)}, not {value!r}; "
                 f"did you mean {nearest(str(value), self.choices)!r}?"
             )
-        if isinstance(value, float) and (math.isnan(value) or math.isinf(value)):
+        if isinstance(value, float) and not math.isfinite(value) and value != self.default:
             raise OptionError(f"{self.name} must be a finite number, not {value!r}")
-        if self.minimum is not None and value < self.minimum:
+        if self.minimum is not None and checked < self.minimum:
             raise OptionError(f"{self.name} must be at least {self.minimum:g}, not {value}")
-        if self.positive and value <= 0:
+        if self.maximum is not None and checked > self.maximum:
+            raise OptionError(f"{self.name} must be at most {self.maximum:g}, not {value}")
+        if self.positive and checked <= 0:
             raise OptionError(f"{self.name} must be a positive number, not {value!r}")
         return value
 
@@ -138,12 +165,23 @@ class Option:
 
     def text(self, value: Any) -> str:
         """The value as one word of a command line."""
+        if self.kind is Points and isinstance(value, tuple):
+            return " ".join(",".join(f"{number:g}" for number in row) for row in value)
         return ",".join(map(str, value)) if isinstance(value, (tuple, list)) else str(value)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """The base of all option dataclasses: makes one from keywords, checks every value, and lists what was changed."""
+    """The base of all option dataclasses: makes one from keywords, checks every value, and lists what was changed.
+
+    The fields of a component, which is a dataclass of another package, are options too. Those that are given are kept in
+    ``numbers``; `of_component` returns those of one component.
+    """
+
+    components: ClassVar[Mapping[str, tuple[type, str]]] = {}
+    #: fields of components that are no options here
+    hidden: ClassVar[tuple[str, ...]] = ()
+    numbers: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, **given: Any) -> Self:
@@ -153,10 +191,13 @@ class Options:
             OptionError: there is no such option, or a value is impossible.
         """
         known = options_of(cls)
+        given |= dict(given.pop("numbers", {}))
+        given = {name: value for name, value in given.items() if value is not None}
         for name in given:
             if name not in known:
                 raise OptionError(f"there is no option {name!r}; did you mean {nearest(name, known)!r}?")
-        return cls(**{name: value for name, value in given.items() if value is not None})
+        numbers = {name: known[name].checked(given.pop(name)) for name in list(given) if known[name].model}
+        return cls(**given, numbers=numbers)
 
     def __post_init__(self) -> None:
         for each in options_of(type(self)).values():
@@ -165,36 +206,53 @@ class Options:
 
     def changed(self) -> Iterator[tuple[Option, Any]]:
         """The options that differ from their defaults, with their values."""
-        for each in options_of(type(self)).values():
+        known = options_of(type(self))
+        for each in known.values():
             if not each.model and getattr(self, each.name) != each.default:
                 yield each, getattr(self, each.name)
+        yield from ((known[name], value) for name, value in self.numbers.items())
+
+    def with_numbers(self, **numbers: Any) -> Self:
+        """The same options with other values of components."""
+        return replace(self, numbers={**self.numbers, **numbers})
+
+    def of_component(self, component: str) -> dict[str, Any]:
+        """The fields of a component that are given, by the names that they have there."""
+        known = options_of(type(self))
+        return {known[name].field: value for name, value in self.numbers.items() if known[name].model == component}
 
     def keywords(self) -> dict[str, Any]:
         """The options that differ from their defaults, as keywords of a function that takes them."""
         return {option.name: value for option, value in self.changed()}
 
 
-@cache
 def options_of(group: type) -> dict[str, Option]:
-    """The options of a dataclass by name, in their order; with `NoiseOptions` the numbers of the noise models, too."""
+    """The options of a dataclass by name, in their order; those of its components, too."""
+    return _options_of(group)
+
+
+@cache
+def _options_of(group: Any) -> dict[str, Option]:
     hints = get_type_hints(group)
-    found = {
-        f.name: _option(f, hints[f.name]) for f in fields(group) if "help" in f.metadata or group in MODELS.values()
-    }
-    if issubclass(group, NoiseOptions):
-        for model, kind in MODELS.items():
-            for each in options_of(kind).values():
-                name = _RENAMED.get(each.name, each.name)
-                found[name] = replace(each, name=name, model=model, panel=NOISE)
+    found = {f.name: _option(f, hints[f.name]) for f in fields(group) if "help" in f.metadata}
+    components: Mapping[str, tuple[type, str]] = getattr(group, "components", {})
+    hidden: tuple[str, ...] = getattr(group, "hidden", ())
+    for component, (kind, panel) in components.items():
+        for each in options_of(kind).values():
+            name = _RENAMED.get(each.name, each.name)
+            if name not in found and name not in hidden:
+                found[name] = replace(each, name=name, model=component, panel=panel)
     return found
 
 
 def _option(f: Any, hint: Any) -> Option:
     if get_origin(hint) is UnionType:
-        (hint,) = (part for part in get_args(hint) if part is not NoneType)
+        hint = next(part for part in get_args(hint) if part is not NoneType)
     kind, each = (tuple, get_args(hint)[0]) if get_origin(hint) is tuple else (hint, hint)
+    if get_origin(each) is tuple:
+        kind = each = Points
     default = f.default if f.default_factory is MISSING else f.default_factory()
-    return Option(name=f.name, kind=kind, each=each, default=default, **f.metadata)
+    return Option(name=f.name, field=f.name, kind=kind, each=each, default=default, **f.metadata)
 
 
 def nearest(word: str, known: Collection[str]) -> str:
@@ -219,8 +277,9 @@ class ReadingOptions(Options):
         None, "Leave out sightings from farther away.", unit="m", positive=True, panel=READING
     )
     dimensions: int | None = option(
-        None, "3: require the orientation psi; 2: ignore it.", default_text="what the log has", minimum=2, panel=READING
-    )
+        None, "3: require the orientation psi; 2: ignore it.", default_text="what the log has", minimum=2, maximum=3,
+        panel=READING,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,6 +291,7 @@ class NoiseOptions(Options):
         numbers: single numbers of the models, {"range_std": 0.12}; they take precedence over all else.
     """
 
+    components = {name: (model, NOISE) for name, model in MODELS.items()}
     noise: Path | None = option(
         None, "File of noise models (TOML), written by calibrate. Single numbers take precedence over it.",
         metavar="FILE", default_text="the log's models, else the book's", panel=NOISE,
@@ -243,24 +303,6 @@ class NoiseOptions(Options):
     range_bias: float | None = option(None, "The bias of the measured range.", unit="m", default_text="0", panel=NOISE)
     motion: MotionModel | None = option(None, "The motion model.", only="python", panel=NOISE)
     sensor: SensorModel | None = option(None, "The sensor model.", only="python", panel=NOISE)
-    numbers: Mapping[str, Any] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, **given: Any) -> Self:
-        """The options with the values given, numbers of the noise models among them; see `Options.of`."""
-        known = options_of(cls)
-        numbers = dict(given.pop("numbers", {}))
-        numbers |= {name: given.pop(name) for name in list(given) if name in known and known[name].model}
-        given["numbers"] = {name: known[name].checked(n) for name, n in numbers.items() if n is not None} or None
-        numbers_of = given.pop("numbers")
-        made = super().of(**given)
-        return made if numbers_of is None else replace(made, numbers=numbers_of)
-
-    def changed(self) -> Iterator[tuple[Option, Any]]:
-        """The options that differ from their defaults, numbers of the noise models among them."""
-        yield from super().changed()
-        known = options_of(type(self))
-        yield from ((known[name], value) for name, value in self.numbers.items())
 
     def models(
         self, motion: MotionModel | None = None, sensor: SensorModel | None = None
@@ -270,13 +312,13 @@ class NoiseOptions(Options):
         Raises:
             OptionError: a number is impossible.
         """
-        known = options_of(type(self))
-        changes: dict[str, dict[str, Any]] = {name: {} for name in MODELS}
-        renamed = {new: old for old, new in _RENAMED.items()}
-        for name, value in self.numbers.items():
-            changes[known[name].model][renamed.get(name, name)] = value
         base = (self.motion or motion or MotionModel(), self.sensor or sensor or SensorModel())
-        return base[0].changed(**changes["motion"]), base[1].changed(**changes["sensor"])
+        return base[0].changed(**self.of_component("motion")), base[1].changed(**self.of_component("sensor"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogOptions(NoiseOptions, ReadingOptions):
+    """What `reading.prepare` needs to know of a log."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -304,32 +346,19 @@ class GraphOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FilterKindOptions(Options):
-    """What kind of particle filter runs; see `fastslam.FastSLAM1`."""
-
-    resampling: str = option(
-        "systematic",
-        "Resampling scheme.",
-        choices=("systematic", "stratified", "residual", "multinomial"),
-        panel=FILTER,
-    )
-    association: str = option(
-        "known", "Landmark ids of the sightings: known, or found by maximum likelihood.",
-        choices=("known", "maximum-likelihood"), panel=FILTER,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True)
-class FilterOptions(FilterKindOptions):
-    """The particle filters; see `fastslam.FastSLAM1`."""
-
-    particles: int = option(1000, "Number of particles.", minimum=1, panel=FILTER)
-    seed: int = option(0, "Random seed; the same seed gives the same result.", minimum=0, panel=FILTER)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunOptions(FilterOptions, GraphOptions, NoiseOptions, ReadingOptions):
+class RunOptions(GraphOptions, LogOptions):
     """All options of a run: reading, noise, graph and filters. In Python: ``comparisons.run(log, kernel="huber")``."""
+
+    components = LogOptions.components | {"filter": (FilterOptions, FILTER)}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.filter  # checks the values
+
+    @property
+    def filter(self) -> FilterOptions:
+        """The options of the particle filters."""
+        return FilterOptions(**self.of_component("filter"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -382,7 +411,7 @@ class JobsOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SolverCheckOptions(JobsOptions, NoiseOptions, ReadingOptions):
+class SolverCheckOptions(JobsOptions, LogOptions):
     """Which variants `solvers.compare_solvers` solves by hand and with GTSAM."""
 
     motion_weights: tuple[float, ...] = option(
@@ -418,9 +447,11 @@ class BackendOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ParticleStudyOptions(JobsOptions, FilterKindOptions, NoiseOptions, ReadingOptions):
+class ParticleStudyOptions(JobsOptions, LogOptions):
     """How `particles.study_particles` varies the number of particles."""
 
+    components = LogOptions.components | {"filter": (FilterOptions, FILTER)}
+    hidden = ("seed",)
     filters: tuple[str, ...] = option(
         ("fastslam1", "fastslam2"), "Filters to run.", choices=("mcl", "fastslam1", "fastslam2"), metavar="NAME,..."
     )
@@ -435,9 +466,9 @@ class ConsistencyOptions(JobsOptions):
     """What `consistency.study_consistency` simulates and tests."""
 
     logs: int = option(200, "Number of simulated logs.", minimum=1)
-    noise: float = option(0.1, "Factor on all standard deviations of the book's models.", positive=True)
+    noise: float = option(0.1, "Factor on all standard deviations of the book's models.", minimum=1e-3, maximum=10.0)
     steps: int = option(62, "Motions of each log.", minimum=1)
-    dimensions: int = option(3, "3: sightings with orientation psi; 2: without.", minimum=2)
+    dimensions: int = option(3, "3: sightings with orientation psi; 2: without.", minimum=2, maximum=3)
     estimators: tuple[str, ...] = option(
         ("landmark nodes", "marginal", "tempered", "pairs"), "Estimators to test.",
         choices=("landmark nodes", "marginal", "tempered", "pairs", "fastslam1", "fastslam2"), metavar="NAME,...",
@@ -469,6 +500,38 @@ class CalibrationOptions(Options):
     gaussian: bool = option(
         False, "Count every residual fully, those of wrong sightings too; the default is Student's t distribution."
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationOptions(Options):
+    """A simulated log: a world, the faults of the robot, and the noise models of a clean world."""
+
+    components = {
+        "settings": (World, "World"), "motion_faults": (MotionFaults, "Faults of the wheels"),
+        "sensor_faults": (SensorFaults, "Faults of the camera"), "motion": (MotionModel, NOISE),
+        "sensor": (SensorModel, NOISE),
+    }  # fmt: skip
+    world: str = option(
+        "book", "Named world to start from; other options change it.", choices=tuple(WORLDS), panel="World"
+    )
+    seed: int = option(0, "Random seed; the same seed gives the same log.", minimum=0)
+
+    def keywords_of_simulate(self) -> dict[str, Any]:
+        """The keywords of `graphslam.simulate`.
+
+        Raises:
+            OptionError: an option is impossible, or has no effect.
+        """
+        world = WORLDS[self.world].changed(**self.of_component("settings"))
+        noise = {name: model().changed(**self.of_component(name)) for name, model in MODELS.items()}
+        faults = {
+            n: self.components[n][0](**f) for n in ("motion_faults", "sensor_faults") if (f := self.of_component(n))
+        }
+        if not world.clean and any(self.of_component(name) for name in MODELS):
+            raise OptionError(
+                "the noise models have an effect in clean worlds only: add --clean, or set faults instead"
+            )
+        return {"world": world, "seed": self.seed, **noise, **faults}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,36 +1,28 @@
-"""How many particles are enough? Error, effective sample size, ancestors and time over their number, many seeds.
-
-Pure functions: `study_particles` -> `ParticleStudy`, which makes rows, bands and JSON; `particles_figure` draws it. The verb
-``slam-compare particles`` only calls them.
-"""
+"""How many particles are enough? Error, effective sample size, ancestors and time over their number, many seeds."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
+from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, ParticleFilter
-from graphslam import Log, MotionModel, OptionError, SensorModel
-from graphslam.checks import check_choice
+from fastslam.state import FilterResult
+from graphslam import Log
 from graphslam.metrics import ate, evaluate
 from graphslam.se2 import Array
 
 from .display import Displayed
+from .estimators import ESTIMATORS
+from .options import ParticleStudyOptions, RunOptions
+from .pool import results
+from .reading import prepare
+from .studies.bootstrap import quartiles
 
-FILTERS: dict[str, type[ParticleFilter]] = {
-    "mcl": MonteCarloLocalization,
-    "fastslam1": FastSLAM1,
-    "fastslam2": FastSLAM2,
-}
-
-#: the numbers of particles, 10 to 10^5
-NUMBERS = (10, 32, 100, 316, 1000, 3162, 10_000, 31_623, 100_000)
-
-#: what a run is measured by: field of `ParticleRun` -> label of its axis
+#: the figures of a run: field of `ParticleRun` -> label of its axis
 FIGURES = {
     "ate_m": "ATE, best particle [m]",
     "mean_ate_m": "ATE, mean of histories [m]",
@@ -47,10 +39,10 @@ class ParticleRun:
 
     Attributes:
         name: of the filter: mcl, fastslam1 or fastslam2.
-        particles, seed: N, and the seed of the random numbers.
-        ate_m, landmark_rmse_m: error of the best particle's history and map [m]; None where the log has no truth. One
-            particle is one sample of the posterior: more of them make it no better than a sample.
-        mean_ate_m: error of the weighted mean of the surviving histories [m], which more particles do make better.
+        particles, seed: N, and the random seed.
+        ate_m, landmark_rmse_m: error of the best particle's history and map [m]; None where the log has no ground truth.
+            One particle is one sample of the posterior, and with more particles it is still one sample.
+        mean_ate_m: error of the weighted mean of the surviving histories [m], which decreases with more particles.
         ess_share: mean of ESS / N over the steps with sightings, before resampling.
         ancestors: how many distinct particles of the step half-way have descendants at the end.
         seconds: the whole run, without compiling.
@@ -85,98 +77,78 @@ class ParticleStudy(Displayed):
         """
         values: dict[int, list[float]] = {}
         for run in self.runs:
-            value = getattr(run, figure)
-            if run.name == name and value is not None:
-                values.setdefault(run.particles, []).append(float(value))
+            if run.name == name and getattr(run, figure) is not None:
+                values.setdefault(run.particles, []).append(getattr(run, figure))
         numbers = sorted(values)
-        quartiles = [np.percentile(values[n], (25, 50, 75)) for n in numbers]
-        return np.array(numbers, dtype=int), np.array(quartiles).reshape(-1, 3).T
+        return np.array(numbers, dtype=int), np.array([quartiles(values[n]) for n in numbers]).reshape(-1, 3).T
 
     def rows(self) -> list[dict[str, Any]]:
         """One row per filter and number of particles: the medians over seeds, None where unknown."""
-        rows = []
-        for name in self.names():
-            medians = {figure: dict(zip(*self._medians(name, figure), strict=True)) for figure in FIGURES}
-            for particles in medians["seconds"]:
-                row = {figure: found.get(particles) for figure, found in medians.items()}
-                rows.append({"name": name, "particles": particles, **row})
-        return rows
+        return [
+            {key: value if key in ("name", "particles") or value is None else value[1] for key, value in row.items()}
+            for row in self._quartiles()
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """The study as JSON holds it: every run, and the quartiles over seeds."""
-        bands = []
-        for row in self.rows():
-            band: dict[str, Any] = {"name": row["name"], "particles": row["particles"]}
-            for figure in FIGURES:
-                numbers, quartiles = self.bands(row["name"], figure)
-                at = np.flatnonzero(numbers == row["particles"])
-                band[figure] = quartiles[:, at[0]].tolist() if len(at) else None
-            bands.append(band)
-        return {"log": self.log, "runs": [asdict(run) for run in self.runs], "bands": bands}
+        return {"log": self.log, "runs": [asdict(run) for run in self.runs], "bands": self._quartiles()}
 
-    def _medians(self, name: str, figure: str) -> tuple[list[int], list[float]]:
-        numbers, quartiles = self.bands(name, figure)
-        return numbers.tolist(), quartiles[1].tolist() if len(numbers) else []
+    def _quartiles(self) -> list[dict[str, Any]]:
+        """One row per filter and number of particles: three quartiles of each figure, None where unknown."""
+        rows: list[dict[str, Any]] = []
+        for name in self.names():
+            bands = {figure: self.bands(name, figure) for figure in FIGURES}
+            columns = {figure: dict(zip(n.tolist(), q.T.tolist(), strict=True)) for figure, (n, q) in bands.items()}
+            rows += [
+                {"name": name, "particles": n, **{figure: column.get(n) for figure, column in columns.items()}}
+                for n in columns["seconds"]
+            ]
+        return rows
 
 
 def study_particles(
-    log: Log,
+    log: Log | str | PathLike[str] | None = None,
     *,
-    filters: Sequence[str] = ("fastslam1", "fastslam2"),
-    particles: Sequence[int] = NUMBERS,
-    seeds: int = 10,
-    motion: MotionModel | None = None,
-    sensor: SensorModel | None = None,
-    resampling: str = "systematic",
-    association: str = "known",
-    threads: int | None = None,
     progress: Callable[[ParticleRun], None] | None = None,
+    **options: Any,
 ) -> ParticleStudy:
-    """Run filters with growing numbers of particles and several seeds on one log.
+    """Run filters with growing numbers of particles and several random seeds on one log.
 
     Args:
-        log: what the robot did and saw; with its truth the errors are known too.
-        filters: of `FILTERS`.
-        particles: the numbers of particles.
-        seeds: how many, 0 to seeds - 1.
-        motion, sensor, resampling, association, threads: of the filters (mcl knows its landmarks by their ids).
+        log: a log, the file or folder of one, or None for the sample log; with the ground truth the errors are known.
         progress: called after every run.
+        options: the fields of `options.ParticleStudyOptions`: filters, particles, seeds, resampling, association, jobs,
+            and those that read the log. In local processes a filter has one thread; with ``jobs=0`` it has all.
 
     Raises:
+        FormatError: a file cannot be read.
         OptionError: an option has an impossible value.
         LogError: the log has no controls.
     """
-    if seeds < 1:
-        raise OptionError(f"seeds must be at least 1, not {seeds}")
-    if not filters or not particles:
-        raise OptionError("a study needs at least one filter and one number of particles")
+    data, _, given = prepare(log, ParticleStudyOptions.of(**options))
+    of_run = RunOptions.of(motion=given.motion, sensor=given.sensor, **given.of_component("filter"))
+    tasks = [
+        (name, particles, seed)
+        for name in given.filters
+        for particles in sorted(set(given.particles))
+        for seed in range(given.seeds)
+    ]
     runs = []
-    for name in filters:
-        check_choice("filters", name, tuple(FILTERS))
-        options: dict[str, Any] = {
-            "motion": motion, "sensor": sensor, "resampling": resampling, "threads": threads,
-        }  # fmt: skip
-        if name != "mcl":
-            options["association"] = association
-        # the kernels compile at their first call; one run with few particles keeps that out of the times
-        FILTERS[name](log, particles=min(10, *particles), **options).run()
-        for count in sorted(set(particles)):
-            for seed in range(seeds):
-                runs.append(_run(log, name, count, seed, options))
-                if progress is not None:
-                    progress(runs[-1])
-    return ParticleStudy(log.name, tuple(runs))
+    work = partial(_run, log=data, options=of_run)
+    for run in results(work, tasks, jobs=given.jobs, estimators=given.filters):
+        runs.append(run)
+        if progress is not None:
+            progress(run)
+    return ParticleStudy(data.name, tuple(runs))
 
 
-def _run(log: Log, name: str, particles: int, seed: int, options: dict[str, Any]) -> ParticleRun:
-    begin = time.perf_counter()
-    result = FILTERS[name](log, particles=particles, seed=seed, **options).run()
-    seconds = time.perf_counter() - begin
-    landmarks = {} if name == "mcl" else result.landmarks
-    # where the ids are not looked at, the filter's numbers for landmarks are its own
-    named = options.get("association", "known") == "known"
-    metrics = evaluate(log.true_poses, log.true_landmarks, result.poses, landmarks, named=named)
-    seen = np.unique(log.steps)
+def _run(task: tuple[str, int, int], log: Log, options: RunOptions) -> ParticleRun:
+    name, particles, seed = task
+    estimate = ESTIMATORS[name].run(log, options.with_numbers(particles=particles, seed=seed))
+    result = estimate.origin
+    assert isinstance(result, FilterResult)
+    metrics = evaluate(log.true_poses, log.true_landmarks, result.poses, estimate.landmarks, named=estimate.named)
+    sighted = np.unique(log.steps)
     return ParticleRun(
         name=name,
         particles=particles,
@@ -184,7 +156,7 @@ def _run(log: Log, name: str, particles: int, seed: int, options: dict[str, Any]
         ate_m=metrics.ate_m,
         mean_ate_m=None if metrics.ate_m is None or log.true_poses is None else ate(log.true_poses, result.mean_poses),
         landmark_rmse_m=metrics.landmark_rmse_m,
-        ess_share=float(np.mean(result.ess[seen]) / particles) if len(seen) else 1.0,
+        ess_share=float(np.mean(result.ess[sighted]) / particles) if len(sighted) else 1.0,
         ancestors=int(result.ancestors[len(result.ancestors) // 2]),
-        seconds=seconds,
+        seconds=estimate.seconds,
     )

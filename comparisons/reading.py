@@ -7,19 +7,22 @@ import warnings
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
 from graphslam import FormatError, Log, LogError, OptionError, load, sample_log_path
 
 from .noise_files import read_noise
-from .options import NoiseOptions, ReadingOptions, RunOptions
+from .options import LogOptions, NoiseOptions, ReadingOptions
+
+Given = TypeVar("Given", bound=LogOptions)
 
 #: options that only a file or folder has; a `Log` has been read already
-_OF_FILES = ("format", "robot", "keep_every")
+OF_FILES = ("format", "robot", "keep_every")
 
 
-def prepare(log: Log | str | PathLike[str] | None, options: RunOptions) -> tuple[Log, Path | None, RunOptions]:
+def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log, Path | None, Given]:
     """The log as the options want it, its file or folder, and the options with the noise models filled in.
 
     Args:
@@ -37,7 +40,7 @@ def prepare(log: Log | str | PathLike[str] | None, options: RunOptions) -> tuple
     """
     data, source = read_log(log, options)
     motion, sensor = data.motion, data.sensor
-    line = {"range_scale": 1.0, "range_bias": 0.0}
+    line: dict[str, Any] = {"range_scale": 1.0, "range_bias": 0.0}
     if options.noise is not None:
         numbers, of_file = read_noise(options.noise)
         motion, sensor = NoiseOptions.of(**numbers).models(motion, sensor)
@@ -54,12 +57,12 @@ def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> 
     source = None
     if isinstance(log, Log):
         data = log
-        for name in _OF_FILES:
+        for name in OF_FILES:
             if getattr(options, name) is not None:
                 raise OptionError(f"{name} applies when a file is read, and {log.name!r} is a Log that has been read")
     else:
         source = sample_log_path() if log is None else Path(log)
-        keywords = {name: getattr(options, name) for name in _OF_FILES}
+        keywords = {name: getattr(options, name) for name in OF_FILES}
         with warnings.catch_warnings():
             # the warnings of a reader are also notes of the log, which are shown
             warnings.simplefilter("ignore", UserWarning)

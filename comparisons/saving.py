@@ -19,7 +19,7 @@ import numpy as np
 from graphslam import FormatError, OptionError
 from graphslam.files import check_place, write_whole
 
-#: where runs leave their folders unless told otherwise
+#: the default folder of the results folders
 RESULTS = Path("results")
 #: what figures can be written as, by suffix
 FIGURE_FORMATS = (".png", ".pdf", ".svg")

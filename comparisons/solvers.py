@@ -2,43 +2,30 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from functools import partial
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cache, partial
 from itertools import product
+from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from graphslam import (
-    Graph,
-    GraphError,
-    Log,
-    LogError,
-    MotionModel,
-    OptionError,
-    SensorModel,
-    Solution,
-    solve,
-    solve_with_gtsam,
-)
-from graphslam.checks import check_choice
-from graphslam.edges.robust import KERNELS
-from graphslam.graph import EDGES, FRAMES, WEIGHTS
+from graphslam import Graph, GraphError, Log, LogError, Solution, simulate, solve, solve_with_gtsam
+from graphslam.graph import FRAMES, WEIGHTS
 from graphslam.se2 import wrap
 from graphslam.solvers.solve import starting_state
 
 from .display import Displayed
+from .kernels import factorisation
+from .options import SolverCheckOptions
+from .pool import results
+from .reading import prepare
 from .saving import jsonable
 
 #: what two solvers may differ by: any x, y [m] or heading [rad], and J relative to itself
 POSE_TOLERANCE, COST_TOLERANCE = 1e-6, 1e-9
-
-#: the motion weights lambda that are tried: the model's own, and one far from it
-MOTION_WEIGHTS = (1.0, 10.0)
 
 #: both solvers stop at a step norm below this, well inside `POSE_TOLERANCE` also where convergence is linear
 STEP_TOLERANCE, MAX_ITERATIONS = 1e-10, 500
@@ -46,7 +33,7 @@ STEP_TOLERANCE, MAX_ITERATIONS = 1e-10, 500
 
 @dataclass(frozen=True)
 class Variant:
-    """One way to make a graph of a log."""
+    """One way to make a graph of a log: keywords of `Graph.from_log`, and the dimensions of its sightings."""
 
     edges: str
     frame: str
@@ -63,13 +50,13 @@ class Variant:
         return f"{self.edges} {self.frame}{weight} {self.dimensions}-D{lam}{f' {self.kernel}' if self.kernel else ''}"
 
 
-#: re-weighted plain steps may end on a saddle, or run in circles; damped ones go down
+#: re-weighted plain steps may end on a saddle, or repeat; damped ones decrease the cost
 ROBUST_METHOD = "levenberg-marquardt"
 
 
 @dataclass(frozen=True)
 class VariantResult:
-    """What both solvers made of one graph.
+    """The results of both solvers on one graph.
 
     Attributes:
         name: of the variant.
@@ -77,7 +64,7 @@ class VariantResult:
         cost_difference: |J - J_gtsam| / max(J, J_gtsam).
         cost: J of the hand-written solver.
         iterations, gtsam_iterations; seconds, gtsam_seconds; converged, gtsam_converged: of each.
-        failure: the error of a solver that gave up where the other did not; the figures are NaN or 0 then.
+        failure: the error of a solver that failed where the other did not; the figures are NaN or 0 then.
     """
 
     name: str
@@ -98,8 +85,8 @@ class VariantResult:
         if self.failure is not None:
             return self.failure
         if not (self.converged and self.gtsam_converged):
-            who = [n for n, done in (("graphslam", self.converged), ("gtsam", self.gtsam_converged)) if not done]
-            return f"{' and '.join(who)} did not converge"
+            names = [n for n, done in (("graphslam", self.converged), ("gtsam", self.gtsam_converged)) if not done]
+            return f"{' and '.join(names)} did not converge"
         # written so that a NaN counts as a difference
         if not self.pose_difference <= POSE_TOLERANCE:
             return f"poses differ by {self.pose_difference:.1e}, more than {POSE_TOLERANCE:g}"
@@ -121,7 +108,7 @@ class SolverComparison(Displayed):
     """The outcome of `compare_solvers`."""
 
     variants: tuple[VariantResult, ...]
-    skipped: tuple[SkippedVariant, ...] = field(default=())
+    skipped: tuple[SkippedVariant, ...] = ()
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -130,112 +117,95 @@ class SolverComparison(Displayed):
 
     def to_json(self) -> dict[str, Any]:
         """The comparison as plain data: {"variants": [...], "skipped": [{"name", "reason"}]}."""
-        variants = [vars(v) | {"agree": v.problem is None} for v in self.variants]
-        return jsonable({"variants": variants, "skipped": [vars(s) for s in self.skipped]})
+        variants = [asdict(v) | {"agree": v.problem is None} for v in self.variants]
+        return jsonable({"variants": variants, "skipped": [asdict(s) for s in self.skipped]})
 
 
-def variants(
-    log: Log,
-    motion_weights: tuple[float, ...] = MOTION_WEIGHTS,
-    edges: tuple[str, ...] = EDGES,
-    kernels: tuple[str, ...] = ("none",),
-) -> Iterator[Variant]:
+def variants(log: Log, options: SolverCheckOptions | None = None) -> Iterator[Variant]:
     """Every variant of a log: edges x frame x weight x sensor dimension x kernel x lambda where there are motion edges."""
+    options = options or SolverCheckOptions()
     dimensions = (3, 2) if log.has_orientation else (2,)
-    for kind, frame, weight, d, kernel in product(edges, FRAMES, WEIGHTS, dimensions, kernels):
+    for kind, frame, weight, d, kernel in product(options.edges, FRAMES, WEIGHTS, dimensions, options.kernel):
         if not kind.startswith("virtual") and weight != WEIGHTS[0]:
             # only pairs of sightings can be weighted differently
             continue
-        for motion_weight in motion_weights if kind.endswith("+motion") else (1.0,):
+        for motion_weight in options.motion_weights if kind.endswith("+motion") else (1.0,):
             yield Variant(kind, frame, weight, d, motion_weight, None if kernel == "none" else kernel)
 
 
 def compare_solvers(
-    log: Log,
+    log: Log | str | PathLike[str] | None = None,
     *,
-    motion: MotionModel | None = None,
-    sensor: SensorModel | None = None,
-    motion_weights: tuple[float, ...] = MOTION_WEIGHTS,
-    edges: tuple[str, ...] = EDGES,
-    kernels: tuple[str, ...] = ("none",),
-    jobs: int = 1,
     progress: Callable[[VariantResult | SkippedVariant], None] | None = None,
+    **options: Any,
 ) -> SolverComparison:
     """Solve every variant of a log's graph by hand and with GTSAM.
 
+    Where a robust kernel gives a graph several minima, both solvers start from Huber's solution.
+
     Args:
-        log: what the robot did and saw.
-        motion, sensor: the noise models; default: the book's.
-        motion_weights: the lambdas to try.
-        edges: the kinds of graph to try; default: all there are.
-        kernels: the robust kernels to try, "none" for plain squares. Both solvers start from Huber's solution where the
-            kernel has several minima.
-        jobs: how many variants to solve at a time, each in a process of its own.
+        log: a log, the file or folder of one, or None for the sample log of the package.
         progress: called after each variant.
+        options: the fields of `options.SolverCheckOptions`: motion_weights, edges, kernel, jobs, and those that read
+            the log and change its noise models.
 
     Raises:
+        FormatError: a file cannot be read.
         GraphError: no variant at all can be solved on this log.
         OptionError: an option has an impossible value.
     """
-    for kind in edges:
-        check_choice("edges", kind, EDGES)
-    for kernel in kernels:
-        check_choice("kernels", kernel, ("none", *KERNELS))
-    if jobs < 1:
-        raise OptionError(f"jobs must be at least 1, not {jobs}")
-    if len(log.steps) == 0:
-        raise GraphError(f"{log.name} has no sightings at all, so there is nothing to solve")
-    results: list[VariantResult] = []
+    data, _, given = prepare(log, SolverCheckOptions.of(**options))
+    if len(data.steps) == 0:
+        raise GraphError(f"{data.name} has no sightings at all, so there is nothing to solve")
+    solved: list[VariantResult] = []
     skipped: list[SkippedVariant] = []
-    work = partial(_solve_both, log=log, motion=motion, sensor=sensor)
-    with mapping(jobs) as run:
-        for outcome in run(work, list(variants(log, motion_weights, edges, kernels))):
-            if isinstance(outcome, SkippedVariant):
-                skipped.append(outcome)
-            else:
-                results.append(outcome)
-            if progress is not None:
-                progress(outcome)
-    if not results:
-        raise GraphError(f"no variant can be solved on {log.name}; the first: {skipped[0].name}: {skipped[0].reason}")
-    return SolverComparison(tuple(results), tuple(skipped))
+    work = partial(_solve_both, log=data, models={"motion": given.motion, "sensor": given.sensor})
+    for outcome in results(work, variants(data, given), jobs=given.jobs):
+        if isinstance(outcome, SkippedVariant):
+            skipped.append(outcome)
+        else:
+            solved.append(outcome)
+        if progress is not None:
+            progress(outcome)
+    if not solved:
+        raise GraphError(f"no variant can be solved on {data.name}; the first: {skipped[0].name}: {skipped[0].reason}")
+    return SolverComparison(tuple(solved), tuple(skipped))
 
 
-@contextmanager
-def mapping(jobs: int) -> Iterator[Callable[..., Iterable[Any]]]:
-    """``map``, or the same over so many processes, which end with the block, however it ends."""
-    if jobs == 1:
-        yield map
-        return
-    # spawned, not forked: a fork would copy the locks of whatever threads the numeric libraries have started
-    context = multiprocessing.get_context("spawn")
-    # Ctrl-C reaches the whole group of processes; this one answers it, and ends the others
-    with context.Pool(jobs, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
-        yield pool.imap
+def _graph(variant: Variant, log: Log, models: dict[str, Any]) -> Graph:
+    """The graph of a variant.
+
+    Raises:
+        GraphError, LogError: the log does not determine it.
+    """
+    if log.sightings.shape[1] != variant.dimensions:
+        log = log.without_orientation()
+    keywords = {f.name: getattr(variant, f.name) for f in fields(variant) if f.name != "dimensions"}
+    return Graph.from_log(log, **keywords, **models)
 
 
-def _solve_both(
-    variant: Variant, log: Log, motion: MotionModel | None, sensor: SensorModel | None
-) -> VariantResult | SkippedVariant:
-    seen = log if log.sightings.shape[1] == variant.dimensions else log.without_orientation()
+@cache
+def _warm_up(variant: Variant) -> None:
+    """Let both solvers compile or load the kernels of a variant, on a tiny log, outside of the measured time."""
+    factorisation()
+    with suppress(GraphError, LogError):
+        graph = _graph(variant, simulate(steps=20), {})
+        for solver in (solve, solve_with_gtsam):
+            _attempt(solver, graph, max_iterations=1)
+
+
+def _solve_both(variant: Variant, log: Log, models: dict[str, Any]) -> VariantResult | SkippedVariant:
     try:
-        make = partial(
-            Graph.from_log, seen, motion=motion, sensor=sensor, edges=variant.edges, frame=variant.frame,
-            weight=variant.weight, motion_weight=variant.motion_weight,
-        )  # fmt: skip
-        graph = make(kernel=variant.kernel)
-    except (GraphError, LogError) as error:
-        return SkippedVariant(variant.name, str(error))
-    try:
-        # Landmark graphs have many minima, and pose graphs some: the two are compared on the way to one of them.
+        graph = _graph(variant, log, models)
+        # landmark graphs have many minima, and pose graphs some: the solvers are compared on the way to one of them
         start = starting_state(graph, "auto")
         if variant.kernel is not None:
-            start = solve(make(kernel="huber").with_initial(start), tolerance=1e-3, initialize="given").state
+            huber = _graph(replace(variant, kernel="huber"), log, models)
+            start = solve(huber.with_initial(start), tolerance=1e-3, initialize="given").state
         graph = graph.with_initial(start)
-    except GraphError as error:
+    except (GraphError, LogError) as error:
         return SkippedVariant(variant.name, str(error))
-    # one step ahead of the clock: whatever compiles at its first use compiles now
-    _attempt(solve, graph, max_iterations=1)
+    _warm_up(variant)
     ours, our_error = _attempt(solve, graph, method="gauss-newton" if variant.kernel is None else ROBUST_METHOD)
     if variant.kernel is not None and ours is not None and not ours.converged:
         ours, our_error = _attempt(solve, graph)
@@ -257,13 +227,13 @@ def _solve_both(
 
 
 def _compare_robust(name: str, graph: Graph, ours: Solution, theirs: Solution) -> VariantResult | SkippedVariant:
-    """Two solutions of a graph whose robust kernel gives it many minima, in which solvers may part on their way.
+    """Two solutions of a graph whose robust kernel gives it many minima, so that the solvers may end in different ones.
 
-    Where they do, GTSAM is handed our end and has to stay there, and from GTSAM's we must not climb. (With a landmark
-    eliminated its own place has minima, too, so that from GTSAM's end there may be a way down.)
+    Where they do, GTSAM starts again from our solution and has to stay there, and we start again from GTSAM's and must
+    not end higher. (We may end lower: the position of an eliminated landmark has several minima, too.)
     """
     if not ours.converged and not theirs.converged:
-        return SkippedVariant(name, "neither solver comes to an end")
+        return SkippedVariant(name, "neither solver converges")
     result = compare_solutions(name, ours, theirs)
     if result.problem is None or not (ours.converged and theirs.converged):
         return result
@@ -271,7 +241,7 @@ def _compare_robust(name: str, graph: Graph, ours: Solution, theirs: Solution) -
     if stayed is None:
         return result
     if not graph.frozen_information:
-        # with information that is re-evaluated J is no measure from one state to another
+        # where the information is re-evaluated, J does not compare two states
         back, _ = _attempt(solve, graph.with_initial(theirs.state), method=ROBUST_METHOD)
         if back is None or back.cost > theirs.cost * (1 + COST_TOLERANCE):
             return result

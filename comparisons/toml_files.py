@@ -108,7 +108,7 @@ class TomlFile:
             FormatError: a key is unknown or a value is impossible; with the line.
         """
         inside = {model: {n: o for n, o in known.items() if o.model == model} for model in MODELS}
-        plain = {n: o for n, o in known.items() if not o.model and o.only != "python"}
+        plain = {n: o for n, o in known.items() if o.model not in MODELS and o.only != "python"}
         self.check_keys(table, (*plain, *(model for model in MODELS if inside[model])), where)
         values: dict[str, Any] = {}
         for key in table:

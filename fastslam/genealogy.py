@@ -1,15 +1,15 @@
-"""Who descends from whom: the histories of all living particles, in little memory.
+"""The genealogy of the particles: the histories of all living particles, in little memory.
 
-The tree is kept in flat arrays, one row per particle and *level*: its pose, the row of the level before that it
-descends from, and the number the particle had. A level is a step. A resampling copies nothing; it only changes which
-row each living particle stands on. Whatever else was written at a level (landmark columns, by particle number) is
-found again by following the lines of descent.
+The tree is stored in flat arrays with one row per particle and *level*: the particle's pose, the row of its parent in the
+level before, and the particle's index at that level. A level is a step. Resampling copies nothing; it only changes the
+row to which each living particle points. Data written elsewhere at a level, by particle index (landmark columns, for
+example), can be read through the ancestors.
 
-Lines die out. Rows without living descendants are thrown away whenever the rows have about doubled since the last
-time, so that recording costs a constant per particle and the memory stays proportional to the tree of survivors, about
-T + N log N rows (Jacob, Murray and Rubenthaler, *Path storage in the particle filter*, Statistics and Computing 2015).
+Rows without living descendants are removed whenever the number of rows has about doubled since the last removal. The
+cost is constant per particle and step, and the memory is proportional to the tree of survivors, about T + N log N rows
+(Jacob, Murray and Rubenthaler, *Path storage in the particle filter*, Statistics and Computing 2015).
 
-Rejected: one array per step, thrown together when asked for: 0.4 s for the mean history of 21,000 steps.
+Rejected: one array per step, combined on request, which took 0.4 s for the mean history of 21,000 steps.
 """
 
 from __future__ import annotations
@@ -19,48 +19,43 @@ from numba import njit
 
 from graphslam.se2 import Array
 
-from .branchless import OPTIONS
-from .crew import Job
+from .fast_math import OPTIONS
+from .threads import Job
 
-#: rows are thrown away at the earliest after this many new ones per particle
-PATIENCE = 16
+#: rows are removed at the earliest after this many new ones per particle
+MINIMUM_GROWTH = 16
 
 
 class Genealogy:
-    """The tree of N particles. Ancestors have to come in ascending order, as every resampling scheme gives them."""
+    """The tree of N particles; ancestors must be in ascending order, as every resampling scheme returns them."""
 
     def __init__(self, particles: int) -> None:
-        self._everybody = np.arange(particles)
-        self._line = self._everybody.copy()  # the row that each living particle stands on
-        self._first = np.zeros(65, dtype=np.int64)  # the first row of each level, and the end of the last
+        self._identity = np.arange(particles)
+        self._line = self._identity.copy()  # the row of each living particle
+        self._first = np.zeros(65, dtype=np.int64)  # the first row of each level, and the end of the last level
         self._is_step = np.ones(64, dtype=bool)
         self._levels, self._living, self._branched = 0, 0, False
-        self._settled = 0  # the levels that there were when rows were last thrown away
+        self._settled = 0  # the number of levels when rows were last removed
         capacity = 4 * particles
         self._poses = np.empty((3, capacity))
         self._parents, self._particles = np.empty(capacity, np.int32), np.empty(capacity, np.int32)
-        self._limit = PATIENCE * particles
+        self._limit = MINIMUM_GROWTH * particles
         self._inherited: dict[int, np.ndarray] = {}
-        # the generation before the living one: its first level, and who of it each living particle descends from
-        self._previous, self._parent = 0, self._everybody
+        # the generation before the living one: its first level, and each living particle's ancestor in it
+        self._previous, self._parent = 0, self._identity
 
     @property
     def stored_rows(self) -> int:
-        """How many poses are kept."""
+        """The number of stored poses."""
         return int(self._first[self._levels])
 
-    @property
-    def nbytes(self) -> int:
-        """The memory taken by the tree [bytes]."""
-        return self._poses.nbytes + self._parents.nbytes + self._particles.nbytes + self._first.nbytes
-
     def record(self, poses: Array, *, is_step: bool = True) -> None:
-        """Add a level with the poses (3, N) of a new step; they are copied."""
+        """Add a level with the poses (3, N) of a new step, which are copied."""
         work, arguments = self.recording(poses, is_step=is_step)
         work(0, poses.shape[1], *arguments)
 
     def recording(self, poses: Array, *, is_step: bool = True) -> Job:
-        """The same as a job for `Crew.run_all`, to be done before anything else here; poses may still be unwritten."""
+        """Return `record` as a job for `Threads.run_all`, to be done before any other call; poses may still be unwritten."""
         count, rows = poses.shape[1], self.stored_rows
         if rows + count > self._limit:
             self.prune()
@@ -79,52 +74,52 @@ class Genealogy:
         return _append, (poses, rows, self._line, self._poses, self._parents, self._particles)
 
     def amend(self, poses: Array) -> None:
-        """Exchange the poses (3, N) of the last step, before anybody branches from it."""
+        """Replace the poses (3, N) of the last step, before the next `branch`."""
         self._poses[:, self._first[self._levels - 1] : self.stored_rows] = poses
 
     def branch(self, ancestors: np.ndarray) -> None:
-        """From now on particle i descends from particle ancestors[i]; (N,), ascending."""
+        """Let particle i descend from particle ancestors[i] from now on; (N,), ascending."""
         self._line = self._line[ancestors]
         self._parent = self._parent[ancestors] if self._branched else ancestors
         self._previous, self._branched = self._living, True
         self._inherited.clear()
 
     def level(self) -> int:
-        """The level to write at, under the particles' present numbers."""
+        """Return the level at which to write by the current particle indices."""
         if self._branched:
-            # resampled within this step: the new numbers need a level of their own
+            # resampled within this step: the new indices need a level of their own
             self.record(self._poses[:, self._line], is_step=False)
         return self._levels - 1
 
     def is_living(self, level: int) -> bool:
-        """Whether every particle still has the number that it had at a level."""
+        """Return whether every particle still has the index that it had at a level."""
         return level >= self._living and not self._branched
 
     def ancestors(self, level: int) -> np.ndarray:
-        """The number that each living particle's ancestor had at a level, (N,), ascending."""
+        """Return the index that each living particle's ancestor had at a level, (N,), ascending."""
         if self.is_living(level):
-            return self._everybody
+            return self._identity
         if level >= self._previous:
-            # what is in view all the time, and so most of what is asked for
+            # most requests: landmarks that are in view at every step
             return self._parent
-        found = self._inherited.get(level)
-        if found is None:
+        ancestors = self._inherited.get(level)
+        if ancestors is None:
             first, second = self._first[level], self._first[level + 1]
-            found = _numbers(self._parents, self._particles, first, second, self.stored_rows, self._line)
-            self._inherited[level] = found
-        return found
+            ancestors = _indices(self._parents, self._particles, first, second, self.stored_rows, self._line)
+            self._inherited[level] = ancestors
+        return ancestors
 
     def trajectory(self, particle: int) -> Array:
-        """The history of one living particle, (steps, 3)."""
+        """Return the history of one living particle, (steps, 3)."""
         rows = _line_of(self._parents, self._levels, self._line[particle])
         return self._poses[:, rows[self._is_step[: self._levels]]].T.copy()
 
     def summary(self, weights: Array) -> tuple[Array, np.ndarray]:
-        """The mean of all living histories under weights (N,) that sum to 1, and the depletion curve.
+        """Return the weighted mean of all living histories, for weights (N,) that sum to 1, and the depletion curve.
 
         Returns:
-            Mean poses (steps, 3), the heading by the mean of (cos, sin); and how many distinct ancestors the living
-            particles have at each step, (steps,).
+            Mean poses (steps, 3), the heading as the direction of the mean of (cos, sin), and the number of distinct
+            ancestors of the living particles at each step, (steps,).
         """
         self.prune()
         steps = self._is_step[: self._levels]
@@ -133,18 +128,18 @@ class Genealogy:
         return means[steps], levels[steps]
 
     def prune(self) -> None:
-        """Throw away the rows without living descendants."""
+        """Remove the rows without living descendants."""
         if self._levels:
             line = self._line.copy()
             _compact(self._poses, self._parents, self._particles, self._first, self._levels, self._settled, line)
             self._line, self._settled = line, self._levels
-        self._limit = 2 * self.stored_rows + PATIENCE * len(self._everybody)
+        self._limit = 2 * self.stored_rows + MINIMUM_GROWTH * len(self._identity)
 
     def _grow(self, rows: int, capacity: int) -> None:
-        poses, parents, particles = np.empty((3, capacity)), np.empty(capacity, np.int32), np.empty(capacity, np.int32)
-        poses[:, :rows] = self._poses[:, :rows]
-        parents[:rows], particles[:rows] = self._parents[:rows], self._particles[:rows]
-        self._poses, self._parents, self._particles = poses, parents, particles
+        more = capacity - rows
+        self._poses = np.concatenate([self._poses[:, :rows], np.empty((3, more))], axis=1)
+        self._parents = np.concatenate([self._parents[:rows], np.empty(more, np.int32)])
+        self._particles = np.concatenate([self._particles[:rows], np.empty(more, np.int32)])
 
 
 @njit(**OPTIONS)
@@ -152,12 +147,10 @@ def _append(
     lo: int, hi: int, source: Array, rows: int, line: np.ndarray, poses: Array, parents: np.ndarray,
     particles: np.ndarray,
 ) -> None:  # fmt: skip
-    """Write a level from row ``rows`` on, and let every particle stand on its own new row."""
-    for k in range(3):
-        for i in range(lo, hi):
-            poses[k, rows + i] = source[k, i]
+    """Write a level from row ``rows`` on, and let every particle point to its own new row."""
+    poses[:, rows + lo : rows + hi] = source[:, lo:hi]
+    parents[rows + lo : rows + hi] = line[lo:hi]
     for i in range(lo, hi):
-        parents[rows + i] = line[i]
         particles[rows + i] = i
         line[i] = rows + i
 
@@ -167,7 +160,7 @@ def _compact(
     poses: Array, parents: np.ndarray, particles: np.ndarray, first: np.ndarray, levels: int, settled: int,
     line: np.ndarray,
 ) -> None:  # fmt: skip
-    """Move the rows with descendants among the rows of line together, everything in place."""
+    """Keep only the rows with descendants among the rows of line, in place."""
     end = first[levels]
     alive = np.zeros(end, np.bool_)
     for row in line:
@@ -180,7 +173,7 @@ def _compact(
                 alive[parents[row]] = True
                 count += 1
         if level < settled and count == first[level + 1] - first[level]:
-            # nobody died here since the last time, and every row before had a descendant here then
+            # no row of this level was lost since the last removal, when every earlier row had a descendant here
             break
         level -= 1
     start = level
@@ -206,24 +199,20 @@ def _compact(
 
 
 @njit(**OPTIONS)
-def _numbers(
+def _indices(
     parents: np.ndarray, particles: np.ndarray, first: int, second: int, end: int, line: np.ndarray
 ) -> np.ndarray:
-    """The number at the level of rows first to second of each row's ancestor there, for the rows of line."""
-    number = np.empty(end - first, np.int64)
-    for row in range(first, second):
-        number[row - first] = particles[row]
+    """Return the index of each row's ancestor at the level of rows first to second, for the rows of line."""
+    index = np.empty(end - first, np.int64)
+    index[: second - first] = particles[first:second]
     for row in range(second, end):
-        number[row - first] = number[parents[row] - first]
-    found = np.empty(len(line), np.int64)
-    for i in range(len(line)):
-        found[i] = number[line[i] - first]
-    return found
+        index[row - first] = index[parents[row] - first]
+    return index[line - first]
 
 
 @njit(**OPTIONS)
 def _line_of(parents: np.ndarray, levels: int, row: int) -> np.ndarray:
-    """The rows of one history, one per level."""
+    """Return the rows of one history, one per level."""
     rows = np.empty(levels, np.int64)
     for level in range(levels - 1, -1, -1):
         rows[level] = row
@@ -235,7 +224,7 @@ def _line_of(parents: np.ndarray, levels: int, row: int) -> np.ndarray:
 def _means(
     poses: Array, parents: np.ndarray, first: np.ndarray, levels: int, line: np.ndarray, weights: Array
 ) -> Array:  # fmt: skip
-    """Each level's mean pose, a row weighing what its living descendants weigh together."""
+    """Return the mean pose of each level; the weight of a row is the sum of the weights of its living descendants."""
     mass = np.zeros(first[levels])
     for i in range(len(line)):
         mass[line[i]] += weights[i]

@@ -1,4 +1,4 @@
-"""Monte Carlo localisation: where is the robot on a map that is known? What FastSLAM builds on.
+"""Monte Carlo localisation: the pose of the robot on a known map. FastSLAM extends it.
 
 Sources: Dellaert, Fox, Burgard and Thrun, *Monte Carlo localization for mobile robots*, ICRA 1999; *Probabilistic
 Robotics*, section 8.3; Ueda, *LNPR*, chapter 5.
@@ -7,17 +7,17 @@ Robotics*, section 8.3; Ueda, *LNPR*, chapter 5.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from graphslam.errors import OptionError
 from graphslam.log import Log
-from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 
 from . import landmark_kernels as kernels
-from .arguments import reals, whole
+from .checks import finite, whole
 from .particle_filter import ParticleFilter
 from .state import LandmarkEstimate
 
@@ -25,63 +25,37 @@ from .state import LandmarkEstimate
 class MonteCarloLocalization(ParticleFilter):
     """The particle filter on a known map: the weight is multiplied by N(z; h(x, m), Q).
 
-    psi is used where both the sighting and the landmark have a heading, and left out otherwise.
+    psi is used where both the sighting and the landmark have a heading, and ignored otherwise.
 
     Args:
-        log: what the robot did and saw; None to feed the filter by hand.
+        log: controls and sightings; None for a filter that is used with `move` and `observe`.
         landmarks: the map {id: (x, y) or (x, y, heading)} [m, m, rad]; default: the log's true landmarks.
-        particles: their number N.
-        seed: of the random numbers, or a generator.
-        motion, sensor: the models; default: the book's.
-        resampling: "systematic", "stratified", "residual" or "multinomial".
-        ess_threshold: resample after sightings when ESS <= ess_threshold * N; 1 is after every step with sightings.
-        start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose.
-        threads: how many; None for all cores where there are particles enough. The result is the same.
+        keywords: all other arguments of `ParticleFilter`.
 
     Raises:
-        OptionError: an option has an impossible value, there is no map, or the log saw a landmark that is not in it.
+        OptionError: an option has an impossible value, there is no map, or the log has sightings of other landmarks.
         LogError: the log has no controls.
     """
 
     def __init__(
-        self,
-        log: Log | None = None,
-        *,
-        landmarks: Mapping[int, ArrayLike] | None = None,
-        particles: int = 1000,
-        seed: int | np.random.Generator = 0,
-        motion: MotionModel | None = None,
-        sensor: SensorModel | None = None,
-        resampling: str = "systematic",
-        ess_threshold: float = 0.5,
-        start: ArrayLike | None = None,
-        threads: int | None = None,
+        self, log: Log | None = None, *, landmarks: Mapping[int, ArrayLike] | None = None, **keywords: Any
     ) -> None:
-        super().__init__(
-            log, particles=particles, seed=seed, motion=motion, sensor=sensor, resampling=resampling,
-            ess_threshold=ess_threshold, start=start, threads=threads,
-        )  # fmt: skip
+        super().__init__(log, **keywords)
         if landmarks is None:
-            landmarks = log.true_landmarks if log is not None else None
+            landmarks = getattr(log, "true_landmarks", None)
         if landmarks is None:
-            without = "" if log is None else f", and {log.name} does not tell where its landmarks are"
+            without = "" if log is None else f", and {log.name} has no true landmarks"
             raise OptionError(
                 f"Monte Carlo localisation needs a map{without}: give landmarks, {{id: (x, y) or (x, y, heading)}}, or "
                 "use FastSLAM, which makes its own"
             )
         if not isinstance(landmarks, Mapping):
             raise OptionError(f"landmarks must be a mapping, {{id: (x, y) or (x, y, heading)}}, not {landmarks!r}")
-        self._landmarks = {}
-        for j, place in landmarks.items():
-            expected = "finite, (x, y) or (x, y, heading)"
-            known = reals(f"landmarks[{j!r}]", place, expected)
-            if known.shape not in ((2,), (3,)) or not np.all(np.isfinite(known)):
-                raise OptionError(f"landmarks[{j!r}] must be {expected}, not {place!r}")
-            self._landmarks[whole("the id of a landmark", j)] = known
-        if log is not None and not log.identified:
-            raise OptionError(
-                f"{log.name} has sightings that do not tell their landmark, and localisation needs to know"
-            )
+        expected = "finite, (x, y) or (x, y, heading)"
+        self._landmarks = {
+            whole("the id of a landmark", j): finite(f"landmarks[{j!r}]", place, expected, [(2,), (3,)])
+            for j, place in landmarks.items()
+        }
         if log is not None:
             self._check_sightings(log.landmark_ids, log.sightings.shape[1])
 
@@ -97,7 +71,7 @@ class MonteCarloLocalization(ParticleFilter):
         for j, z, variances in zip(ids.tolist(), sightings, q, strict=True):
             known = self._landmarks[j]
             n = min(len(z), len(known))
-            self._crew.run(kernels.weigh_known, self._poses, known, z[:n], variances[:n], log_likelihood)
+            self._threads.run(kernels.weigh_known, self._poses, known[:n], z[:n], variances[:n], log_likelihood)
         return log_likelihood
 
     def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:  # noqa: ARG002

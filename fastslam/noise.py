@@ -1,12 +1,12 @@
-"""Gaussian random numbers that do not depend on who asks for them first: number i is a function of a key and i.
+"""Gaussian random numbers that are a function of a key and an index, so that threads need no common generator.
 
-One key is drawn per motion from the filter's generator. Particle i of N then has five numbers of its own, whatever
-the other particles do, so threads share nothing, and a second kernel can ask for the same numbers again instead of
-keeping them. The bits are those of SplitMix64 (Steele, Lea and Flood, *Fast splittable pseudorandom number
-generators*, OOPSLA 2014) started at the key, made Gaussian by Box and Muller (1958).
+The filter's generator draws one key per motion. Each of the N particles then has five numbers of its own, which depend
+only on the key and on the particle's index. Threads therefore share nothing, and a second kernel can compute the same
+numbers again instead of storing them. The bits are those of SplitMix64 (Steele, Lea and Flood, *Fast splittable
+pseudorandom number generators*, OOPSLA 2014) started at the key; Box and Muller (1958) make them Gaussian.
 
-Rejected: `Generator.standard_normal`, 7 to 8 ns per number and one thread (this: 2.3 ns); one generator per block of
-particles, which is repeatable but as slow.
+Rejected: `Generator.standard_normal`, which takes 7 to 8 ns per number in a single thread (here: 2.3 ns), and one
+generator per block of particles, which is repeatable but as slow.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from numba import njit
 
 from graphslam.se2 import Array
 
-from .branchless import INLINED, OPTIONS, log, sincos
+from .fast_math import INLINED, OPTIONS, log, sincos
 
-#: how many pairs of numbers a particle has per motion; the last of the six is not used
+#: pairs of numbers per particle and motion; the last of the six numbers is not used
 PAIRS = 3
 
 _GOLDEN, _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -28,13 +28,13 @@ _27, _30, _31, _11 = np.uint64(27), np.uint64(30), np.uint64(31), np.uint64(11)
 
 
 def draw_key(rng: np.random.Generator) -> np.uint64:
-    """A new key: one uniform number of the generator, its 53 bits moved to the top."""
+    """Draw a new key: one uniform number of the generator with its 53 bits moved to the top."""
     # rng.bytes and rng.integers take 3 to 8 us, as much as a hundred particles
     return np.uint64(int(rng.random() * 2.0**53) << 11)
 
 
 def standard_normals(rng: np.random.Generator, particles: int) -> Array:
-    """The five normals of each particle for one motion, (N, 5): what the compiled motions use, as an array."""
+    """Draw the five standard normal numbers of each particle for one motion, (N, 5), as the compiled motions use them."""
     normals = np.empty((particles, 2 * PAIRS))
     _fill(draw_key(rng), normals)
     return normals[:, :5]
@@ -42,13 +42,21 @@ def standard_normals(rng: np.random.Generator, particles: int) -> Array:
 
 @njit(**INLINED)
 def normal_pair(key: np.uint64, particle: int, pair: int) -> tuple[float, float]:
-    """Two independent standard normal numbers: pair 0, 1 or 2 of a particle."""
+    """Return two independent standard normal numbers: pair 0, 1 or 2 of a particle."""
     index = np.uint64(2 * (PAIRS * particle + pair))
-    # in (0, 1], for the logarithm, and in [0, 1)
+    # u lies in (0, 1], as the logarithm needs; the other uniform number lies in [0, 1)
     u = 1.0 - _uniform(key, index)
     sine, cosine = sincos(2 * pi * _uniform(key, index + np.uint64(1)) - pi)
     radius = sqrt(-2.0 * log(u))
     return radius * cosine, radius * sine
+
+
+@njit(**INLINED)
+def three_normals(key: np.uint64, particle: int) -> tuple[float, float, float]:
+    """Return the first three standard normal numbers of a particle."""
+    n0, n1 = normal_pair(key, particle, 0)
+    n2, _ = normal_pair(key, particle, 1)
+    return n0, n1, n2
 
 
 @njit(**INLINED)

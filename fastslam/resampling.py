@@ -1,6 +1,6 @@
-"""Resampling by name: which particles live on, in how many copies. All schemes are unbiased: E[copies_i] = N w_i.
+"""Resampling schemes by name: how many copies each particle gets. All are unbiased: E[copies_i] = N w_i.
 
-Every scheme returns the ancestors in ascending order. That costs nothing, keeps the copies of one particle together in
+Every scheme returns the ancestors in ascending order. This costs nothing, keeps the copies of one particle together in
 memory, and lets the genealogy find distinct ancestors by comparing neighbours.
 
 Source: Douc, Cappe and Moulines, *Comparison of resampling schemes for particle filtering*, ISPA 2005.
@@ -13,33 +13,32 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
-from graphslam.checks import check_choice
 from graphslam.se2 import Array
 
 Scheme = Callable[[Array, np.random.Generator], np.ndarray]
 
 
 def systematic(weights: Array, rng: np.random.Generator) -> np.ndarray:
-    """A comb of N teeth 1/N apart with one random offset; draws one uniform number. Lowest variance of the copies."""
-    return _comb(np.cumsum(weights), rng.random())
+    """N positions 1/N apart with one random offset: one uniform number, the lowest variance of the copies."""
+    return _evenly_spaced(np.cumsum(weights), rng.random())
 
 
 def stratified(weights: Array, rng: np.random.Generator) -> np.ndarray:
-    """One uniform position in each of N equal strata; draws N uniform numbers."""
+    """One uniform position in each of N equal strata: N uniform numbers."""
     count = len(weights)
     return _at_positions(np.cumsum(weights), (rng.random(count) + np.arange(count)) / count)
 
 
 def multinomial(weights: Array, rng: np.random.Generator) -> np.ndarray:
-    """N independent draws from the weights; draws N uniform numbers. The plain bootstrap, highest variance."""
+    """N independent draws from the weights: N uniform numbers, the highest variance of the copies."""
     return _at_positions(np.cumsum(weights), np.sort(rng.random(len(weights))))
 
 
 def residual(weights: Array, rng: np.random.Generator) -> np.ndarray:
-    """floor(N w_i) copies for certain, the rest multinomial on the remainders; draws one number per remaining copy."""
+    """floor(N w_i) copies, and multinomial draws from the remainders for the rest: one uniform number per draw."""
     count = len(weights)
     expected = count * weights / weights.sum()
-    # the tolerance keeps rounding from calling a whole number of copies one less
+    # the tolerance keeps rounding errors from losing a copy where N w_i is a whole number
     copies = np.floor(expected * (1 + 1e-12)).astype(np.int64)
     rest = count - int(copies.sum())
     if rest > 0:
@@ -48,7 +47,7 @@ def residual(weights: Array, rng: np.random.Generator) -> np.ndarray:
     return np.repeat(np.arange(count), copies)
 
 
-#: the schemes by the name that options take
+#: the schemes by the names of `options.RESAMPLING`: weights (N,) that sum to about 1, generator -> ancestors (N,)
 RESAMPLING_SCHEMES: dict[str, Scheme] = {
     "systematic": systematic,
     "stratified": stratified,
@@ -57,18 +56,8 @@ RESAMPLING_SCHEMES: dict[str, Scheme] = {
 }
 
 
-def resampling_scheme(name: str) -> Scheme:
-    """The scheme of that name: weights (N,) that sum to about 1 and a generator -> ancestors (N,), ascending.
-
-    Raises:
-        OptionError: there is no scheme of that name.
-    """
-    check_choice("resampling", name, tuple(RESAMPLING_SCHEMES))
-    return RESAMPLING_SCHEMES[name]
-
-
 def effective_sample_size(log_weights: Array) -> float:
-    """ESS = (sum w)² / sum w², between 1 and N, from log weights (N,) that need not be normalised.
+    """Return ESS = (sum w)² / sum w², between 1 and N, from log weights (N,) that need not be normalised.
 
     Source: Kong, Liu and Wong, *Sequential imputations and Bayesian missing data problems*, JASA 1994.
     """
@@ -77,11 +66,12 @@ def effective_sample_size(log_weights: Array) -> float:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _comb(cumulative: Array, offset: float) -> np.ndarray:
-    """The same as `_at_positions` at (offset + 0, 1, 2, ...) / N, without a branch per tooth that nobody can predict.
+def _evenly_spaced(cumulative: Array, offset: float) -> np.ndarray:
+    """Return `_at_positions` for the positions (offset + 0, 1, 2, ...) / N, without branches that cannot be predicted.
 
-    Particle k's first tooth is the number of teeth before cumulative[k-1]. Each writes its number there, the next one
-    over it if k has no tooth; then the numbers are spread to the right. 4 ns per particle instead of 12.
+    The first position of particle k is the number of positions before cumulative[k-1]. Each particle writes its index
+    there; if it has no position, the next particle overwrites it. Then the indices are spread to the right. This takes
+    4 ns per particle instead of 12.
     """
     count, total = len(cumulative), cumulative[-1]
     scale = count / total
@@ -100,10 +90,10 @@ def _comb(cumulative: Array, offset: float) -> np.ndarray:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _at_positions(cumulative: Array, positions: Array) -> np.ndarray:
-    """The first k with cumulative[k] > position * total, for ascending positions in [0, 1).
+    """Return the first k with cumulative[k] > position * total for each of the ascending positions in [0, 1).
 
-    A particle of weight zero is never the first; and where rounding puts a position at the very end, the last particle
-    with a weight is taken, not the last particle.
+    A particle of weight zero is never chosen: where rounding puts a position at the very end, the last particle with a
+    weight is taken.
     """
     total = cumulative[-1]
     last = len(cumulative) - 1

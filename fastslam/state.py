@@ -1,20 +1,29 @@
-"""What a particle filter knows after a step, and what it leaves behind after a log."""
+"""What a particle filter knows after a step, and what it estimated from a log."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from graphslam.errors import OptionError
+from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
+
+from .checks import index
+from .options import FilterOptions
+
+if TYPE_CHECKING:
+    from .particle_filter import ParticleFilter
 
 
 @dataclass(frozen=True, eq=False)
 class LandmarkEstimate:
-    """A Gaussian belief of a landmark: mean (x, y) or (x, y, heading) [m, m, rad] and its covariance (n, n).
+    """The Gaussian of a landmark: mean (x, y) or (x, y, heading) [m, m, rad] and covariance (n, n).
 
-    With unknown association a landmark that may still prove to be a phantom is not ``confirmed``.
+    With unknown association a landmark that may still prove to be a false detection is not ``confirmed``.
     """
 
     mean: Array
@@ -32,7 +41,7 @@ class ParticleState:
         log_weights: (N,), normalised: their exponentials sum to 1; read-only. After resampling all are -log N.
         ess: effective sample size at the last sightings, before resampling.
         resampled: whether this step resampled.
-        best: the particle of the largest weight at the last sightings (its first copy, where they led to resampling).
+        best: the particle of the largest weight at the last sightings; its first copy if they led to resampling.
     """
 
     step: int
@@ -41,8 +50,8 @@ class ParticleState:
     ess: float
     resampled: bool
     best: int
-    _map: Callable[[int, bool], dict[int, LandmarkEstimate]] = field(repr=False)
-    _mixture: Callable[[Array, bool], dict[int, LandmarkEstimate]] = field(repr=False)
+    _filter: ParticleFilter = field(repr=False)
+    _version: int = field(repr=False)
 
     @property
     def best_pose(self) -> Array:
@@ -56,47 +65,60 @@ class ParticleState:
 
     @property
     def pose_covariance(self) -> Array:
-        """The weighted covariance about the mean pose, headings by their wrapped difference, (3, 3)."""
+        """The weighted covariance about the mean pose, (3, 3); differences of headings are wrapped."""
         weights = np.exp(self.log_weights)
         return weighted_covariance(self.poses, weighted_mean(self.poses, weights), weights)
 
     def map(self, particle: int | None = None, *, provisional: bool = False) -> dict[int, LandmarkEstimate]:
-        """The map of one particle, by default the best, {id: estimate}; on request with what is not confirmed.
+        """Return the map of one particle, by default the best, {id: estimate}; on request with unconfirmed landmarks.
 
-        Maps are kept once, not once per step: ask before the filter takes its next step.
+        Maps are stored once, not once per step: ask before the filter takes its next step.
 
         Raises:
-            OptionError: there is no such particle, or the filter has gone on.
+            OptionError: there is no such particle, or the filter has taken another step.
         """
-        return self._map(self.best if particle is None else particle, provisional)
+        chosen = self.best if particle is None else index("particle", particle, len(self.poses))
+        return self._current_filter()._map(chosen, provisional)
 
     def mixture_map(self, *, provisional: bool = False) -> dict[int, LandmarkEstimate]:
-        """Mean and covariance of the mixture over all particles, {id: estimate}: E[S] + Cov[m].
+        """Return mean and covariance of the mixture over all particles, {id: estimate}: E[S] + Cov[m].
 
-        With unknown association: of the landmarks that particles of half the weight or more have confirmed (with
-        ``provisional``, have at all), over the particles that have them.
+        If the association is unknown, these are the landmarks that particles of half the weight or more have confirmed (with
+        ``provisional``: have at all), over the particles that have them.
 
         Raises:
-            OptionError: the filter has gone on.
+            OptionError: the filter has taken another step.
         """
-        return self._mixture(np.exp(self.log_weights), provisional)
+        return self._current_filter()._mixture(np.exp(self.log_weights), provisional)
+
+    def _current_filter(self) -> ParticleFilter:
+        if self._filter._version != self._version:
+            raise OptionError("the filter has taken another step: ask a state for maps before the next move or observe")
+        return self._filter
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FilterResult:
-    """What a particle filter estimated from a log of T motions.
+    """What a particle filter estimated from a log of T motions, and from what.
 
     Attributes:
+        estimator: the name of the filter's class; ``log``: the name of the log, "" for a filter without one.
+        options, motion, sensor: the options and models of the filter.
         poses: (T+1, 3), the history of the best particle [m, m, rad], headings in [-pi, pi).
         mean_poses: (T+1, 3), the weighted mean of the histories of the particles that survived to the end.
         landmarks, landmark_covariances: the map of the best particle, {id: (n,)} and {id: (n, n)}, n = 2 or 3; with
-            unknown association what is confirmed of it.
+            unknown association its confirmed landmarks.
         log_weights: (N,) at the end, normalised.
         ess: (T+1,) effective sample size after each step, before resampling.
         resampled: (T+1,) whether the step resampled.
         ancestors: (T+1,) how many distinct particles of each step have descendants at the end (the depletion curve).
     """
 
+    estimator: str
+    log: str
+    options: FilterOptions
+    motion: MotionModel
+    sensor: SensorModel
     poses: Array
     mean_poses: Array
     landmarks: Mapping[int, Array]
@@ -106,9 +128,16 @@ class FilterResult:
     resampled: np.ndarray
     ancestors: np.ndarray
 
+    def __repr__(self) -> str:
+        return (
+            f"FilterResult({self.estimator} on {self.log or 'measurements by hand'}: {len(self.log_weights)} particles, "
+            f"{len(self.poses)} poses, {len(self.landmarks)} landmarks, smallest ESS {self.ess.min():.1f}, "
+            f"{int(self.resampled.sum())} resamplings)"
+        )
+
 
 def weighted_mean(points: Array, weights: Array) -> Array:
-    """The mean of (k, 2) or (k, 3) points under weights (k,) that sum to 1; a third coordinate is an angle."""
+    """Return the mean of (k, 2) or (k, 3) points under weights (k,) that sum to 1; a third coordinate is an angle."""
     mean = weights @ points
     if points.shape[1] == 3:
         mean[2] = wrap(np.arctan2(weights @ np.sin(points[:, 2]), weights @ np.cos(points[:, 2])))
@@ -116,7 +145,7 @@ def weighted_mean(points: Array, weights: Array) -> Array:
 
 
 def weighted_covariance(points: Array, mean: Array, weights: Array) -> Array:
-    """The covariance of (k, n) points about a mean under weights that sum to 1; a third coordinate is an angle."""
+    """Return the covariance of (k, n) points about a mean under weights that sum to 1; a third coordinate is an angle."""
     difference = points - mean
     if points.shape[1] == 3:
         difference[:, 2] = wrap(difference[:, 2])

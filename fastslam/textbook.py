@@ -1,9 +1,8 @@
 """FastSLAM and Monte Carlo localisation as in the lectures: particle by particle, one equation per function.
 
-This file is the oracle of the array versions, and its first reader is a student: it is plain, short and slow. The
-random numbers come from one generator in a stated order, the same as in the array versions: for each motion
-``standard_normals(rng, N)``, five Gaussian numbers per particle in row i for particle i, and for each systematic
-resampling one ``rng.random()``.
+This program is written for students, plain and slow, and the tests compare the array versions with it. The random
+numbers come from one generator in the same order as in the array versions: for each motion ``standard_normals(rng, N)``,
+five Gaussian numbers per particle, row i for particle i, and for each systematic resampling one ``rng.random()``.
 
 Sources: Ueda, *LNPR*, chapters 5 and 8; Montemerlo, Thrun, Koller and Wegbreit, *FastSLAM*, AAAI 2002, and *FastSLAM
 2.0*, IJCAI 2003; Thrun, Burgard and Fox, *Probabilistic Robotics*, sections 8.3, 13.3 and 13.5 to 13.8.
@@ -28,7 +27,7 @@ from .noise import standard_normals
 
 @dataclass
 class Landmark:
-    """What one particle believes of one landmark: the Gaussian N(mean, covariance), (n,) and (n, n), n = 2 or 3.
+    """The estimate of one landmark by one particle: the Gaussian N(mean, covariance), (n,) and (n, n), n = 2 or 3.
 
     On a known map the covariance is zero.
     """
@@ -53,27 +52,27 @@ class Particle:
 
 @dataclass(frozen=True)
 class PoseBelief:
-    """What one particle of FastSLAM 2.0 believes of x_t before it draws: the Gaussian N(mean, covariance)."""
+    """The estimate of x_t by one particle of FastSLAM 2.0 before the draw: the Gaussian N(mean, covariance)."""
 
     mean: Array
     covariance: np.ndarray
 
 
 def start(particles: int, pose: ArrayLike) -> list[Particle]:
-    """N particles at the known first pose, each of weight 1/N, with empty maps."""
+    """Return N particles at the known first pose, each of weight 1/N, with empty maps."""
     return [Particle([wrap_heading(np.array(pose, dtype=float))], -np.log(particles)) for _ in range(particles)]
 
 
 def wrap_heading(pose: Array) -> Array:
-    """The pose with its heading in [-pi, pi)."""
+    """Return the pose with its heading in [-pi, pi)."""
     return np.array([pose[0], pose[1], wrap(pose[2])])
 
 
 def sample_motion(pose: Array, control: ArrayLike, dt: float, motion: MotionModel, noise: Array) -> Array:
     """Sample x_t ~ p(x_t | x_{t-1}, u_t): u' ~ N(u_t, M), x_t = f(x_{t-1}, u') + e with e ~ N(0, epsilon I).
 
-    The lectures have no e; the framework's motion edges add epsilon I to the covariance A M A', and with e both
-    estimators ask for the same posterior. The noise is five standard normal numbers (nu, omega, x, y, theta).
+    The lectures have no e. The framework's motion edges add epsilon I to the covariance A M A', and with e both
+    estimate the same posterior. The noise is five standard normal numbers (nu, omega, x, y, theta).
     """
     noisy_control = np.asarray(control) + np.sqrt(np.diag(motion.M(control, dt))) * noise[:2]
     return wrap_heading(motion.f(pose, noisy_control, dt) + np.sqrt(motion.epsilon) * noise[2:])
@@ -82,45 +81,49 @@ def sample_motion(pose: Array, control: ArrayLike, dt: float, motion: MotionMode
 def motion_update(
     particles: list[Particle], control: ArrayLike, dt: float, motion: MotionModel, rng: np.random.Generator
 ) -> None:
-    """Every particle samples its own motion."""
+    """Sample the motion of every particle."""
     for particle, noise in zip(particles, standard_normals(rng, len(particles)), strict=True):
         particle.path.append(sample_motion(particle.pose, control, dt, motion, noise))
 
 
 def initialize_landmark(pose: Array, z: Array, sensor: SensorModel) -> Landmark:
-    """First sighting: mean h^-1(x, z), covariance (H' Q^-1 H)^-1."""
+    """Initialise a landmark by its first sighting: mean h^-1(x, z), covariance (H' Q^-1 H)^-1."""
     mean = sensor.h_inverse(pose, z)
     H = sensor.H(pose, mean)
     return Landmark(mean, np.linalg.inv(H.T @ np.linalg.inv(sensor.Q(z)) @ H))
 
 
 def residual(pose: Array, landmark: Landmark, z: Array, sensor: SensorModel) -> Array:
-    """The residual z - h(m), angles wrapped."""
+    """Return the residual z - h(m), angles wrapped."""
     difference = z - sensor.h(pose, landmark.mean)
     return np.array([difference[0], *wrap(difference[1:])])
 
 
 def innovation_covariance(pose: Array, landmark: Landmark, z: Array, sensor: SensorModel) -> Array:
-    """The covariance of the residual, V = H S H' + Q, Q taken at the measured range (as the graph's edges do)."""
+    """Return the covariance of the residual, V = H S H' + Q, with Q at the measured range as in the graph's edges."""
     H = sensor.H(pose, landmark.mean)
     return H @ landmark.covariance @ H.T + sensor.Q(z)
 
 
 def log_likelihood(pose: Array, landmark: Landmark, z: Array, sensor: SensorModel) -> float:
-    """The logarithm of N(z; h(m), V) = det(2 pi V)^(-1/2) exp(-r' V^-1 r / 2), r = z - h(m).
+    """Return the logarithm of N(z; h(m), V) = det(2 pi V)^(-1/2) exp(-r' V^-1 r / 2), r = z - h(m).
 
     The determinant differs between particles and belongs to the weight. -inf where the particle stands on the
     landmark (nearer than 1e-9 m), which then has no bearing.
     """
     if np.hypot(*(landmark.mean[:2] - pose[:2])) < 1e-9:
         return -np.inf
-    r = residual(pose, landmark, z, sensor)
     V = innovation_covariance(pose, landmark, z, sensor)
+    return log_density(residual(pose, landmark, z, sensor), V)
+
+
+def log_density(r: Array, V: Array) -> float:
+    """Return the logarithm of the density N(r; 0, V)."""
     return float(-0.5 * (r @ np.linalg.solve(V, r) + np.log(np.linalg.det(2 * np.pi * V))))
 
 
 def update_landmark(pose: Array, landmark: Landmark, z: Array, sensor: SensorModel) -> Landmark:
-    """Later sightings: K = S H' (Q + H S H')^-1, m += K (z - h(m)), S = (I - K H) S."""
+    """Update a landmark by a later sighting: K = S H' (Q + H S H')^-1, m += K (z - h(m)), S = (I - K H) S."""
     H = sensor.H(pose, landmark.mean)
     V = innovation_covariance(pose, landmark, z, sensor)
     K = landmark.covariance @ H.T @ np.linalg.inv(V)
@@ -132,9 +135,9 @@ def update_landmark(pose: Array, landmark: Landmark, z: Array, sensor: SensorMod
 def observation_update(
     particles: list[Particle], ids: Iterable[int], sightings: Iterable[Array], sensor: SensorModel
 ) -> bool:
-    """Fold one step's sightings in, one after the other: w *= N(z; h(m), V), then m and S move. Weights sum to 1.
+    """Process the sightings of one step, one after the other: w *= N(z; h(m), V), then update m and S.
 
-    Returns whether any sighting was weighed; a step of first sightings alone says nothing about the poses.
+    The weights then sum to 1. Returns whether any sighting was weighed; first sightings do not change the weights.
     """
     before = [particle.log_weight for particle in particles]
     weighed = False
@@ -153,15 +156,15 @@ def observation_update(
 
 
 def predict_pose(pose: Array, control: ArrayLike, dt: float, motion: MotionModel) -> PoseBelief:
-    """FastSLAM 2.0 before the sightings: the motion as a Gaussian, N(f(x_{t-1}, u_t), A M A' + epsilon I)."""
+    """FastSLAM 2.0: predict the pose before the sightings as a Gaussian, N(f(x_{t-1}, u_t), A M A' + epsilon I)."""
     return PoseBelief(wrap_heading(motion.f(pose, control, dt)), motion.covariance(pose, control, dt))
 
 
 def correct_pose(belief: PoseBelief, landmark: Landmark, z: Array, sensor: SensorModel) -> tuple[PoseBelief, float]:
-    """FastSLAM 2.0, one sighting: where was the robot, with pose and landmark both uncertain, and how likely is z?
+    """FastSLAM 2.0: correct the Gaussian of a pose by one sighting, and return also the log likelihood of the sighting.
 
     V = H_x P H_x' + H_m S H_m' + Q, K = P H_x' V^-1, mean += K (z - h), P = (I - K H_x) P. The likelihood N(z; h, V) is
-    the one under the prediction: neither pose nor landmark is drawn yet. 0 where the mean stands on the landmark.
+    the one under the prediction, before the pose is drawn. It is 0 where the mean stands on the landmark.
     """
     if np.hypot(*(landmark.mean[:2] - belief.mean[:2])) < 1e-9:
         return belief, -np.inf
@@ -170,7 +173,7 @@ def correct_pose(belief: PoseBelief, landmark: Landmark, z: Array, sensor: Senso
     r = residual(belief.mean, landmark, z, sensor)
     K = belief.covariance @ H_x.T @ np.linalg.inv(V)
     corrected = PoseBelief(wrap_heading(belief.mean + K @ r), (np.eye(3) - K @ H_x) @ belief.covariance)
-    return corrected, float(-0.5 * (r @ np.linalg.solve(V, r) + np.log(np.linalg.det(2 * np.pi * V))))
+    return corrected, log_density(r, V)
 
 
 def draw_pose(belief: PoseBelief, noise: Array) -> Array:
@@ -188,12 +191,12 @@ def proposal_update(
     sensor: SensorModel,
     rng: np.random.Generator,
 ) -> bool:
-    """FastSLAM 2.0, one whole step: each particle corrects its motion by what it knows, draws, and maps from there.
+    """FastSLAM 2.0, one whole step: each particle corrects its motion, draws its pose and updates its map from there.
 
-    Sightings of known landmarks are folded in one after the other, the first of each landmark; the weight is
-    multiplied by their likelihoods under the prediction. A landmark's further sightings in the step weigh as in 1.0,
-    from the pose that was drawn. A step without known landmarks is that of 1.0. Weights sum to 1 in the end. Returns
-    whether any sighting was weighed.
+    The first sighting of each known landmark corrects the motion, one after the other; the weight is multiplied by
+    their likelihoods under the prediction. Further sightings of a landmark in the step are weighed as in 1.0, from the
+    drawn pose. A step without known landmarks is that of 1.0. The weights then sum to 1. Returns whether any sighting
+    was weighed.
     """
     sighted = list(zip(ids, sightings, strict=True))
     before = [particle.log_weight for particle in particles]
@@ -241,7 +244,7 @@ def localization_update(
 
 
 def normalize(particles: list[Particle], before: list[float]) -> None:
-    """Make the weights sum to 1; where all of them vanished, take back the ones from before the sightings."""
+    """Make the weights sum to 1; where all of them vanished, restore those from before the sightings."""
     log_weights = np.array([particle.log_weight for particle in particles])
     if np.all(log_weights == -np.inf):
         log_weights = np.array(before)
@@ -252,15 +255,15 @@ def normalize(particles: list[Particle], before: list[float]) -> None:
 
 
 def effective_sample_size(particles: list[Particle]) -> float:
-    """ESS = 1 / sum of w_i², between 1 and N."""
-    # rounding must not push it above N: a threshold of N means always
+    """Return ESS = 1 / sum of w_i², between 1 and N."""
+    # rounding must not make it exceed N, because a threshold of N means always
     return float(min(1 / sum(np.exp(particle.log_weight) ** 2 for particle in particles), len(particles)))
 
 
 def resample(particles: list[Particle], rng: np.random.Generator) -> list[Particle]:
-    """Systematic resampling: a comb of N teeth 1/N apart, set down at random, over the weights laid end to end.
+    """Resample systematically at N positions 1/N apart, with one random offset, on the cumulative sum of the weights.
 
-    Every survivor is copied with its map and its path; two particles never share them.
+    Every survivor is copied with its map and its path, so that two particles never share them.
     """
     count = len(particles)
     cumulative = np.cumsum([np.exp(particle.log_weight) for particle in particles])
@@ -273,6 +276,30 @@ def resample(particles: list[Particle], rng: np.random.Generator) -> list[Partic
     return survivors
 
 
+def resample_if_due(
+    particles: list[Particle], weighed: bool, ess_threshold: float, rng: np.random.Generator
+) -> list[Particle]:
+    """Resample after sightings when ESS <= ess_threshold * N; 1 is the lectures' way, after every step with sightings."""
+    due = weighed and effective_sample_size(particles) <= ess_threshold * len(particles)
+    return resample(particles, rng) if due else particles
+
+
+def measurements(log: Log, sensor: SensorModel) -> Iterator[tuple[Array | None, float, list[int], Array]]:
+    """Yield for every step: the control that led to it (None at the first), its duration, the ids and the sightings.
+
+    Raises:
+        LogError: the log has no controls, several controls in a step, or a sensor at an offset.
+    """
+    if log.controls is None or log.dt is None:
+        raise LogError(f"{log.name} has no controls, and a particle filter moves its particles by them")
+    if log.composite or not sensor.centred:
+        raise LogError(f"{log.name}: the lectures' filter takes one control a step, and a sensor at the robot's pose")
+    for t in range(log.num_poses):
+        now = log.steps == t
+        u, dt = (log.controls[t - 1], log.dt[t - 1]) if t > 0 else (None, 0.0)
+        yield u, dt, log.landmarks[now].tolist(), log.sightings[now]
+
+
 def fastslam1(
     log: Log,
     *,
@@ -282,26 +309,18 @@ def fastslam1(
     sensor: SensorModel | None = None,
     ess_threshold: float = 1.0,
 ) -> Iterator[list[Particle]]:
-    """FastSLAM 1.0 over a whole log; yields the particles after every step, the first at the known first pose.
-
-    Resamples after sightings when ESS <= ess_threshold * N; 1 is the lectures' way, after every step with sightings.
+    """Run FastSLAM 1.0 over a log and yield the particles after every step, the first at the known first pose.
 
     Raises:
-        LogError: the log has no controls.
+        LogError: the log has no controls, several controls in a step, or a sensor at an offset.
     """
     motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
-    if log.controls is None or log.dt is None:
-        raise LogError(f"{log.name} has no controls, and a particle filter moves its particles by them")
-    if log.composite or not sensor.centred:
-        raise LogError(f"{log.name}: the lectures' filter takes one control a step, and a sensor at the robot's pose")
     current = start(particles, log.initial_poses[0])
-    for t in range(log.num_poses):
-        if t > 0:
-            motion_update(current, log.controls[t - 1], log.dt[t - 1], motion, rng)
-        seen = log.steps == t
-        weighed = observation_update(current, log.landmarks[seen].tolist(), log.sightings[seen], sensor)
-        if weighed and effective_sample_size(current) <= ess_threshold * particles:
-            current = resample(current, rng)
+    for u, dt, ids, sightings in measurements(log, sensor):
+        if u is not None:
+            motion_update(current, u, dt, motion, rng)
+        weighed = observation_update(current, ids, sightings, sensor)
+        current = resample_if_due(current, weighed, ess_threshold, rng)
         yield current
 
 
@@ -314,25 +333,17 @@ def fastslam2(
     sensor: SensorModel | None = None,
     ess_threshold: float = 1.0,
 ) -> Iterator[list[Particle]]:
-    """FastSLAM 2.0 over a whole log, as `fastslam1`.
+    """Run FastSLAM 2.0 over a log, as `fastslam1`.
 
     Raises:
-        LogError: the log has no controls.
+        LogError: the log has no controls, several controls in a step, or a sensor at an offset.
     """
     motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
-    if log.controls is None or log.dt is None:
-        raise LogError(f"{log.name} has no controls, and a particle filter moves its particles by them")
-    if log.composite or not sensor.centred:
-        raise LogError(f"{log.name}: the lectures' filter takes one control a step, and a sensor at the robot's pose")
     current = start(particles, log.initial_poses[0])
-    for t in range(log.num_poses):
-        seen = log.steps == t
-        ids, sightings = log.landmarks[seen].tolist(), log.sightings[seen]
-        if t == 0:
+    for u, dt, ids, sightings in measurements(log, sensor):
+        if u is None:
             weighed = observation_update(current, ids, sightings, sensor)
         else:
-            u, dt = log.controls[t - 1], log.dt[t - 1]
             weighed = proposal_update(current, u, dt, ids, sightings, motion, sensor, rng)
-        if weighed and effective_sample_size(current) <= ess_threshold * particles:
-            current = resample(current, rng)
+        current = resample_if_due(current, weighed, ess_threshold, rng)
         yield current

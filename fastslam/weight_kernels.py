@@ -1,7 +1,8 @@
-"""Weights as logarithms, compiled: multiply, normalise. One pass each, where NumPy makes eight.
+"""Weights as logarithms, compiled: multiply and normalise in one pass each, where NumPy needs eight.
 
-Maxima and sums are kept per chunk of particles, whatever thread does it, and within a chunk per lane, one for each
-place in a short row: the compiler may not change the order of a sum, but lanes are independent of each other.
+Maxima and sums are kept per chunk of particles, so that they do not depend on the number of threads. Within a chunk they
+are kept per lane, where lane k takes every 64th particle: the compiler may not change the order of a sum, but it can
+vectorise over independent lanes.
 """
 
 from __future__ import annotations
@@ -11,24 +12,29 @@ from numba import njit
 
 from graphslam.se2 import Array
 
-from .branchless import OPTIONS, exp
-from .crew import Crew
-from .motion_kernels import CHUNK
+from .blocks import CHUNK
+from .fast_math import OPTIONS, exp
+from .threads import Threads
 
+#: partial sums per chunk
 LANES = 64
 
 
-def multiply(crew: Crew, log_weights: Array, log_likelihood: Array) -> float:
-    """log_likelihood += log_weights, (N,); the largest result. NaN does not come here."""
+def multiply(threads: Threads, log_weights: Array, log_likelihood: Array) -> float:
+    """Add log_weights to log_likelihood (N,) in place and return the largest result; NaN must not occur."""
     maxima = np.empty(-(-len(log_weights) // CHUNK))
-    crew.run_light(_multiply, log_weights, log_likelihood, maxima)
+    threads.run_light(_multiply, log_weights, log_likelihood, maxima)
     return float(maxima.max())
 
 
-def normalize(crew: Crew, log_weights: Array, highest: float) -> tuple[Array, float, float]:
-    """Make exp(log_weights) sum to 1; w = exp(log_weights before - highest) (N,), sum w and sum w²."""
+def normalize(threads: Threads, log_weights: Array, highest: float) -> tuple[Array, float, float]:
+    """Normalise log_weights (N,) in place so that their exponentials sum to 1.
+
+    Returns:
+        w = exp(log_weights before - highest) (N,), the sum of w and the sum of w².
+    """
     weights, sums = np.empty_like(log_weights), np.empty((2, -(-len(log_weights) // CHUNK)))
-    crew.run_light(_exponentials, log_weights, highest, weights, sums)
+    threads.run_light(_exponentials, log_weights, highest, weights, sums)
     total, squares = sums.sum(axis=1).tolist()
     log_weights -= highest + np.log(total)
     return weights, total, squares

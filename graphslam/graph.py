@@ -81,7 +81,7 @@ class Graph:
         kernel: Kernel | str | None = None,
         dimensions: int | None = None,
     ) -> Graph:
-        """The graph of a log: an anchor at the first node, edges from the sightings, and perhaps motion edges.
+        """The graph of a log: an anchor at the first node, edges from the sightings, and motion edges where asked for.
 
         Args:
             log: the controls and sightings of the robot.

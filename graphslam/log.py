@@ -138,11 +138,15 @@ class Log:
 
     def __repr__(self) -> str:
         """One line: name, sizes, and what is known."""
-        known = [what for what, has in (("psi", self.has_orientation), ("controls", self.controls is not None),
-                                        ("ground truth", self.true_poses is not None)) if has]  # fmt: skip
+        parts = {
+            "psi": self.has_orientation,
+            "controls": self.controls is not None,
+            "truth": self.true_poses is not None,
+        }
+        known = ", ".join(part for part, present in parts.items() if present)
         return (
-            f"<Log {self.name}: {self.num_poses} poses, {len(self.steps)} sightings of {len(self.landmark_ids)} landmarks"
-            + (f", with {', '.join(known)}>" if known else ">")
+            f"<Log {self.name}: {self.num_poses} poses, {len(self.steps)} sightings of {len(self.landmark_ids)} landmarks, "
+            f"with {known or 'neither psi nor controls nor truth'}>"
         )
 
     @property

@@ -16,7 +16,7 @@ Array = NDArray[Any]
 
 
 def wrap(angle: ArrayLike) -> Array:
-    """The same angle in [-pi, pi) [rad], element by element; angles already there come back bit for bit."""
+    """The same angle in [-pi, pi) [rad], element by element; angles in that range are returned unchanged."""
     angle = np.asarray(angle, dtype=float)
     wrapped = np.mod(angle + np.pi, 2 * np.pi) - np.pi
     # np.mod may round a tiny negative number up to the full 2 pi

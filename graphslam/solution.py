@@ -154,18 +154,17 @@ class Solution:
 
     def _node(self, id: int) -> int:
         """The node of a pose."""
-        graph = self._solved_graph
+        graph, whole = self._solved_graph, isinstance(id, Integral)
         ids = graph.pose_ids
-        matches = np.flatnonzero(ids == id) if isinstance(id, Integral) else ()
+        matches = np.flatnonzero((ids == id) & whole)
         if len(matches):
             return int(matches[0])
-        if graph.log is not None and isinstance(id, Integral) and 0 <= id < len(self.poses):
+        if graph.log is None:
+            what = f"{len(ids)} whole numbers from {ids.min()} to {ids.max()}, such as {', '.join(map(str, ids[:3]))}"
+        elif whole and 0 <= id < len(self.poses):
             raise OptionError(f"pose {id} is not part of the graph, so it has no covariance")
-        what = (
-            f"the steps of the log, 0 to {len(self.poses) - 1}"
-            if graph.log is not None
-            else (f"{len(ids)} whole numbers from {ids.min()} to {ids.max()}, such as {', '.join(map(str, ids[:3]))}")
-        )
+        else:
+            what = f"the steps of the log, 0 to {len(self.poses) - 1}"
         raise OptionError(f"there is no pose {id!r}; the ids of the poses are {what}")
 
 

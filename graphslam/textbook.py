@@ -1,9 +1,9 @@
-"""The lectures' graph SLAM, equation by equation: dense Omega and xi, plain loops, nothing clever.
+"""The lectures' graph SLAM, equation by equation: dense Omega and xi, and plain loops.
 
-This is the oracle of the tests, and the place to read the method. `solve` repeats the book's program exactly, with its
-two habits that better solvers drop: Omega_e is re-evaluated at every iterate, and the anchor enters Omega but never xi,
-so that x̂_0 is re-chosen at every step and the whole graph keeps drifting by a small constant amount (it stops only
-because its threshold is coarse). Headings are not wrapped, so they count the robot's turns.
+It is the reference of the tests, and the place to read the method. `solve` repeats the book's program exactly, with two
+properties that better solvers do not have: Omega_e is re-evaluated at every iteration, and the anchor enters Omega but not
+xi, so that it is reset to the current x_0 at every step. Therefore the whole graph drifts by a small constant amount at
+every step, and the program stops only because its threshold is coarse. Headings are not wrapped, so they count turns.
 
 Source: the lectures on graph SLAM (LNPR chapter 9, slides 9.1.2 to 9.3.2).
 """
@@ -28,7 +28,7 @@ OMEGA_0 = 1e6 * np.eye(3)
 
 @dataclass(frozen=True)
 class TextbookSolution:
-    """What `solve` returns.
+    """The result of `solve`.
 
     Attributes:
         poses: (T+1, 3), the headings not wrapped; poses that are not part of the graph keep their initial values.
@@ -36,7 +36,7 @@ class TextbookSolution:
         landmarks: {id: ...}, the map; see `solve_map`.
         step_norms: the norm of the whole correction in each iteration.
         costs: J before each iteration.
-        iterations: how many there were.
+        iterations: the number of iterations.
         converged: whether the last step norm was below the threshold.
         num_edges: the number of virtual-motion edges.
     """
@@ -53,9 +53,9 @@ class TextbookSolution:
 
 def solve(
     log: Log,
+    *,
     edges: str = "virtual",
     threshold: float = 0.01,
-    *,
     motion: MotionModel | None = None,
     sensor: SensorModel | None = None,
     dimensions: int | None = None,
@@ -65,16 +65,16 @@ def solve(
     """Repeat the book's program on a log.
 
     Args:
-        log: what the robot did and saw.
+        log: the log of the robot.
         edges: "virtual", or "virtual+motion".
         threshold: stop when the norm of the whole correction falls below this.
         motion, sensor: noise models; default: the book's.
-        dimensions: of the sensor values, 2 or 3; default: what the log has.
-        motion_copies: how many times each motion edge is counted (the lectures' 2-D program counts it 100 times).
-        max_iterations: give up after this many.
+        dimensions: 3 to use psi, 2 to ignore it; default: as the log has it.
+        motion_copies: the number of times that each motion edge is counted (100 in the lectures' 2-D program).
+        max_iterations: the most iterations.
 
     Raises:
-        GraphError: the log has not what is asked for, or Omega is singular.
+        GraphError: the log lacks what is needed, or Omega is singular.
         OptionError: an option has an impossible value.
     """
     check_choice("edges", edges, ("virtual", "virtual+motion"))
@@ -88,11 +88,9 @@ def solve(
     if with_motion and log.composite:
         raise GraphError(f"{log.name} has motions of several controls each, and the lectures' program takes one a step")
     if not sensor.centred:
-        raise GraphError("the lectures' program has the sensor at the robot's pose; this one sits at an offset")
+        raise GraphError("the lectures' program needs the sensor at the robot's pose; this one has an offset")
     if not log.identified:
-        raise GraphError(
-            f"{log.name} has sightings that do not tell their landmark, and the lectures' program needs that"
-        )
+        raise GraphError(f"{log.name} has sightings without landmark ids, and the lectures' program needs them")
     if with_motion and log.controls is None:
         raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")
 
@@ -148,7 +146,7 @@ def virtual_motion_edge(
     """Two sightings z1, z2 of one landmark from poses x1, x2: e, Omega_e, B_1, B_2.
 
     e = h^-1(x2, z2) - h^-1(x1, z1), Omega_e^-1 = R1 Q1 R1' + R2 Q2 R2'. Without psi the third row is missing.
-    (The slide that prints R1 in the second term, too, has a slip.)
+    (One slide prints R1 in the second term, too, by mistake.)
     """
     d = len(z1)
     e = inverse_observation(x2, z2) - inverse_observation(x1, z1)
@@ -191,8 +189,8 @@ def pose_derivative(x: Array, z: Array) -> Array:
 def motion_edge(x1: Array, x2: Array, u: Array, dt: float, motion: MotionModel) -> tuple[Array, Array, Array, Array]:
     """The control u took x1 to x2: e = x2 - f(x1, u), Omega_e^-1 = A M A' + epsilon I, B_1 = -F, B_2 = I.
 
-    Written with the divisions of the slides, and with the book's clamp that makes them possible: an omega below 1e-5
-    counts as 1e-5 in A and F. (`MotionModel` does without either.)
+    Written with the divisions of the slides, and with the book's lower limit that makes them possible: an omega below
+    1e-5 counts as 1e-5 in A and F. (`MotionModel` needs neither.)
     """
     nu, omega = u
     theta = x1[2]

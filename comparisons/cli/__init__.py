@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from .checks import backends, solvers
-from .logs import calibrate, datasets
+from .logs import calibrate, datasets, simulate
 from .output import INTERRUPTED
 from .run import animate, report, run
 from .studies import consistency, particles, study, sweep
@@ -59,6 +59,11 @@ add_verb(
 add_verb(
     app, solvers, "slam-compare solvers", "slam-compare solvers LOG --motion-weights 1,10,100 --json differences.json",
     "slam-compare solvers LOG --kernel none,huber,cauchy",
+)  # fmt: skip
+add_verb(
+    app, simulate, "slam-compare simulate my.npz --seed 7",
+    "slam-compare simulate room.npz --way-points '4,-3 4,3 -4,3' --landmarks 20",
+    "slam-compare simulate clean.npz --clean --no-orientation",
 )  # fmt: skip
 add_verb(
     app, backends, "slam-compare backends M3500.g2o",

@@ -22,8 +22,8 @@ def solvers(output: Output, log: LogFile = None, *, options: SolverCheckOptions)
 
     with output.bar("variants") as advance:
 
-        def progress(variant: VariantResult | SkippedVariant, total: int) -> None:
-            advance(1, variant.name, total)
+        def progress(variant: VariantResult | SkippedVariant) -> None:
+            advance(1, variant.name)
             output.detail(f"{variant.name}: done")
 
         outcome = compare_solvers(log, progress=progress, **options.keywords())

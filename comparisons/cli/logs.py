@@ -1,4 +1,4 @@
-"""The verbs about logs: calibrate, datasets, simulate."""
+"""The verbs about logs: simulate, calibrate, datasets."""
 
 from __future__ import annotations
 
@@ -7,9 +7,36 @@ from typing import Annotated
 
 import typer
 
-from ..options import OUTPUT, CalibrationOptions, NoiseOptions, ReadingOptions
+from ..documents import SimulateDocument, document
+from ..options import OUTPUT, CalibrationOptions, NoiseOptions, ReadingOptions, SimulationOptions
 from .output import DIFFERENT, Output
 from .verb import LogFile, command
+
+
+def simulate(
+    output: Output,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write (.npz keeps everything).")],
+    *,
+    options: SimulationOptions,
+    format: Annotated[str | None, typer.Option(help="npz or lnpr.", show_default="by the suffix of OUT")] = None,
+    truth: Annotated[bool, typer.Option(help="Keep the true poses and landmarks (lnpr cannot).")] = True,
+) -> None:
+    """Write a simulated log with its ground truth.
+
+    The robot has the book's faults, each of which can be changed; with --clean only the noise of the models.
+    """
+    import graphslam
+
+    from ..comparison import describe
+    from ..saving import check_can_write
+
+    check_can_write(out)
+    log = graphslam.simulate(**options.keywords_of_simulate(), name=out.stem)
+    graphslam.save(log if truth else log.replace(true_poses=None, true_landmarks=None), out, format=format)
+    sizes = f"{log.num_poses} poses, {len(log.steps)} sightings of {len(log.landmark_ids)} landmarks"
+    output.say(f"Wrote {out}: {sizes}.")
+    output.hint(f"Next: {command('run', out)}")
+    output.json(document(SimulateDocument, file=str(out), log=describe(log, out)))
 
 
 def calibrate(

@@ -98,8 +98,10 @@ def study(
     from graphslam import OptionError
 
     from ..saving import check_can_write
+    from ..studies.database import StudyDatabase
     from ..studies.export import write_csv, write_json_lines
-    from ..studies.summary import read_summary
+    from ..studies.plan import read_study
+    from ..studies.summary import summarise
 
     if len(words) == 2 and words[0].lower() == "show":
         words = words[1:]
@@ -109,22 +111,24 @@ def study(
     for path in (options.csv, options.jsonl):
         if path is not None:
             check_can_write(path)
-    found = read_summary(words[0], baseline=options.baseline)
-    output.show(found.summary)
-    if found.others:
-        output.say(f"{found.others} rows of runs that are no longer part of the study file are kept, and not shown.")
-    for path, write in ((options.csv, write_csv), (options.jsonl, write_json_lines)):
-        if path is not None:
-            write(found.rows, path)
-            output.hint(f"Wrote {path}.")
-    if found.rows:
-        output.draw(found.summary, options.figure, metric=options.metric)
-    output.json({"database": str(found.database), "study": found.study, **found.summary.to_json()})
-    missing = found.summary.planned - found.summary.done
-    if missing:
-        output.hint(f"Next: slam-compare sweep {found.study} (executes the other {missing} runs)")
+    path = Path(words[0])
+    with StudyDatabase.reading(read_study(path).database if path.suffix == ".toml" else path) as database:
+        rows, (_, others), about = database.rows(), database.counts(), database.about()
+        summary = summarise(database, baseline=options.baseline)
+    output.show(summary)
+    if others:
+        output.say(f"{others} rows of runs that are no longer part of the study file are kept, and not shown.")
+    for target, write in ((options.csv, write_csv), (options.jsonl, write_json_lines)):
+        if target is not None:
+            write(rows, target)
+            output.hint(f"Wrote {target}.")
+    if rows:
+        output.draw(summary, options.figure, metric=options.metric)
+    output.json({"database": str(database.path), "study": about.get("study"), **summary.to_json()})
+    if missing := summary.planned - summary.done:
+        output.hint(f"Next: slam-compare sweep {about.get('study')} (executes the other {missing} runs)")
     elif options.figure is None:
-        output.hint(f"Next: slam-compare study {found.database} --figure study.png --csv runs.csv")
+        output.hint(f"Next: slam-compare study {database.path} --figure study.png --csv runs.csv")
 
 
 def check_figure(path: Path | None) -> None:

@@ -1,8 +1,6 @@
 """Studies: many logs, simulator settings, seeds, estimators and options, run in parallel, kept in one SQLite file.
 
-`plan` reads a study file and lists its runs, `sweep` executes those that are missing and writes one row for each,
-`summary` says what came out. The way of one run: `plan.Run` -> `execute.execute`, in a `child` process that can be
-stopped -> `execute.Outcome` -> `database.StudyDatabase`.
-
-Nothing is imported here, so that a child process imports only what it needs.
+`plan` reads a study file and lists its runs, `sweep` executes those that are missing and writes one row for each, and
+`summary` summarises the rows. A run passes through `plan.Run`, `execute.execute` in one of the `places` where runs are
+executed, and `outcome.Outcome`, to `database.StudyDatabase`.
 """

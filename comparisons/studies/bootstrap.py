@@ -1,4 +1,4 @@
-"""The median with its bootstrap interval: how far it would move if the logs had been drawn anew."""
+"""The median with its bootstrap interval: how far it would move if other logs had been drawn; and quartiles."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Median:
 
     Attributes:
         median: of the values.
-        low, high: the interval; None where there is but one unit to draw from.
-        count: how many values there are.
+        low, high: the interval; None where there is only one unit to draw from.
+        count: the number of values.
     """
 
     median: float
@@ -32,16 +32,21 @@ class Median:
     count: int
 
 
-def median_of(values: Sequence[float], units: Sequence[Hashable], seed: int = 0) -> Median | None:
+def quartiles(values: Sequence[float]) -> Array:
+    """The first quartile, the median and the third quartile, (3,)."""
+    return np.percentile(np.asarray(values, dtype=float), (25, 50, 75))
+
+
+def median_of(values: Sequence[float], units: Sequence[Hashable], *, seed: int = 0) -> Median | None:
     """The median of values and its percentile-bootstrap interval (Efron and Tibshirani, 1993, chapter 13).
 
-    What is drawn anew, with replacement, are the units, each with all its values: values of one log share its noise, so
-    they must not pass for independent ones. With fewer than about ten units the interval is too short.
+    Units are drawn with replacement, each with all its values: values of one log share its noise, and are not
+    independent. With fewer than about ten units the interval is too short.
 
     Args:
         values: the numbers.
         units: of each value; equal for values that belong together.
-        seed: of the resampling: the same values give the same interval.
+        seed: random seed of the resampling: the same values give the same interval.
 
     Returns:
         None where there are no values.
@@ -49,23 +54,20 @@ def median_of(values: Sequence[float], units: Sequence[Hashable], seed: int = 0)
     if len(values) == 0:
         return None
     numbers = np.asarray(values, dtype=float)
-    members: dict[Hashable, list[int]] = {}
-    for index, unit in enumerate(units):
-        members.setdefault(unit, []).append(index)
-    median = float(np.median(numbers))
-    if len(members) < 2:
+    members: dict[Hashable, list[float]] = {}
+    for value, unit in zip(values, units, strict=True):
+        members.setdefault(unit, []).append(value)
+    median, count = float(np.median(numbers)), len(members)
+    if count < 2:
         return Median(median, None, None, len(numbers))
-    resampled = _resampled_medians(numbers, list(members.values()), np.random.default_rng(seed))
-    low, high = np.percentile(resampled, (50 * (1 - LEVEL), 50 * (1 + LEVEL)))
-    return Median(median, float(low), float(high), len(numbers))
-
-
-def _resampled_medians(numbers: Array, members: list[list[int]], rng: np.random.Generator) -> Array:
-    count = len(members)
-    if all(len(indices) == 1 for indices in members):
+    rng = np.random.default_rng(seed)
+    if count == len(numbers):
         step = max(1, _AT_ONCE // count)
         sizes = [min(step, RESAMPLES - begin) for begin in range(0, RESAMPLES, step)]
-        return np.concatenate([np.median(numbers[rng.integers(count, size=(k, count))], axis=1) for k in sizes])
-    units = [numbers[indices] for indices in members]
-    drawn = (rng.integers(count, size=count) for _ in range(RESAMPLES))
-    return np.array([np.median(np.concatenate([units[k] for k in chosen])) for chosen in drawn])
+        medians = np.concatenate([np.median(numbers[rng.integers(count, size=(k, count))], axis=1) for k in sizes])
+    else:
+        groups = [np.array(group, dtype=float) for group in members.values()]
+        draws = (rng.integers(count, size=count) for _ in range(RESAMPLES))
+        medians = np.array([np.median(np.concatenate([groups[k] for k in draw])) for draw in draws])
+    low, high = np.percentile(medians, (50 * (1 - LEVEL), 50 * (1 + LEVEL)))
+    return Median(median, float(low), float(high), len(numbers))

@@ -1,40 +1,56 @@
-"""Runs on an existing Dask cluster: the extra ``cluster``. Each thread of a worker keeps a child process of its own."""
+"""Runs on an existing Dask cluster: the extra ``cluster``. Each worker of the cluster has a pool of local processes.
+
+A worker of Dask cannot stop a run or survive its crash, so its pool does, as on a single machine.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import logging
+import multiprocessing
 import socket
-from collections.abc import Iterator, Sequence
-from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Iterator
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from importlib.metadata import PackageNotFoundError, version
+from threading import Lock
 from typing import Any
 from urllib.parse import urlsplit
 
-from graphslam import OptionError
+from pebble import ProcessPool
 
-from .executors import Crew, Place
-from .outcome import Outcome
+from graphslam import OptionError, SlamError
+
+from ..estimators import ESTIMATORS
+from ..pool import processes
+from .execute import sentence
+from .outcome import ERROR, Outcome
+from .places import Place, in_pool, pool_outcome
 from .plan import Run
 
 #: how long to wait for a connection, and again for an answer [s]; with importing Dask it stays below 10 s
 PATIENCE = 4.0
 SCHEMES = ("tcp", "tls", "ws", "wss")
 
-# one for each worker process, made at its first task; shared by all studies on the cluster
-_crew: Crew | None = None
+_lock = Lock()
+_pools: list[ProcessPool] = []
 
 
-def attempt_on_worker(batch: Sequence[Run], limit: float) -> list[Outcome]:
-    """`Crew.attempt` with the crew of this worker.
+def _pool_of_worker() -> ProcessPool:
+    """The pool of this worker, which serves all studies on the cluster and ends with the worker."""
+    from distributed import get_worker
 
-    Its children end by themselves when there has been nothing to do for a while, or when the worker ends.
-    """
-    global _crew
-    if _crew is None:
-        _crew = Crew(patience=1.0)
-    return _crew.attempt(batch, limit)
+    with _lock:
+        if not _pools:
+            # Dask runs its workers as daemons, which may otherwise not have processes of their own
+            multiprocessing.current_process().daemon = False
+            _pools.append(ExitStack().enter_context(processes(get_worker().state.nthreads, tuple(ESTIMATORS))))
+        return _pools[0]
+
+
+def execute_on_worker(run: Run, limit: float) -> Outcome:
+    """The task of the cluster: a run in the pool of its worker."""
+    return pool_outcome(in_pool(_pool_of_worker(), run, limit), run, limit)
 
 
 @contextmanager
@@ -42,8 +58,8 @@ def dask_cluster(address: str) -> Iterator[Place]:
     """The cluster of a Dask scheduler, tcp://host:8786 or the like.
 
     Raises:
-        OptionError: Dask is not installed, the address is no address, nobody answers there (told within 10 s), there is
-            no worker, or the workers have another version of this project.
+        OptionError: Dask is not installed, the address is no address, nobody answers there within 10 s, there is no
+            worker, or the workers have another version of this project.
     """
     check_answers(address)
     try:
@@ -53,25 +69,33 @@ def dask_cluster(address: str) -> Iterator[Place]:
     from distributed.comm import CommClosedError
     from distributed.scheduler import KilledWorker
 
-    # what happens to the cluster is told in a sentence of ours, not in Dask's log on the user's terminal; importing
-    # Dask has given a level to each of its loggers
+    # a lost cluster is reported in one sentence of ours; Dask's loggers, whose levels are set when it is imported, would
+    # add theirs on the terminal
     for name in [name for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]:
         logging.getLogger(name).setLevel(logging.CRITICAL)
     _check_handshake(address)
-    client = Client(address, timeout=PATIENCE, set_as_default=False)
-    with client:
-        slots = sum(client.nthreads().values())
-        if slots == 0:
+
+    def outcome(future: Future[Outcome], run: Run, limit: float) -> Outcome:
+        try:
+            return pool_outcome(future, run, limit)
+        except KilledWorker as error:
+            return Outcome(key=run.key, status=ERROR, error=f"given up by the cluster: {sentence(error)}")
+        except (CancelledError, CommClosedError) as error:
+            raise SlamError(
+                f"the cluster at {address} is gone ({type(error).__name__}); finished runs are kept, and the same command "
+                "continues"
+            ) from None
+
+    with Client(address, timeout=PATIENCE, set_as_default=False) as client:
+        threads = sum(client.nthreads().values())
+        if threads == 0:
             raise OptionError(f"the cluster at {address} has no workers; start some with: dask worker {address}")
         _check_versions(client, address)
         executor = client.get_executor(pure=False)
         try:
-            yield Place(
-                executor, attempt_on_worker, slots, slots, f"the cluster at {address}",
-                gave_up=(KilledWorker,), lost=(CancelledError, CommClosedError),
-            )  # fmt: skip
+            yield Place(2 * threads, lambda run, limit: executor.submit(execute_on_worker, run, limit), outcome)
         finally:
-            # not to wait means to cancel here
+            # without waiting, which cancels the runs that have not begun
             executor.shutdown(wait=False)
 
 
@@ -93,8 +117,8 @@ def check_answers(address: str) -> None:
 def _check_handshake(address: str) -> None:
     """Raise `OptionError` unless it is a Dask scheduler that answers.
 
-    Ahead of making a `Client`, because one that cannot connect takes 16 s to be cleared away, and any answer of
-    another kind of server breaks it in a way of its own.
+    This comes before a `Client` is made, because closing one that cannot connect takes 16 s, and an answer of another
+    kind of server breaks it in various ways.
     """
     from distributed.comm import connect
 
@@ -110,8 +134,8 @@ def _check_handshake(address: str) -> None:
         raise _no_scheduler(address, type(error).__name__) from None
 
 
-def _no_scheduler(address: str, why: str) -> OptionError:
-    return OptionError(f"no Dask scheduler answers at {address} ({why}); start one with: dask scheduler")
+def _no_scheduler(address: str, reason: str) -> OptionError:
+    return OptionError(f"no Dask scheduler answers at {address} ({reason}); start one with: dask scheduler")
 
 
 def our_version() -> str:
@@ -124,13 +148,13 @@ def our_version() -> str:
 
 def _check_versions(client: Any, address: str) -> None:
     try:
-        found = set(client.run(our_version).values())
+        versions = set(client.run(our_version).values())
     except Exception as error:
         raise OptionError(
             f"the workers at {address} cannot import this project; install the same version there ({error})"
         ) from None
-    if found - {our_version()}:
+    if versions - {our_version()}:
         raise OptionError(
-            f"the workers at {address} have version {', '.join(sorted(found))} of this project, but this is "
+            f"the workers at {address} have version {', '.join(sorted(versions))} of this project, but this is "
             f"{our_version()}; install the same version there"
         )

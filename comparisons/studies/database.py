@@ -1,9 +1,9 @@
 """The SQLite file of a study: the runs that are planned, and one row for each that has ended.
 
-A row is one transaction, on the disk when `StudyDatabase.add` returns (``synchronous=FULL``), so neither a killed process nor
-a lost machine takes a row back, and SQLite's journal undoes what was half written. The journal is the write-ahead log:
-one flush for a row instead of the rollback journal's three, and ``slam-compare study`` can read while a sweep writes. It
-wants a file system with shared memory (a local disk); when a study ends, one plain file is left.
+A row is one transaction and is on the disk when `StudyDatabase.add` returns (``synchronous=FULL``): it survives a killed
+process and a power cut, and SQLite's journal undoes a row that was half written. The journal is the write-ahead log, which
+flushes once for a row instead of three times, and lets ``slam-compare study`` read while a sweep writes. It needs a file
+system with shared memory (a local disk). When a study ends, one plain file is left.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
+
 from graphslam import FormatError
 from graphslam.files import check_file
 
 from ..config import versions
-from .lock import only_one
 from .outcome import DONE, Outcome
 from .plan import Run, Study
 
-#: "SLAM" in ASCII, in the head of the file: SQLite's place for saying whose database it is
+#: "SLAM" in ASCII, in the head of the file: the place where SQLite keeps the application of a database
 APPLICATION = 0x534C414D
 VERSION = 1
 
@@ -63,14 +64,14 @@ class StudyDatabase:
             raise FormatError(path, None, "this is a folder; give the name of a database file")
         if not path.parent.is_dir():
             raise FormatError(path, None, f"cannot write into {path.parent}: there is no such folder")
-        with only_one(path), _connected(path, "rwc") as connection:
+        with _alone(path), _connected(path, "rwc") as connection:
             database = cls(path, connection)
             if connection.execute("SELECT count(*) FROM sqlite_master").fetchone() == (0,):
                 connection.executescript(_SCHEMA)
             database._check()
-            (found,) = connection.execute("PRAGMA quick_check").fetchone()
-            if found != "ok":
-                raise FormatError(path, None, f"the database is damaged ({found}); name another one in the study file")
+            (state,) = connection.execute("PRAGMA quick_check").fetchone()
+            if state != "ok":
+                raise FormatError(path, None, f"the database is damaged ({state}); name another one in the study file")
             connection.execute("PRAGMA journal_mode = WAL")
             connection.execute("PRAGMA synchronous = FULL")
             yield database
@@ -81,7 +82,7 @@ class StudyDatabase:
     @classmethod
     @contextmanager
     def reading(cls, path: Path) -> Iterator[StudyDatabase]:
-        """Open the database to look at it, also while a sweep writes.
+        """Open the database for reading, also while a sweep writes.
 
         Raises:
             FormatError: there is no such file, or it is something else, or damaged.
@@ -101,7 +102,7 @@ class StudyDatabase:
             raise FormatError(self.path, None, f"a study of version {version}; this program reads version {VERSION}")
 
     def plan(self, study: Study) -> None:
-        """Note what the study consists of now; rows of runs that it no longer has stay, but are not shown."""
+        """Store the list of the study's runs. Rows of runs that it no longer has stay, but count in no summary."""
         about = {"study": str(study.path.absolute()), "text": study.text, "versions": ", ".join(versions())}
         with self._transaction():
             self._connection.execute("DELETE FROM planned")
@@ -136,21 +137,21 @@ class StudyDatabase:
     def forget_failures(self) -> int:
         """Remove the rows of planned runs that did not end well, so that they run again; how many there were."""
         with self._transaction():
-            found = self._connection.execute(
+            deleted = self._connection.execute(
                 "DELETE FROM runs WHERE status != ? AND key IN (SELECT key FROM planned)", (DONE,)
             )
-        return found.rowcount
+        return deleted.rowcount
 
     def rows(self) -> list[dict[str, Any]]:
         """The rows of the planned runs in the order of the study, as {column: value} with options and source as data."""
         names = ", ".join(f"runs.{name}" for name in COLUMNS)
-        found = self._connection.execute(
+        rows = self._connection.execute(
             f"SELECT {names} FROM runs JOIN planned ON planned.key = runs.key ORDER BY planned.position"
         )
-        return list(map(_row, found))
+        return list(map(_row, rows))
 
     def counts(self) -> tuple[int, int]:
-        """How many runs are planned, and how many rows there are of runs that no longer are."""
+        """The number of planned runs, and of rows of runs that are no longer planned."""
         (planned,) = self._connection.execute("SELECT count(*) FROM planned").fetchone()
         (others,) = self._connection.execute(
             "SELECT count(*) FROM runs WHERE key NOT IN (SELECT key FROM planned)"
@@ -175,8 +176,34 @@ def _row(values: Iterable[Any]) -> dict[str, Any]:
 
 
 @contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Hold the lock ``path.lock``, which the operating system releases when the process ends, however it ends.
+
+    SQLite's own locks would not do: held for hours, they would shut out readers, too.
+
+    Raises:
+        FormatError: another process holds it, or the file cannot be made.
+    """
+    lock = FileLock(path.with_name(path.name + ".lock"))
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise FormatError(
+            path, None, "another study is at work on this database; wait for it, or name another database"
+        ) from None
+    except OSError as error:
+        raise FormatError(path, None, f"cannot write into {path.parent}: {error.strerror}") from None
+    try:
+        yield
+    finally:
+        # while it is held: whoever opened the file before finds that it is gone, and is refused
+        Path(lock.lock_file).unlink(missing_ok=True)
+        lock.release()
+
+
+@contextmanager
 def _connected(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
-    """A connection whose troubles with the file become sentences."""
+    """A connection whose errors with the file become `FormatError`."""
     connection = None
     try:
         uri = f"{path.absolute().as_uri()}?mode={mode}"
@@ -185,7 +212,7 @@ def _connected(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
     except sqlite3.IntegrityError:
         raise
     except sqlite3.DatabaseError as error:
-        raise FormatError(path, None, f"SQLite says: {error}; rows written before are kept") from None
+        raise FormatError(path, None, f"SQLite: {error}; rows written before are kept") from None
     finally:
         if connection is not None:
             connection.close()

@@ -1,32 +1,27 @@
-"""One run, from its description to its row's figures: what every executor calls, in whatever process."""
+"""One run, from its description to the figures of its row: the task of every process, wherever it is."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import time
-import warnings
-from contextlib import suppress
+from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from graphslam import Log, LogError, SlamError, load, simulate
+from graphslam import Log, LogError, SlamError
 
 from ..comparison import compare
-from ..config import run_options, sha256_of
-from ..estimator import RunOptions
-from ..estimators import ESTIMATORS
+from ..options import NoiseOptions, ReadingOptions, RunOptions, options_of
+from ..reading import read_log, sha256_of
 from .outcome import ERROR, Outcome
 from .plan import Run
+from .simulated import simulated_log
 
 
 def execute(run: Run) -> Outcome:
-    """Do a run. Whatever it raises becomes an outcome with the error's sentence.
-
-    Args:
-        run: what to do.
-    """
+    """Do a run. Any exception becomes an outcome with the sentence of the error."""
     begin = time.perf_counter()
     try:
         outcome = _execute(run)
@@ -36,57 +31,38 @@ def execute(run: Run) -> Outcome:
 
 
 def sentence(error: BaseException) -> str:
-    """An exception in one line: the user's mistakes as they are, all others with their type."""
+    """An exception in one line: those meant for the user as they are, all others with their type."""
     text = " ".join(str(error).split())
     return text if isinstance(error, SlamError) else f"{type(error).__name__}: {text}"
 
 
-def warm(estimator: str) -> None:
-    """Let an estimator compile or load its kernels, on a few simulated steps; what goes wrong there shows in the run."""
-    with suppress(Exception), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        ESTIMATORS[estimator].run(simulate(steps=6), RunOptions(particles=10))
-
-
-def log_of(run: Run) -> Log:
-    """The log of a run, read or simulated; the last few are kept, because neighbouring runs share theirs.
-
-    Raises:
-        LogError: the file has changed since the study was begun, or has not what is asked for.
-        SlamError: it cannot be read or simulated.
-    """
-    return _log(json.dumps(dict(run.source), sort_keys=True), run.log, run.seed if "simulate" in run.source else None)
-
-
 @lru_cache(maxsize=4)
-def _log(source: str, name: str, seed: int | None) -> Log:
-    told = json.loads(source)
+def _log(source: str, reading: str, name: str, seed: int | None) -> Log:
+    """A log, read or simulated; the last few are kept, because neighbouring runs use the same one."""
+    description = json.loads(source)
+    log: Log | Path
     if seed is not None:
-        from .simulated import simulated_log
-
-        return simulated_log(told["simulate"], seed, name)
-    path = Path(told["file"])
-    log = load(path, format=told["format"])
-    if told["sha256"] is not None and sha256_of(path) != told["sha256"]:
-        raise LogError(f"{path} has changed since the study was begun; start the sweep again to take it as it is")
-    if told["dimensions"] == 3 and not log.has_orientation:
-        raise LogError(f"{path}: the sightings have no psi, but the study asks for dimensions = 3")
-    return log.without_orientation() if told["dimensions"] == 2 else log
+        log = simulated_log(description["simulate"], seed, name)
+    else:
+        log = Path(description["file"])
+        if description["sha256"] is not None and description["sha256"] != sha256_of(log):
+            raise LogError(f"{log} has changed since the study was begun; start the sweep again to take it as it is")
+    return read_log(log, ReadingOptions.of(**json.loads(reading)))[0]
 
 
 def _execute(run: Run) -> dict[str, Any]:
-    options = run_options({**run.options, "seed": run.seed})
-    comparison = compare(log_of(run), [run.estimator], options)
-    (row,) = comparison.table
-    digest = hashlib.sha256(comparison.results[0].poses.tobytes()).hexdigest()[:16]
-    return {
-        "converged": row.converged,
-        "iterations": row.iterations,
-        "cost": row.cost,
-        "ate_m": row.ate_m,
-        "rpe_m": row.rpe_m,
-        "rpe_rad": row.rpe_rad,
-        "landmark_rmse_m": row.landmark_rmse_m,
-        "seconds": row.seconds,
-        "poses_sha256": digest,
-    }
+    options = dict(run.options)
+    reading = {name: options.pop(name) for name in options_of(ReadingOptions) if name in options}
+    log = _log(
+        json.dumps(dict(run.source)), json.dumps(reading), run.log, run.seed if "simulate" in run.source else None
+    )
+    if "noise" in options:
+        # single numbers take precedence over those of the noise file, and those over the log's
+        noise = NoiseOptions.of(**options.pop("noise"))
+        motion, sensor = noise.models(log.motion, log.sensor)
+        ranges = {"range_scale": noise.range_scale, "range_bias": noise.range_bias}
+        options = {**ranges, **options, "motion": motion, "sensor": sensor}
+    comparison = compare(log, RunOptions.of(**options, seed=run.seed), estimators=[run.estimator])
+    row, poses = comparison.table[0], comparison.results[0].poses
+    figures = {f.name: getattr(row, f.name) for f in fields(Outcome) if hasattr(row, f.name)}
+    return figures | {"poses_sha256": hashlib.sha256(poses.tobytes()).hexdigest()[:16]}

@@ -1,4 +1,4 @@
-"""What came out of one run: the columns of the study's table."""
+"""The outcome of one run: the columns of a study's table."""
 
 from __future__ import annotations
 
@@ -7,16 +7,8 @@ import platform
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
-#: a run ended well, raised (or its process died), or took longer than it may
+#: a run ended well, raised (or its process died), or took longer than the limit
 DONE, ERROR, TIMEOUT = "done", "error", "timeout"
-
-
-def _here() -> str:
-    return f"{platform.node()}:{os.getpid()}"
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,11 +19,11 @@ class Outcome:
         key: of the run, see `plan.Run.key`.
         status: `DONE`, `ERROR` or `TIMEOUT`.
         error: one sentence where the status is not `DONE`.
-        converged, iterations, cost: as `comparisons.comparison.Row` has them.
-        ate_m, rpe_m, rpe_rad, landmark_rmse_m: errors against the truth, see `graphslam.metrics`.
+        converged, iterations, cost: as in `comparisons.comparison.Row`.
+        ate_m, rpe_m, rpe_rad, landmark_rmse_m: errors against the ground truth, see `graphslam.metrics`.
         seconds: the estimation alone.
-        total_seconds: the whole run, with reading the log, setting up and measuring.
-        poses_sha256: the first 16 digits of the digest of the estimated poses: equal where they are equal bit for bit.
+        total_seconds: the whole run, with reading the log, setting up and computing the errors.
+        poses_sha256: the first 16 digits of the digest of the estimated poses, equal where the poses are exactly equal.
         process: host and process that did it.
         ended: the time, UTC.
     """
@@ -49,5 +41,5 @@ class Outcome:
     seconds: float | None = None
     total_seconds: float | None = None
     poses_sha256: str | None = None
-    process: str = field(default_factory=_here)
-    ended: str = field(default_factory=_now)
+    process: str = field(default_factory=lambda: f"{platform.node()}:{os.getpid()}")
+    ended: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))

@@ -12,17 +12,29 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from graphslam import WORLDS, FormatError, OptionError
-from graphslam.formats import FORMATS
+from graphslam import FormatError, OptionError
 
-from ..config import MODELS, check_estimators, check_options, read_model, read_options, sha256_of
 from ..estimators import ESTIMATORS
-from ..toml_files import TomlFile, nearest
-from .simulated import SETTINGS, simulated_log
+from ..noise_files import read_noise
+from ..options import MODELS, NOISE, READING, Option, RunOptions, SimulationOptions, options_of
+from ..reading import OF_FILES, sha256_of
+from ..toml_files import TomlFile
+from .simulated import simulated_log
 
-KEYS = ("database", "time_limit", "seeds", "estimators", "logs", "format", "dimensions", "simulate", "options")
-#: seconds that a run may take unless the study says otherwise
-TIME_LIMIT = 600.0
+#: the keys of a study file beside its tables
+_KEYS = {
+    each.name: each
+    for each in (
+        Option(name="database", kind=Path, each=Path, default=None),
+        Option(name="time_limit", kind=float, each=float, default=600.0, positive=True),
+        Option(name="estimators", kind=tuple, each=str, default=tuple(ESTIMATORS), choices=tuple(ESTIMATORS)),
+        Option(name="logs", kind=tuple, each=str, default=()),
+    )
+}
+#: what [options] may have: every option of a run but its seed
+_OPTIONS = {n: each for n, each in options_of(RunOptions).items() if n != "seed" and each.only != "python"}
+#: what [simulate] may have: every option of a simulated log but its seed
+_SETTINGS = {name: each for name, each in options_of(SimulationOptions).items() if name != "seed"}
 
 
 @dataclass(frozen=True)
@@ -30,12 +42,13 @@ class Run:
     """One run of a study: everything that a process anywhere needs to do it, as plain data.
 
     Attributes:
-        log: how tables call the log: the file as the study names it, or the world and its varied settings.
-        source: {"file", "format", "dimensions", "sha256"} or {"simulate": settings}, see `simulated.simulated_log`.
-        seed: of the simulator and of the estimator's random numbers.
+        log: the name of the log in tables: the file as the study names it, or the world and its varied settings.
+        source: {"file", "sha256"} or {"simulate": settings}, see `simulated.simulated_log`.
+        seed: random seed of the simulator and of the estimator.
         estimator: its name.
-        method: how tables call the estimator: its name and the varied options that it uses.
-        options: what it is told, flat, see `comparisons.config`; only what the study says and the estimator uses.
+        method: the name of the estimator in tables, with the varied options that it uses.
+        options: those of the study that the estimator uses, by their names in `RunOptions`. "noise" is the content of
+            the noise file, and numbers of the noise models stand beside the other options.
     """
 
     log: str
@@ -50,8 +63,8 @@ class Run:
         """The run's identity: a digest of what decides its numbers.
 
         A file counts by its content, so a study can be moved to another folder or machine, and a changed log is a new
-        run. How the study names the log or world counts: two worlds of the same settings are two. How tables call the
-        method does not.
+        run. The name of the log counts, so that two worlds with the same settings are two. The name of the method does
+        not.
         """
         source = dict(self.source)
         if source.get("sha256") is not None:
@@ -65,7 +78,7 @@ class Study:
     """A study: its runs in the order in which they are started, and where their rows go.
 
     Attributes:
-        path, text: the study file and what it says.
+        path, text: the study file and its content.
         database: the SQLite file.
         time_limit: of each run [s].
         runs: those of one log and seed stand together, so that a process makes or reads the log once.
@@ -86,134 +99,106 @@ def read_study(path: str | PathLike[str]) -> Study:
     """
     path = Path(path)
     file = TomlFile(path)
-    table = file.table
-    file.check_keys(table, KEYS)
-    database = file.value(table, "database", str)
-    limit = file.value(table, "time_limit", float)
-    if limit is not None and not 0 < limit < float("inf"):
-        raise file.error("time_limit", f"time_limit should be a number of seconds above 0, not {limit!r}")
-    sources = [*_files(file), *_worlds(file)]
+    file.check_keys(file.table, (*_KEYS, "seeds", "simulate", "options"))
+    keys = {name: each.default for name, each in _KEYS.items()}
+    keys |= file.options({name: file.table[name] for name in _KEYS if name in file.table}, _KEYS)
+    sources = [*_files(file, keys["logs"]), *_worlds(file)]
     if not sources:
         raise FormatError(path, None, "a study needs logs = [..] with files, or a table [simulate]")
-    methods = list(_methods(file))
+    methods = list(_methods(file, keys["estimators"]))
     runs: dict[str, Run] = {}
     for (log, source), seed, (estimator, method, options) in product(sources, _seeds(file), methods):
+        if "simulate" in source:
+            options = {name: value for name, value in options.items() if name not in OF_FILES}
         run = Run(log, source, seed, estimator, method, options)
         runs.setdefault(run.key, run)
-    return Study(
-        path=path,
-        text=file.text,
-        database=path.parent / (database or f"{path.stem}.sqlite"),
-        time_limit=TIME_LIMIT if limit is None else limit,
-        runs=tuple(runs.values()),
-    )
+    database = path.parent / (keys["database"] or f"{path.stem}.sqlite")
+    return Study(path, file.text, database, keys["time_limit"], tuple(runs.values()))
 
 
 def _seeds(file: TomlFile) -> list[int]:
-    seeds = file.value(file.table, "seeds", int, list)
-    if seeds is None:
-        return [0]
-    if isinstance(seeds, int) and seeds >= 1:
-        return list(range(seeds))
-    if isinstance(seeds, list) and seeds and all(type(seed) is int and seed >= 0 for seed in seeds):
-        return list(dict.fromkeys(seeds))
-    raise file.error("seeds", f"seeds should be their number, or a list of whole numbers not below 0, not {seeds!r}")
+    seeds = file.table.get("seeds", 1)
+    listed = list(range(seeds)) if type(seeds) is int else seeds
+    if not isinstance(listed, list) or not listed or not all(type(seed) is int and seed >= 0 for seed in listed):
+        raise file.error("seeds", f"seeds should be their number, or a list of whole numbers from 0, not {seeds!r}")
+    return list(dict.fromkeys(listed))
 
 
-def _files(file: TomlFile) -> Iterator[tuple[str, dict[str, Any]]]:
+def _files(file: TomlFile, patterns: tuple[str, ...]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Names and sources of the log files. One that cannot be read is kept: its runs become rows with that error."""
-    table, folder = file.table, file.path.parent
-    format, dimensions = file.value(table, "format", str), file.value(table, "dimensions", int)
-    if format is not None and format not in FORMATS:
-        raise file.error("format", f"there is no format {format!r}; did you mean {nearest(format, FORMATS)!r}?")
-    if dimensions not in (None, 2, 3):
-        raise file.error("dimensions", f"dimensions should be 2 or 3, not {dimensions}")
-    for pattern in file.value(table, "logs", list) or []:
-        if not isinstance(pattern, str):
-            raise file.error("logs", f"logs should be a list of names of files, not {pattern!r}")
-        for found in _expanded(file, folder, pattern):
+    folder = file.path.parent
+    for pattern in patterns:
+        paths = [folder / pattern]
+        if any(letter in pattern for letter in "*?["):
+            root = Path(pattern).anchor
+            paths = sorted(Path(root or folder).glob(pattern.removeprefix(root)))
+            if not paths:
+                raise file.error("logs", f"no file matches {pattern!r} in {root or folder}")
+        for path in paths:
             try:
-                digest = sha256_of(found)
+                digest = sha256_of(path)
             except FormatError:
                 digest = None
-            name = str(found.relative_to(folder)) if found.is_relative_to(folder) else str(found)
-            yield name, {"file": str(found.absolute()), "format": format, "dimensions": dimensions, "sha256": digest}
-
-
-def _expanded(file: TomlFile, folder: Path, pattern: str) -> list[Path]:
-    if not any(letter in pattern for letter in "*?["):
-        return [folder / pattern]
-    root = Path(pattern).anchor
-    found = sorted(Path(root or folder).glob(pattern.removeprefix(root)))
-    if not found:
-        raise file.error("logs", f"no file matches {pattern!r} in {root or folder}")
-    return found
+            name = path.relative_to(folder) if path.is_relative_to(folder) else path
+            yield str(name), {"file": str(path.absolute()), "sha256": digest}
 
 
 def _worlds(file: TomlFile) -> Iterator[tuple[str, dict[str, Any]]]:
     """Names and sources of the simulated logs, one for each combination of settings."""
     tables = file.value(file.table, "simulate", dict, list)
-    tables = tables if isinstance(tables, list) else [] if tables is None else [tables]
     names: set[str] = set()
-    for number, table in enumerate(tables, start=1):
+    for number, table in enumerate([tables] if isinstance(tables, dict) else tables or [], start=1):
         if not isinstance(table, dict):
             raise file.error(
                 "simulate", f"simulate should be a table [simulate], or several [[simulate]], not {table!r}"
             )
-        rest = {key: value for key, value in table.items() if key not in ("name", "vary")}
-        world = rest.get("world", "book")
-        if world not in WORLDS:
-            raise file.error("world", f"there is no world {world!r}; did you mean {nearest(str(world), WORLDS)!r}?")
-        fixed = _settings(file, rest, "simulate")
-        name = file.value(table, "name", str, where="simulate") or world
+        fixed = _settings(file, {key: value for key, value in table.items() if key not in ("name", "vary")}, "simulate")
+        name = file.value(table, "name", str, where="simulate") or fixed.get("world", "book")
         if name in names:
             name = f"{name}-{number}"
         names.add(name)
         for varied in _combinations(file, table, "simulate", _settings):
-            settings = fixed | varied
-            _check_settings(file, settings)
-            yield _label(name, varied), {"simulate": settings}
+            _check_world(file, fixed | varied)
+            yield _label(name, varied), {"simulate": fixed | varied}
 
 
 def _settings(file: TomlFile, table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """The simulator's settings in a table, flat and checked for their types."""
-    file.check_keys(table, ("name", "vary", "world", *SETTINGS, *MODELS), where)
-    flat = {key: file.value(table, key, *SETTINGS[key], where=where) for key in table if key in SETTINGS}
-    if "world" in table:
-        flat["world"] = table["world"]
-    for name in MODELS:
-        if name in table:
-            flat |= {f"{name}.{key}": value for key, value in read_model(file, table, name, f"{where}.{name}")}
-    return flat
+    """The settings of a world in a table, flat and checked."""
+    return file.options(table, _SETTINGS, where)
 
 
-def _check_settings(file: TomlFile, settings: Mapping[str, Any]) -> None:
-    """One step of the world: the simulator itself says what is impossible."""
+def _check_world(file: TomlFile, settings: Mapping[str, Any]) -> None:
+    """Simulate one step: the simulator itself checks its settings."""
     try:
         simulated_log({**settings, "steps": min(settings.get("steps", 1), 1)}, seed=0)
     except OptionError as error:
-        raise file.error(str(error).split()[0], f"simulate: {error}") from None
+        raise file.error(f"simulate.{str(error).split()[0]}", f"simulate: {error}") from None
     except (TypeError, ValueError) as error:
         raise file.error("simulate", f"simulate: these settings make no world: {error}") from None
 
 
-def _methods(file: TomlFile) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _methods(file: TomlFile, names: tuple[str, ...]) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Estimators with their options; what an estimator does not use is left out, so no run is done twice."""
-    names = file.value(file.table, "estimators", list)
-    names = list(ESTIMATORS) if names is None else check_estimators(file, names)
     table = file.value(file.table, "options", dict) or {}
     if "seed" in table:
-        raise file.error("options", "options has a seed, but a study has seeds: set seeds at the top of the file")
-    fixed = read_options(file, {key: value for key, value in table.items() if key != "vary"}, "options")
+        raise file.error("options.seed", "a study has seeds: set seeds at the top of the file instead of options.seed")
+
+    def check(file: TomlFile, part: Mapping[str, Any], where: str) -> dict[str, Any]:
+        return file.options(part, _OPTIONS, where)
+
+    fixed = check(file, {key: value for key, value in table.items() if key != "vary"}, "options")
+    combinations = list(_combinations(file, table, "options", check))
     for name in names:
-        uses = ESTIMATORS[name].uses
-        seen = set()
-        for varied in _combinations(file, table, "options", read_options):
-            check_options(file, fixed | varied)
-            options = {k: v for k, v in (fixed | varied).items() if uses is None or k in uses or "." in k}
-            method = _label(name, {key: value for key, value in varied.items() if key in options})
-            if method not in seen:
-                seen.add(method)
+        methods: set[str] = set()
+        for varied in combinations:
+            used = {n for n in fixed | varied if _OPTIONS[n].panel in (READING, NOISE) or n in ESTIMATORS[name].uses}
+            method = _label(name, {key: value for key, value in varied.items() if key in used})
+            if method not in methods:
+                methods.add(method)
+                options = {key: value for key, value in (fixed | varied).items() if key in used}
+                if "noise" in options:
+                    numbers, ranges = read_noise(file.path.parent / options["noise"])
+                    options["noise"] = numbers | ranges
                 yield name, method, options
 
 
@@ -228,29 +213,27 @@ def _combinations(
     where = f"{where}.vary"
     axes = []
     for key, values in vary.items():
-        if isinstance(values, dict) and key in MODELS:
-            # vary.sensor.range_rate = [..]: one axis for each parameter of the model
-            pairs = [(f"{key}.{inner}", listed, inner) for inner, listed in values.items()]
-        else:
-            pairs = [(key, values, key)]
-        for name, listed, last in pairs:
+        # vary.sensor.range_rate = [..]: one axis for each number of the model
+        inside = values if isinstance(values, dict) and key in MODELS else {None: values}
+        for inner, listed in inside.items():
+            name = key if inner is None else f"{key}.{inner}"
             if not isinstance(listed, list) or not listed:
-                raise file.error(f"vary.{last}", f"{where}.{name} should be a list of values to try, not {listed!r}")
-            nested = [{key: {last: value}} if last != key else {key: value} for value in listed]
-            axes.append([check(file, entry, where) for entry in nested])
+                raise file.error(f"{where}.{name}", f"{where}.{name} should be a list of values, not {listed!r}")
+            axes.append([check(file, {key: v if inner is None else {inner: v}}, where) for v in listed])
     for chosen in product(*axes):
         yield {name: value for entry in chosen for name, value in entry.items()}
 
 
 def _label(name: str, varied: Mapping[str, Any]) -> str:
-    """'fastslam1 particles=100 sensor.range_rate=0.1'; long lists are told by their length."""
-    words = [f"{key}={_short(value)}" for key, value in varied.items()]
-    return " ".join([name, *words])
+    """'fastslam1 particles=100 range_rate=0.1'; a long list is named by its length and a digest."""
+    return " ".join([name, *(f"{key}={_short(value)}" for key, value in varied.items())])
 
 
 def _short(value: Any) -> str:
-    if isinstance(value, list):
+    if isinstance(value, (list, tuple)):
         text = json.dumps(value, separators=(",", ":"))
         return text if len(text) <= 24 else f"[{len(value)}:{hashlib.sha256(text.encode()).hexdigest()[:4]}]"
-    # repr: two values that differ never share a name
-    return str(value).lower() if isinstance(value, bool) else str(value) if isinstance(value, str) else repr(value)
+    if isinstance(value, bool):
+        return str(value).lower()
+    # repr, so that two numbers that differ never have the same name
+    return repr(value) if isinstance(value, float) else str(value)

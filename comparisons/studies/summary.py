@@ -1,7 +1,7 @@
-"""What came out of a study: medians with intervals, and differences between methods on the same logs and seeds.
+"""The summary of a study: medians with intervals, and differences between methods on the same logs and seeds.
 
-A method is an estimator with its varied options; a log is a file, or a simulated world with its varied settings (of which
-each seed makes another log). Pure functions on the rows of `database.StudyDatabase.rows`.
+A method is an estimator with its varied options. A log is a file, or a simulated world with its varied settings, of which
+each seed makes another log.
 """
 
 from __future__ import annotations
@@ -9,16 +9,19 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 from graphslam import OptionError
 
 from ..display import Displayed
-from ..toml_files import nearest
+from ..options import nearest
 from .bootstrap import Median, median_of
+from .database import StudyDatabase
 from .outcome import DONE, TIMEOUT
 
-#: the figures that are summarised, and how tables and axes call them
+#: the figures that are summarised, and their names in tables and on axes
 METRICS = {
     "ate_m": "ATE [m]",
     "rpe_m": "RPE [m]",
@@ -35,12 +38,12 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class MethodSummary:
-    """One method on one log (or on all).
+    """One method on one log, or on all.
 
     Attributes:
         log, method: which.
-        runs: how many rows there are; ``failed`` of them raised, ``timeouts`` took too long.
-        converged: the share that converged of those that could, None where nothing is iterated.
+        runs: the number of rows; ``failed`` of them raised, ``timeouts`` took too long.
+        converged: the share of runs that converged; None where nothing is iterated.
         figures: the median of each of `METRICS`; None where it is not known.
     """
 
@@ -60,7 +63,7 @@ class PairedDifference:
     Attributes:
         log, method, baseline: which.
         figures: the median of the differences in each of `METRICS`.
-        lower: how often the method's figure was the lower one.
+        lower: in how many pairs the method's figure was the lower one.
     """
 
     log: str
@@ -75,9 +78,9 @@ class Summary(Displayed):
     """A study summarised.
 
     Attributes:
-        planned: how many runs the study has; ``done`` of them have a row.
+        planned: the number of runs of the study; ``done`` of them have a row.
+        baseline: the method that others are compared with.
         methods, differences: log by log, and last for all logs where there are several.
-        baseline: what methods are compared with.
         errors: the sentence of each error or timeout, and how many runs ended with it.
     """
 
@@ -93,39 +96,43 @@ class Summary(Displayed):
         return asdict(self)
 
 
-def summarise(rows: Sequence[Row], planned: int, baseline: str | None = None) -> Summary:
-    """Summarise the rows of a study.
+def summarise(study: str | PathLike[str] | StudyDatabase | Sequence[Row], *, baseline: str | None = None) -> Summary:
+    """Summarise a study.
 
     Args:
-        rows: from `database.StudyDatabase.rows`.
-        planned: how many runs the study has.
+        study: its database, as a file or open, or the rows of one.
         baseline: the method that others are compared with; default: the first whose estimator is ``graph``, or else the
             first.
 
     Raises:
-        OptionError: no method is called ``baseline``.
+        FormatError: the file is no database of a study.
+        OptionError: there is no such method.
     """
+    if isinstance(study, (str, PathLike)):
+        with StudyDatabase.reading(Path(study)) as database:
+            return summarise(database, baseline=baseline)
+    if isinstance(study, StudyDatabase):
+        rows, (planned, _) = study.rows(), study.counts()
+    else:
+        rows, planned = [dict(row) for row in study], len(study)
     names = list(dict.fromkeys(row["method"] for row in rows))
     if baseline is not None and baseline not in names:
         hint = f"; did you mean {nearest(baseline, names)!r}?" if names else ""
         raise OptionError(f"the study has no method {baseline!r}{hint}")
-    if baseline is None and names:
-        of_graph = [row["method"] for row in rows if row["estimator"] == "graph"]
-        baseline = of_graph[0] if of_graph else names[0]
+    if baseline is None:
+        baseline = next((row["method"] for row in rows if row["estimator"] == "graph"), next(iter(names), None))
     logs = list(dict.fromkeys(row["log"] for row in rows))
     methods: list[MethodSummary] = []
     differences: list[PairedDifference] = []
     for log in [*logs, *([ALL] if len(logs) > 1 else [])]:
-        group = [row for row in rows if log in (ALL, row["log"])]
         by_name: dict[str, list[Row]] = {}
-        for row in group:
-            by_name.setdefault(row["method"], []).append(row)
-        methods += [_method(log, name, found) for name, found in by_name.items()]
-        if baseline in by_name:
-            base = by_name[baseline]
-            differences += [
-                _difference(log, name, baseline, found, base) for name, found in by_name.items() if name != baseline
-            ]
+        for row in rows:
+            if log in (ALL, row["log"]):
+                by_name.setdefault(row["method"], []).append(row)
+        for name, group in by_name.items():
+            methods.append(_method(log, name, group))
+            if baseline in by_name and name != baseline:
+                differences.append(_difference(log, name, baseline, group, by_name[baseline]))
     errors = Counter(row["error"] for row in rows if row["status"] != DONE)
     return Summary(planned, len(rows), baseline, tuple(methods), tuple(differences), dict(errors.most_common()))
 
@@ -133,10 +140,6 @@ def summarise(rows: Sequence[Row], planned: int, baseline: str | None = None) ->
 def _method(log: str, name: str, rows: Sequence[Row]) -> MethodSummary:
     status = Counter(row["status"] for row in rows)
     converged = [row["converged"] for row in rows if row["converged"] is not None]
-    figures = {}
-    for metric in METRICS:
-        found = [(row[metric], _unit(row, log)) for row in rows if row[metric] is not None]
-        figures[metric] = median_of([value for value, _ in found], [unit for _, unit in found])
     return MethodSummary(
         log=log,
         method=name,
@@ -144,23 +147,25 @@ def _method(log: str, name: str, rows: Sequence[Row]) -> MethodSummary:
         failed=len(rows) - status[DONE] - status[TIMEOUT],
         timeouts=status[TIMEOUT],
         converged=sum(converged) / len(converged) if converged else None,
-        figures=figures,
+        figures={metric: _median([(row[metric], row) for row in rows], log) for metric in METRICS},
     )
 
 
 def _difference(log: str, name: str, baseline: str, rows: Sequence[Row], base: Sequence[Row]) -> PairedDifference:
-    partner = {(row["log"], row["seed"]): row for row in base}
+    partners = {(row["log"], row["seed"]): row for row in base}
     figures, lower = {}, {}
     for metric in METRICS:
-        values, units = [], []
-        for row in rows:
-            other = partner.get((row["log"], row["seed"]))
-            if other is not None and row[metric] is not None and other[metric] is not None:
-                values.append(row[metric] - other[metric])
-                units.append(_unit(row, log))
-        figures[metric] = median_of(values, units)
-        lower[metric] = sum(value < 0 for value in values)
+        pairs = [(row, partners.get((row["log"], row["seed"]), {}).get(metric)) for row in rows]
+        gaps = [(row[metric] - other, row) for row, other in pairs if None not in (row[metric], other)]
+        figures[metric] = _median(gaps, log)
+        lower[metric] = sum(gap < 0 for gap, _ in gaps)
     return PairedDifference(log, name, baseline, figures, lower)
+
+
+def _median(values: Sequence[tuple[float | None, Row]], log: str) -> Median | None:
+    """The median of the values that are known, each with the row that it is of."""
+    known = [(value, _unit(row, log)) for value, row in values if value is not None]
+    return median_of([value for value, _ in known], [unit for _, unit in known])
 
 
 def _unit(row: Row, log: str) -> Hashable:

@@ -110,7 +110,7 @@ def sensor_noise(log: Log, sensor: SensorModel, degrees: float | None = None) ->
         e[:, 0] = (z[:, 0] - bias) / scale - seen[:, 0]
         e[:, 1:] = wrap(e[:, 1:])
         fit = fit_variances(e, parts, degrees=degrees, start=fit)
-        variance = sum(fit.variances[name] * C[:, 0, 0] for name, C in parts.items())
+        variance = np.sum([fit.variances[name] * C[:, 0, 0] for name, C in parts.items()], axis=0)
         weighted = lines * (fit.weights / variance)[:, None]
         before = scale, bias
         scale, bias = np.linalg.solve(lines.T @ weighted, weighted.T @ z[:, 0]).tolist()

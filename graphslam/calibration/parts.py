@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,8 @@ LEAST_EPSILON = 1e-9
 
 #: the model without noise, and one whose variances, 1e-18, vanish beside 1
 _STILL = MotionModel(**dict.fromkeys(OF_MOTION, 0.0), epsilon=LEAST_EPSILON)
-_EXACT = SensorModel(**dict.fromkeys(OF_SENSOR, 1e-9))
+_TINY: dict[str, Any] = dict.fromkeys(OF_SENSOR, 1e-9)
+_EXACT = SensorModel(**_TINY)
 
 
 def motion_parts(log: Log) -> dict[str, Array]:
@@ -59,13 +61,14 @@ def ordinary(log: Log) -> np.ndarray:
 def sensor_parts(sightings: Array) -> dict[str, Array]:
     """C_p (M, n, n) of each field of the sensor model that affects sightings (M, n), n = 2 or 3."""
     least = _EXACT.Q(sightings)
-    parts = {name: replace(_EXACT, **{name: 1.0}).Q(sightings) - least for name in OF_SENSOR}
+    parts = {name: SensorModel(**(_TINY | {name: 1.0})).Q(sightings) - least for name in OF_SENSOR}
     return {name: C for name, C in parts.items() if C.any()}
 
 
 def sensor_model(variances: Mapping[str, float], like: SensorModel) -> SensorModel:
     """The model ``like`` with these variances; offset, and the noise of psi where it is not measured, stay."""
-    return replace(like, **{name: variance**0.5 for name, variance in variances.items()})
+    deviations: dict[str, Any] = {name: variance**0.5 for name, variance in variances.items()}
+    return replace(like, **deviations)
 
 
 def sensor_variances(sensor: SensorModel) -> dict[str, float]:

@@ -89,7 +89,7 @@ def _read(folder: Path, _: ReadOptions) -> Log:
     controls[:, 0, 1], controls[:, 1, 0] = 2 * turn, 2 * speed
     with errors_name(path):
         return Log(
-            dt=STEP / 2,
+            dt=np.full(2 * len(speed), STEP / 2),
             controls=controls.reshape(-1, 2),
             control_starts=2 * np.arange(len(speed) + 1),
             steps=seen[:, 0].astype(np.int64) - 1,

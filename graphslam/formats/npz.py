@@ -13,6 +13,7 @@ import io
 import zipfile
 from dataclasses import astuple, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +47,7 @@ def _read(path: Path, _: ReadOptions) -> Log:
         rows = zip(content["true_landmark_ids"].tolist(), content.get("true_landmark_poses", ()))
         truth = {j: pose[:2] if np.isnan(pose[2]) else pose for j, pose in rows}
     try:
-        models = {}
+        models: dict[str, Any] = {}
         for name, model in (("motion", MotionModel), ("sensor", SensorModel)):
             if name in content:
                 names, values = [f.name for f in fields(model)], content[name].tolist()

@@ -142,7 +142,7 @@ def _add_headings(first, second, at_first, at_second, at_pair, turn, information
         for at in (at_first[k], at_second[k]):
             values[at, 0, 0] += w
             values[at, 1, 1] += w
-        # the block of first and second is -w R', above the diagonal perhaps transposed
+        # the block of first and second is -w R', transposed where second < first
         V, q = values[at_pair[k]], s if i < j else -s
         V[0, 0] -= c
         V[0, 1] -= q

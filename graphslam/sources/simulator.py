@@ -110,7 +110,7 @@ def simulate(
         keep = sightings[:, 0] > 0
     else:
         faults = sensor_faults or SensorFaults()
-        sightings, keep = _measured(exact, poses[at], faults, sensor, world.max_range, arena, rng)
+        sightings, keep = _measured(exact, poses[at], faults, sensor, world, arena, rng)
     columns = 3 if world.orientation else 2
     return Log(
         dt=np.full(world.steps, float(world.dt)),
@@ -228,7 +228,7 @@ def _visible(poses: Array, landmarks: Array, world: World) -> tuple[np.ndarray, 
 
 
 def _measured(
-    exact: Array, poses: Array, faults: SensorFaults, sensor: SensorModel, max_range: float, arena: float,
+    exact: Array, poses: Array, faults: SensorFaults, sensor: SensorModel, world: World, arena: float,
     rng: np.random.Generator,
 ) -> tuple[Array, np.ndarray]:  # fmt: skip
     """The sightings as the faulty camera measures them, and which of them it reports."""
@@ -237,7 +237,7 @@ def _measured(
     places = np.column_stack([rng.uniform(-arena, arena, (count, 2)), rng.uniform(-pi, pi, count)])
     exact[phantom] = sensor.h(poses[phantom], places[phantom])
     occluded = rng.random(count) < faults.occlusion
-    room = np.maximum(max_range - exact[:, 0], 0.0)
+    room = np.maximum(world.max_range - exact[:, 0], 0.0)
     exact[:, 0] += np.where(occluded, rng.random(count) * room, 0.0)
     bias = rng.standard_normal(3) * [faults.range_bias_rate_std, faults.bearing_bias_std, faults.orientation_bias_std]
     noise = rng.standard_normal((count, 3)) * [faults.range_noise_rate, faults.bearing_noise, faults.orientation_noise]

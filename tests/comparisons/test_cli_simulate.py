@@ -17,7 +17,7 @@ from typer.testing import CliRunner, Result
 
 import graphslam
 from comparisons.cli import app
-from graphslam import MotionFaults, MotionModel, SensorFaults, SensorModel, load, simulate
+from graphslam import MotionFaults, MotionModel, SensorFaults, SensorModel, World, load, simulate
 
 Invoke = Callable[..., Result]
 
@@ -155,13 +155,10 @@ def _value(text: str) -> float:
 
 def test_the_help_shows_the_librarys_defaults() -> None:
     library: dict[str, Any] = {}
-    for model in (MotionModel(), SensorModel(), MotionFaults(), SensorFaults()):
+    for model in (MotionModel(), SensorModel(), MotionFaults(), SensorFaults(), World()):
         library |= vars(model)
-    library |= {
-        n: p.default for n, p in inspect.signature(simulate).parameters.items() if isinstance(p.default, (int, float))
-    }
     shown = _shown(simulate_verb)
-    checked = {n for n in shown if n in library and not isinstance(library[n], bool)}
+    checked = {n for n in shown if isinstance(library.get(n), (int, float)) and not isinstance(library[n], bool)}
     assert checked >= {"steps", "nn", "range_rate", "kick_std", "kidnap_interval", "phantom", "field_of_view"}
     for name in checked:
         assert _value(shown[name]) == pytest.approx(library[name]), name
@@ -170,13 +167,7 @@ def test_the_help_shows_the_librarys_defaults() -> None:
 
 def test_no_option_or_fault_of_the_simulator_is_forgotten() -> None:
     offered = set(inspect.signature(simulate_verb).parameters)
-    needed = set(inspect.signature(simulate).parameters) - {
-        "motion_faults",
-        "sensor_faults",
-        "motion",
-        "sensor",
-        "name",
-    }
+    needed = {"world", "seed", *vars(World())}
     needed |= set(vars(MotionFaults())) | set(vars(SensorFaults()))
     needed |= (set(vars(MotionModel())) | set(vars(SensorModel()))) - {"offset"} | {"sensor_offset"}
     assert needed <= offered

@@ -1,10 +1,9 @@
-"""The chi-square machinery on Gaussians that are known, and the verdict on the weights."""
+"""Bands and NEES on known Gaussians, and the consistency of each weight."""
 
 import json
 
 import numpy as np
 import pytest
-from comparisons.consistency_figure import consistency_figure
 from scipy.stats import chi2
 
 from comparisons.consistency import Consistency, band, joint_nees, models, pose_nees, study_consistency
@@ -14,7 +13,7 @@ from graphslam.se2 import wrap
 
 @pytest.fixture(scope="module")
 def outcome():
-    return study_consistency(logs=30, steps=40, seed=3)
+    return study_consistency(logs=30, steps=40, seed=3, jobs=0)
 
 
 def test_the_band_holds_95_of_100_studies():
@@ -51,7 +50,7 @@ def test_joint_nees_is_that_of_the_dense_covariance():
         assert joint_nees(solution, graph, log.true_poses) == pytest.approx(expected, rel=1e-5)
 
 
-def test_exact_variants_tell_the_truth_and_pairs_do_not(outcome):
+def test_exact_variants_are_consistent_and_pairs_are_not(outcome):
     of = {r.name: r for r in outcome.results}
     for name in ("landmark nodes", "marginal"):
         assert of[name].consistent, (of[name].anees, of[name].joint_band)
@@ -69,17 +68,18 @@ def test_noise_scales_all_standard_deviations():
     np.testing.assert_allclose(sensor.Q(z), SensorModel().Q(z) / 4)
 
 
-def test_json_and_figure(outcome, tmp_path):
+def test_json(outcome):
     data = json.loads(json.dumps(outcome.to_json()))
     assert [row["name"] for row in data["estimators"]] == ["landmark nodes", "marginal", "tempered", "pairs"]
     assert len(data["estimators"][0]["anees_per_step"]) == 40
-    consistency_figure(outcome).savefig(tmp_path / "figure.png")
-    assert (tmp_path / "figure.png").stat().st_size > 10_000
+    expected = {"logs", "noise", "steps", "dimensions", "seed", "sightings_per_landmark", "estimators"}
+    assert set(data) == expected
 
 
+@pytest.mark.slow
 def test_a_filter_and_two_jobs():
     alone, together = (
-        study_consistency(logs=4, steps=12, estimators=["landmark nodes", "fastslam2"], jobs=jobs) for jobs in (1, 2)
+        study_consistency(logs=4, steps=12, estimators=["landmark nodes", "fastslam2"], jobs=jobs) for jobs in (0, 2)
     )
     for a, b in zip(alone.results, together.results):
         np.testing.assert_array_equal(a.per_step, b.per_step)
@@ -98,14 +98,14 @@ def test_failures_are_counted_and_left_out():
     ("options", "message"),
     [
         ({"logs": 0}, "logs must be at least 1"),
-        ({"noise": -1.0}, "noise must be a positive"),
-        ({"noise": float("nan")}, "noise must be a positive"),
-        ({"noise": 1e-6}, "noise must lie between"),
-        ({"noise": 1e300}, "noise must lie between"),
-        ({"dimensions": 4}, "dimensions must be 2 or 3"),
+        ({"noise": -1.0}, "noise must be at least"),
+        ({"noise": float("nan")}, "noise must be a finite"),
+        ({"noise": 1e-6}, "noise must be at least"),
+        ({"noise": 1e300}, "noise must be at most"),
+        ({"dimensions": 4}, "dimensions must be at most 3"),
         ({"estimators": ["kalman"]}, "estimators must be one of"),
-        ({"estimators": []}, "name at least one"),
-        ({"jobs": 0}, "jobs must be at least 1"),
+        ({"estimators": []}, "estimators must be a list"),
+        ({"jobs": -1}, "jobs must be at least 0"),
     ],
 )
 def test_impossible_options(options, message):

@@ -9,7 +9,7 @@ import pytest
 
 from comparisons import solvers
 from comparisons.solvers import SkippedVariant, compare_solutions, compare_solvers, variants
-from graphslam import Graph, GraphError, Log, OptionError, Solution, load, sample_log_path, simulate, solve
+from graphslam import Graph, GraphError, Log, OptionError, Solution, sample_log_path, simulate, solve
 
 PROMISED = {"name", "pose_difference", "cost_difference", "iterations", "gtsam_iterations", "seconds", "gtsam_seconds"}
 
@@ -34,11 +34,11 @@ def test_every_variant_has_a_name_of_its_own(log: Log) -> None:
 
 
 def test_solvers_agree_on_a_real_log(log: Log) -> None:
-    seen: list[str] = []
-    outcome = compare_solvers(log, motion_weights=(1.0, 10.0), progress=lambda entry: seen.append(entry.name))
+    names: list[str] = []
+    outcome = compare_solvers(log, motion_weights=(1.0, 10.0), jobs=0, progress=lambda entry: names.append(entry.name))
     assert outcome.problems == ()
-    assert seen == [v.name for v in variants(log)]
-    assert {v.name for v in outcome.variants} | {s.name for s in outcome.skipped} == set(seen)
+    assert names == [v.name for v in variants(log)]
+    assert {v.name for v in outcome.variants} | {s.name for s in outcome.skipped} == set(names)
     # a circle on which poses share single landmarks: two dimensions need motion edges
     assert all("virtual " in s.name for s in outcome.skipped)
     assert outcome.skipped
@@ -48,20 +48,22 @@ def test_solvers_agree_on_a_real_log(log: Log) -> None:
     assert set(payload["skipped"][0]) == {"name", "reason"}
 
 
+@pytest.mark.slow
 def test_jobs_change_nothing_but_the_time(log: Log) -> None:
-    alone, together = (compare_solvers(log, motion_weights=(1.0,), jobs=jobs) for jobs in (1, 2))
+    alone, together = (compare_solvers(log, motion_weights=(1.0,), jobs=jobs) for jobs in (0, 2))
     assert [v.name for v in together.variants] == [v.name for v in alone.variants]
     assert [v.pose_difference for v in together.variants] == pytest.approx(
         [v.pose_difference for v in alone.variants], abs=1e-9
     )
     assert together.skipped == alone.skipped
     with pytest.raises(OptionError, match="jobs"):
-        compare_solvers(log, jobs=0)
+        compare_solvers(log, jobs=-1)
 
 
 def test_landmark_nodes_agree_although_dead_reckoning_misleads() -> None:
-    log = load(sample_log_path()).without_orientation()
-    outcome = compare_solvers(log, motion_weights=(1.0,), edges=("landmark+motion",))
+    outcome = compare_solvers(
+        sample_log_path(), dimensions=2, motion_weights=(1.0,), edges=("landmark+motion",), jobs=0
+    )
     assert [v.name for v in outcome.variants] == [f"landmark+motion {f} 2-D lambda=1" for f in ("world", "body")]
     assert outcome.problems == ()
 
@@ -100,7 +102,7 @@ def test_one_solver_giving_up_is_a_difference(log: Log, monkeypatch: pytest.Monk
         raise GraphError("gtsam gave up: indeterminate")
 
     monkeypatch.setattr(solvers, "solve_with_gtsam", gives_up)
-    outcome = compare_solvers(log)
+    outcome = compare_solvers(log, jobs=0)
     assert outcome.variants
     assert all("gave up" in problem for problem in outcome.problems)
     assert len(outcome.problems) == len(outcome.variants)
@@ -108,7 +110,7 @@ def test_one_solver_giving_up_is_a_difference(log: Log, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(solvers, "solve", gives_up)
     with pytest.raises(GraphError, match="no variant can be solved"):
-        compare_solvers(log)
+        compare_solvers(log, jobs=0)
 
 
 def test_a_wrong_solver_is_found_out(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -116,17 +118,17 @@ def test_a_wrong_solver_is_found_out(log: Log, monkeypatch: pytest.MonkeyPatch) 
         return solve(graph, tolerance=1e-3)
 
     monkeypatch.setattr(solvers, "solve", sloppy)
-    assert compare_solvers(log, motion_weights=(1.0,)).problems
+    assert compare_solvers(log, motion_weights=(1.0,), jobs=0).problems
 
 
 def test_nothing_to_solve(log: Log) -> None:
     with pytest.raises(GraphError, match="no sightings"):
-        compare_solvers(log.replace(steps=[], landmarks=[], sightings=np.empty((0, 3))))
+        compare_solvers(log.replace(steps=[], landmarks=[], sightings=np.empty((0, 3))), jobs=0)
 
 
 def test_a_log_without_controls_has_virtual_edges_only() -> None:
     wide = simulate(seed=2, steps=12, dt=6.0, clean=True, field_of_view=6.2, max_range=9.0)
-    outcome = compare_solvers(wide.replace(dt=None, controls=None))
+    outcome = compare_solvers(wide.replace(dt=None, controls=None), jobs=0)
     assert outcome.problems == ()
     assert all(v.name.startswith("virtual ") for v in outcome.variants)
     assert SkippedVariant in {type(entry) for entry in outcome.skipped}

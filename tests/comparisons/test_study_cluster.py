@@ -17,6 +17,7 @@ from comparisons.studies.plan import read_study
 from comparisons.studies.sweep import sweep
 from graphslam import OptionError
 
+pytestmark = [pytest.mark.cluster, pytest.mark.slow]
 pytest.importorskip("distributed", reason="needs the extra cluster: pip install 'virtual-motion-slam[cluster]'")
 
 ROOT = Path(__file__).parents[2]

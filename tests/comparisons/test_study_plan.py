@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.options import RunOptions, options_of
 from comparisons.studies.plan import Run, read_study
 from comparisons.studies.simulated import simulated_log
 from graphslam import FormatError, MotionModel, save, simulate
@@ -54,16 +55,16 @@ def test_every_combination_is_one_run(folder: Path) -> None:
     ]  # fmt: skip
     # graph and dead reckoning use no particles, so only the two range rates make a difference to them
     assert list(dict.fromkeys(run.method for run in runs)) == [
-        "graph sensor.range_rate=0.1", "graph sensor.range_rate=0.2",
-        "fastslam1 particles=10 sensor.range_rate=0.1", "fastslam1 particles=10 sensor.range_rate=0.2",
-        "fastslam1 particles=20 sensor.range_rate=0.1", "fastslam1 particles=20 sensor.range_rate=0.2",
-        "dead-reckoning sensor.range_rate=0.1", "dead-reckoning sensor.range_rate=0.2",
+        "graph range_rate=0.1", "graph range_rate=0.2",
+        "fastslam1 particles=10 range_rate=0.1", "fastslam1 particles=10 range_rate=0.2",
+        "fastslam1 particles=20 range_rate=0.1", "fastslam1 particles=20 range_rate=0.2",
+        "dead-reckoning range_rate=0.1", "dead-reckoning range_rate=0.2",
     ]  # fmt: skip
     assert len(runs) == 5 * 2 * 8
     assert len({run.key for run in runs}) == len(runs)
     assert {run.seed for run in runs} == {3, 5}
     first = runs[0]
-    assert first.options == {"motion_weight": 2.0, "sensor.range_rate": 0.1}
+    assert first.options == {"motion_weight": 2.0, "range_rate": 0.1}
 
 
 def test_runs_of_one_log_and_seed_stand_together(folder: Path) -> None:
@@ -91,12 +92,45 @@ def test_a_log_that_is_not_there_is_planned_all_the_same(folder: Path) -> None:
 
 
 def test_simulated_logs_are_those_of_the_simulator() -> None:
-    log = simulated_log({"clean": True, "steps": 8, "motion.nn": 0.3}, seed=4)
+    log = simulated_log({"clean": True, "steps": 8, "nn": 0.3}, seed=4)
     same = simulate(clean=True, steps=8, motion=MotionModel(nn=0.3), seed=4)
     np.testing.assert_array_equal(log.sightings, same.sightings)
     np.testing.assert_array_equal(log.true_poses, same.true_poses)
     faulty = simulated_log({"steps": 30, "oversight": 1.0}, seed=4)
     assert len(faulty.steps) == 0
+
+
+def test_a_study_knows_every_option_of_a_run(folder: Path) -> None:
+    values: dict[type, object] = {str: None, int: 2, float: 0.5}
+    for name, each in options_of(RunOptions).items():
+        if name in ("seed", "noise", "sensor_offset") or each.only == "python":
+            continue
+        value = each.choices[-1] if each.choices else "npz" if name == "format" else values[each.each]
+        line = f"{each.model}.{name}" if each.model else name
+        for table in ("options", "options.vary"):
+            shown = f"[{value!r}]" if table.endswith("vary") else repr(value)
+            text = f"logs = ['a.npz']\nestimators = ['graph', 'fastslam1']\n[{table}]\n{line} = {shown}\n"
+            assert {run.options.get(name) for run in study_of(folder, text)} - {None} == {value}, name
+
+
+def test_a_noise_file_counts_by_its_content(folder: Path) -> None:
+    text = "logs = ['a.npz']\nestimators = ['graph']\n[options]\nnoise = 'noise.toml'\n"
+    (folder / "noise.toml").write_text("[sensor]\nbearing_std = 0.1\n[ranges]\nscale = 1.1\n")
+    (run,) = study_of(folder, text)
+    assert run.options == {"noise": {"bearing_std": 0.1, "range_scale": 1.1}}
+    (folder / "other.toml").write_text("[ranges]\nscale = 1.1\n[sensor]\nbearing_std = 0.1\n")
+    (same,) = study_of(folder, text.replace("noise.toml", "other.toml"))
+    assert same.key == run.key
+    (folder / "noise.toml").write_text("[sensor]\nbearing_std = 0.2\n")
+    (changed,) = study_of(folder, text)
+    assert changed.key != run.key
+
+
+def test_options_of_files_do_not_count_for_simulated_worlds(folder: Path) -> None:
+    runs = study_of(
+        folder, "logs = ['a.npz']\nestimators = ['graph']\n[options]\nformat = 'npz'\nstride = 2\n[simulate]\n"
+    )
+    assert [run.options for run in runs] == [{"format": "npz", "stride": 2}, {"stride": 2}]
 
 
 def test_the_example_is_a_study() -> None:
@@ -134,19 +168,21 @@ def test_the_study_file_of_the_documentation_is_one(folder: Path) -> None:
         ("seeds = [1, -1]\n[simulate]\n", [":1:", "seeds"]),
         ("time_limit = 0\n[simulate]\n", [":1:", "time_limit"]),
         ("estimators = ['graf']\n[simulate]\n", [":1:", "'graph'"]),
-        ("estimators = []\n[simulate]\n", [":1:", "at least one"]),
+        ("estimators = []\n[simulate]\n", [":1:", "estimators must be a list"]),
         ("logs = ['*.txt']\n", [":1:", "no file matches"]),
-        ("format = 'nzp'\nlogs = ['a.npz']\n", [":1:", "'npz'"]),
-        ("dimensions = 4\nlogs = ['a.npz']\n", [":1:", "2 or 3"]),
+        ("logs = ['a.npz']\n[options]\ndimensions = 4\n", [":3:", "at most 3"]),
+        ("logs = ['a.npz']\n[options.vary]\nstride = [1, 0]\n", [":3:", "at least 1"]),
+        ("logs = ['a.npz']\n[options.sensor]\nrange_sdt = 0.1\n", [":3:", "'range_std'"]),
+        ("logs = ['a.npz']\n[options]\nnoise = 'gone.toml'\n", ["gone.toml", "no such file"]),
         ("seeds = 3\n", ["logs", "[simulate]"]),
         ("simulate = 3\n", [":1:", "table"]),
     ],
 )
-def test_wrong_files_are_told_in_a_sentence(folder: Path, text: str, words: list[str]) -> None:
+def test_an_error_in_a_study_file_is_one_sentence(folder: Path, text: str, words: list[str]) -> None:
     with pytest.raises(FormatError) as caught:
         study_of(folder, text)
     message = str(caught.value)
-    assert message.startswith(str(folder / "study.toml"))
+    assert message.startswith(str(folder / ("gone.toml" if "gone" in text else "study.toml")))
     assert "\n" not in message
     for word in words:
         assert word in message

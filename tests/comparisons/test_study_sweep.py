@@ -7,7 +7,6 @@ import signal
 import sqlite3
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -15,18 +14,22 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from comparisons.estimator import Estimator, EstimatorResult, RunOptions
+from pebble import ProcessExpired
 
-from comparisons.estimators import ESTIMATORS
-from comparisons.studies.child import Child, ChildDied, TimeLimit
+from comparisons.comparison import run as run_by_hand
+from comparisons.estimators import ESTIMATORS, Estimator
+from comparisons.options import RunOptions
+from comparisons.pool import how_it_ended, processes, results
+from comparisons.results import EstimatorResult
 from comparisons.studies.database import COLUMNS, StudyDatabase
-from comparisons.studies.executors import Crew
 from comparisons.studies.outcome import DONE, ERROR, TIMEOUT, Outcome
+from comparisons.studies.places import in_pool, pool_outcome
 from comparisons.studies.plan import Study, read_study
 from comparisons.studies.sweep import SweepOutcome, sweep
-from graphslam import FormatError, Log, OptionError, save, simulate
+from graphslam import FormatError, Log, OptionError, SlamError, save, simulate
 
 ROOT = Path(__file__).parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 SMALL = """\
 seeds = 3
 estimators = ["dead-reckoning", "graph", "fastslam1"]
@@ -64,10 +67,13 @@ def intact(database: Path) -> bool:
 
 def test_one_row_for_each_run(make: Callable[..., Study]) -> None:
     study = make(SMALL)
-    seen: list[tuple[int, int]] = []
-    outcome = sweep(study, jobs=0, progress=lambda done, planned, *_: seen.append((done, planned)))
-    assert outcome == SweepOutcome(study.database, 9, 0, 9, 0, False)
-    assert seen == [(done, 9) for done in range(10)]
+    calls: list[tuple[int, int]] = []
+    outcome = sweep(study.path, jobs=0, progress=lambda done, planned, *_: calls.append((done, planned)))
+    assert outcome == SweepOutcome(
+        study=study.path, database=study.database, planned=9, before=0, ran=9, failed=0, interrupted=False
+    )
+    assert outcome.to_json()["missing"] == 0
+    assert calls == [(done, 9) for done in range(10)]
     found = rows(study.database)
     assert [row["key"] for row in found] == [run.key for run in study.runs]
     assert {row["status"] for row in found} == {DONE}
@@ -80,12 +86,10 @@ def test_one_row_for_each_run(make: Callable[..., Study]) -> None:
 
 
 def test_the_row_is_what_a_run_by_hand_gives(make: Callable[..., Study]) -> None:
-    from comparisons.comparison import compare
-
     study = make(SMALL)
     sweep(study, jobs=0)
     row = next(row for row in rows(study.database) if row["estimator"] == "fastslam1" and row["seed"] == 1)
-    by_hand = compare(simulate(steps=12, seed=1), ["fastslam1"], RunOptions(particles=20, seed=1)).table[0]
+    by_hand = run_by_hand(simulate(steps=12, seed=1), estimators=["fastslam1"], particles=20, seed=1).table[0]
     for figure in ("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m"):
         assert row[figure] == getattr(by_hand, figure)
 
@@ -96,7 +100,8 @@ def test_a_second_sweep_does_only_what_is_new(make: Callable[..., Study]) -> Non
     before = rows(study.database)
     assert sweep(study, jobs=0).ran == 0
     more = make(SMALL.replace("seeds = 3", "seeds = 4"))
-    assert sweep(more, jobs=0) == SweepOutcome(study.database, 12, 9, 3, 0, False)
+    again = sweep(more, jobs=0)
+    assert (again.planned, again.before, again.ran, again.missing) == (12, 9, 3, 0)
     assert [row for row in rows(study.database) if row["seed"] < 3] == before
     # fewer: the rows stay, and are not shown
     fewer = make(SMALL.replace("seeds = 3", "seeds = 1"))
@@ -105,6 +110,7 @@ def test_a_second_sweep_does_only_what_is_new(make: Callable[..., Study]) -> Non
         assert (database.counts(), len(database.rows())) == ((3, 9), 3)
 
 
+@pytest.mark.slow
 def test_the_same_numbers_from_this_process_and_from_two_others(make: Callable[..., Study], tmp_path: Path) -> None:
     here, there = make(SMALL, "here.toml"), make(SMALL, "there.toml")
     sweep(here, jobs=0)
@@ -148,57 +154,59 @@ def test_logs_that_fail_to_load_among_many(make: Callable[..., Study], tmp_path:
     assert "has changed since the study was begun" in errors["c.npz"]
 
 
+@pytest.mark.slow
 def test_the_time_limit_ends_one_run_and_no_other(make: Callable[..., Study]) -> None:
-    # a billion moves of particles do not fit into two seconds
-    text = "seeds = 1\ntime_limit = 2\nestimators = ['fastslam1', 'dead-reckoning']\n[simulate]\nsteps = 5000\n"
+    # a billion moves of particles do not fit into five seconds
+    text = "seeds = 1\ntime_limit = 5\nestimators = ['fastslam1', 'dead-reckoning']\n[simulate]\nsteps = 5000\n"
     study = make(text + "[options]\nparticles = 300000\n")
     outcome = sweep(study, jobs=1)
     assert outcome.failed == 1
     slow, quick = rows(study.database)
-    assert (slow["status"], slow["error"]) == (TIMEOUT, "took longer than the limit of 2 s")
+    assert (slow["status"], slow["error"]) == (TIMEOUT, "took longer than the limit of 5 s")
     assert quick["status"] == DONE
 
 
-def test_a_child_that_dies_says_how() -> None:
-    child = Child()
-    assert child.call(abs, -3) == 3
-    with pytest.raises(ChildDied, match="TypeError"):
-        child.call(abs, "x")
-    assert child.fresh
-    with pytest.raises(ChildDied, match="SIGSEGV"):
-        child.call(os.kill, child._process.pid, signal.SIGSEGV)
-    assert not child.fresh
-    child.close()
-    child = Child()
-    with pytest.raises(TimeLimit):
-        child.call(time.sleep, 60, limit=0.2)
-    assert not child.fresh
-    child.close()
+@pytest.mark.slow
+def test_a_task_that_dies_or_takes_too_long_costs_only_itself() -> None:
+    with processes(1, []) as pool:
+        assert pool.schedule(os.getenv, ("NUMBA_NUM_THREADS",)).result() == "1"
+        died = pool.schedule(os.kill, (pool.schedule(os.getpid).result(), signal.SIGSEGV))
+        with pytest.raises(ProcessExpired) as caught:
+            died.result()
+        assert how_it_ended(caught.value) == "the process ended with signal SIGSEGV"
+        with pytest.raises(TimeoutError):
+            pool.schedule(time.sleep, (60,), timeout=0.2).result()
+        assert pool.schedule(abs, (-3,)).result() == 3
 
 
+@pytest.mark.slow
+def test_results_come_in_order_and_a_death_is_an_error() -> None:
+    assert list(results(abs, [-1, 2, -3], jobs=2)) == [1, 2, 3] == list(results(abs, [-1, 2, -3], jobs=0))
+    with pytest.raises(SlamError, match="exit status 3"):
+        list(results(os._exit, [3], jobs=1))
+
+
+@pytest.mark.slow
+def test_a_script_without_a_guard_can_use_the_pool(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(
+        "from comparisons.pool import results\nprint('once')\nprint(list(results(abs, [-1, -2], jobs=2)))\n"
+    )
+    done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, env=ENVIRONMENT)
+    assert (done.stdout, done.stderr) == ("once\n[1, 2]\n", "")
+
+
+@pytest.mark.slow
 def test_a_run_whose_process_dies_is_an_error(make: Callable[..., Study]) -> None:
     text = "estimators = ['fastslam1', 'dead-reckoning']\n[simulate]\nsteps = 5000\n[options]\nparticles = 300000\n"
     slow, quick = make(text).runs
-    crew = Crew(patience=60)
-
-    def strike() -> None:
-        while not any("fastslam1" in child.warmed for child in crew._children):
+    with processes(1, ["fastslam1"]) as pool:
+        process = pool.schedule(os.getpid).result()
+        futures = [in_pool(pool, run, 300.0) for run in (slow, quick)]
+        while not futures[0].running():
             time.sleep(0.05)
-        time.sleep(0.3)
-        (child,) = crew._children
-        child._process.send_signal(signal.SIGSEGV)
-
-    thread = threading.Thread(target=strike)
-    thread.start()
-    try:
-        first, second = crew.attempt([slow, quick], 300)
-    finally:
-        thread.join()
-        crew.close()
-    assert (first.status, second.status) == (ERROR, DONE)
-    assert "SIGSEGV" in str(first.error)
-    with pytest.raises(RuntimeError):
-        crew.attempt([quick], 60)
+        os.kill(process, signal.SIGSEGV)
+        first, second = (pool_outcome(f, run, 300.0) for f, run in zip(futures, (slow, quick), strict=True))
+    assert (first.status, first.error, second.status) == (ERROR, "the process ended with signal SIGSEGV", DONE)
 
 
 def test_two_sweeps_on_one_database_are_refused(make: Callable[..., Study]) -> None:
@@ -239,13 +247,38 @@ def test_a_run_cannot_have_two_rows(make: Callable[..., Study]) -> None:
     assert (row["ate_m"], row["status"], list(row)) == (1.0, DONE, list(COLUMNS))
 
 
+def test_options_of_the_study_reach_the_estimator(make: Callable[..., Study], tmp_path: Path) -> None:
+    save(simulate(seed=5, steps=20), tmp_path / "a.npz")
+    (tmp_path / "noise.toml").write_text("[sensor]\nbearing_std = 0.07\nrange_rate = 0.2\n[ranges]\nscale = 1.02\n")
+    text = "logs = ['a.npz']\nestimators = ['graph']\n[options]\nstride = 2\nmax_range = 5\nnoise = 'noise.toml'\n"
+    study = make(text + "sensor.range_std = 0.3\n")
+    sweep(study, jobs=0)
+    (row,) = rows(study.database)
+    options = {"stride": 2, "max_range": 5, "noise": tmp_path / "noise.toml", "range_std": 0.3}
+    by_hand = run_by_hand(tmp_path / "a.npz", estimators=["graph"], **options).table[0]
+    assert (row["cost"], row["ate_m"]) == (by_hand.cost, by_hand.ate_m)
+    # range_std alone replaces range_rate
+    by_numbers = {"bearing_std": 0.07, "range_std": 0.3, "range_rate": 0.0, "range_scale": 1.02}
+    again = run_by_hand(tmp_path / "a.npz", estimators=["graph"], stride=2, max_range=5, **by_numbers).table[0]
+    assert row["cost"] == again.cost
+
+
 def test_jobs_or_a_cluster(make: Callable[..., Study]) -> None:
     with pytest.raises(OptionError, match="not both"):
         sweep(make(SMALL), jobs=1, dask="tcp://127.0.0.1:1")
 
 
-def command(study: Study, *options: str) -> list[str]:
-    return [sys.executable, "-m", "comparisons", "sweep", str(study.path), *options]
+#: sweeps a study in two processes, and prints how many runs it did and whether it was interrupted
+SCRIPT = """\
+import sys
+from comparisons.studies.sweep import sweep
+outcome = sweep(sys.argv[1], jobs=2)
+print(outcome.ran, outcome.interrupted)
+"""
+
+
+def command(study: Study) -> list[str]:
+    return [sys.executable, "-c", SCRIPT, str(study.path)]
 
 
 def wait_for_rows(process: subprocess.Popen[str], study: Study, count: int) -> None:
@@ -267,11 +300,12 @@ def wait_for_rows(process: subprocess.Popen[str], study: Study, count: int) -> N
 LONGER = SMALL.replace("seeds = 3", "seeds = 40").replace("particles = 20", "particles = 20000")
 
 
+@pytest.mark.slow
 def test_killed_and_continued(make: Callable[..., Study]) -> None:
     study = make(LONGER)
     known: list[dict[str, Any]] = []
     for count in (1, 30, 65):
-        process = subprocess.Popen(command(study, "--jobs", "2"), cwd=ROOT, stdout=subprocess.DEVNULL, text=True)
+        process = subprocess.Popen(command(study), env=ENVIRONMENT, stdout=subprocess.DEVNULL, text=True)
         wait_for_rows(process, study, count)
         process.kill()
         process.wait()
@@ -280,23 +314,23 @@ def test_killed_and_continued(make: Callable[..., Study]) -> None:
         assert [row for row in found if row["key"] in {old["key"] for old in known}] == known
         known = found
     assert 65 <= len(known) < 120
-    done = subprocess.run(command(study), cwd=ROOT, capture_output=True, text=True, check=True)
-    assert f"120 of 120 runs, {120 - len(known)} done now" in done.stdout
+    done = subprocess.run(command(study), env=ENVIRONMENT, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [str(120 - len(known)), "False"]
     assert [row["key"] for row in rows(study.database)] == [run.key for run in study.runs]
     assert intact(study.database)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_is_finished(make: Callable[..., Study]) -> None:
     study = make(LONGER)
+    # in a group of its own, so that Ctrl-C reaches all of its processes, as on a terminal
     process = subprocess.Popen(
-        command(study, "--jobs", "2"), cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command(study), env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0
     )
     wait_for_rows(process, study, 5)
-    process.send_signal(signal.SIGINT)
+    os.killpg(process.pid, signal.SIGINT)
     stdout, stderr = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert stderr == ""
     kept = len(rows(study.database))
     assert 5 <= kept < 120
-    assert f"{kept} of 120 runs" in stdout
-    assert f"To go on: slam-compare sweep {study.path}" in stdout
+    assert (stdout.split(), stderr, process.returncode) == ([str(kept), "True"], "", 0)
+    assert intact(study.database)

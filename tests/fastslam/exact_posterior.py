@@ -42,8 +42,8 @@ def spread(parts: list[tuple[int, np.ndarray]], size: int) -> np.ndarray:
 
 def exact_posterior(log: Log, last: int, motion: MotionModel, sensor: SensorModel) -> Posterior:
     """The posterior of poses 0 to ``last`` and of the landmarks seen so far; sightings without psi."""
-    seen = log.steps <= last
-    steps, ids, sightings = log.steps[seen], log.landmarks[seen], log.sightings[seen]
+    used = log.steps <= last
+    steps, ids, sightings = log.steps[used], log.landmarks[used], log.sightings[used]
     names = sorted(set(ids.tolist()))
     size = 3 * last + 2 * len(names)
     poses, landmarks = log.initial_poses[: last + 1].copy(), {}

@@ -1,4 +1,4 @@
-"""Unknown data association: against plain Python particle by particle, and in worlds where the answer is known."""
+"""Unknown data association: against plain Python particle by particle, and in worlds with a known answer."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def choose(landmarks, scores, counts, chosen, won, taken):
 
 
 @njit
-def find_near(x, landmark, columns, gate, near):
-    association_kernels._find_near(x, landmark, columns, gate, near)
+def find_near(x, landmark, sightings, gate, near):
+    association_kernels._find_near(x, landmark, sightings, gate, near)
 
 
 UNKNOWN = {"association": "maximum-likelihood"}
@@ -31,7 +31,7 @@ CONTROL, DT = np.array([0.5, 0.2]), 1.0
 
 
 def greedy(scores: np.ndarray) -> list[int]:
-    """The likeliest pair first; -1 for a sighting that is left over."""
+    """The most likely pair first; -1 for a sighting without a landmark."""
     scores, chosen = scores.copy(), [-1] * len(scores)
     while scores.size and scores.max() > -np.inf:
         k, c = np.unravel_index(scores.argmax(), scores.shape)
@@ -43,7 +43,7 @@ def greedy(scores: np.ndarray) -> list[int]:
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize("columns", [2, 3])
 def test_against_the_textbooks_equations(columns: int, version: int) -> None:
-    """Ten scans of landmarks so close that particles disagree; every map, weight and pose is the plain program's."""
+    """Ten scans of landmarks so close that particles disagree: maps, weights and poses equal those of the textbook."""
     rng, particles, p = np.random.default_rng(3), 12, 0.05
     world = np.column_stack([rng.uniform(1, 5, 6), rng.uniform(-2, 2, 6), rng.uniform(-1, 1, 6)])[:, :columns]
     kind = {1: FastSLAM1, 2: FastSLAM2}[version]
@@ -52,13 +52,13 @@ def test_against_the_textbooks_equations(columns: int, version: int) -> None:
     sensor, motion, noise_rng = slam.sensor, slam.motion, np.random.default_rng(8)
     slow = textbook.start(particles, np.zeros(3))
     evidence: list[dict[int, float]] = [{} for _ in slow]
-    births, reach, pose, seen_now = 0, np.array([np.inf, 0.0, 0.0]), np.zeros(3), [set() for _ in slow]
+    created, reach, pose, used_now = 0, np.array([np.inf, 0.0, 0.0]), np.zeros(3), [set() for _ in slow]
     disagreed, dropped = False, 0
     for t in range(10):
         normals = standard_normals(noise_rng, particles) if t else None
         if t:
             for i, particle in enumerate(slow):
-                for j in set(particle.map) - seen_now[i]:
+                for j in set(particle.map) - used_now[i]:
                     r, phi = sensor.h(particle.pose, particle.map[j].mean)[:2]
                     if evidence[i][j] < 3 and reach[0] / 0.9 <= r <= 0.9 * reach[1] and abs(phi) <= 0.9 * reach[2]:
                         evidence[i][j] -= 1
@@ -67,8 +67,8 @@ def test_against_the_textbooks_equations(columns: int, version: int) -> None:
                             del particle.map[j], evidence[i][j]
             slam.move(CONTROL, DT)
             pose = motion.f(pose, CONTROL, DT) + [0.02, -0.03, 0.05]
-        seen = rng.permutation(6)[:4]
-        z = sensor.h(pose, world[seen]) + 0.03 * rng.standard_normal((4, columns))
+        visible = rng.permutation(6)[:4]
+        z = sensor.h(pose, world[visible]) + 0.03 * rng.standard_normal((4, columns))
         slam.observe(None, z)
         reach = [min(reach[0], z[:, 0].min()), max(reach[1], z[:, 0].max()), max(reach[2], abs(z[:, 1]).max())]
         log_new = [
@@ -98,26 +98,26 @@ def test_against_the_textbooks_equations(columns: int, version: int) -> None:
                     particle.log_weight += likelihood
             now = textbook.draw_pose(belief, normals[i, :3]) if version == 2 and t else moved
             particle.path.append(now)
-            seen_now[i] = {births + k if j is None else j for k, j in enumerate(chosen)}
+            used_now[i] = {created + k if j is None else j for k, j in enumerate(chosen)}
             for k, j in enumerate(chosen):
                 if j is None:
-                    particle.map[births + k] = textbook.initialize_landmark(now, z[k], sensor)
-                    evidence[i][births + k] = 1
+                    particle.map[created + k] = textbook.initialize_landmark(now, z[k], sensor)
+                    evidence[i][created + k] = 1
                 else:
                     particle.map[j] = textbook.update_landmark(now, particle.map[j], z[k], sensor)
                     evidence[i][j] = min(evidence[i][j] + 1, 3)
-        births += 4
+        created += 4
         log_weights = np.array([particle.log_weight for particle in slow])
         np.testing.assert_allclose(
             slam.state.log_weights, log_weights - np.log(np.exp(log_weights).sum()), atol=1e-10, rtol=1e-10
         )
         np.testing.assert_allclose(slam.state.poses, [particle.pose for particle in slow], atol=1e-10)
         for i, particle in enumerate(slow):
-            found = slam.state.map(i, provisional=True)
-            assert found.keys() == particle.map.keys()
+            estimates = slam.state.map(i, provisional=True)
+            assert estimates.keys() == particle.map.keys()
             for j, landmark in particle.map.items():
-                np.testing.assert_allclose(found[j].mean, landmark.mean, atol=1e-10)
-                np.testing.assert_allclose(found[j].covariance, landmark.covariance, atol=1e-10)
+                np.testing.assert_allclose(estimates[j].mean, landmark.mean, atol=1e-10)
+                np.testing.assert_allclose(estimates[j].covariance, landmark.covariance, atol=1e-10)
         disagreed |= len({tuple(sorted(particle.map)) for particle in slow}) > 1
     assert disagreed
     assert dropped > 0
@@ -139,30 +139,30 @@ def test_right_number_of_landmarks(kind: type, psi: bool) -> None:
             assert nearest < 1.0
 
 
-def test_ids_are_not_looked_at() -> None:
+def test_ids_are_ignored() -> None:
     log = simulate(seed=1, clean=True, **HALF)
-    lying = log.replace(landmarks=np.arange(len(log.landmarks))[::-1].copy())
-    a, b = (FastSLAM1(one, particles=50, **HALF, **UNKNOWN).run() for one in (log, lying))
+    shuffled = log.replace(landmarks=np.arange(len(log.landmarks))[::-1].copy())
+    a, b = (FastSLAM1(one, particles=50, **HALF, **UNKNOWN).run() for one in (log, shuffled))
     np.testing.assert_array_equal(a.poses, b.poses)
     assert a.landmarks.keys() == b.landmarks.keys()
 
 
-def test_a_phantom_is_dropped_when_it_is_not_seen_again() -> None:
+def test_a_false_detection_is_dropped_when_it_is_not_seen_again() -> None:
     marks = np.array([[3.0, 1.0, 0.2], [4.0, -1.0, -0.4], [5.0, 2.5, 1.0], [2.0, -2.0, 0.0]])
     slam = FastSLAM1(particles=20, **HALF, **UNKNOWN)
     real = slam.sensor.h(np.zeros(3), marks)
-    phantom = np.array([[4.5, 0.1, 0.0]])
+    false_detection = np.array([[4.5, 0.1, 0.0]])
     counts = []
-    # seen three times they stay, whatever happens
-    for scan in (real, np.vstack([real, phantom]), real, *[real[:1]] * 5):
+    # landmarks seen three times are permanent
+    for scan in (real, np.vstack([real, false_detection]), real, *[real[:1]] * 5):
         slam.observe(None, scan)
         counts.append(len(slam.state.map(provisional=True)))
         slam.move((0.0, 0.0), 0.0)
     assert counts == [4, 5, 5, 4, 4, 4, 4, 4]
 
 
-def test_sightings_handed_in_one_by_one_are_one_look_around() -> None:
-    """No landmark is missed in one call that another call of the same step sees, before or after."""
+def test_several_calls_in_a_step_are_one_observation() -> None:
+    """A landmark that one call of a step sees is not missed by the other calls of the step."""
     marks = np.array([[3.0, 1.0, 0.2], [4.0, -1.0, -0.4], [5.0, 2.5, 1.0], [2.0, -2.0, 0.0]])
     together, apart = (FastSLAM1(particles=20, ess_threshold=0.0, **HALF, **UNKNOWN) for _ in range(2))
     real = together.sensor.h(np.zeros(3), marks)
@@ -177,24 +177,24 @@ def test_sightings_handed_in_one_by_one_are_one_look_around() -> None:
     np.testing.assert_allclose(*maps)
 
 
-def test_seeing_nothing_is_missing_what_is_in_view() -> None:
+def test_an_empty_observation_misses_what_is_in_view() -> None:
     slam = FastSLAM1(particles=20, **HALF, **UNKNOWN)
-    slam.observe(None, [])  # before anything is known of the sensor
+    slam.observe(None, [])  # before the limits of the sensor are known
     slam.observe(None, [[4.0, 0.0], [1.0, 0.5], [6.0, -0.5]])
     slam.move((0.0, 0.0), 0.0)
-    slam.move((0.0, 0.0), 0.0)  # nobody looked
+    slam.move((0.0, 0.0), 0.0)  # no observation
     assert len(slam.state.map(provisional=True)) == 3
     slam.observe(None, [])
     slam.observe(None, np.empty((0, 2)))
     slam.move((0.0, 0.0), 0.0)
-    # the others are at the border of what the sensor is known to see
+    # the other two are at the limits of what the sensor has seen
     assert [estimate.mean[0] for estimate in slam.state.map(provisional=True).values()] == pytest.approx(
         [np.cos(0.5), 6 * np.cos(0.5)]
     )
 
 
 def test_mutual_exclusion() -> None:
-    """Two sightings alike in one scan are two landmarks; one at a time they are one."""
+    """Two equal sightings in one scan are two landmarks; in two scans they are one."""
     z = np.array([[3.0, 0.1]])
     together, apart = (FastSLAM1(particles=5, **HALF, **UNKNOWN) for _ in range(2))
     together.observe(None, np.vstack([z, z]))
@@ -203,8 +203,8 @@ def test_mutual_exclusion() -> None:
     assert (len(together.state.map(provisional=True)), len(apart.state.map(provisional=True))) == (2, 1)
 
 
-def test_the_choice_is_greedy_also_with_ties() -> None:
-    """Against the plain program, on scores with holes and ties: the same pairs, in a scan of up to nine sightings."""
+def test_the_assignment_is_greedy_also_with_ties() -> None:
+    """Against the plain program, on scores with gaps and ties: the same pairs, in scans of up to nine sightings."""
     rng = np.random.default_rng(4)
     for _ in range(200):
         scan, known = rng.integers(1, 10, 2)
@@ -222,8 +222,8 @@ def test_the_choice_is_greedy_also_with_ties() -> None:
 
 
 @pytest.mark.parametrize("columns", [2, 3])
-def test_the_gate_keeps_every_pair_that_counts(columns: int) -> None:
-    """Uncertain poses and landmarks, correlated: what the gate drops has a smaller likelihood than a new landmark."""
+def test_the_gate_keeps_every_possible_pair(columns: int) -> None:
+    """Uncertain, correlated poses and landmarks: what the gate drops has a smaller likelihood than a new landmark."""
     rng, p, sensor = np.random.default_rng(5), 1e-4, SensorModel()
     gate, kept, possible, pairs = chi2.isf(p, columns), 0, 0, 0
     for _ in range(200):
@@ -239,7 +239,9 @@ def test_the_gate_keeps_every_pair_that_counts(columns: int) -> None:
         m = np.zeros(9)
         m[:columns], m[3:] = mean, S[np.triu_indices(3)]
         near = np.empty(40, dtype=bool)
-        find_near(x, tuple(m), np.array([z[:, 0], z[:, 1], Q[:, 0, 0], Q[:, 1, 1]]), gate, near)
+        measured = np.zeros((6, 40))
+        measured[:columns], measured[3 : 3 + columns] = z.T, np.diagonal(Q, axis1=1, axis2=2).T
+        find_near(x, tuple(m), measured, gate, near)
         log_new = -0.5 * (gate + np.log(np.linalg.det(2 * np.pi * Q)))
         counts = np.array([textbook.correct_pose(belief, landmark, one, sensor)[1] for one in z]) >= log_new
         assert np.all(near[counts])
@@ -247,15 +249,15 @@ def test_the_gate_keeps_every_pair_that_counts(columns: int) -> None:
     assert 0 < possible <= kept < 0.8 * pairs
 
 
-def test_the_pool_grows_and_is_recycled() -> None:
-    """Many landmarks, resampled at every scan: more than the pool begins with, and dead lines give theirs back."""
+def test_the_pool_grows_and_is_reused() -> None:
+    """Many landmarks, resampled at every scan: the pool grows, and slices of extinct particles are reused."""
     log = simulate(seed=2, clean=True, landmarks=60, arena=6.0, orientation=False, **HALF)
     slam = FastSLAM2(log, particles=60, ess_threshold=1.0, **HALF, **UNKNOWN)
     for state in slam:
         for i in (0, 59):
             for estimate in state.map(i, provisional=True).values():
                 assert np.all(np.linalg.eigvalsh(estimate.covariance) > 0)
-    pool = slam._anonymous
+    pool = slam._maps
     used = [part.index for part in pool._slices.values()]
     assert sorted(used + pool._free) == list(range(len(pool._pool)))
     assert len(slam.result().landmarks) > 20
@@ -263,19 +265,19 @@ def test_the_pool_grows_and_is_recycled() -> None:
 
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
 def test_an_outlier_is_not_reported(kind: type) -> None:
-    """One sighting of nothing, at the border of the view and never in it again: in the particles, not in the maps."""
+    """One false sighting, never in view again: the particles have the landmark, the maps do not."""
     log = simulate(seed=1, steps=20, clean=True, **HALF)
     slam, landmarks = kind(log, particles=50, **HALF, **UNKNOWN), 0
     for state in slam:
         if state.step == 10:
             landmarks = len(state.map())
             slam.observe(None, [[30.0, 3.0, 0.0]])
-    found, everything = slam.state.map(), slam.state.map(provisional=True)
-    assert len(found) >= landmarks > 0
-    assert max(np.hypot(*estimate.mean[:2]) for estimate in found.values()) < 10
+    confirmed, everything = slam.state.map(), slam.state.map(provisional=True)
+    assert len(confirmed) >= landmarks > 0
+    assert max(np.hypot(*estimate.mean[:2]) for estimate in confirmed.values()) < 10
     assert max(np.hypot(*estimate.mean[:2]) for estimate in everything.values()) > 20
-    assert {j for j, estimate in everything.items() if estimate.confirmed} == found.keys()
-    assert slam.result().landmarks.keys() == found.keys()
+    assert {j for j, estimate in everything.items() if estimate.confirmed} == confirmed.keys()
+    assert slam.result().landmarks.keys() == confirmed.keys()
     mixtures = [slam.state.mixture_map(provisional=asked) for asked in (False, True)]
     assert [sum(np.hypot(*e.mean[:2]) > 20 for e in mixture.values()) for mixture in mixtures] == [0, 1]
     assert all(estimate.confirmed for estimate in mixtures[0].values())
@@ -296,5 +298,5 @@ def test_options() -> None:
         FastSLAM2(new_landmark_threshold=0.0)
     with pytest.raises(OptionError, match="new_landmark_threshold must be a number"):
         FastSLAM2(new_landmark_threshold="few")
-    with pytest.raises(OptionError, match="ids may be None only with"):
+    with pytest.raises(OptionError, match="ids may be None only if"):
         FastSLAM1().observe(None, [[1.0, 0.0]])

@@ -68,7 +68,7 @@ def test_one_iteration_is_a_loop_over_the_rest() -> None:
     for state in slam:
         if state.step == 20:
             break
-    # a broken-off loop has not lost its place
+    # a loop that was interrupted continues at the next step
     rest = [state.step for state in slam]
     assert rest == list(range(21, log.num_poses))
     np.testing.assert_array_equal(slam.result().poses, whole.poses)
@@ -95,7 +95,7 @@ def test_same_seed_same_result_and_other_seed_another() -> None:
 
 @pytest.mark.parametrize("scheme", ["systematic", "stratified", "residual", "multinomial"])
 def test_resampled_particles_share_no_map(scheme: str) -> None:
-    """After resampling, copies of one particle see the landmark from different poses: their maps must part."""
+    """After resampling, copies of one particle see the landmark from different poses: their maps must differ."""
     slam = FastSLAM1(particles=50, seed=1, resampling=scheme, ess_threshold=1.0)
     sensor, landmark = SensorModel(), np.array([2.0, 1.0, 0.4])
     slam.observe([0], [sensor.h(np.zeros(3), landmark)])
@@ -107,7 +107,7 @@ def test_resampled_particles_share_no_map(scheme: str) -> None:
     before = [slam.state.map(i)[0].mean for i in range(50)]
     assert len(np.unique(np.round(before, 12), axis=0)) < 50
     slam.observe([0], [sensor.h(slam.state.mean_pose, landmark)])
-    # undo nothing: what each particle holds now was computed from its own pose, before it was resampled again
+    # the map of each particle was computed from its own pose, before it was resampled again
     poses, maps = slam.state.poses, np.array([slam.state.map(i)[0].mean for i in range(50)])
     same_pose = np.array([[np.array_equal(a, b) for b in poses] for a in poses])
     same_map = np.array([[np.array_equal(a, b) for b in maps] for a in maps])
@@ -200,8 +200,8 @@ def test_never_resampled_keeps_weights() -> None:
 
 def test_threshold_one_resamples_after_every_weighed_step(clean_log: Log) -> None:
     result = FastSLAM1(clean_log, particles=20, ess_threshold=1.0).run()
-    seen: set[int] = set()
+    known: set[int] = set()
     for t in range(clean_log.num_poses):
         ids = set(clean_log.landmarks[clean_log.steps == t].tolist())
-        assert result.resampled[t] == bool(ids & seen)
-        seen |= ids
+        assert result.resampled[t] == bool(ids & known)
+        known |= ids

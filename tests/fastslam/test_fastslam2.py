@@ -1,4 +1,4 @@
-"""FastSLAM 2.0: its proposal in closed form, what it does with the order of things, and why one wants it."""
+"""FastSLAM 2.0: its proposal in closed form, the order of sightings and calls, and the gain over 1.0."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fastslam.noise import standard_normals
 from graphslam import MotionModel, SensorModel, simulate
 from graphslam.se2 import wrap
 
-# a sensor this good makes the two versions differ
+# with such a precise sensor the two versions differ
 SHARP = SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005)
 START = np.array([1.0, 2.0, 0.7])
 CONTROL, DT = np.array([0.3, 0.2]), 2.0
@@ -41,7 +41,7 @@ def test_proposal_in_closed_form(columns: int) -> None:
     assert slam.state.ess == pytest.approx(200_000)
 
 
-def test_two_sightings_are_folded_in_one_after_the_other() -> None:
+def test_two_sightings_are_processed_one_after_the_other() -> None:
     marks = np.array([[3.0, 3.5, 0.4], [0.0, 4.0, -1.0]])
     slam = FastSLAM2(particles=5, seed=np.random.default_rng(1), start=START, ess_threshold=0.0)
     slam.observe([0, 1], SHARP.h(START, marks))
@@ -58,7 +58,7 @@ def test_two_sightings_are_folded_in_one_after_the_other() -> None:
 
 @pytest.mark.parametrize("columns", [2, 3])
 def test_repeated_sightings_in_one_step_against_the_textbook(columns: int) -> None:
-    """A landmark seen twice in a step, known or new: the second sighting finds the pose drawn."""
+    """A landmark seen twice in a step, known or new: the second sighting uses the drawn pose."""
     marks = np.array([[3.0, 3.5, 0.4], [0.0, 4.0, -1.0]])[:, :columns]
     slam = FastSLAM2(particles=6, seed=np.random.default_rng(4), start=START, ess_threshold=0.0)
     slow, rng = textbook.start(6, START), np.random.default_rng(4)
@@ -77,18 +77,18 @@ def test_repeated_sightings_in_one_step_against_the_textbook(columns: int) -> No
             np.testing.assert_allclose(slam.state.map(i)[j].covariance, slow[i].map[j].covariance, atol=1e-11)
 
 
-def test_looking_between_move_and_observe_changes_nothing() -> None:
+def test_reading_the_state_between_move_and_observe_changes_nothing() -> None:
     log = simulate(seed=3)
-    curious, blind = FastSLAM2(particles=20), FastSLAM2(particles=20)
+    observed, other = FastSLAM2(particles=20), FastSLAM2(particles=20)
     for t in range(20):
-        for slam in (curious, blind):
+        for slam in (observed, other):
             if t > 0:
                 slam.move(log.controls[t - 1], log.dt[t - 1])
-            if slam is curious:
+            if slam is observed:
                 slam.state.mean_pose, slam.result()
             slam.observe(log.landmarks[log.steps == t], log.sightings[log.steps == t])
-    np.testing.assert_array_equal(curious.state.poses, blind.state.poses)
-    np.testing.assert_array_equal(curious.result().poses[-1], curious.state.best_pose)
+    np.testing.assert_array_equal(observed.state.poses, other.state.poses)
+    np.testing.assert_array_equal(observed.result().poses[-1], observed.state.best_pose)
 
 
 def test_a_second_call_in_a_step_weighs_as_in_1() -> None:
@@ -113,7 +113,7 @@ def test_without_sightings_it_is_1() -> None:
     for slam in (a, b):
         for _ in range(5):
             slam.move(CONTROL, DT)
-        # first sightings say nothing about the pose either
+        # first sightings do not change the weights either
         slam.observe([0], [[2.0, 0.3]])
     np.testing.assert_array_equal(a.state.poses, b.state.poses)
     np.testing.assert_array_equal(a.state.map(7)[0].mean, b.state.map(7)[0].mean)
@@ -122,13 +122,13 @@ def test_without_sightings_it_is_1() -> None:
 @pytest.mark.parametrize("omega", [0.0, 1e-9, 0.05, 0.29, 0.31, 1.7, -2.5])
 def test_prediction_is_the_motion_models_gaussian(omega: float) -> None:
     """A M A' + epsilon I on both sides of every branch of the compiled prediction."""
-    from fastslam.proposal_kernels import predict
+    from fastslam.motions import chord_gaussian, predict
 
     motion, poses = MotionModel(), np.random.default_rng(0).normal(0, 2, (7, 3))
     poses[:, 2] = wrap(poses[:, 2])
     control = np.array([0.4, omega])
     belief, M = np.empty((9, 7)), np.diag(motion.M(control, DT))
-    predict(0, 7, poses.T.copy(), *control, *M, DT, motion.epsilon, belief)
+    predict(0, 7, poses.T.copy(), *chord_gaussian(*control, *M, DT), motion.epsilon, belief)
     expected = motion.f(poses, control, DT)
     np.testing.assert_allclose(belief[:2].T, expected[:, :2], atol=1e-13)
     np.testing.assert_allclose(belief[2], wrap(expected[:, 2]), atol=1e-13)

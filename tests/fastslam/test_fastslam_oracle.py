@@ -36,11 +36,11 @@ def assert_same(fast: ParticleFilter, slow: list[textbook.Particle], maps: bool 
     np.testing.assert_allclose(state.poses, [particle.pose for particle in slow], **TOLERANCE)
     np.testing.assert_allclose(state.log_weights, [particle.log_weight for particle in slow], **TOLERANCE)
     for i, particle in enumerate(slow if maps else []):
-        found = state.map(i)
-        assert found.keys() == particle.map.keys()
+        estimates = state.map(i)
+        assert estimates.keys() == particle.map.keys()
         for j, landmark in particle.map.items():
-            np.testing.assert_allclose(found[j].mean, landmark.mean, **TOLERANCE)
-            np.testing.assert_allclose(found[j].covariance, landmark.covariance, **TOLERANCE)
+            np.testing.assert_allclose(estimates[j].mean, landmark.mean, **TOLERANCE)
+            np.testing.assert_allclose(estimates[j].covariance, landmark.covariance, **TOLERANCE)
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -54,13 +54,13 @@ def test_step_by_step(log: Log, ess_threshold: float, version: int) -> None:
         assert_same(fast, particles)
         steps += 1
     assert steps == log.num_poses
-    # the histories come out of the genealogy, the textbook copies them along
+    # the genealogy stores the histories once, the textbook copies them
     for i, particle in enumerate(particles):
         np.testing.assert_allclose(fast.trajectory(i), particle.path, **TOLERANCE)
 
 
 def test_sighting_by_sighting(log: Log) -> None:
-    """Every single sighting is weighed and resampled on its own."""
+    """Every sighting is weighed and resampled by itself."""
     rng_fast, rng_slow = np.random.default_rng(5), np.random.default_rng(5)
     fast = FastSLAM1(particles=8, seed=rng_fast, start=log.initial_poses[0], ess_threshold=0.8)
     slow = textbook.start(8, log.initial_poses[0])
@@ -83,17 +83,17 @@ def test_localization(log: Log) -> None:
     for t, _ in enumerate(fast):
         if t > 0:
             textbook.motion_update(slow, log.controls[t - 1], log.dt[t - 1], fast.motion, rng)
-        seen = log.steps == t
-        if np.any(seen):
+        now = log.steps == t
+        if np.any(now):
             textbook.localization_update(
-                slow, log.landmarks[seen].tolist(), log.sightings[seen], log.true_landmarks, fast.sensor
+                slow, log.landmarks[now].tolist(), log.sightings[now], log.true_landmarks, fast.sensor
             )
             slow = textbook.resample(slow, rng)
         assert_same(fast, slow, maps=False)
 
 
-def test_the_oracle_itself_on_one_particle() -> None:
-    """Without motion noise a map is the product of Gaussians: K sightings alike divide the covariance by K."""
+def test_the_textbook_with_one_particle() -> None:
+    """Without motion noise a map is a product of Gaussians: K equal sightings divide the covariance by K."""
     particles = textbook.start(1, (0.0, 0.0, 0.0))
     sensor = FastSLAM1().sensor
     z = np.array([2.0, 0.3])
@@ -108,7 +108,7 @@ def test_the_oracle_itself_on_one_particle() -> None:
     assert textbook.log_likelihood(particles[0].pose, first, z, sensor) == pytest.approx(expected, rel=1e-12)
 
 
-def test_textbook_takes_back_vanished_weights() -> None:
+def test_textbook_restores_vanished_weights() -> None:
     particles = textbook.start(3, (1.0, 2.0, 0.0))
     for particle in particles:
         particle.map[0] = textbook.Landmark(np.array([1.0, 2.0]), np.eye(2))

@@ -13,14 +13,14 @@ def test_against_copied_histories(particles: int, branching: float) -> None:
     rng = np.random.default_rng(particles)
     tree = Genealogy(particles)
     histories: list[list[np.ndarray]] = [[] for _ in range(particles)]
-    numbers: list[dict[int, int]] = [{} for _ in range(particles)]  # the particle's number at each level so far
+    numbers: list[dict[int, int]] = [{} for _ in range(particles)]  # the particle's index at each level so far
     for step in range(300):
         poses = rng.standard_normal((particles, 3))
         tree.record(np.zeros((3, particles)) if step % 3 == 0 else poses.T)
         if step % 3 == 0:
             tree.amend(poses.T)
         histories = [history + [pose] for history, pose in zip(histories, poses, strict=True)]
-        # up to twice in one step: the second time the particles' numbers have a level of their own
+        # up to twice in one step; the second time the new indices have a level of their own
         for _ in range(int(rng.random() < branching) + int(rng.random() < branching / 4)):
             level = tree.level()
             assert tree.is_living(level)

@@ -1,22 +1,22 @@
-"""The study over numbers of particles: rows, bands and figure."""
+"""The study over numbers of particles: rows, bands and JSON."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from comparisons.particles import FIGURES, particles_figure, study_particles
+from comparisons.particles import study_particles
 from graphslam import LogError, OptionError, simulate
 
 
 def test_rows_bands_and_json() -> None:
-    log, seen = simulate(seed=1, steps=20), []
-    outcome = study_particles(
-        log, filters=("mcl", "fastslam1", "fastslam2"), particles=(10, 100), seeds=3, progress=seen.append
-    )
-    assert seen == list(outcome.runs)
+    log, runs = simulate(seed=1, steps=20), []
+    filters = ("mcl", "fastslam1", "fastslam2")
+    outcome = study_particles(log, filters=filters, particles=(10, 100), seeds=3, jobs=0, progress=runs.append)
+    assert runs == list(outcome.runs)
     assert len(outcome.runs) == 3 * 2 * 3
     assert [(row["name"], row["particles"]) for row in outcome.rows()] == [
         (name, n) for name in ("mcl", "fastslam1", "fastslam2") for n in (10, 100)
@@ -35,20 +35,19 @@ def test_rows_bands_and_json() -> None:
     assert payload["bands"][0]["landmark_rmse_m"] is None
 
 
-def test_figure(tmp_path) -> None:
-    outcome = study_particles(simulate(seed=1, steps=10), particles=(10, 20), seeds=2)
-    figure = particles_figure(outcome)
-    shown = [axes for axes in figure.axes if axes.get_visible()]
-    assert [axes.get_title(loc="left") for axes in shown] == list(FIGURES.values())
-    figure.savefig(tmp_path / "study.pdf")
+@pytest.mark.slow
+def test_processes_change_nothing_but_the_time() -> None:
+    log = simulate(seed=1, steps=10)
+    alone, together = (study_particles(log, particles=(10, 20), seeds=2, jobs=jobs) for jobs in (0, 2))
+    assert [replace(run, seconds=0.0) for run in alone.runs] == [replace(run, seconds=0.0) for run in together.runs]
 
 
 def test_without_truth_and_without_names() -> None:
     log = simulate(seed=1, steps=10, clean=True)
-    blind = study_particles(log.replace(true_poses=None, true_landmarks=None), particles=(10,), seeds=1)
+    blind = study_particles(log.replace(true_poses=None, true_landmarks=None), particles=(10,), seeds=1, jobs=0)
     assert [row["ate_m"] for row in blind.rows()] == [None, None]
-    assert len([axes for axes in particles_figure(blind).axes if axes.get_visible()]) == 3
-    unnamed = study_particles(log, filters=("fastslam2",), particles=(10,), seeds=1, association="maximum-likelihood")
+    options = {"filters": ("fastslam2",), "particles": (10,), "association": "maximum-likelihood"}
+    unnamed = study_particles(log, seeds=1, jobs=0, **options)
     assert unnamed.runs[0].ate_m is not None
     assert 0 < unnamed.runs[0].landmark_rmse_m < 3
 
@@ -59,8 +58,8 @@ def test_bad_input() -> None:
         study_particles(log, filters=("graph",))
     with pytest.raises(OptionError, match="seeds must be at least 1"):
         study_particles(log, seeds=0)
-    with pytest.raises(OptionError, match="at least one filter"):
+    with pytest.raises(OptionError, match="particles must be a list"):
         study_particles(log, particles=())
     poses_only = log.replace(dt=None, controls=None)
     with pytest.raises(LogError, match="no controls"):
-        study_particles(poses_only)
+        study_particles(poses_only, jobs=0)

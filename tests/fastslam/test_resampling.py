@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fastslam import RESAMPLING_SCHEMES, effective_sample_size
-from fastslam.crew import Crew
-from fastslam.resampling import _comb, resampling_scheme
+from fastslam.options import RESAMPLING, FilterOptions
+from fastslam.resampling import _evenly_spaced
+from fastslam.threads import Threads
 from fastslam.weight_kernels import multiply, normalize
 from graphslam import OptionError
 
@@ -20,7 +21,7 @@ weights_lists = st.lists(st.one_of(st.just(0.0), st.floats(1e-9, 1.0)), min_size
 @given(weights=weights_lists, seed=st.integers(0, 2**32))
 def test_ancestors_ascend_and_have_weight(name: str, weights: list[float], seed: int) -> None:
     w = np.array(weights) / sum(weights)
-    ancestors = resampling_scheme(name)(w, np.random.default_rng(seed))
+    ancestors = RESAMPLING_SCHEMES[name](w, np.random.default_rng(seed))
     assert ancestors.shape == w.shape
     assert np.all(np.diff(ancestors) >= 0)
     assert np.all(w[ancestors] > 0)
@@ -51,7 +52,7 @@ def test_copies_stay_near_their_expectation(name: str, below: float, above: floa
 
 
 @pytest.mark.parametrize("name", ["systematic", "stratified", "residual"])
-def test_equal_weights_keep_everybody(name: str) -> None:
+def test_equal_weights_keep_every_particle(name: str) -> None:
     ancestors = RESAMPLING_SCHEMES[name](np.full(997, 1 / 997), np.random.default_rng(0))
     np.testing.assert_array_equal(ancestors, np.arange(997))
 
@@ -62,13 +63,13 @@ def test_systematic_by_hand() -> None:
             return 0.5
 
     weights = np.array([0.1, 0.0, 0.6, 0.3])
-    # teeth at 1/8, 3/8, 5/8, 7/8 over 0.1, 0.1, 0.7, 1.0
+    # positions 1/8, 3/8, 5/8, 7/8 over 0.1, 0.1, 0.7, 1.0
     np.testing.assert_array_equal(RESAMPLING_SCHEMES["systematic"](weights, Fixed()), [2, 2, 2, 3])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("count", [1, 2, 63, 1000])
-def test_comb_is_the_search_for_its_teeth(count: int) -> None:
-    """The branch-free comb against the plain search, also with many particles of no weight at either end."""
+def test_evenly_spaced_positions_by_search(count: int) -> None:
+    """The branch-free version against the plain search, also with many particles of no weight at either end."""
     rng = np.random.default_rng(count)
     for _ in range(50):
         weights = rng.exponential(size=count) ** 3 * (rng.random(count) < 0.7)
@@ -77,7 +78,7 @@ def test_comb_is_the_search_for_its_teeth(count: int) -> None:
             continue
         offset, cumulative = rng.random(), np.cumsum(weights)
         expected = np.searchsorted(cumulative, (offset + np.arange(count)) / count * cumulative[-1], side="right")
-        np.testing.assert_array_equal(_comb(cumulative, offset), expected)
+        np.testing.assert_array_equal(_evenly_spaced(cumulative, offset), expected)
 
 
 @pytest.mark.parametrize("count", [1, 64, 65, 3000])
@@ -85,11 +86,11 @@ def test_weights_are_multiplied_and_normalized(count: int) -> None:
     rng = np.random.default_rng(count)
     before, likelihood = rng.normal(-300, 20, (2, count))
     likelihood[1::7] = -np.inf
-    product, crew = likelihood.copy(), Crew(count, 1)
-    highest = multiply(crew, before, product)
+    product, team = likelihood.copy(), Threads(count, 1)
+    highest = multiply(team, before, product)
     np.testing.assert_array_equal(product, before + likelihood)
     assert highest == product.max()
-    weights, total, squares = normalize(crew, product, highest)
+    weights, total, squares = normalize(team, product, highest)
     expected = np.exp(before + likelihood - highest)
     np.testing.assert_allclose(weights, expected, rtol=1e-14)
     assert total == pytest.approx(expected.sum(), rel=1e-13)
@@ -104,6 +105,7 @@ def test_effective_sample_size() -> None:
     assert effective_sample_size(np.log([0.5, 0.25, 0.25]) - 1e4) == pytest.approx(8 / 3, rel=1e-9)
 
 
-def test_unknown_name() -> None:
+def test_names() -> None:
+    assert tuple(RESAMPLING_SCHEMES) == RESAMPLING
     with pytest.raises(OptionError, match=r"systematic.*not 'low variance'"):
-        resampling_scheme("low variance")
+        FilterOptions(resampling="low variance")

@@ -1,4 +1,4 @@
-"""Is the posterior right? Against closed forms and against Gauss-Newton on the full problem."""
+"""The posterior against closed forms and against Gauss-Newton on the full problem."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ def linear_posterior(log: Log) -> list[tuple[np.ndarray, np.ndarray]]:
     covariance = np.linalg.inv(Omega)
     mean = covariance @ xi
     moved = np.hstack([by_noise.T, np.zeros((2, 2 * MARKS))])
-    found = [(reckoned[-1, :2] + moved @ mean, moved @ covariance @ moved.T)]
+    posterior = [(reckoned[-1, :2] + moved @ mean, moved @ covariance @ moved.T)]
     for j in range(MARKS):
         at = slice(STEPS + 2 * j, STEPS + 2 * j + 2)
-        found.append((LANDMARKS[j] + mean[at], covariance[at, at]))
-    return found
+        posterior.append((LANDMARKS[j] + mean[at], covariance[at, at]))
+    return posterior
 
 
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
-from fastslam.crew import Crew, available_threads
+from fastslam.threads import Threads, available_threads
 from graphslam import OptionError, simulate
 
 
@@ -23,15 +23,15 @@ def test_same_result_whatever_the_number_of_threads(kind: type) -> None:
 
 
 @pytest.mark.parametrize(("particles", "threads", "expected"), [(100, 4, 1), (8192, 4, 2), (10_000, 2, 2), (1, 1, 1)])
-def test_ranges_cover_everybody_once(particles: int, threads: int, expected: int) -> None:
-    crew, seen = Crew(particles, threads), np.zeros(particles, dtype=int)
+def test_ranges_cover_every_particle_once(particles: int, threads: int, expected: int) -> None:
+    team, visits = Threads(particles, threads), np.zeros(particles, dtype=int)
 
     def work(lo: int, hi: int) -> None:
-        seen[lo:hi] += 1
+        visits[lo:hi] += 1
 
-    crew.run(work)
-    np.testing.assert_array_equal(seen, 1)
-    assert crew.threads == expected
+    team.run(work)
+    np.testing.assert_array_equal(visits, 1)
+    assert team.count == expected
 
 
 def test_light_work_stays_in_one_thread_longer() -> None:
@@ -40,39 +40,39 @@ def test_light_work_stays_in_one_thread_longer() -> None:
     def work(lo: int, hi: int) -> None:
         ranges.append((lo, hi))
 
-    Crew(10_000, 2).run_light(work)
+    Threads(10_000, 2).run_light(work)
     assert ranges == [(0, 10_000)]
     ranges.clear()
-    Crew(100_000, 2).run_light(work)
+    Threads(100_000, 2).run_light(work)
     assert sorted(ranges) == [(0, 50_176), (50_176, 100_000)]
 
 
 def test_a_large_filter_is_the_same_in_two_threads() -> None:
-    """Large enough that sums and maxima are taken in threads too."""
+    """Large enough that sums and maxima are computed in threads, too."""
     log = simulate(seed=1, steps=6, clean=True)
     a, b = (FastSLAM2(log, particles=70_000, ess_threshold=1.0, threads=threads).run() for threads in (1, 2))
     np.testing.assert_array_equal(a.poses, b.poses)
     np.testing.assert_array_equal(a.ess, b.ess)
 
 
-def test_errors_of_a_thread_come_out() -> None:
+def test_errors_of_a_thread_are_raised() -> None:
     def work(lo: int, hi: int) -> None:
         if lo > 0:
             raise ValueError("in the other thread")
 
     with pytest.raises(ValueError, match="in the other thread"):
-        Crew(10_000, 2).run(work)
+        Threads(10_000, 2).run(work)
 
 
-def test_a_forked_process_goes_on() -> None:
+def test_a_forked_process_starts_its_own_threads() -> None:
     def work(lo: int, hi: int) -> None:
         pass
 
-    crew = Crew(10_000, 2)
-    crew.run(work)
-    crew._process = -1  # what a child sees: its parent's number
-    crew.run(work)
-    assert crew._process == os.getpid()
+    team = Threads(10_000, 2)
+    team.run(work)
+    team._process = -1  # in a child this is its parent's number
+    team.run(work)
+    assert team._process == os.getpid()
 
 
 @pytest.mark.parametrize("threads", [0, -1, 1.5])
@@ -81,7 +81,7 @@ def test_bad_number(threads: float) -> None:
         FastSLAM1(threads=threads)
 
 
-def test_numbas_limit_is_respected(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_limit_of_numba_is_respected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
     assert available_threads() == 1
-    assert FastSLAM1(particles=100_000)._crew.threads == 1
+    assert FastSLAM1(particles=100_000)._threads.count == 1

@@ -58,8 +58,8 @@ def test_a_motion_drawn_at_once_has_the_accumulated_gaussian(sensor: SensorModel
 def test_proposal_of_a_whole_motion_in_closed_form() -> None:
     """The pose given one sighting of a landmark that is nearly known: (H_x' Q^-1 H_x + P^-1)^-1."""
     log = drive(CENTRED, motions=1)
-    seen = log.landmarks == 0
-    log = log.replace(steps=log.steps[seen], landmarks=log.landmarks[seen], sightings=log.sightings[seen])
+    first = log.landmarks == 0
+    log = log.replace(steps=log.steps[first], landmarks=log.landmarks[first], sightings=log.sightings[first])
     slam = FastSLAM2(log, particles=200_000, ess_threshold=0.0)
     slam.run()
     start, (mean,), (P,) = log.initial_poses[0], *log.motions()
@@ -85,7 +85,7 @@ def test_filters_follow_a_drive(kind: type[ParticleFilter], sensor: SensorModel)
     result = kind(log, particles=2000, seed=1).run()
     off = np.hypot(*(result.mean_poses - log.true_poses)[:, :2].T)
     drifted = np.hypot(*(log.initial_poses - log.true_poses)[:, :2].T)
-    # ranges of 4 m are known to 8 cm; the offset of 0.7 m would show if it were left out or doubled
+    # ranges of 4 m have an error of 8 cm; an offset of 0.7 m left out or doubled would exceed the bound
     assert off.max() < 0.12
     assert off[-4:].mean() < drifted[-4:].mean()
     if kind is not MonteCarloLocalization:
@@ -106,7 +106,7 @@ def test_moves_by_hand_carry_the_sensor() -> None:
 def test_unknown_ids_need_maximum_likelihood() -> None:
     log = drive(CENTRED).replace(landmarks=np.full(39, UNIDENTIFIED))
     for kind in FILTERS:
-        with pytest.raises(OptionError, match="do not tell their landmark"):
+        with pytest.raises(OptionError, match="has sightings without ids"):
             kind(log, particles=2)
     result = FastSLAM2(log, particles=500, association="maximum-likelihood").run()
     assert len(result.landmarks) == 3

@@ -118,7 +118,7 @@ def test_the_parts_make_up_the_models() -> None:
     parts, variances = motion_parts(log), motion_variances(motion)
     whole = sum(variances[name] * part for name, part in parts.items())
     np.testing.assert_allclose(whole, log.motions(motion)[1], rtol=1e-9, atol=1e-15)
-    parts, variances = sensor_parts(log.sightings), sensor_variances(SENSOR, 3)
+    parts, variances = sensor_parts(log.sightings), sensor_variances(SENSOR)
     np.testing.assert_allclose(sum(variances[n] * C for n, C in parts.items()), SENSOR.Q(log.sightings))
 
 
@@ -178,7 +178,7 @@ def test_landmarks_without_names() -> None:
     from graphslam.log import UNIDENTIFIED
 
     log = drive(0, steps=20)
-    with pytest.raises(LogError, match="do not tell their landmark"):
+    with pytest.raises(LogError, match="without landmark ids"):
         calibrate(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)))
 
 

@@ -190,7 +190,7 @@ def test_evaluate_says_none_where_the_truth_is_silent() -> None:
     assert evaluate(truth, landmarks, estimate, {}).landmark_rmse_m is None
     # a single pose always fits
     alone = np.arange(len(truth)) == 3
-    assert evaluate(truth, landmarks, estimate, landmarks, alone) == Metrics()
+    assert evaluate(truth, landmarks, estimate, landmarks, mask=alone) == Metrics()
 
 
 def test_aligned_carries_headings_too() -> None:

@@ -249,3 +249,27 @@ def test_an_impossible_offset_is_refused(offset):
 def test_an_offset_is_two_numbers(offset):
     with pytest.raises(OptionError, match="offset must be"):
         SensorModel(offset=offset)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        # the two ways to describe the noise of the motion replace each other
+        ({"sigma_v": 0.3}, {"nn": 0, "no": 0, "on": 0, "oo": 0, "sigma_v": 0.3, "sigma_omega": 0.2}),
+        ({"nn": 0.3}, {"nn": 0.3, "no": 0.001, "oo": 0.2, "sigma_v": 0, "sigma_omega": 0}),
+        ({"nn": 0.3, "sigma_v": 0.4}, {"nn": 0.3, "on": 0.13, "sigma_v": 0.4, "sigma_omega": 0.2}),
+        ({"epsilon": 1e-6, "nn": None}, {"epsilon": 1e-6, "nn": 0.19, "sigma_v": 0.1}),
+    ],
+)
+def test_options_change_a_motion_model(options, expected):
+    changed = MotionModel(sigma_v=0.1, sigma_omega=0.2).changed(**options)
+    assert {name: getattr(changed, name) for name in expected} == expected
+
+
+def test_options_change_a_sensor_model():
+    constant = SensorModel().changed(range_std=0.2)
+    assert (constant.range_rate, constant.range_std, constant.bearing_std) == (0.0, 0.2, 0.05)
+    assert constant.changed(range_rate=0.1).range_std == 0.0
+    assert SensorModel().changed(range_rate=0.1, range_std=0.2).Q([2.0, 0.0])[0, 0] == pytest.approx(0.08)
+    with pytest.raises(OptionError, match="SensorModel has no 'range'; its fields are range_rate"):
+        SensorModel().changed(range=1.0)

@@ -33,7 +33,7 @@ def test_the_books_program(golden, shared_data, number):
 
 
 def test_without_motion_edges_poses_that_saw_nothing_keep_their_numbers(book_log):
-    result = textbook.solve(book_log, "virtual", threshold=0.1)
+    result = textbook.solve(book_log, edges="virtual", threshold=0.1)
     unseen = np.setdiff1d(np.arange(book_log.num_poses), book_log.steps)
     assert len(unseen) > 0
     np.testing.assert_array_equal(np.flatnonzero(~result.estimated), unseen)
@@ -42,15 +42,15 @@ def test_without_motion_edges_poses_that_saw_nothing_keep_their_numbers(book_log
 
 def test_run_to_convergence_the_textbook_drifts(book_log):
     # the anchor is missing from xi, so that every step moves the whole graph on
-    norms = textbook.solve(book_log, "virtual", threshold=1e-12, max_iterations=40).step_norms
+    norms = textbook.solve(book_log, edges="virtual", threshold=1e-12, max_iterations=40).step_norms
     assert norms[-1] > 1e-6
     assert norms[-1] == pytest.approx(norms[-6], rel=1e-2)
 
 
 def test_impossible_requests(book_log, shared_data):
     with pytest.raises(GraphError, match="no controls"):
-        textbook.solve(load(shared_data("lnpr/log_for_book.txt")), "virtual+motion")
+        textbook.solve(load(shared_data("lnpr/log_for_book.txt")), edges="virtual+motion")
     with pytest.raises(OptionError, match="edges must be one of"):
-        textbook.solve(book_log, "landmark")
+        textbook.solve(book_log, edges="landmark")
     with pytest.raises(OptionError, match="dimensions"):
         textbook.solve(book_log.without_orientation(), dimensions=3)

@@ -2,7 +2,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from graphslam import Graph, OptionError, load, sample_log_path, solve
+from graphslam import Graph, OptionError, load, sample_log_path, simulate, solve
+from graphslam.se2 import wrap
 from graphslam.solvers.gtsam_solver import to_gtsam, to_values
 
 
@@ -57,5 +58,37 @@ def test_impossible_blocks(book_log):
         solution.cross_covariance(0, landmark=3)
     with pytest.raises(OptionError, match="and not both"):
         solution.cross_covariance(0)
-    with pytest.raises(OptionError, match="step must be a whole number between"):
+    with pytest.raises(OptionError, match="there is no pose 99"):
         solution.cross_covariance(0, 99)
+
+
+def test_poses_of_a_pose_graph_are_named_by_their_ids(tmp_path):
+    """A chain with ids 10, 20, 30: with unit information the variance of a position grows by 1 per edge."""
+    edges = "".join(f"EDGE_SE2 {i} {j} 0 0 0 1 0 0 1 0 1\n" for i, j in ((10, 20), (20, 30)))
+    (tmp_path / "chain.g2o").write_text("".join(f"VERTEX_SE2 {i} 0 0 0\n" for i in (10, 20, 30)) + edges)
+    solution = solve(Graph.from_g2o(tmp_path / "chain.g2o"))
+    for id, variance in ((10, 0), (20, 1), (30, 2)):
+        np.testing.assert_allclose(solution.covariance(id), variance * np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(solution.cross_covariance(20, 30), np.eye(3), atol=1e-12)
+    with pytest.raises(OptionError, match="there is no pose 2; the ids of the poses are 3 whole numbers from 10 to 30"):
+        solution.covariance(2)
+
+
+def test_nees_is_that_of_the_dense_covariance():
+    log = simulate(seed=4, clean=True, steps=20)
+    graph = Graph.from_log(log, edges="landmark+motion")
+    solution = solve(graph)
+    error = solution.poses - log.true_poses
+    error[:, 2] = wrap(error[:, 2])
+    system, _ = graph.linearize(solution.state)
+    covariance = np.linalg.inv(system.to_sparse().toarray())
+    size = 3 * log.num_poses
+    each = [e @ np.linalg.inv(covariance[k : k + 3, k : k + 3]) @ e / 3 for e, k in zip(error, range(0, size, 3))]
+    np.testing.assert_allclose(solution.nees(log.true_poses), each, rtol=1e-5)
+    # given the first pose: the information of all others with the landmarks eliminated
+    of_poses = np.linalg.inv(covariance[:size, :size])[3:, 3:]
+    e = error[1:].ravel()
+    assert solution.joint_nees(log.true_poses) == pytest.approx(e @ of_poses @ e / len(e), rel=1e-5)
+    unknown = log.true_poses.copy()
+    unknown[3, 2] = np.nan
+    assert np.flatnonzero(np.isnan(solution.nees(unknown))).tolist() == [3]

@@ -71,9 +71,9 @@ def particle_film(log: Log, options: RunOptions, animation: AnimationOptions, pr
             progress()
     result = filter.result()
     notes = [str(w.message) for w in caught if issubclass(w.category, VanishedWeightsWarning)]
-    if options.particles > MOST_PARTICLES:
-        notes.append(f"{len(frames[0].particles)} of {options.particles} particles are drawn")
-    title = f"{log.name}: {_NAMES[name]}, {options.particles} particles"
+    if options.filter.particles > MOST_PARTICLES:
+        notes.append(f"{len(frames[0].particles)} of {options.filter.particles} particles are drawn")
+    title = f"{log.name}: {_NAMES[name]}, {options.filter.particles} particles"
 
     def set_up(figure: Figure) -> Show:
         # localisation is in the axes of its map, which are the true ones
@@ -87,7 +87,7 @@ def particle_film(log: Log, options: RunOptions, animation: AnimationOptions, pr
         scene.add_robot()
         steps = np.flatnonzero(result.resampled)
         scene.strip.plot(steps, np.full(len(steps), 0.95), "|", color=FLASH, markersize=4)
-        scene.add_curve(np.arange(log.num_poses), result.ess / options.particles, "step", "ESS / N")
+        scene.add_curve(np.arange(log.num_poses), result.ess / options.filter.particles, "step", "ESS / N")
         scene.strip.set_ylim(0, 1.05)
         scene.remember("resampling", Line2D([], [], color=FLASH, linestyle="none", marker="|", markersize=6))
         return scene.finish()

@@ -5,9 +5,9 @@ import numpy as np
 from numba import njit
 
 # Cost model of one supernode of w columns and r rows below (nodes), in nanoseconds: fixed overhead, scalars of the
-# panel, flops, scalars of the update matrix passed to the parent. Fitted by timing 14 settings on six graphs; the
-# times change by 5 to 10 % around this one. Without amalgamation INTEL, M3500 and city10000 take 1.2 to 1.3 times
-# as long, with twice as much of it the path of 10^5 poses takes twice as long (memory).
+# panel, flops, scalars of the update matrix passed to the parent. They were fitted by timing 14 settings on six graphs;
+# nearby settings change the times by 5 to 10 %. Without amalgamation INTEL, M3500 and city10000 take 1.2 to 1.3 times
+# as long; with twice as much amalgamation the path of 10^5 poses takes twice as long, because of memory.
 COST_NODE, COST_PANEL, COST_FLOP, COST_UPDATE = 100.0, 2.0, 0.05, 1.0
 
 
@@ -58,7 +58,7 @@ def supernodes(n, parent, count):
     cost = np.empty(n)
     for p in range(n):
         cost[p] = _cost(np.int64(1), below[p])
-        # first the children that fit without a zero, so that the others are weighed against the full width
+        # first merge the children that add no zeros, so that the others are compared with the full width
         for relaxed in range(2):
             c = child[p]
             previous = -1
@@ -80,7 +80,7 @@ def supernodes(n, parent, count):
                     last = c
                     column_next[last] = column_head[p]
                     column_head[p] = column_head[c]
-                    # the grandchildren take c's place and are not weighed again: they were, against c
+                    # the grandchildren take the place of c; they are not tested again, as they were tested against c
                     g = child[c]
                     if g < 0:
                         if previous < 0:

@@ -14,8 +14,9 @@ from .ordering import amd
 from .symbolic import Layout, layout
 
 Method = Literal["supernodal", "dense"]
-# Smallest pivots over their diagonal entries. Held graphs: INTEL 4e-11, a path of 10^5 poses held at one end 1e-10,
-# CSAIL 1e-7, the others above 1e-6. Floating graphs: negative, or M3500 9e-14, CSAIL (ill-weighted) 2e-11.
+# Smallest ratios of a pivot to its diagonal entry. Graphs that are held: INTEL 4e-11, a path of 10^5 poses held at one
+# end 1e-10, CSAIL 1e-7, the others above 1e-6. Graphs that are not held: negative, or M3500 9e-14, CSAIL (badly scaled)
+# 2e-11.
 PIVOT_TOLERANCE = 1e-12
 
 
@@ -38,7 +39,7 @@ def _pattern_fault(n, indptr, indices):
 
 
 class Symbolic:
-    """Symbolic analysis of a symmetric pattern of 3x3 blocks; made by :func:`analyze`, good for any values.
+    """Symbolic analysis of a symmetric pattern of 3x3 blocks; made by :func:`analyze`, valid for any values.
 
     Attributes:
         n: number of nodes.
@@ -119,7 +120,7 @@ class Factor:
         return self
 
     def _raise(self, values: NDArray[np.float64], bad: int) -> None:
-        # NaN and inf always end in a bad pivot, so they need not be looked for before
+        # NaN and inf always end in a bad pivot, so that values need no check before
         finite = np.isfinite(values).all(axis=(1, 2))
         if not finite.all():
             p = int(np.argmin(finite))
@@ -230,11 +231,11 @@ def analyze(
     structure = Layout(*layout(n, indptr, indices, order))
     chosen: Method
     if method == "auto":
-        # Cliques on two idle cores, LAPACK against the supernodes: 200 nodes 1.9 to 1.6 ms, 350 equal at 8 ms, 700 43
-        # to 75 ms, 2,000 0.78 to 1.7 s. On busy cores the two threads of LAPACK may take ten times as long, hence not
-        # before it gains much. The factor stands for the threads. An up-looking factorisation was tried for thin
-        # graphs: INTEL 0.105 against 0.118 ms, but 77 nodes 0.025 to 0.015 ms, M3500 1.30 to 0.69 ms, city10000 14.0
-        # to 3.9 ms.
+        # Times on cliques with two idle cores, LAPACK and supernodes: 200 nodes 1.9 and 1.6 ms, 350 nodes 8 ms both,
+        # 700 nodes 43 and 75 ms, 2,000 nodes 0.78 and 1.7 s. On busy cores LAPACK with its two threads may take ten
+        # times as long, so it is used only where it gains much. The factor 1.5 accounts for the threads.
+        # An up-looking factorisation for thin graphs was tried and rejected: against the supernodes INTEL took 0.105
+        # and 0.118 ms, but 77 nodes 0.025 and 0.015 ms, M3500 1.30 and 0.69 ms, city10000 14.0 and 3.9 ms.
         full = 9.0 * n**3
         chosen = "dense" if n >= 700 and full < 1.5 * structure.flops else "supernodal"
     else:

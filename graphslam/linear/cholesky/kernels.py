@@ -124,7 +124,7 @@ def subtract_product_blocked(c, ic, ldc, a, ia, lda, b, ib, step_k, step_j, rows
 
 @njit(cache=True, error_model="numpy")
 def negative_gram(c, ic, ldc, a, ia, lda, rows, columns, depth):
-    """Lower triangle of C = -A A' (what stood in C is overwritten, its strict upper triangle is scratch).
+    """Lower triangle of C = -A A' (C is overwritten, its strict upper triangle is scratch).
 
     ``rows`` is ``columns`` (multiple of 3) padded to a multiple of 4.
     """

@@ -49,9 +49,9 @@ def _drop(p, owner, start, length, graph, twin):
 def eliminate_low_degree(n, start, graph, twin):
     """Eliminate nodes of degree <= 2 as long as there are any; returns their order, and the lists of what remains.
 
-    Minimum degree would begin with the same nodes, but at the price of the whole quotient graph: most poses of a
-    trajectory are of this kind, and one costs a few list entries here. ``twin`` makes every update local, so that a
-    hub with 10^5 neighbours costs nothing extra.
+    Minimum degree would begin with the same nodes, but each would cost an update of the quotient graph. Most poses of
+    a trajectory are of this kind, and here each costs a few list entries. ``twin`` makes every update local, so that a
+    node with 10^5 neighbours costs nothing extra.
     """
     length = np.empty(n, np.int32)
     for i in range(n):
@@ -100,7 +100,7 @@ def eliminate_low_degree(n, start, graph, twin):
                     graph[tb] = a
                     twin[ta] = tb
                     twin[tb] = ta
-            # a node ahead in the outer loop will be met there; one behind has to be taken now
+            # the outer loop will reach later nodes by itself; earlier ones go onto the stack
             if length[b] <= 2 and b < v0 and not gone[b]:
                 stack[depth] = b
                 depth += 1

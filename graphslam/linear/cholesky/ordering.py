@@ -100,7 +100,7 @@ def minimum_degree(n, pointer, neighbours, dense):
             done += 1
             weight[i] = 0
             size[i] = 0
-    todo = last  # the dense nodes take no part
+    todo = last  # the dense nodes are left out
     for i in range(n):
         if weight[i] > 0:
             d = length[i]
@@ -193,7 +193,7 @@ def minimum_degree(n, pointer, neighbours, dense):
                     else:
                         size[e] = 0  # aggressive absorption: e lies inside the new element
             kept = q - low
-            # the new element takes the slot that at least one absorbed element or eliminated variable left behind
+            # the new element takes the entry of an absorbed element or an eliminated variable; there is at least one
             for r in range(middle, high):
                 j = graph[r]
                 if weight[j] > 0:
@@ -257,7 +257,7 @@ def minimum_degree(n, pointer, neighbours, dense):
                 i = sibling[i]
         stamp += n + 1
 
-        # --- back to the degree lists; squeeze the new element
+        # --- back to the degree lists; remove eliminated variables from the new element
         done_after = done + pivot_weight
         end_kept = first
         for p in range(first, end):

@@ -125,7 +125,7 @@ def _extend_block(x, at, ld, begin, end, size, f, y, transposed, gram):
             get(x, d0),
             rows,
         )
-    # the rows above ``end`` that a group of four reaches into belong to the diagonal block: keep them aside
+    # the rows above ``end`` that a group of four reaches into belong to the diagonal block: save them
     spill = end - top
     for j in range(k):
         copy_vector(gram, j * 4, f, (begin + j) * size + top, spill)
@@ -185,7 +185,7 @@ def selected_inverse(layout, x, z, u, run, f, y, transposed, gram, diagonal):
     """Panels ``z`` of Omega^-1 (diagonal blocks full), and its diagonal blocks (n, 3, 3) in node order.
 
     The factorisation run backwards: a supernode takes the inverse over its rows from the stack, extends it by its
-    own columns and leaves its children their part at the very place where their update matrices had stood.
+    own columns and writes the part of each child to the place where the update matrix of that child was.
     """
     order, first, row_start, relative = layout.order, layout.first, layout.row_start, layout.relative
     child_start, children, stack_start = layout.child_start, layout.children, layout.stack_start

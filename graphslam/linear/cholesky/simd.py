@@ -1,8 +1,8 @@
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return"
 """LLVM vector code behind the dense kernels: products, row solves and copies on flat column-major float64 arrays.
 
-Written through ``numba.extending.intrinsic``: the loop vectoriser gives up on the plain loops because it cannot prove
-that the 3 to 6 target columns do not overlap (numba has no ``restrict``), and reaches 8 Gflop/s where these reach 60.
+Written with ``numba.extending.intrinsic``: the loop vectoriser does not vectorise the plain loops, because it cannot
+prove that the 3 to 6 target columns do not overlap (numba has no ``restrict``). Plain loops reach 8 Gflop/s, these 60.
 Vectors of 8 doubles are legal everywhere: LLVM splits them where the registers are narrower. The subtractions carry
 the ``contract`` flag so that they become fused multiply-adds where the processor has them. Indices are trusted.
 """

@@ -43,7 +43,7 @@ def _factor_columns(x, at, ld, rows, width, limits, pivot):
         count = (rows - j) & ~3  # rows - j - 3 rounded up
         if count > 0:
             solve_rows(x, at + j * ld + rows - count, ld, i0, l10, l20, i1, l21, i2, count)
-        # only now, as the group of rows on top may have run over the diagonal block
+        # written last, because the group of rows on top may have overwritten the diagonal block
         put(x, d0, i0)
         put(x, d0 + 1, l10)
         put(x, d0 + 2, l20)
@@ -66,7 +66,7 @@ def factor_panel(x, at, ld, width, limits, pivot):
 
     The diagonal of L is stored inverted. ``limits[pivot + j]`` is the smallest acceptable pivot of column j. Returns
     the scalar column of the first bad pivot, or -1. Wide panels are taken in blocks of INNER columns, and in blocks
-    of OUTER columns whose update of the rest is worth packing.
+    of OUTER columns, for which the update of the rest is large enough to copy its operands.
     """
     for outer in range(0, width, OUTER):
         outer_stop = min(outer + OUTER, width)

@@ -48,7 +48,7 @@ def backward(first, row_start, rows, panel_start, x, b, work, ns):
         ld = width + ((3 * (high - low) + 3) & ~3)
         at = panel_start[s]
         head = 3 * first[s]
-        # the rows not known yet are zero: that keeps the scratch above the diagonal out of the sums
+        # rows that are not known yet are zero, so that the scratch above the diagonal does not enter the sums
         clear(work, 0, ld)
         i = width
         for q in range(low, high):

@@ -1,10 +1,12 @@
-"""Elementary functions without branches, so that the compiler does several particles at once.
+"""Elementary functions without branches, which the compiler can vectorise over particles.
 
-The C library's sin, cos, atan2 and log are called one number at a time and stop a loop from being vectorised. These
-are straight lines of arithmetic and selections: 1 ns per number in a loop where the library's take 8 to 20 ns, errors
-below 1e-15. The price is their domain: finite numbers, angles up to 1e6 rad, logarithms of normal positive numbers.
+The C library computes sin, cos, atan2 and log one number at a time, and a call to it keeps the compiler from vectorising
+the loop. The functions here contain only arithmetic and selections. In a loop they take 1 ns per number instead of 8 to
+20 ns, with errors below 1e-15. Their domain is smaller: finite numbers, angles up to 1e6 rad, and logarithms of normal
+positive numbers.
 
-The polynomials are those of Sun Microsystems' fdlibm (k_sin.c, k_cos.c, s_atan.c, e_log.c), the reductions are not.
+The coefficients of the polynomials are those of Sun Microsystems' fdlibm (k_sin.c, k_cos.c, s_atan.c, e_log.c). The
+argument reductions are our own.
 """
 
 from __future__ import annotations
@@ -14,12 +16,13 @@ from math import pi
 import numpy as np
 from numba import njit
 
-#: products and sums may be fused (rounded once instead of twice); nothing is reordered, so results are repeatable
+#: options of numba.njit: a product and a sum may be fused (rounded once instead of twice), but nothing is reordered, so
+#: that results are repeatable
 OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
-#: the same, and always part of the caller: a call that is left over stops its loop from being vectorised
+#: the same for functions that are inlined into their caller, because a remaining call prevents vectorisation
 INLINED = {**OPTIONS, "forceinline": True}
 
-_ROUND = 1.5 * 2.0**52  # adding it pushes the fraction of a number below 2**51 out of the mantissa
+_ROUND = 1.5 * 2.0**52  # adding this to a number below 2**51 rounds away its fractional part
 _QUARTER_HIGH, _QUARTER_LOW = 1.57079632673412561417, 6.07710050650619224932e-11  # pi/2 in two parts
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 _SQRT_HALF_BITS = 0x3FE6A09E667F3BCD
@@ -28,15 +31,15 @@ _TAN_EIGHTH = 0.41421356237309503  # tan(pi / 8)
 
 @njit(**INLINED)
 def nearest(x: float) -> float:
-    """The whole number nearest to x."""
+    """Round x to the nearest whole number."""
     return (x + _ROUND) - _ROUND
 
 
 @njit(**INLINED)
 def wrap_angle(angle: float) -> float:
-    """The same angle in [-pi, pi), bit for bit where it is there already."""
+    """Wrap an angle to [-pi, pi) [rad]; an angle already in this interval is returned unchanged."""
     wrapped = angle - 2 * pi * nearest(angle * (0.5 / pi))
-    # rounding may leave it just outside
+    # rounding may leave the result just outside the interval
     wrapped = wrapped + 2 * pi if wrapped < -pi else wrapped
     wrapped = -pi if wrapped >= pi else wrapped
     return angle if -pi <= angle < pi else wrapped
@@ -44,7 +47,7 @@ def wrap_angle(angle: float) -> float:
 
 @njit(**INLINED)
 def sincos(x: float) -> tuple[float, float]:
-    """(sin x, cos x)."""
+    """Return (sin x, cos x)."""
     k = nearest(x * (2 / pi))
     r = (x - k * _QUARTER_HIGH) - k * _QUARTER_LOW
     quadrant = k - 4 * nearest(k * 0.25)  # -2 to 2
@@ -65,9 +68,9 @@ def sincos(x: float) -> tuple[float, float]:
 
 @njit(**INLINED)
 def atan2(y: float, x: float) -> float:
-    """The direction of (x, y); NaN at the origin."""
+    """Return the direction of the vector (x, y) [rad]; NaN at the origin."""
     across, along = min(abs(x), abs(y)), max(abs(x), abs(y))
-    # beyond pi/8 seen from the diagonal, so that one division does
+    # beyond pi/8 the angle is measured from the diagonal, so that one division is enough
     steep = across > _TAN_EIGHTH * along
     t = (across - along if steep else across) / (across + along if steep else along)
     q = t * t
@@ -84,7 +87,7 @@ def atan2(y: float, x: float) -> float:
 
 @njit(**INLINED)
 def log(x: float) -> float:
-    """The natural logarithm of a normal positive number; anything finite for the others."""
+    """Return the natural logarithm of a normal positive number; for other arguments the result is meaningless but finite."""
     bits = np.float64(x).view(np.int64)
     exponent = (bits - _SQRT_HALF_BITS) >> 52
     f = np.int64(bits - (exponent << 52)).view(np.float64) - 1.0  # x = 2**exponent (1 + f), 1 + f near 1
@@ -99,7 +102,7 @@ def log(x: float) -> float:
 
 @njit(**INLINED)
 def exp(x: float) -> float:
-    """e to the power of x, 0 below -708."""
+    """Return e to the power of x; 0 for x below -708."""
     k = nearest(max(x, -708.0) * 1.4426950408889634)
     r = (max(x, -708.0) - k * _LN2_HIGH) - k * _LN2_LOW
     q = r * r

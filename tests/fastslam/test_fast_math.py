@@ -1,4 +1,4 @@
-"""The vectorised elementary functions against the C library's, and the Gaussian numbers made with them."""
+"""The vectorised elementary functions against the C library, and the Gaussian numbers computed with them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fastslam import branchless
+from fastslam import fast_math
 from fastslam.noise import PAIRS, draw_key, normal_pair, standard_normals
 from graphslam.se2 import wrap
 
@@ -22,34 +22,34 @@ def each(function: Callable, *arguments: np.ndarray) -> np.ndarray:
 
 def test_sincos() -> None:
     near = np.concatenate([RNG.uniform(-10, 10, 4000), SPECIAL, np.nextafter(SPECIAL, 9), np.nextafter(SPECIAL, -9)])
-    np.testing.assert_allclose(each(branchless.sincos, near), np.column_stack([np.sin(near), np.cos(near)]), atol=3e-16)
+    np.testing.assert_allclose(each(fast_math.sincos, near), np.column_stack([np.sin(near), np.cos(near)]), atol=3e-16)
     far = RNG.uniform(-1e6, 1e6, 1000)
-    np.testing.assert_allclose(each(branchless.sincos, far), np.column_stack([np.sin(far), np.cos(far)]), atol=1e-12)
+    np.testing.assert_allclose(each(fast_math.sincos, far), np.column_stack([np.sin(far), np.cos(far)]), atol=1e-12)
 
 
 def test_atan2() -> None:
     x, y = RNG.uniform(-3, 3, (2, 4000)) * 10.0 ** RNG.uniform(-8, 8, (2, 4000))
-    np.testing.assert_allclose(each(branchless.atan2, y, x), np.arctan2(y, x), rtol=5e-16)
+    np.testing.assert_allclose(each(fast_math.atan2, y, x), np.arctan2(y, x), rtol=5e-16)
     axes = np.array([[0, 1], [1, 0], [0, -1], [-1, 0], [1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=float)
-    np.testing.assert_allclose(each(branchless.atan2, *axes.T), np.arctan2(*axes.T), rtol=5e-16)
-    assert np.isnan(branchless.atan2(0.0, 0.0))
+    np.testing.assert_allclose(each(fast_math.atan2, *axes.T), np.arctan2(*axes.T), rtol=5e-16)
+    assert np.isnan(fast_math.atan2(0.0, 0.0))
 
 
 def test_log_and_exp() -> None:
     x = np.concatenate([10.0 ** RNG.uniform(-300, 300, 4000), 1 + RNG.uniform(-1e-3, 1e-3, 1000), [1.0, 2.0, 0.5]])
-    np.testing.assert_allclose(each(branchless.log, x), np.log(x), rtol=5e-16)
+    np.testing.assert_allclose(each(fast_math.log, x), np.log(x), rtol=5e-16)
     y = np.concatenate([RNG.uniform(-700, 700, 4000), RNG.uniform(-1, 1, 1000), [0.0]])
-    np.testing.assert_allclose(each(branchless.exp, y), np.exp(y), rtol=5e-16)
-    assert branchless.exp(-1e4) == branchless.exp(-np.inf) == 0.0
+    np.testing.assert_allclose(each(fast_math.exp, y), np.exp(y), rtol=5e-16)
+    assert fast_math.exp(-1e4) == fast_math.exp(-np.inf) == 0.0
 
 
 def test_wrap_angle() -> None:
     inside = np.concatenate([RNG.uniform(-np.pi, np.pi, 2000), [-np.pi, np.nextafter(np.pi, 0), 0.0]])
-    np.testing.assert_array_equal(each(branchless.wrap_angle, inside), inside)
+    np.testing.assert_array_equal(each(fast_math.wrap_angle, inside), inside)
     angles = np.concatenate(
         [RNG.uniform(-60, 60, 4000), SPECIAL, np.nextafter(SPECIAL, 99), np.nextafter(SPECIAL, -99)]
     )
-    wrapped = each(branchless.wrap_angle, angles)
+    wrapped = each(fast_math.wrap_angle, angles)
     assert np.all((wrapped >= -np.pi) & (wrapped < np.pi))
     difference = wrapped - wrap(angles)
     np.testing.assert_allclose(np.abs(difference - 2 * np.pi * np.round(difference / (2 * np.pi))), 0, atol=1e-14)
@@ -61,10 +61,10 @@ def test_normals_are_normal() -> None:
     for column in normals.T:
         assert stats.kstest(column, "norm").pvalue > 1e-3
     np.testing.assert_allclose(np.cov(normals.T), np.eye(5), atol=5 / np.sqrt(200_000))
-    # independent in their sizes too, as Box and Muller's pairs must be, and from particle to particle
+    # their squares must be uncorrelated, too, and so must be the numbers of different particles
     np.testing.assert_allclose(np.corrcoef(normals.T**2), np.eye(5), atol=5 / np.sqrt(200_000))
     np.testing.assert_allclose(np.corrcoef(normals[1:].T, normals[:-1].T)[:5, 5:], 0, atol=5 / np.sqrt(200_000))
-    # the tails: 4 standard deviations and more, expected 63 times in a million
+    # more than 4 standard deviations are expected 63 times in a million
     assert 30 < np.sum(np.abs(normals) > 4) < 110
 
 

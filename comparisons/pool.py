@@ -1,0 +1,136 @@
+"""The pool of local processes in which studies, solver checks and the studies of filters do their work.
+
+It is the package ``pebble``, because Python cannot interrupt a compiled kernel or GTSAM: only a process of its own can be
+stopped at a time limit, or die without taking the others along. Its processes are started like this:
+
+- with one thread each, so that there are as many as cores, and so that results do not depend on the number of cores;
+- without importing the caller's script again: notebooks have none, and scripts need no ``if __name__ == "__main__"``;
+- without the terminal's Ctrl-C, which is for the process that started them, and with which they end.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from multiprocessing.context import SpawnContext, SpawnProcess
+from types import ModuleType
+from typing import TypeVar
+
+from pebble import ProcessExpired, ProcessPool
+
+from graphslam import SlamError
+
+from .kernels import warm_up
+
+_ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
+                             "VECLIB_MAXIMUM_THREADS", "TBB_NUM_THREADS"), "1")  # fmt: skip
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+class _Process(SpawnProcess):
+    def start(self) -> None:
+        environment, main = os.environ.copy(), sys.modules["__main__"]
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        os.environ.update(_ONE_THREAD)
+        # Dask sets this for its workers; with it, runs of thousands of particles take half as long again
+        os.environ.pop("MALLOC_TRIM_THRESHOLD_", None)
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            super().start()
+        finally:
+            sys.modules["__main__"] = main
+            for name in (*_ONE_THREAD, "MALLOC_TRIM_THRESHOLD_"):
+                os.environ.pop(name, None)
+                if name in environment:
+                    os.environ[name] = environment[name]
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+class _Context(SpawnContext):
+    Process = _Process
+
+
+def default_jobs() -> int:
+    """One for each core that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def processes(jobs: int, estimators: Sequence[str]) -> Iterator[ProcessPool]:
+    """A pool of processes, which end with the block, however it ends.
+
+    Args:
+        jobs: how many.
+        estimators: each process compiles or loads their kernels before its first task, outside of any time limit.
+
+    Raises:
+        SlamError: the processes die before they begin a task.
+    """
+    pool = ProcessPool(jobs, initializer=_begin, initargs=(os.getpid(), tuple(estimators)), context=_Context())
+    try:
+        yield pool
+    except BrokenProcessPool as error:
+        raise SlamError(f"the local processes cannot work ({error}); their messages stand above") from None
+    finally:
+        pool.stop()
+        pool.join()
+
+
+def results(
+    function: Callable[[Task], Result], tasks: Iterable[Task], *, jobs: int | None, estimators: Sequence[str] = ()
+) -> Iterator[Result]:
+    """``map(function, tasks)`` over local processes, results in the order of the tasks.
+
+    Args:
+        function: of a module, so that it can be named to a process.
+        tasks: plain data.
+        jobs: how many processes; 0 for this process, None for one on each core.
+        estimators: whose kernels are compiled or loaded before the first task.
+
+    Raises:
+        SlamError: a process died, or the function raised it.
+    """
+    if jobs == 0:
+        for name in estimators:
+            warm_up(name)
+        yield from map(function, tasks)
+        return
+    with processes(jobs or default_jobs(), estimators) as pool:
+        for future in [pool.schedule(function, (task,)) for task in tasks]:
+            try:
+                yield future.result()
+            except ProcessExpired as error:
+                raise SlamError(how_it_ended(error)) from None
+
+
+def how_it_ended(error: ProcessExpired) -> str:
+    """A sentence on a process that died in the middle of a task."""
+    code: int = error.exitcode
+    return f"the process ended with {f'signal {signal.Signals(-code).name}' if code < 0 else f'exit status {code}'}"
+
+
+def _begin(parent: int, estimators: Sequence[str]) -> None:
+    """The first call in every process."""
+    # Python's own handler, which pebble sets, would wait for the end of a compiled kernel
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    # standard output belongs to the parent's JSON
+    os.dup2(2, 1)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    for name in estimators:
+        with suppress(Exception):  # it shows again, with its message, in the run
+            warm_up(name)
+
+
+def _end_with(parent: int) -> None:
+    """End at once when the parent is gone, also in the middle of a long task."""
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)

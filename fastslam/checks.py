@@ -1,0 +1,73 @@
+"""Conversion of arguments to numbers, with an `OptionError` that says what was expected."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graphslam.errors import OptionError
+from graphslam.se2 import Array, wrap
+
+
+def whole(name: str, value: Any, expected: str = "a whole number") -> int:
+    """Return a Python or NumPy integer as an int; True and False are refused."""
+    try:
+        if isinstance(value, (bool, np.bool_)):
+            raise TypeError
+        return operator.index(value)
+    except TypeError:
+        raise OptionError(f"{name} must be {expected}, not {value!r}") from None
+
+
+def real(name: str, value: Any, expected: str) -> float:
+    """Return one number, which need not be finite."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise OptionError(f"{name} must be {expected}, not {value!r}") from None
+
+
+def finite(name: str, value: Any, expected: str, shapes: Sequence[tuple[int, ...]]) -> Array:
+    """Return a new array of finite numbers with one of the shapes."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        array = np.array(np.nan)
+    if array.shape not in shapes or not np.all(np.isfinite(array)):
+        raise OptionError(f"{name} must be {expected}, not {value!r}")
+    return array
+
+
+def index(name: str, value: Any, count: int) -> int:
+    """Return a whole number between 0 and count - 1."""
+    number = whole(name, value)
+    if not 0 <= number < count:
+        raise OptionError(f"there is no {name} {number}: they are numbered 0 to {count - 1}")
+    return number
+
+
+def measurements(ids: Any, sightings: ArrayLike) -> tuple[np.ndarray, Array]:
+    """Return ids (k,) and sightings (k, 2 or 3) as arrays, angles wrapped; ids None stands for k unknown ids."""
+    try:
+        z = np.array(sightings, dtype=float)
+        ids = np.zeros(len(z), dtype=np.int64) if ids is None else np.asarray(ids)
+    except (TypeError, ValueError):
+        raise OptionError(
+            f"observe takes whole numbers (k,) and sightings (k, 2) or (k, 3), not {ids!r} and {sightings!r}"
+        ) from None
+    if ids.size == 0 and z.size == 0:
+        return ids, np.empty((0, 2))
+    if z.ndim != 2 or z.shape[1] not in (2, 3) or ids.shape != (len(z),):
+        raise OptionError(
+            f"observe takes whole numbers (k,) and sightings (k, 2) or (k, 3), not shapes {ids.shape} and {z.shape}"
+        )
+    if ids.dtype.kind not in "iu":
+        raise OptionError(f"the ids of landmarks must be whole numbers, not {ids.tolist()!r}")
+    if not np.all(np.isfinite(z)) or np.any(z[:, 0] <= 0):
+        raise OptionError("sightings must be finite and their ranges above zero")
+    z[:, 1:] = wrap(z[:, 1:])
+    return ids, z

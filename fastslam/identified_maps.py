@@ -1,0 +1,99 @@
+"""The maps of all particles for sightings with ids: one column per landmark, never copied at resampling.
+
+A column holds one landmark's Gaussian for each particle of the level at which it was last seen. Resampling does not touch
+columns. When the landmark is seen again, each particle reads what its ancestor wrote and writes its own Gaussian into
+another column. A step therefore costs what is in view, whatever the size of the map, and no two particles share a place
+that one of them could change.
+
+Rejected: copying maps at resampling (N times the landmarks at each resampling), and the literature's balanced tree per
+particle (Montemerlo et al. 2002), whose log(landmarks) pointers per particle cost more cache misses than this takes in
+total.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from graphslam.se2 import Array
+
+from . import landmark_kernels as kernels
+from .blocks import unpack
+from .genealogy import Genealogy
+from .threads import Job, Threads
+
+
+@dataclass(slots=True)
+class _Column:
+    level: int
+    numbers: Array  # (5, N) or (9, N), see blocks
+
+
+class IdentifiedLandmarks:
+    """The landmarks of N particles by id; ``genealogy`` knows their ancestors; n = 2 or 3 coordinates per landmark."""
+
+    def __init__(self, genealogy: Genealogy, threads: Threads, particles: int, coordinates: int) -> None:
+        self._genealogy, self._threads = genealogy, threads
+        self._shape = (5 if coordinates == 2 else 9, particles)
+        self.coordinates = coordinates
+        self._columns: dict[int, _Column] = {}
+        self._jobs: list[Job] = []
+        self._read: list[Array] = []
+        self._spare: list[Array] = []
+
+    def __contains__(self, landmark: int) -> bool:
+        return landmark in self._columns
+
+    @property
+    def ids(self) -> list[int]:
+        """The ids of the landmarks seen so far, ascending."""
+        return sorted(self._columns)
+
+    def read(self, landmark: int) -> tuple[np.ndarray, Array]:
+        """Return (slots, source): the numbers of particle i are ``source[:, slots[i]]``."""
+        column = self._columns[landmark]
+        return self._genealogy.ancestors(column.level), column.numbers
+
+    def initialize(self, landmark: int, poses: Array, z: Array, q: Array) -> None:
+        """Schedule a first sighting: Gaussians N(h^-1(x, z), (H' Q^-1 H)^-1); z and q = diag(Q) of shape (n,)."""
+        numbers = self._take_spare()
+        self._jobs.append((kernels.initialize, (poses, z, q, numbers)))
+        self._columns[landmark] = _Column(self._genealogy.level(), numbers)
+
+    def update(self, landmark: int, poses: Array, z: Array, q: Array, log_likelihood: Array) -> None:
+        """Schedule a later sighting: add log N(z; h(m), V) to log_likelihood (N,), then the Kalman update."""
+        column = self._columns[landmark]
+        slots, source = self.read(landmark)
+        # where no particle was replaced since, each reads and writes its own place
+        in_place = self._genealogy.is_living(column.level)
+        target = source if in_place else self._take_spare()
+        self._jobs.append((kernels.update, (poses, slots, source, target, z, q, log_likelihood)))
+        if not in_place:
+            self._read.append(source)
+        column.level, column.numbers = self._genealogy.level(), target
+
+    def finish(self, before: Sequence[Job] = ()) -> None:
+        """Do everything that `initialize` and `update` have scheduled, after the jobs ``before``.
+
+        The threads start once per step, not once per sighting, and each keeps its particles' poses in its cache.
+        """
+        self._threads.run_all([*before, *self._jobs])
+        self._jobs.clear()
+        # only now: one thread may have been reading these columns while another wrote for a later sighting
+        self._spare += self._read
+        self._read.clear()
+
+    def end_step(self, poses: Array, step: int) -> None:
+        """Landmarks with ids are never dropped, so nothing is left to do at the end of a step."""
+
+    def gaussians(self, landmark: int, particles: slice) -> tuple[Array, Array, Array]:
+        """Return means (k, n), covariances (k, n, n) and the evidence (k,), which is infinite, in some particles."""
+        slots, source = self.read(landmark)
+        means, covariances = unpack(source[:, slots[particles]], self.coordinates)
+        return means, covariances, np.full(len(means), np.inf)
+
+    def _take_spare(self) -> Array:
+        # columns are reused, because the operating system would clear fresh memory page by page
+        return self._spare.pop() if self._spare else np.empty(self._shape)

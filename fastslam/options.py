@@ -1,0 +1,87 @@
+"""The options of the particle filters, each declared once with its type, default, choices and help.
+
+Constructors take these options as keywords, and command lines and configuration files derive theirs from the fields.
+This module compiles nothing and imports neither numba nor SciPy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TypedDict
+
+import numpy as np
+
+from graphslam.checks import check_choice
+from graphslam.errors import OptionError
+
+from .checks import real, whole
+
+#: how sightings are assigned to landmarks
+ASSOCIATIONS = ("known", "maximum-likelihood")
+#: the names of the resampling schemes, see `fastslam.resampling`
+RESAMPLING = ("systematic", "stratified", "residual", "multinomial")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterOptions:
+    """The options of `MonteCarloLocalization`, `FastSLAM1` and `FastSLAM2`; each field's metadata has its help.
+
+    With an ess_threshold of 1 the filter resamples after every weighted step, as in the lectures. The result does not
+    depend on the number of threads. Monte Carlo localisation does not use the last two options: it finds the landmarks
+    of its map by their ids.
+
+    Raises:
+        OptionError: an option has an impossible value.
+    """
+
+    particles: int = field(default=1000, metadata={"help": "Number of particles N."})
+    seed: int | np.random.Generator = field(
+        default=0, metadata={"help": "Random seed; in Python also a numpy.random.Generator."}
+    )
+    resampling: str = field(default="systematic", metadata={"help": "Resampling scheme.", "choices": RESAMPLING})
+    ess_threshold: float = field(
+        default=0.5, metadata={"help": "Resample when the effective sample size is at most this share of N."}
+    )
+    threads: int | None = field(default=None, metadata={"help": "Number of threads; by default all cores."})
+    association: str = field(
+        default="known",
+        metadata={"help": "Known uses the landmark ids, maximum-likelihood ignores them.", "choices": ASSOCIATIONS},
+    )
+    new_landmark_threshold: float = field(
+        default=1e-6, metadata={"help": "Probability that a sighting of a known landmark is taken for a new one."}
+    )
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "particles", whole("particles", self.particles))
+        if self.particles < 1:
+            raise OptionError(f"particles must be at least 1, not {self.particles}")
+        if not isinstance(self.seed, np.random.Generator) and whole("seed", self.seed) < 0:
+            raise OptionError(f"seed must be a whole number, not below 0, not {self.seed}")
+        check_choice("resampling", self.resampling, RESAMPLING)
+        check_choice("association", self.association, ASSOCIATIONS)
+        if not 0 <= real("ess_threshold", self.ess_threshold, "a number between 0 and 1") <= 1:
+            raise OptionError(
+                f"ess_threshold must lie between 0 (never resample) and 1 (always), not {self.ess_threshold!r}"
+            )
+        if not 0 < real("new_landmark_threshold", self.new_landmark_threshold, "a number between 0 and 1") < 1:
+            raise OptionError(f"new_landmark_threshold must lie between 0 and 1, not {self.new_landmark_threshold!r}")
+        expected = "a whole number of at least 1, or None for all"
+        if self.threads is not None and whole("threads", self.threads, expected) < 1:
+            raise OptionError(f"threads must be {expected}, not {self.threads!r}")
+
+    @property
+    def uses_ids(self) -> bool:
+        """Whether FastSLAM uses the landmark ids of the sightings."""
+        return self.association == "known"
+
+
+class FilterKeywords(TypedDict, total=False):
+    """The fields of `FilterOptions` as keywords."""
+
+    particles: int
+    seed: int | np.random.Generator
+    resampling: str
+    ess_threshold: float
+    threads: int | None
+    association: str
+    new_landmark_threshold: float

@@ -1,0 +1,69 @@
+"""Options are declared once, results keep them, and kernels are compiled without the user's log."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import fields
+from typing import get_type_hints
+
+import numpy as np
+import pytest
+
+import fastslam
+from fastslam import FastSLAM1, FastSLAM2, FilterOptions, MonteCarloLocalization, warm_up
+from fastslam.options import FilterKeywords
+from graphslam import OptionError, simulate
+
+
+def test_every_option_has_help_and_a_typed_keyword() -> None:
+    assert all(option.metadata["help"].endswith(".") for option in fields(FilterOptions))
+    assert get_type_hints(FilterKeywords) == get_type_hints(FilterOptions)
+
+
+def test_an_options_object_is_the_same_as_keywords() -> None:
+    log, options = simulate(seed=1, steps=10), FilterOptions(particles=30, seed=4, ess_threshold=1.0)
+    by_object = FastSLAM1(log, options=options).run()
+    by_keywords = FastSLAM1(log, particles=30, seed=4, ess_threshold=1.0).run()
+    np.testing.assert_array_equal(by_object.poses, by_keywords.poses)
+    assert by_object.options == by_keywords.options == options
+    # a keyword replaces the option of the object
+    assert FastSLAM1(log, options=options, seed=5).options.seed == 5
+    with pytest.raises(TypeError, match="particle"):
+        FastSLAM1(log, particle=30)
+
+
+def test_a_result_keeps_its_origin_and_is_printed_in_one_line() -> None:
+    log = simulate(seed=1, steps=10)
+    slam = FastSLAM2(log, particles=30, seed=4)
+    result = slam.run()
+    assert (result.estimator, result.log, result.options.seed) == ("FastSLAM2", log.name, 4)
+    assert (result.motion, result.sensor) == (slam.motion, slam.sensor)
+    assert repr(result) == (
+        f"FilterResult(FastSLAM2 on simulated: 30 particles, 11 poses, {len(result.landmarks)} landmarks, "
+        f"smallest ESS {result.ess.min():.1f}, {result.resampled.sum()} resamplings)"
+    )
+
+
+@pytest.mark.parametrize("kind", [MonteCarloLocalization, FastSLAM1, FastSLAM2])
+@pytest.mark.parametrize("psi", [True, False])
+def test_warm_up_does_not_change_the_filter(kind: type, psi: bool) -> None:
+    log = simulate(seed=2, steps=10, orientation=psi)
+    slam = kind(log, particles=20, seed=1)
+    warm_up(slam)
+    np.testing.assert_array_equal(slam.run().poses, kind(log, particles=20, seed=1).run().poses)
+
+
+def test_seed_none_is_refused() -> None:
+    """It would give another result at every run."""
+    with pytest.raises(OptionError, match="seed must be a whole number"):
+        FastSLAM1(seed=None)
+
+
+def test_public_names_are_imported_at_first_use() -> None:
+    assert all(getattr(fastslam, name) is not None for name in fastslam.__all__)
+    assert set(fastslam.__all__) <= set(dir(fastslam))
+    with pytest.raises(AttributeError, match="no attribute 'FastSLAM3'"):
+        fastslam.FastSLAM3  # noqa: B018
+    code = "import sys, fastslam; sys.exit('fastslam.particle_filter' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,41 @@
+"""Public names are imported at their first use; what is not used is not loaded."""
+
+import subprocess
+import sys
+from dataclasses import fields
+
+import pytest
+
+import graphslam
+from graphslam import MotionFaults, MotionModel, SensorFaults, SensorModel, World
+
+HEAVY = ("gtsam", "numba", "scipy.stats", "scipy.io", "scipy.optimize", "scipy.sparse")
+
+
+@pytest.mark.parametrize(
+    ("statement", "allowed"),
+    [
+        ("import graphslam", set()),
+        ("from graphslam import Log, MotionModel, SensorModel, World, load, save, simulate", set()),
+        ("from graphslam import Graph, Solution, solve, solve_gnc, textbook", {"numba", "scipy.sparse"}),
+    ],
+)
+def test_only_what_is_needed_is_imported(statement, allowed):
+    program = f"{statement}\nimport sys\nprint(*(name for name in {HEAVY!r} if name in sys.modules))"
+    loaded = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout.split()
+    assert set(loaded) <= allowed
+
+
+def test_every_public_name_exists():
+    for name in graphslam.__all__:
+        assert getattr(graphslam, name) is not None
+    assert set(graphslam.__all__) <= set(dir(graphslam))
+    with pytest.raises(AttributeError, match="no attribute 'Lok'"):
+        graphslam.Lok  # noqa: B018
+
+
+@pytest.mark.parametrize("kind", [MotionModel, SensorModel, MotionFaults, SensorFaults, World])
+def test_every_option_has_help(kind):
+    for f in fields(kind):
+        assert len(f.metadata["help"]) > 10 and not f.metadata["help"].endswith(".")
+        assert isinstance(f.metadata["unit"], str)
