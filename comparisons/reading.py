@@ -14,7 +14,7 @@ import numpy as np
 from graphslam import FormatError, Log, LogError, OptionError, load, sample_log_path
 
 from .noise_files import read_noise
-from .options import LogOptions, NoiseOptions, ReadingOptions
+from .options import MODELS, LogOptions, NoiseOptions, ReadingOptions, options_of
 
 Given = TypeVar("Given", bound=LogOptions)
 
@@ -31,7 +31,7 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
 
     Returns:
         The log; where it came from, None for a `Log`; the options, whose noise models are those of the options, else
-        those of the noise file, else those of the log, else the book's. Its ``noise`` and ``numbers`` are empty.
+        those of the noise file, else those of the log, else the book's. Its ``noise`` is None, and ``numbers`` holds none of the models.
 
     Raises:
         FormatError: a file cannot be read.
@@ -49,7 +49,10 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
     if line != {"range_scale": 1.0, "range_bias": 0.0}:
         data = data.with_corrected_ranges(line["range_scale"], line["range_bias"])
     motion, sensor = options.models(motion, sensor)
-    return data, source, replace(options, motion=motion, sensor=sensor, noise=None, numbers={}, **line)
+    # those of the noise models are in the models now
+    known = options_of(type(options))
+    rest = {name: number for name, number in options.numbers.items() if known[name].model not in MODELS}
+    return data, source, replace(options, motion=motion, sensor=sensor, noise=None, numbers=rest, **line)
 
 
 def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> tuple[Log, Path | None]:
