@@ -1,7 +1,8 @@
 """Colours, line styles and markers: whatever is drawn anywhere has one look, and it is defined here.
 
-Most colours are those of Okabe and Ito, the others those of Paul Tol; readers with colour blindness can distinguish all of them. Each
-estimator also has its own line style or marker and its own lightness, so that a figure survives a grey print.
+Most colours are those of Okabe and Ito, the others those of Paul Tol; readers with colour blindness can distinguish all
+of them. Each estimator also has its own line style or marker and its own lightness, so that a figure survives a grey
+print.
 """
 
 from __future__ import annotations
