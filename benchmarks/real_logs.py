@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from comparisons.estimator import EstimatorResult, RunOptions
-from comparisons.plots import comparison_figure
+from comparisons.show.figures import comparison_figure
 from native_gtsam import native_gtsam
 
 from comparisons.comparison import Comparison, compare, with_models

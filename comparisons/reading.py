@@ -31,7 +31,8 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
 
     Returns:
         The log; where it came from, None for a `Log`; the options, whose noise models are those of the options, else
-        those of the noise file, else those of the log, else the book's. Its ``noise`` is None, and ``numbers`` holds none of the models.
+        those of the noise file, else those of the log, else the book's. Its ``noise`` is None, and its ``numbers`` are
+        those of the filters.
 
     Raises:
         FormatError: a file cannot be read.
