@@ -20,7 +20,7 @@ def test_the_numbers_are_saved_before_the_figure(tmp_path, monkeypatch):
     def fail(*_):
         raise OSError("no space left")
 
-    monkeypatch.setattr("comparisons.plots.save_figure", fail)
+    monkeypatch.setattr("comparisons.show.canvas.save_figure", fail)
     words = ["particles", "--particles", "5", "--seeds", "1", "--filters", "fastslam1"]
     files = ["--figure", str(tmp_path / "study.png"), "--json", str(tmp_path / "study.json")]
     assert isinstance(CliRunner().invoke(app, [*words, *files]).exception, OSError)
