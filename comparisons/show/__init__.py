@@ -6,9 +6,7 @@ class of results. The modules that need matplotlib are loaded when the first fig
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
-from os import PathLike
 from typing import Any
 
 from graphslam import SlamError
@@ -30,10 +28,6 @@ def _html(result: Any) -> str:
     return text
 
 
-def _save(figure: Any, paths: Sequence[str | PathLike[str]]) -> None:
-    function("canvas.save_figure")(figure, paths)
-
-
 for _kind, (_, _drawn) in RESULTS.items():
     display.register(_kind, display.Renderer(as_text, _html, _figure if _drawn else None))
-display.figure_writers.append(_save)
+display.figure_writers.append(lambda figure, paths: function("canvas.save_figure")(figure, paths))
