@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from graphslam import OptionError
 
@@ -70,7 +71,7 @@ def consistency_figure(study: ConsistencyStudy) -> Figure:
             label = result.name if result.anees is None else f"{result.name} (joint {result.anees:.2f})"
             axes.plot(np.arange(1, len(result.steps) + 1), result.steps, label=label, **style_of(result.name))
         axes.set(yscale="log", xlim=(1, study.steps), xlabel="step", ylabel="ANEES / 3")
-        axes.xaxis.get_major_locator().set_params(integer=True)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_title(
             f"{study.logs} logs, {study.dimensions}-D sensor, {study.noise:g} times the book's noise: 1 means consistent"
         )
