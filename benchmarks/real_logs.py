@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 from comparisons.estimator import EstimatorResult, RunOptions
-from comparisons.plots import comparison_figure
 from native_gtsam import native_gtsam
 
 from comparisons.comparison import Comparison, compare, with_models
 from comparisons.datasets import data_folder
 from comparisons.estimators import make_graph
 from comparisons.results import jsonable
+from comparisons.show.figures import comparison_figure
 from graphslam import Log, MotionModel, SensorModel, load, solve
 from graphslam.calibration import Calibration, calibrate
 from graphslam.metrics import Metrics

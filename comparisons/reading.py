@@ -34,7 +34,8 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
 
     Returns:
         The log; where it came from, None for a `Log`; the options, whose noise models are those of the options, else
-        those of the noise file, else those of the log, else the book's. Its ``noise`` and ``numbers`` are empty.
+        those of the noise file, else those of the log, else the book's. Its ``noise`` is None, and its ``numbers`` are
+        those of the filters.
 
     Raises:
         FormatError: a file cannot be read.
@@ -76,7 +77,8 @@ def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> 
         source = path.absolute()
     if options.dimensions == 3 and not data.has_orientation:
         raise LogError(
-            f"{data.name if isinstance(log, Log) else path}: the sightings have no orientation psi, but dimensions 3 requires it; use dimensions 2"
+            f"{data.name if isinstance(log, Log) else path}: the sightings have no orientation psi, but dimensions 3 "
+            "requires it; use dimensions 2"
         )
     if options.stride > 1:
         data = data.at_steps(np.arange(0, data.num_poses, options.stride))

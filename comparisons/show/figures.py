@@ -43,9 +43,8 @@ def comparison_figure(comparison: Comparison) -> Figure:
         legend: dict[str, Any] = {}
         _draw_map(left, comparison, legend)
         (_draw_convergence if comparison.log.true_poses is None else _draw_errors)(right, comparison)
-        figure.legend(
-            list(legend.values()), list(legend), loc="outside lower center", ncols=min(6, -(-len(legend) // 2))
-        )
+        columns = min(6, -(-len(legend) // 2))
+        figure.legend(list(legend.values()), list(legend), loc="outside lower center", ncols=columns)
     return figure
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from graphslam import OptionError
 
@@ -26,15 +28,24 @@ if TYPE_CHECKING:
 MOST_LOGS = 6
 
 
+@contextmanager
+def _panels(count: int, **options: Any) -> Iterator[tuple[Figure, np.ndarray]]:
+    """A figure with so many panels, three in a row."""
+    columns, rows = min(count, 3), -(-count // 3)
+    with paper_figure((WIDTH * columns / 3, 2.4 * rows)) as figure:
+        panels = figure.subplots(rows, columns, squeeze=False, **options).ravel()
+        for unused in panels[count:]:
+            unused.set_visible(False)
+        yield figure, panels
+
+
 def particles_figure(study: ParticleStudy) -> Figure:
     """One panel per quantity over the number of particles: medians over the seeds, with bands between the quartiles."""
     from ..particles import FIGURES
 
     names = study.names()
     known = [quantity for quantity in FIGURES if any(len(study.bands(name, quantity)[0]) for name in names)]
-    rows = -(-len(known) // 3)
-    with paper_figure((WIDTH, 2.4 * rows)) as figure:
-        panels = figure.subplots(rows, 3, squeeze=False, sharex=True).ravel()
+    with _panels(len(known), sharex=True) as (figure, panels):
         for axes, quantity in zip(panels, known):
             for name in names:
                 numbers, quartiles = study.bands(name, quantity)
@@ -42,8 +53,6 @@ def particles_figure(study: ParticleStudy) -> Figure:
                     axes.plot(numbers, quartiles[1], label=name, **style_of(name, len(numbers)))
                     axes.fill_between(numbers, *quartiles[::2], color=colour_of(name), alpha=0.2, linewidth=0)
             axes.set(xscale="log", yscale="log", title=FIGURES[quantity])
-        for axes in panels[len(known) :]:
-            axes.set_visible(False)
         for axes in panels[max(len(known) - 3, 0) : len(known)]:
             axes.set_xlabel("particles")
             axes.tick_params(labelbottom=True)
@@ -62,6 +71,7 @@ def consistency_figure(study: ConsistencyStudy) -> Figure:
             label = result.name if result.anees is None else f"{result.name} (joint {result.anees:.2f})"
             axes.plot(np.arange(1, len(result.steps) + 1), result.steps, label=label, **style_of(result.name))
         axes.set(yscale="log", xlim=(1, study.steps), xlabel="step", ylabel="ANEES / 3")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_title(
             f"{study.logs} logs, {study.dimensions}-D sensor, {study.noise:g} times the book's noise: 1 means consistent"
         )
@@ -78,19 +88,14 @@ def backends_figure(comparison: BackendComparison) -> Figure:
     files = list(dict.fromkeys(row.file for row in comparison.rows))
     if not files:
         raise OptionError("there is nothing to draw: no file was solved")
-    columns = min(len(files), 3)
-    rows = -(-len(files) // columns)
-    with paper_figure((WIDTH * columns / 3, 2.4 * rows)) as figure:
-        panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    with _panels(len(files)) as (figure, panels):
         handles: dict[str, Any] = {}
         for panel, file in zip(panels, files):
             best = comparison.best(file)
             for row in (row for row in comparison.rows if row.file == file and len(row.trace) > 1):
                 (handles[row.backend],) = panel.plot(*_curve(row, best), **style_of(row.backend))
             panel.set(xscale="log", yscale="log", title=Path(file).name, xlabel="time [s]")
-        for panel in panels[len(files) :]:
-            panel.set_visible(False)
-        for panel in panels[::columns]:
+        for panel in panels[::3]:
             panel.set_ylabel("relative excess of chi2 over the best")
         if handles:
             figure.legend(handles.values(), handles, loc="outside lower center", ncols=len(handles))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.table import Table
@@ -54,11 +54,8 @@ def consistency_tables(study: ConsistencyStudy) -> Tables:
         joint = (number(r.anees), NOTHING if r.anees is None else _band(r.joint_band), yes_no(r.consistent))
         steps = number(float(np.median(r.steps))), number(float(np.max(r.steps)))
         table.add_row(r.name, str(r.logs), *joint, *steps, _band(r.step_band), f"{r.steps_inside:.0%}")
-    remarks = [
-        f"{r.name} failed on {r.failed} of {study.logs} logs, which count in no number."
-        for r in study.results
-        if r.failed
-    ]
+    failed = (r for r in study.results if r.failed)
+    remarks = [f"{r.name} failed on {r.failed} of {study.logs} logs, which are not counted." for r in failed]
     if any(r.name == "pairs" for r in study.results):
         remarks.append(
             "pairs counts every sighting about K/2 times, with K sightings per landmark: "
@@ -129,16 +126,14 @@ def survey_tables(survey: Survey) -> Tables:
     table = LeanTable("At hand", ["data set", "file or folder"], headings)
     for name, entries in survey.found.items():
         for entry in entries:
-            place = os.path.relpath(entry.path, survey.folder)
-            cells: list[Any] = [NOTHING if entry.robot is None else str(entry.robot)]
+            counts = [entry.robot, entry.poses, entry.sightings, entry.landmarks, entry.controls]
             if entry.error is not None:
-                cells += [NOTHING] * 6
-            else:
-                share = None if entry.poses_covered is None else f"{100 * entry.poses_covered / entry.poses:.0f} %"
-                controls = NOTHING if entry.controls is None else str(entry.controls)
-                cells += [str(entry.poses), str(entry.sightings), str(entry.landmarks), controls]
-                cells += [number(entry.seconds, 1), share or NOTHING]
-            table.add_row(name, Text(place), *cells, yes_no(entry.error is None))
+                counts[1:] = [None] * 4
+            cells = (NOTHING if count is None else str(count) for count in counts)
+            covered = entry.poses_covered
+            share = NOTHING if covered is None else f"{100 * covered / entry.poses:.0f} %"
+            place = Text(os.path.relpath(entry.path, survey.folder))
+            table.add_row(name, place, *cells, number(entry.seconds, 1), share, yes_no(entry.error is None))
     remarks = []
     for known in DATA_SETS:
         remarks += [

@@ -22,24 +22,31 @@ from .cells import NOTHING, LeanTable, number, seconds, yes_no
 if TYPE_CHECKING:
     from ..backends import BackendComparison
     from ..comparison import Comparison, ResultTable
-    from ..solvers import SkippedVariant, SolverComparison, VariantResult
+    from ..solvers import SolverComparison
 
 #: tables, and the sentences below them
 Tables = tuple[list[Table], list[str]]
 #: the width of text that is not written to a terminal
 WIDTH = 140
-#: class of results -> module and function that make its tables
-_TABLES = {
-    "ResultTable": (".tables", "result_tables"),
-    "Comparison": (".tables", "comparison_tables"),
-    "SolverComparison": (".tables", "solver_tables"),
-    "BackendComparison": (".tables", "backend_tables"),
-    "ParticleStudy": (".study_tables", "particle_tables"),
-    "ConsistencyStudy": (".study_tables", "consistency_tables"),
-    "Summary": (".study_tables", "summary_tables"),
-    "Survey": (".study_tables", "survey_tables"),
-    "Calibration": (".study_tables", "calibration_tables"),
+#: class of results -> the functions that make its tables and its figure, empty where it has none
+RESULTS = {
+    "ResultTable": ("tables.result_tables", ""),
+    "Comparison": ("tables.comparison_tables", "figures.comparison_figure"),
+    "SolverComparison": ("tables.solver_tables", ""),
+    "BackendComparison": ("tables.backend_tables", "study_figures.backends_figure"),
+    "ParticleStudy": ("study_tables.particle_tables", "study_figures.particles_figure"),
+    "ConsistencyStudy": ("study_tables.consistency_tables", "study_figures.consistency_figure"),
+    "Summary": ("study_tables.summary_tables", "study_figures.study_figure"),
+    "Survey": ("study_tables.survey_tables", ""),
+    "Calibration": ("study_tables.calibration_tables", ""),
 }
+
+
+def function(path: str) -> Callable[..., Any]:
+    """A function of this package by module and name; the module is loaded now, if it has not been loaded before."""
+    module, name = path.split(".")
+    found: Callable[..., Any] = getattr(import_module(f".{module}", __package__), name)
+    return found
 
 
 def tables_of(result: object, **options: Any) -> Tables:
@@ -52,9 +59,8 @@ def tables_of(result: object, **options: Any) -> Tables:
     Raises:
         KeyError: the object is no result of this project.
     """
-    module, name = _TABLES[type(result).__name__]
-    make: Callable[..., Tables] = getattr(import_module(module, __package__), name)
-    return make(result, **options)
+    tables: Tables = function(RESULTS[type(result).__name__][0])(result, **options)
+    return tables
 
 
 def as_text(result: object, width: int = WIDTH) -> str:
@@ -98,12 +104,8 @@ def result_tables(results: ResultTable) -> Tables:
     metrics = {"ate_m": "ATE\n[m]", "rpe_m": "RPE\n[m]", "rpe_rad": "RPE\n[rad]", "landmark_rmse_m": "map\n[m]"}
     if any(row.nees is not None for row in results):
         metrics["nees"] = "NEES"
-    headings = ("converged,\niterations", "time", "cost J", *metrics.values())
-    table = LeanTable(results.title, ["estimator"], headings)
+    table = LeanTable(results.title, ["estimator"], ["converged,\niterations", "time", "cost J", *metrics.values()])
     for row in results:
-        if row.skipped is not None:
-            table.add_row(Text(row.name, style="dim"), *[Text(NOTHING, style="dim")] * len(headings))
-            continue
         values = (number(getattr(row, metric)) for metric in metrics)
         converged = yes_no(row.converged, f", {row.iterations}")
         table.add_row(row.name, converged, seconds(row.seconds), number(row.cost), *values)
@@ -153,13 +155,6 @@ def solver_tables(comparison: SolverComparison) -> Tables:
         which = names[0] if len(names) == 1 else f"{len(names)} variants ({names[0]}, ...)"
         remarks.append(f"{which} left out: {reason}.")
     return [table], remarks
-
-
-def variant_line(outcome: VariantResult | SkippedVariant) -> str:
-    """One line of progress of a solver comparison."""
-    if hasattr(outcome, "reason"):
-        return f"{outcome.name}: skipped"
-    return f"{outcome.name}: {seconds(outcome.seconds)}, gtsam {seconds(outcome.gtsam_seconds)}"
 
 
 def backend_tables(comparison: BackendComparison) -> Tables:

@@ -153,20 +153,20 @@ class Chromium:
         self.evaluate("0")  # whatever came before has arrived after this
         found = []
         for event in self.events:
-            told = event.get("params", {})
+            details = event.get("params", {})
             if event["method"] == "Runtime.exceptionThrown":
-                found.append(json.dumps(told["exceptionDetails"]))
-            elif event["method"] == "Runtime.consoleAPICalled" and told["type"] in ("error", "warning", "assert"):
-                found.append(json.dumps(told["args"]))
-            elif event["method"] == "Log.entryAdded" and told["entry"]["level"] in ("error", "warning"):
-                found.append(json.dumps(told["entry"]))
+                found.append(json.dumps(details["exceptionDetails"]))
+            elif event["method"] == "Runtime.consoleAPICalled" and details["type"] in ("error", "warning", "assert"):
+                found.append(json.dumps(details["args"]))
+            elif event["method"] == "Log.entryAdded" and details["entry"]["level"] in ("error", "warning"):
+                found.append(json.dumps(details["entry"]))
         return found
 
     def requests(self) -> list[str]:
         """The addresses of all that the page has asked for."""
         self.evaluate("0")
-        told = [e["params"]["request"]["url"] for e in self.events if e["method"] == "Network.requestWillBeSent"]
-        return [str(url) for url in told]
+        urls = [e["params"]["request"]["url"] for e in self.events if e["method"] == "Network.requestWillBeSent"]
+        return [str(url) for url in urls]
 
     def screenshot(self, path: Path) -> None:
         """The whole page as a PNG file."""
@@ -174,5 +174,5 @@ class Chromium:
 
         size = self.send("Page.getLayoutMetrics")["cssContentSize"]
         clip = {"x": 0, "y": 0, "width": size["width"], "height": size["height"], "scale": 1}
-        told = self.send("Page.captureScreenshot", format="png", clip=clip, captureBeyondViewport=True)
-        path.write_bytes(base64.b64decode(told["data"]))
+        reply = self.send("Page.captureScreenshot", format="png", clip=clip, captureBeyondViewport=True)
+        path.write_bytes(base64.b64decode(reply["data"]))

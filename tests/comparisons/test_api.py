@@ -32,10 +32,10 @@ def test_nothing_heavy_is_imported_until_it_is_used():
 
 def test_run_takes_a_log_a_file_or_nothing(comparison):
     assert [result.name for result in comparison.results] == ["dead-reckoning", "graph", "fastslam1"]
-    of_file = comparisons.run(str(sample_log_path()), ["graph"])
+    of_file = comparisons.run(str(sample_log_path()), estimators=["graph"])
     assert of_file.source == sample_log_path()
     assert of_file["graph"].cost == comparisons.run(None, estimators=["graph"])["graph"].cost
-    assert of_file["graph"].cost == comparisons.run(load(sample_log_path()), ["graph"])["graph"].cost
+    assert of_file["graph"].cost == comparisons.run(load(sample_log_path()), estimators=["graph"])["graph"].cost
     with pytest.raises(OptionError, match="did you mean 'particles'"):
         comparisons.run(None, estimators=["graph"], particle=3)
 

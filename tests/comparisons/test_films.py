@@ -17,9 +17,8 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from comparisons.cli import app
-from comparisons.estimators import FILTERS, make_graph
-from comparisons.option import options_of
-from comparisons.options import AnimationOptions, RunOptions
+from comparisons.estimators import make_graph, particle_filter
+from comparisons.options import AnimationOptions, RunOptions, options_of
 from comparisons.show.ellipses import ellipses
 from comparisons.show.films import Film, animate
 from comparisons.show.films.film import kept
@@ -107,7 +106,7 @@ def test_starts_where_the_better_minimum_is() -> None:
 @pytest.mark.parametrize("name", ["mcl", "fastslam1", "fastslam2"])
 def test_particle_film_is_the_filter_s_way(log: Log, name: str) -> None:
     film = animate(log, estimator=name, **FEW)
-    result = FILTERS[name](log, particles=30, seed=4).run()
+    result = particle_filter(name, log, RunOptions.of(**FEW)).run()
     assert len(film) == log.num_poses
     assert [frame.number for frame in film.frames] == list(range(log.num_poses))
     np.testing.assert_array_equal(film.frames[-1].poses, result.poses)
@@ -119,7 +118,7 @@ def test_particle_film_is_the_filter_s_way(log: Log, name: str) -> None:
 
 
 def test_resamplings_between_pictures_are_counted(log: Log, film: Film) -> None:
-    result = FILTERS["fastslam1"](log, particles=30, seed=4).run()
+    result = particle_filter("fastslam1", log, RunOptions.of(**FEW)).run()
     assert len(film) == 4
     assert film.steps == log.num_poses
     assert sum(f.resamplings for f in film.frames) == result.resampled.sum() > 4  # type: ignore[attr-defined]
@@ -323,8 +322,8 @@ class TestCommandLine:
     @pytest.mark.parametrize(
         ("arguments", "words"),
         [
-            (["film.avi"], "must end in .gif, .mp4 or .html"),
-            (["none.npz", "film.avi"], "must end in .gif, .mp4 or .html"),
+            (["film.avi"], "must end in .gif or .mp4 or .html"),
+            (["none.npz", "film.avi"], "must end in .gif or .mp4 or .html"),
             (["none.npz", "film.gif"], "there is no such file"),
             (["nowhere/film.gif"], "there is no such folder"),
             (["film.gif", "--estimator", "gtsam"], "must be one of graph, fastslam1, fastslam2, mcl, isam2"),

@@ -18,7 +18,7 @@ from comparisons.datasets import DATA_SETS, Found, Survey
 from comparisons.particles import ParticleRun, ParticleStudy
 from comparisons.results import EstimatorResult
 from comparisons.show.cells import LeanTable, number, seconds
-from comparisons.show.tables import as_html, as_text, tables_of, variant_line
+from comparisons.show.tables import as_html, as_text, tables_of
 from comparisons.solvers import SkippedVariant, SolverComparison, VariantResult
 from comparisons.studies.bootstrap import Median
 from comparisons.studies.summary import METRICS, MethodSummary, PairedDifference, Summary
@@ -214,8 +214,6 @@ def test_solvers_table_and_remarks() -> None:
         "DIFFERENT: b world: poses differ by 1.0e-03, more than 1e-06.",
         "2 variants (c, ...) left out: in pieces.",
     ]
-    assert variant_line(good) == "a body: 10.0 ms, gtsam 1.20 s"
-    assert variant_line(SkippedVariant("c", "in pieces")) == "c: skipped"
 
 
 def test_backends_table_and_remarks() -> None:

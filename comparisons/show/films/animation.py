@@ -27,7 +27,7 @@ def animate(log: Log | str | PathLike[str] | None = None, *, progress: Progress 
 
     Args:
         log: a log, the file or folder of one, or None for the sample log of the package.
-        progress: called after each step of the estimators that go step by step.
+        progress: called after each step; for ``graph`` after each frame.
         options: the fields of `options.AnimationOptions` (estimator, max_frames, fps) and of `options.RunOptions`.
 
     Returns:
@@ -42,11 +42,5 @@ def animate(log: Log | str | PathLike[str] | None = None, *, progress: Progress 
     data, source, run = prepare(log, RunOptions.of(**options))
     if len(data.steps) == 0:
         raise GraphError(f"{data.name} has no sightings at all, so there is nothing to estimate from")
-    progress = progress or (lambda: None)
-    if animation.estimator == "graph":
-        film = graph_film(data, run, animation)
-    elif animation.estimator == "isam2":
-        film = isam2_film(data, run, animation, progress)
-    else:
-        film = particle_film(data, run, animation, progress)
-    return replace(film, source=source)
+    make = {"graph": graph_film, "isam2": isam2_film}.get(animation.estimator, particle_film)
+    return replace(make(data, run, animation, progress or (lambda: None)), source=source)

@@ -11,7 +11,7 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.animation import FFMpegWriter
@@ -26,7 +26,6 @@ from ...saving import check_can_write
 if TYPE_CHECKING:
     from .film import Film
 
-SUFFIXES = (".gif", ".mp4", ".html")
 #: how long the last picture stays before the film begins again [s]
 HOLD = 2.0
 #: one less than a palette can have: the last entry stands for "as in the background"
@@ -39,15 +38,12 @@ def check_can_film(path: Path) -> None:
     """Raise now rather than after the work if no film can be written at ``path``.
 
     Raises:
-        OptionError: the suffix is none of `SUFFIXES`, or is .mp4 and there is no ffmpeg.
+        OptionError: the suffix is none of .gif, .mp4 and .html, or is .mp4 and there is no ffmpeg.
         FormatError: the place cannot be written.
     """
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise OptionError(f"{path}: the name of an animation must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
-    if suffix == ".mp4" and not FFMpegWriter.isAvailable():
+    check_can_write(path, endings=tuple(_WRITERS))
+    if path.suffix.lower() == ".mp4" and not FFMpegWriter.isAvailable():
         raise OptionError(f"{path}: .mp4 needs the program ffmpeg: install it, or write a .gif or .html")
-    check_can_write(path)
 
 
 def write_film(film: Film, path: Path, progress: Callable[[], None]) -> None:
@@ -58,17 +54,12 @@ def write_film(film: Film, path: Path, progress: Callable[[], None]) -> None:
         FormatError: the place cannot be written.
     """
     with write_whole(path) as temporary:
-        if path.suffix.lower() == ".gif":
-            _write_gif(film, temporary, progress)
-        elif path.suffix.lower() == ".mp4":
-            try:
-                _write_mp4(film, temporary, progress)
-            except subprocess.CalledProcessError as error:
-                lines = (error.stderr or "").strip().splitlines()
-                reason = lines[-1] if lines else f"status {error.returncode}"
-                raise OptionError(f"{path}: ffmpeg failed: {reason}") from None
-        else:
-            temporary.write_text(player(film, progress), encoding="utf-8")
+        try:
+            _WRITERS[path.suffix.lower()](film, temporary, progress)
+        except subprocess.CalledProcessError as error:
+            lines = (error.stderr or "").strip().splitlines()
+            reason = lines[-1] if lines else f"status {error.returncode}"
+            raise OptionError(f"{path}: ffmpeg failed: {reason}") from None
 
 
 def player(film: Film, progress: Callable[[], None]) -> str:
@@ -96,19 +87,13 @@ def _write_gif(film: Film, path: Path, progress: Callable[[], None]) -> None:
     # the format counts hundredths of a second, and viewers take a single one for ten
     duration = max(20, round(100 / film.fps) * 10)
     durations = [duration] * (len(film) - 1) + [max(duration, round(1000 * HOLD))]
-    first, rest = next(made := images()), made
+    rest = images()
+    first = next(rest)
     # a file of our own, which is closed when the film is interrupted
     with path.open("wb") as file:
         first.save(
-            file,
-            format="GIF",
-            save_all=True,
-            append_images=rest,
-            duration=durations,
-            loop=0,
-            disposal=1,
-            optimize=False,
-        )
+            file, format="GIF", save_all=True, append_images=rest, duration=durations, loop=0, disposal=1, optimize=False,
+        )  # fmt: skip
 
 
 def _write_mp4(film: Film, path: Path, progress: Callable[[], None]) -> None:
@@ -116,17 +101,22 @@ def _write_mp4(film: Film, path: Path, progress: Callable[[], None]) -> None:
     height, width = film.pictures.still.shape[:2]
     figure = Figure(figsize=(width / 100, height / 100), dpi=100)
     screen = figure.figimage(film.pictures.still)
-    writer = FFMpegWriter(
-        fps=film.fps,  # type: ignore[arg-type]
-        metadata={"title": film.title},
-        extra_args=["-movflags", "+faststart", "-f", "mp4"],
-    )
+    fps: Any = film.fps  # ffmpeg takes fractions, too
+    options = ["-movflags", "+faststart", "-f", "mp4"]
+    writer = FFMpegWriter(fps=fps, metadata={"title": film.title}, extra_args=options)
     with writer.saving(figure, str(path), dpi=100):
         for number, picture in enumerate(film.pictures):
             screen.set_data(picture)
             for _ in range(1 if number < len(film) - 1 else round(HOLD * film.fps)):
                 writer.grab_frame()
             progress()
+
+
+def _write_html(film: Film, path: Path, progress: Callable[[], None]) -> None:
+    path.write_text(player(film, progress), encoding="utf-8")
+
+
+_WRITERS = {".gif": _write_gif, ".mp4": _write_mp4, ".html": _write_html}
 
 
 def _indexed(film: Film) -> Iterator[tuple[np.ndarray, Image.Image]]:
@@ -139,16 +129,13 @@ def _indexed(film: Film) -> Iterator[tuple[np.ndarray, Image.Image]]:
     bright = [number for number, frame in enumerate(film.frames) if frame.flash]
     spread = np.linspace(0, len(film) - 1, SAMPLES).round().astype(int).tolist()
     samples = dict.fromkeys([*spread, *bright[:: max(1, len(bright) // SAMPLES)]])
-    codes = np.unique(np.concatenate([np.unique(film.pictures[k] @ _WEIGHTS) for k in samples]))
+    codes = np.unique(np.concatenate([np.unique(film.pictures[k] @ (65536, 256, 1)) for k in samples]))
     colours = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=-1).astype(np.uint8)
     palette = Image.fromarray(colours[None]).quantize(CLEAR, method=Image.Quantize.MAXCOVERAGE)
     # as long as it can be, since what is clear needs an entry, too
     palette.putpalette((palette.getpalette() or [])[: 3 * CLEAR] + [255, 255, 255])
     for picture in film.pictures:
         yield picture, Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
-
-
-_WEIGHTS = np.array([65536, 256, 1])
 
 
 def _data_url(image: Image.Image, **options: int) -> str:

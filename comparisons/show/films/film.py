@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
@@ -85,9 +85,6 @@ class Pictures(Sequence[np.ndarray]):
 
     def __getitem__(self, number: int) -> np.ndarray:  # type: ignore[override]
         return self._drawn(self._show(self._frames[number]))
-
-    def __iter__(self) -> Iterator[np.ndarray]:
-        return (self[number] for number in range(len(self)))
 
     @property
     def still(self) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -47,7 +47,7 @@ class GraphFrame(Frame):
     distances: Array
 
 
-def graph_film(log: Log, options: RunOptions, animation: AnimationOptions) -> Film:
+def graph_film(log: Log, options: RunOptions, animation: AnimationOptions, progress: Callable[[], None]) -> Film:
     """The film of `graphslam.solve` on the log's graph.
 
     With ``initialize="auto"`` it starts from dead reckoning, unless the solver reaches a lower minimum from another start;
@@ -68,17 +68,18 @@ def graph_film(log: Log, options: RunOptions, animation: AnimationOptions) -> Fi
     if residuals.drawn < residuals.count:
         notes = (*notes, f"{residuals.drawn} of {residuals.count} edges are drawn")
     costs = np.array([graph.cost(state) for state in run.states])
-    numbers = kept(len(run.states), animation.max_frames)
-    frames = tuple(_frame(graph, log, residuals, run, n, float(costs[n])) for n in numbers.tolist())
+    frames: list[GraphFrame] = []
+    for number in kept(len(run.states), animation.max_frames).tolist():
+        frames.append(_frame(graph, log, residuals, run, number, float(costs[number])))
+        progress()
     title = f"{log.name}: graph SLAM, {graph.num_edges} edges"
 
     def set_up(figure: Figure) -> Show:
-        drifting = log.initial_poses if log.controls is None else log.dead_reckoning(options.motion)
         # one scale for the whole film, up to the largest residuals of the start but for single edges
         scale = LogNorm(1.0, max(float(np.quantile(frames[0].distances, 0.98)), 10.0))
         scene = Scene(
-            figure, log, "graph", placement_of(log, frames[-1].poses, frames[-1].estimated), frames, drifting, title,
-            (scale, COLORS, "Mahalanobis distance of an edge"),
+            figure, log, "graph", placement_of(log, frames[-1].poses, frames[-1].estimated), frames, title,
+            options.motion, (scale, COLORS, "Mahalanobis distance of an edge"),
         )  # fmt: skip
         lines = scene.add_lines(cmap=COLORS, norm=scale, linewidths=0.5)
 
@@ -94,7 +95,7 @@ def graph_film(log: Log, options: RunOptions, animation: AnimationOptions) -> Fi
         scene.add_curve(np.arange(len(costs)), costs, "iteration", "J", log=True)
         return scene.finish()
 
-    return Film(title, frames, len(run.states), animation.fps or FPS, (*graph.notes, *notes), set_up, log)
+    return Film(title, tuple(frames), len(run.states), animation.fps or FPS, (*graph.notes, *notes), set_up, log)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,12 +137,12 @@ def _chosen(graph: Graph, initialize: str) -> tuple[_Run, tuple[str, ...]]:
         if runs[-1].solution.cost <= best.cost * (1 + 1e-6):
             break
     else:
-        return runs[0], ()
-    if runs[-1].start == "given":
-        return runs[-1], ()
-    other = runs[0].solution
+        runs = runs[:1]
+    run, other = runs[-1], runs[0].solution
+    if run.start == "given":
+        return run, ()
     worse = f"from dead reckoning J is {other.cost:.6g} after {other.iterations} iterations, not {best.cost:.6g}"
-    return runs[-1], (f"{worse}: the animation starts {_STARTS[runs[-1].start]}",)
+    return run, (f"{worse}: the animation starts {_STARTS[run.start]}",)
 
 
 def _frame(graph: Graph, log: Log, residuals: Residuals, run: _Run, number: int, cost: float) -> GraphFrame:

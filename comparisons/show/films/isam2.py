@@ -59,7 +59,7 @@ def isam2_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
 
     def set_up(figure: Figure) -> Show:
         scene = Scene(
-            figure, log, "isam2", placement_of(log, frames[-1].poses), frames, log.dead_reckoning(options.motion), title,
+            figure, log, "isam2", placement_of(log, frames[-1].poses), frames, title, options.motion,
             (scale, COLORS, "correction of a pose since the previous frame [m]"),
         )  # fmt: skip
         scene.add_sightings()
@@ -105,5 +105,5 @@ def _frame(log: Log, smoother: IncrementalSmoother, step: int, before: Array) ->
         landmarks=smoother.landmarks or dict(estimated),
         landmark_covariances=estimated.covariances,
         corrections=corrections,
-        sightings=smoother.sensor.h_inverse(poses[-1], seen)[:, :2] if len(seen) else np.empty((0, 2)),
+        sightings=smoother.sensor.h_inverse(poses[-1], seen)[:, :2],
     )

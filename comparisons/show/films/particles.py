@@ -78,7 +78,7 @@ def particle_film(log: Log, options: RunOptions, animation: AnimationOptions, pr
     def set_up(figure: Figure) -> Show:
         # localisation is in the axes of its map, which are the true ones
         placement = np.zeros(3) if name == "mcl" else placement_of(log, frames[-1].poses)
-        scene = Scene(figure, log, name, placement, frames, log.dead_reckoning(options.motion), title)
+        scene = Scene(figure, log, name, placement, frames, title, options.motion)
         scene.add_sightings()
         if name != "mcl":
             scene.add_map("best particle's map (3σ)")
@@ -111,7 +111,7 @@ def _frame(log: Log, filter: ParticleFilter, state: ParticleState, resamplings: 
         weights=weights[every],
         ess=state.ess,
         resamplings=resamplings,
-        sightings=filter.sensor.h_inverse(state.best_pose, seen)[:, :2] if len(seen) else np.empty((0, 2)),
+        sightings=filter.sensor.h_inverse(state.best_pose, seen)[:, :2],
     )
 
 

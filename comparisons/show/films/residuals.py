@@ -53,11 +53,8 @@ class Residuals:
 
 def _thinned(family: EdgeFamily) -> tuple[EdgeFamily, Array, int]:
     """A family that is quick to list, the factor (E,) or (1,) on its e' Omega e, and N where every N-th edge is drawn."""
-    one = np.ones(1)
-    if not isinstance(family, VirtualMotionEdges):
-        return family, one, max(1, math.ceil(family.count / MOST_EDGES))
-    if family.count <= MOST_EDGES:
-        return family, one, 1
+    if family.count <= MOST_EDGES or not isinstance(family, VirtualMotionEdges):
+        return family, np.ones(1), max(1, math.ceil(family.count / MOST_EDGES))
     apart = math.ceil(math.sqrt(family.count / MOST_EDGES))
     rank = np.arange(len(family.nodes)) - family.starts[family.group]
     left = rank % apart == 0

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from matplotlib.ticker import MaxNLocator
 
-from graphslam import Log
+from graphslam import Log, MotionModel
 from graphslam.se2 import Array, compose, transform
 
 from ..canvas import set_limits
@@ -39,14 +39,14 @@ class Scene:
         placement: the rigid motion (3,) of everything that is drawn. It aligns the last path to the ground truth, and is
             one for the whole film, dead reckoning included, so that nothing jumps.
         frames: the first and the last have to fit into the panel.
-        dead_reckoning: (T+1, 3) in the estimator's axes.
         title: of the film.
+        motion: the motion model of dead reckoning.
         scale: norm, colours and label of the colour bar, where there is one.
     """
 
     def __init__(
-        self, figure: Figure, log: Log, name: str, placement: Array, frames: Sequence[Frame], dead_reckoning: Array,
-        title: str, scale: tuple[Normalize, Colormap, str] | None = None,
+        self, figure: Figure, log: Log, name: str, placement: Array, frames: Sequence[Frame], title: str,
+        motion: MotionModel | None, scale: tuple[Normalize, Colormap, str] | None = None,
     ) -> None:  # fmt: skip
         self.figure, self.placement, self.color = figure, placement, colour_of(name)
         self._movers: list[Show] = []
@@ -57,7 +57,7 @@ class Scene:
         if scale is not None:
             bar = figure.add_axes((0.91, 0.305, 0.016, 0.60))
             figure.colorbar(ScalarMappable(*scale[:2]), cax=bar, label=scale[2], extend="both")
-        drifting = self.placed(dead_reckoning)
+        drifting = self.placed(log.initial_poses if log.controls is None else log.dead_reckoning(motion))
         style = style_of("dead-reckoning") | {"alpha": 0.55, "linewidth": 0.9}
         self.remember("dead reckoning", *self.plane.plot(*drifting.T, **style))
         means, curves = self._map(frames[-1])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -65,10 +66,8 @@ def iterations(log: Log, options: RunOptions) -> list[Iterations]:
 
 
 def _graphs(log: Log, options: RunOptions, edges: str) -> list[Graph]:
-    return [
-        Graph.from_log(log, edges=edges, frame=frame, motion=options.motion, sensor=options.sensor)
-        for frame in ("world", "body")
-    ]
+    models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
+    return [Graph.from_log(log, edges=edges, frame=frame, **models) for frame in ("world", "body")]
 
 
 def remarks(variants: Sequence[Iterations]) -> list[str]:
@@ -76,10 +75,8 @@ def remarks(variants: Sequence[Iterations]) -> list[str]:
     sentences = []
     for variant in variants:
         count, last = len(variant.step_norms), variant.step_norms[-1]
-        if last < TOLERANCE:
-            sentences.append(f"{variant.name}: {count} steps until the norm of the correction is below {TOLERANCE:g}.")
-        else:
-            sentences.append(f"{variant.name}: after {count} steps the norm of the correction is still {last:.1e}.")
+        end = f"below {TOLERANCE:g}" if last < TOLERANCE else f"still {last:.1e}"
+        sentences.append(f"{variant.name}: after {count} steps the norm of the correction is {end}.")
     return sentences
 
 

@@ -6,7 +6,6 @@ import json
 import platform
 from collections.abc import Sequence
 from html import escape
-from importlib.metadata import version
 from importlib.resources import files
 from importlib.util import find_spec
 from os import PathLike
@@ -14,7 +13,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from graphslam import FormatError, OptionError, SlamError
+from graphslam import OptionError, SlamError
 from graphslam.files import write_whole
 
 from ...comparison import Comparison
@@ -30,7 +29,6 @@ from .paths import COLUMNS, paths_figure
 from .traces import Figure, line_of
 from .view import View, view_of
 
-SUFFIXES = (".html", ".htm")
 #: layers of the map: name, label, whether it is shown at first
 LAYERS = (
     ("path", "paths", True),
@@ -53,12 +51,10 @@ def check_page(path: Path) -> None:
     """Raise now rather than after minutes of work if no report can be written at ``path``.
 
     Raises:
-        FormatError: the name does not end in .html, or the place cannot be written.
-        OptionError: the extra ``report`` is not installed.
+        FormatError: the place cannot be written.
+        OptionError: the name does not end in .html, or the extra ``report`` is not installed.
     """
-    if path.suffix.lower() not in SUFFIXES:
-        raise FormatError(path, None, f"the name of a report must end in {' or '.join(SUFFIXES)}")
-    check_can_write(path)
+    check_can_write(path, endings=(".html", ".htm"))
     if find_spec("plotly") is None:
         raise OptionError("the interactive report needs the package plotly: pip install 'virtual-motion-slam[report]'")
 
@@ -67,8 +63,7 @@ def write_report(comparison: Comparison, path: str | PathLike[str]) -> None:
     """Write the interactive report of a comparison, one HTML file that works offline, whole or not at all.
 
     Raises:
-        FormatError: the name does not end in .html, or the place cannot be written.
-        OptionError: the extra ``report`` is not installed.
+        FormatError, OptionError: see `check_page`.
     """
     check_page(Path(path))
     text = page_of(comparison)
@@ -83,6 +78,7 @@ def page_of(comparison: Comparison) -> str:
     view = view_of(comparison)
     matrix, matrix_note = _matrix(comparison)
     convergence, convergence_note, endings = _convergence(comparison)
+    error_heading, errors_note = _error_texts(view)
     figures = {
         "map": paths_figure(view),
         "errors": errors_figure(view),
@@ -92,7 +88,6 @@ def page_of(comparison: Comparison) -> str:
     }
     (table,), sentences = tables_of(comparison)
     table.title = None
-    plotly = f"plotly {version('plotly')} (plotly.js {get_plotlyjs_version()})"
     part = {
         "title": escape(comparison.log.name),
         "summary": escape(_summary(view)),
@@ -109,11 +104,9 @@ def page_of(comparison: Comparison) -> str:
             if name != "pose-ellipses" or any(e.covariances is not None for e in view.estimates)
         ),
         "last": str(len(view.steps) - 1),
-        "error_heading": escape(
-            "error [m]" if view.measured_from in ("truth", None) else f"from {view.measured_from} [m]"
-        ),
+        "error_heading": escape(error_heading),
         "map_note": escape(_map_note(view)),
-        "errors_note": escape(_errors_note(view)),
+        "errors_note": escape(errors_note),
         **{f"{name}_hidden": "hidden" if figure is None else "" for name, figure in figures.items()},
         "convergence_note": escape(convergence_note),
         "convergence_remarks": _items(endings),
@@ -121,7 +114,7 @@ def page_of(comparison: Comparison) -> str:
         "entry": MATRIX[ENTRY],
         "fill": MATRIX[FILL],
         "configuration": escape(comparison.config),
-        "versions": _items([*versions(), plotly, platform.platform()]),
+        "versions": _items([*versions(), f"plotly.js {get_plotlyjs_version()}", platform.platform()]),
         "figures": embedded({name: figure for name, figure in figures.items() if figure is not None}),
         "facts": embedded(_facts(view)),
         "style": _resource("page.css"),
@@ -169,12 +162,12 @@ def _map_note(view: View) -> str:
     return note
 
 
-def _errors_note(view: View) -> str:
-    if view.measured_from == "truth":
-        return "Distance from the true position after alignment; its root mean square over all steps is the ATE."
-    if view.measured_from is None:
-        return ""
-    return f"The log has no true poses: this is the distance from {view.measured_from} after alignment, not an error."
+def _error_texts(view: View) -> tuple[str, str]:
+    """The heading of errors in a table, and what their figure shows."""
+    if view.measured_from in ("truth", None):
+        return "error [m]", "Distance from the true position after alignment; its root mean square is the ATE."
+    note = f"The log has no true poses: this is the distance from {view.measured_from} after alignment, not an error."
+    return f"from {view.measured_from} [m]", note
 
 
 def _convergence(comparison: Comparison) -> tuple[Figure | None, str, list[str]]:

@@ -83,19 +83,18 @@ def _map(view: View, estimate: Estimate) -> list[dict[str, Any]]:
             "<br>%{customdata[1]}<extra></extra>",
         })  # fmt: skip
     if 0 < len(estimate.landmark_covariances) <= MOST_LANDMARKS:
-        traces.append(
-            _ellipses(estimate.name, "landmark-ellipses", estimate.landmarks, estimate.landmark_covariances, 1.2)
-        )
+        maps = estimate.landmarks, estimate.landmark_covariances
+        traces.append(_ellipses(estimate.name, "landmark-ellipses", 1.2, *maps))
     if (S := estimate.covariances) is not None:
         most = MOST_DRIFTING if estimate.name == "dead-reckoning" else MOST_ELLIPSES
         spread = np.unique(np.linspace(0, len(view.steps) - 1, most).astype(int))
         known = {int(k): S[k] for k in spread if np.isfinite(S[k]).all() and np.isfinite(estimate.poses[k]).all()}
-        traces.append(_ellipses(estimate.name, "pose-ellipses", dict(enumerate(estimate.poses)), known, 0.8))
+        traces.append(_ellipses(estimate.name, "pose-ellipses", 0.8, dict(enumerate(estimate.poses)), known))
     return traces
 
 
 def _ellipses(
-    name: str, layer: str, means: Mapping[int, Array], covariances: Mapping[int, Array], width: float
+    name: str, layer: str, width: float, means: Mapping[int, Array], covariances: Mapping[int, Array]
 ) -> dict[str, Any]:
     """One trace that draws many ellipses, with gaps between."""
     points = np.pad(ellipses(means, covariances), ((0, 0), (0, 1), (0, 0)), constant_values=np.nan).reshape(-1, 2)

@@ -9,7 +9,7 @@ import numpy as np
 
 from graphslam import Log, SensorModel
 from graphslam.metrics import position_errors
-from graphslam.se2 import Array, compose, rotation
+from graphslam.se2 import Array, compose, turn_matrix
 
 from ...comparison import Comparison
 from ...results import EstimatorResult
@@ -99,8 +99,7 @@ def _estimate(log: Log, result: EstimatorResult, steps: np.ndarray, path: Array 
         errors = position_errors(path, result.poses, mask=counted)
     covariances = result.pose_covariances
     if covariances is not None:
-        turn = np.eye(3)
-        turn[:2, :2] = rotation(placement[2])
+        turn = turn_matrix(placement[2])
         covariances = turn @ covariances[steps] @ turn.T
     poses = np.where(result.estimated[steps, None], compose(placement, result.poses[steps]), np.nan)
     maps = place_map(placement, result.landmarks, result.landmark_covariances)
