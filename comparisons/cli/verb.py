@@ -79,7 +79,7 @@ def _is_options(hint: Any) -> bool:
 def _parameter(option: Option) -> inspect.Parameter:
     """The option as a parameter that typer understands; its default None stands for the option's own."""
     # several values are one word with commas
-    kind: Any = str if option.kind is tuple or option.each is Path else option.each
+    kind: Any = option.each if option.kind in (str, int, float, bool) else str
     flag = f"{option.flag}/--no-{option.flag[2:]}" if option.kind is bool and option.default else option.flag
     flags = [flag, *([f"--{option.alias}"] if option.alias else [])]
     text = option.help.removesuffix(".") + (f" [{option.unit}]." if option.unit else ".")

@@ -97,10 +97,10 @@ def test_a_study_that_is_not_finished_says_so(invoke: Invoke) -> None:
         database.plan(read_study(Path("study.toml")))
     result = invoke("study", "study.sqlite")
     assert "6 of 10 runs" in result.stdout
-    assert "runs the other 4" in result.stdout
+    assert "executes the other 4" in result.stdout
     Path("study.toml").write_text(STUDY.replace("3", "1"))
     invoke("sweep", "study.toml", "--jobs", "0")
-    assert "4 rows of runs that the study file no longer has are kept" in invoke("study", "study.sqlite").stdout
+    assert "4 rows of runs that are no longer part of the study file are kept" in invoke("study", "study.sqlite").stdout
 
 
 def test_wrong_use(invoke: Invoke) -> None:

@@ -26,7 +26,7 @@ def log() -> Log:
     return simulate(seed=2, steps=24, clean=True)
 
 
-OPTIONS = RunOptions(particles=50, motion=MotionModel(), sensor=SensorModel())
+OPTIONS = RunOptions.of(particles=50, motion=MotionModel(), sensor=SensorModel())
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
@@ -81,7 +81,7 @@ def test_models_reach_every_estimator(log: Log) -> None:
 
 def test_the_seed_decides(log: Log) -> None:
     run = ESTIMATORS["fastslam1"].run
-    again, other = run(log, OPTIONS), run(log, replace(OPTIONS, seed=1))
+    again, other = run(log, OPTIONS), run(log, OPTIONS.with_numbers(seed=1))
     np.testing.assert_array_equal(run(log, OPTIONS).poses, again.poses)
     assert not np.allclose(again.poses, other.poses)
 
@@ -153,7 +153,7 @@ def test_filters_that_ignore_the_ids_number_their_map_and_are_judged_by_place(na
         "sensor": SensorModel(range_rate=0.07, bearing_std=0.025, orientation_std=0.025),
     }
     log = simulate(seed=1, clean=True, **part)
-    options = RunOptions(particles=100, association="maximum-likelihood", resampling="residual", **part)
+    options = RunOptions.of(particles=100, association="maximum-likelihood", resampling="residual", **part)
     outcome = compare(log, options, estimators=[name])
     result = outcome[name]
     assert len(result.landmarks) == len(log.landmark_ids)

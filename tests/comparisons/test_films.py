@@ -18,7 +18,8 @@ from typer.testing import CliRunner
 
 from comparisons.cli import app
 from comparisons.estimators import make_graph, particle_filter
-from comparisons.options import AnimationOptions, RunOptions, options_of
+from comparisons.option import options_of
+from comparisons.options import AnimationOptions, RunOptions
 from comparisons.show.ellipses import ellipses
 from comparisons.show.films import Film, animate
 from comparisons.show.films.film import kept

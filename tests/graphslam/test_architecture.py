@@ -59,14 +59,7 @@ def test_no_package_imports_one_above_it(package):
         assert not {imported.split(".")[0] for imported in imports(name)} & FORBIDDEN[package], name
 
 
-@pytest.mark.parametrize(
-    "package",
-    [
-        "graphslam",
-        "fastslam",
-        pytest.param("comparisons", marks=pytest.mark.xfail(strict=True, reason="four circles, being removed")),
-    ],
-)
+@pytest.mark.parametrize("package", FORBIDDEN)
 def test_no_circles_inside_a_package(package):
     """Imports inside functions count. A package's own ``__init__`` may import the modules that it exports."""
     below = {}

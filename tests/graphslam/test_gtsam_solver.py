@@ -135,7 +135,7 @@ def test_both_solvers_start_from_the_same_state(shared_data, initialize):
 
 
 def test_auto_is_the_default_start():
-    log = simulate(**WORLDS["garden"], seed=5, clean=True, motion=GENTLE)
+    log = simulate(WORLDS["garden"], seed=5, clean=True, motion=GENTLE)
     graph = Graph.from_log(log, edges="landmark+motion")
     ours, theirs = solve(graph, initialize="auto"), solve_with_gtsam(graph)
     assert theirs.converged
