@@ -6,9 +6,11 @@ The project contains readers, not data. `survey` searches a folder and reads eve
 from __future__ import annotations
 
 import os
+import tomllib
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
+from importlib.resources import files
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -48,40 +50,10 @@ class DataSet:
     is_graph: bool = False
 
 
-DATA_SETS = (
-    DataSet(
-        "mrclam", "UTIAS MR.CLAM: five robots among 15 landmarks, nine sets",
-        "http://asrl.utias.utoronto.ca/datasets/mrclam/; Leung et al., IJRR 30(8), 2011",
-        "free for education and research, cite the paper; not to be passed on",
-        "a folder a set: Barcodes.dat, Landmark_Groundtruth.dat, RobotN_Odometry.dat, RobotN_Measurement.dat, "
-        "RobotN_Groundtruth.dat",
-    ),
-    DataSet(
-        "lost-in-the-woods", "Lost in the Woods: a robot among 17 tubes, laser and odometry at 10 Hz",
-        "T. Barfoot, course AER1513 of the University of Toronto, data set 2",
-        "not stated; course material", "dataset2.mat, or a folder with it",
-    ),
-    DataSet(
-        "huang", "Huang's simulated logs of 535 and 8,240 steps",
-        "https://openslam-org.github.io (2D-I-SLSJF); Huang, Wang and Dissanayake, IEEE T-RO 24(5), 2008",
-        "not stated",
-        "a folder a log: store_speed.mat, store_turnrate.mat, sensor_data.mat, parameters.txt, and for the truth "
-        "store_robotTrue.mat, store_beaconsTrue.mat",
-    ),
-    DataSet(
-        "victoria-park", "Victoria Park: a car among trees without ids, with GPS",
-        "J. Guivant and E. Nebot, University of Sydney; IEEE T-RA 17(3), 2001", "not stated; cite the paper",
-        "trees.mat, or a folder with it, and aa3_gpsx.mat beside it for the truth",
-    ),
-    DataSet(
-        "lnpr", "The logs of the lectures' book", "R. Ueda, LNPR, https://github.com/ryuichiueda/LNPR", "MIT licence",
-        "a text file of lines x, z and perhaps delta, u",
-    ),
-    DataSet(
-        "pose-graphs", "INTEL, M3500, CSAIL, city10000, dlr, cityTrees10000, Victoria Park with ids, and their kind",
-        "the collections of g2o, iSAM and TORO", "not stated for most", "text files: g2o, TORO or iSAM", is_graph=True,
-    ),
-)  # fmt: skip
+DATA_SETS = tuple(
+    DataSet(name=name, **entry)
+    for name, entry in tomllib.loads(files("comparisons").joinpath("datasets.toml").read_text(encoding="utf-8")).items()
+)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -49,7 +49,7 @@ def about(text: str) -> msgspec.Meta:
 
 Count = Annotated[int, msgspec.Meta(ge=0)]
 Id = Annotated[str, msgspec.Meta(pattern="^-?[0-9]+$")]
-Dimensions = Annotated[Literal[2, 3], about("columns of a sighting: 2 for range and bearing, 3 with orientation psi")]
+Dimensions = Annotated[Literal[2, 3], about("columns of a sighting: 2 without, 3 with orientation psi")]
 Pose = Annotated[
     list[float | None],
     msgspec.Meta(min_length=3, max_length=3, description="x [m], y [m], heading [rad]; null where unknown"),
@@ -99,14 +99,10 @@ class EstimatorDocument(Document):
     rpe_rad: Annotated[float | None, about("relative pose error per step [rad]")]
     heading_rad: Annotated[float | None, about("error of the headings after alignment [rad]")]
     landmark_rmse_m: Annotated[float | None, about("error of the map in the frame of the aligned trajectory [m]")]
-    nees: Annotated[
-        float | None, about("mean normalised error squared of the poses per degree of freedom; 1: consistent")
-    ]
+    nees: Annotated[float | None, about("mean NEES of the poses per degree of freedom; 1: consistent")]
     poses_counted: Annotated[Count | None, about("number of poses that the metrics are of")]
     poses: Annotated[list[Pose] | None, about("the trajectory, T + 1 poses")]
-    estimated: Annotated[
-        list[bool] | None, about("false where a pose is only the initial guess; such poses do not count")
-    ]
+    estimated: Annotated[list[bool] | None, about("false where a pose is only the initial guess")]
     landmarks: Annotated[dict[Id, Position] | None, about("the map, by id")]
     landmark_covariances: Annotated[dict[Id, Covariance] | None, about("covariances of the map, by id")]
     options: Annotated[dict[str, Any], about("the options that the estimator used")]
@@ -119,10 +115,7 @@ class RunDocument(Document):
 
     log: LogDocument
     estimators: Annotated[list[EstimatorDocument], about("in the order of the table")]
-    files: Annotated[
-        dict[str, str],
-        about("the files written: json, figure, figure_pdf, config, html, and the others by their names"),
-    ]
+    files: Annotated[dict[str, str], about("the files written, by kind or name")]
 
 
 class SimulateDocument(Document):
@@ -146,7 +139,7 @@ class VariantDocument(Document):
     converged: Annotated[bool, about("whether the hand-written solver converged")]
     gtsam_converged: Annotated[bool, about("whether GTSAM converged")]
     failure: Annotated[str | None, about("why a solver failed")]
-    agree: Annotated[bool, about("whether poses differ by less than 1e-6 and J by less than 1e-9 of it")]
+    agree: Annotated[bool, about("poses differ by less than 1e-6 and J by less than 1e-9 of it")]
 
 
 class ReasonDocument(Document):
@@ -173,9 +166,7 @@ class BackendDocument(Document):
     seconds: Annotated[float | None, about("from the initial values to the stop rule [s], median")]
     converged: Annotated[bool, about("whether it met its stop rule")]
     reason: Annotated[str, about("why it ended")]
-    ratio: Annotated[
-        float | None, about("time of graphslam over the time of this solver, where both reached the best chi2")
-    ]
+    ratio: Annotated[float | None, about("time of graphslam over this time, where both reached the best chi2")]
 
 
 class BackendsDocument(Document):
@@ -226,9 +217,7 @@ class ConsistencyEstimatorDocument(Document):
     name: Annotated[str, about("estimator, or weight of the graph")]
     logs: Annotated[Count, about("number of logs that count")]
     failed: Annotated[Count, about("number of logs on which it failed")]
-    anees: Annotated[
-        float | None, about("average NEES of the whole trajectory per degree of freedom; null without joint covariance")
-    ]
+    anees: Annotated[float | None, about("average NEES of the whole trajectory per degree of freedom")]
     band: Annotated[Band, about("95 % band of `anees`")]
     consistent: Annotated[bool | None, about("whether `anees` lies in `band`")]
     anees_per_step: Annotated[list[float | None], about("average NEES of each pose per degree of freedom")]
@@ -370,17 +359,12 @@ class CalibrateDocument(Document):
     """`slam-compare calibrate`."""
 
     source: Annotated[Literal["truth", "residuals"], about("what the noise was estimated from")]
-    motion: Annotated[
-        dict[str, Any] | None, about("fields of `graphslam.MotionModel`; null where the log has no controls")
-    ]
+    motion: Annotated[dict[str, Any] | None, about("fields of `graphslam.MotionModel`; null without controls")]
     sensor: Annotated[dict[str, Any], about("fields of `graphslam.SensorModel`")]
     range_scale: Annotated[float, about("measured range = range_scale * range + range_bias")]
     range_bias: Annotated[float, about("the bias of that line [m]")]
     errors: Annotated[dict[str, float | None], about("standard error of each number, by its name")]
-    degrees: Annotated[
-        dict[str, float | None],
-        about("degrees of freedom of Student's t of each residual; null for a normal distribution"),
-    ]
+    degrees: Annotated[dict[str, float | None], about("degrees of freedom of Student's t; null: normal distribution")]
     counts: Annotated[dict[str, Count], about("number of motions and sightings that were used")]
     notes: Annotated[list[str], about("remarks of the calibration")]
 

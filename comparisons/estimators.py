@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -112,7 +112,7 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
         step_norms=np.asarray(result.step_norms, dtype=float),
         cost=float(graph.cost(state)),
         costs=np.asarray(result.costs, dtype=float),
-        options={"edges": edges, "frame": "world", "weight": "pairs", "motion_weight": 1.0, "threshold": threshold},
+        options={"edges": edges, "frame": "world", "weight": "pairs", "threshold": threshold},
         reason=f"the last step norm is {last}; the book's threshold is {threshold:g}",
         origin=result,
         graph=graph,
@@ -281,26 +281,13 @@ def check_estimators(names: Any) -> tuple[str, ...]:
 
 
 def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -> EstimatorResult:
-    used = {name: getattr(options, name) for name in _GRAPH}
-    return EstimatorResult(
-        name=name,
-        poses=solution.poses,
-        estimated=np.asarray(solution.estimated, dtype=bool),
-        seconds=solution.seconds,
-        converged=solution.converged,
-        iterations=solution.iterations,
-        step_norms=np.asarray(solution.step_norms, dtype=float),
-        cost=solution.cost,
-        costs=np.asarray(solution.costs, dtype=float),
-        landmarks=solution.landmarks,
-        landmark_covariances=solution.landmark_covariances,
-        options=used | {"edges": options.edges or default_edges(log)},
-        reason=solution.reason,
-        notes=tuple(solution.notes),
-        origin=solution,
-        graph=solution.graph,
-        state=solution.state,
-    )
+    used = {name: getattr(options, name) for name in _GRAPH} | {"edges": options.edges or default_edges(log)}
+    return EstimatorResult(**_shared(solution), name=name, options=used, origin=solution)
+
+
+def _shared(origin: object) -> dict[str, Any]:
+    """The fields of an `EstimatorResult` that its origin has under the same names."""
+    return {f.name: getattr(origin, f.name) for f in fields(EstimatorResult) if hasattr(origin, f.name)}
 
 
 def _with_map(source: Log, sensor: SensorModel | None, poses: Any, **rest: Any) -> EstimatorResult:

@@ -101,7 +101,12 @@ class Option:
                 raise OptionError(f"{self.name} must be points 'x,y x,y ...', not {value!r}") from None
         if not isinstance(value, (int, list, tuple)) or isinstance(value, bool):
             raise OptionError(f"{self.name} must be a list of points, not {value!r}")
-        return value if isinstance(value, int) else tuple(tuple(row) for row in value)
+        if isinstance(value, int):
+            return value
+        points = tuple(tuple(row) if isinstance(row, (list, tuple)) else (row,) for row in value)
+        if len(set(map(len, points))) != 1 or not all(math.isfinite(number) for point in points for number in point):
+            raise OptionError(f"{self.name} must be points of finite numbers, 'x,y x,y ...', not {value!r}")
+        return points
 
     def _single(self, value: Any) -> Any:
         if self.each is float and isinstance(value, int) and not isinstance(value, bool):
@@ -154,7 +159,7 @@ class Options:
     components: ClassVar[Mapping[str, tuple[type, str]]] = {}
     #: fields of components that are no options here
     hidden: ClassVar[tuple[str, ...]] = ()
-    numbers: Mapping[str, Any] = field(default_factory=dict)
+    numbers: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @classmethod
     def of(cls, **given: Any) -> Self:

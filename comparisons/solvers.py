@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from itertools import product
 from os import PathLike
@@ -19,7 +19,8 @@ from graphslam.solvers.solve import starting_state
 
 from .display import Displayed
 from .kernels import factorisation
-from .options import SolverCheckOptions
+from .option import options_of
+from .options import GraphOptions, SolverCheckOptions
 from .pool import results
 from .reading import prepare
 from .saving import jsonable
@@ -31,23 +32,24 @@ POSE_TOLERANCE, COST_TOLERANCE = 1e-6, 1e-9
 STEP_TOLERANCE, MAX_ITERATIONS = 1e-10, 500
 
 
-@dataclass(frozen=True)
-class Variant:
-    """One way to make a graph of a log: keywords of `Graph.from_log`, and the dimensions of its sightings."""
+@dataclass(frozen=True, kw_only=True)
+class Variant(GraphOptions):
+    """One way to make a graph of a log: the options of the graph, and the dimensions of its sightings."""
 
-    edges: str
-    frame: str
-    weight: str
-    dimensions: int
-    motion_weight: float = 1.0
-    kernel: str | None = None
+    dimensions: int = 3
 
     @property
     def name(self) -> str:
         """The variant in words, unique among the variants."""
-        weight = f" {self.weight}" if self.edges.startswith("virtual") else ""
-        lam = f" lambda={self.motion_weight:g}" if self.edges.endswith("+motion") else ""
-        return f"{self.edges} {self.frame}{weight} {self.dimensions}-D{lam}{f' {self.kernel}' if self.kernel else ''}"
+        edges = str(self.edges)
+        weight = f" {self.weight}" if edges.startswith("virtual") else ""
+        lam = f" lambda={self.motion_weight:g}" if edges.endswith("+motion") else ""
+        return f"{edges} {self.frame}{weight} {self.dimensions}-D{lam}{'' if self.plain else f' {self.kernel}'}"
+
+    @property
+    def plain(self) -> bool:
+        """Whether the graph has plain squares, without a robust kernel."""
+        return self.kernel == "none"
 
 
 #: re-weighted plain steps may end on a saddle, or repeat; damped ones decrease the cost
@@ -129,8 +131,9 @@ def variants(log: Log, options: SolverCheckOptions | None = None) -> Iterator[Va
         if not kind.startswith("virtual") and weight != WEIGHTS[0]:
             # only pairs of sightings can be weighted differently
             continue
-        for motion_weight in options.motion_weights if kind.endswith("+motion") else (1.0,):
-            yield Variant(kind, frame, weight, d, motion_weight, None if kernel == "none" else kernel)
+        for scale in options.motion_weights if kind.endswith("+motion") else (1.0,):
+            values = zip(options_of(GraphOptions), (kind, frame, weight, scale, kernel))
+            yield Variant(dimensions=d, **dict(values))  # type: ignore[arg-type]
 
 
 def compare_solvers(
@@ -180,7 +183,7 @@ def _graph(variant: Variant, log: Log, models: dict[str, Any]) -> Graph:
     """
     if log.sightings.shape[1] != variant.dimensions:
         log = log.without_orientation()
-    keywords = {f.name: getattr(variant, f.name) for f in fields(variant) if f.name != "dimensions"}
+    keywords = {name: getattr(variant, name) for name in options_of(GraphOptions) if name != "initialize"}
     return Graph.from_log(log, **keywords, **models)
 
 
@@ -199,19 +202,19 @@ def _solve_both(variant: Variant, log: Log, models: dict[str, Any]) -> VariantRe
         graph = _graph(variant, log, models)
         # landmark graphs have many minima, and pose graphs some: the solvers are compared on the way to one of them
         start = starting_state(graph, "auto")
-        if variant.kernel is not None:
+        if not variant.plain:
             huber = _graph(replace(variant, kernel="huber"), log, models)
             start = solve(huber.with_initial(start), tolerance=1e-3, initialize="given").state
         graph = graph.with_initial(start)
     except (GraphError, LogError) as error:
         return SkippedVariant(variant.name, str(error))
     _warm_up(variant)
-    ours, our_error = _attempt(solve, graph, method="gauss-newton" if variant.kernel is None else ROBUST_METHOD)
-    if variant.kernel is not None and ours is not None and not ours.converged:
+    ours, our_error = _attempt(solve, graph, method="gauss-newton" if variant.plain else ROBUST_METHOD)
+    if not variant.plain and ours is not None and not ours.converged:
         ours, our_error = _attempt(solve, graph)
     theirs, their_error = _attempt(solve_with_gtsam, graph)
     if ours is not None and theirs is not None:
-        if variant.kernel is None:
+        if variant.plain:
             return compare_solutions(variant.name, ours, theirs)
         return _compare_robust(variant.name, graph, ours, theirs)
     if ours is None and theirs is None:
