@@ -6,7 +6,9 @@ Exit status: 0 success, 1 a comparison found a difference or a run failed, 2 wro
 
 from __future__ import annotations
 
+import os
 import sys
+from collections.abc import Callable, Collection
 from typing import Annotated
 
 import typer
@@ -16,14 +18,7 @@ from .logs import calibrate, datasets, simulate
 from .output import INTERRUPTED
 from .run import animate, report, run
 from .studies import consistency, particles, study, sweep
-from .verb import add_verb
-
-app = typer.Typer(
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-)
+from .verb import add_verb, list_verb
 
 
 def _version(asked: bool) -> None:
@@ -37,7 +32,6 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(epilog="Examples:\n\n  slam-compare run\n\n  slam-compare run LOG --estimators graph,fastslam1")
 def _app(
     version: Annotated[
         bool, typer.Option("--version", help="Show the version and exit.", callback=_version, is_eager=True)
@@ -46,64 +40,105 @@ def _app(
     """Compare planar SLAM on one log: a hand-written graph solver, GTSAM, FastSLAM and dead reckoning."""
 
 
-add_verb(
-    app, run, "slam-compare run", "slam-compare run LOG --estimators graph,fastslam1 --particles 5000",
-    "slam-compare run LOG --edges virtual --frame world --json -",
-    "slam-compare run LOG --noise noise.toml --kernel huber", "slam-compare run --config results/latest/config.toml",
-)  # fmt: skip
-add_verb(
-    app, report, "slam-compare report report.html",
-    "slam-compare report LOG report.html --estimators graph,fastslam1",
-    "slam-compare report report.html --config results/latest/config.toml",
-)  # fmt: skip
-add_verb(
-    app, solvers, "slam-compare solvers", "slam-compare solvers LOG --motion-weights 1,10,100 --json differences.json",
-    "slam-compare solvers LOG --kernel none,huber,cauchy",
-)  # fmt: skip
-add_verb(
-    app, simulate, "slam-compare simulate my.npz --seed 7",
-    "slam-compare simulate room.npz --way-points '4,-3 4,3 -4,3' --landmarks 20",
-    "slam-compare simulate clean.npz --clean --no-orientation",
-)  # fmt: skip
-add_verb(
-    app, backends, "slam-compare backends M3500.g2o",
-    "slam-compare backends *.g2o --figure cost.png --json rows.json",
-)  # fmt: skip
-add_verb(
-    app, particles, "slam-compare particles --particles 10,100,1000 --seeds 5",
-    "slam-compare particles LOG --figure particles.png --json particles.json",
-)  # fmt: skip
-add_verb(
-    app, calibrate, "slam-compare calibrate LOG --out noise.toml",
-    "slam-compare calibrate ../shared/data/mrclam6 --robot 1 --out noise.toml",
-    "slam-compare calibrate LOG --source residuals --json -", "slam-compare run LOG --noise noise.toml --kernel huber",
-)  # fmt: skip
-add_verb(app, datasets, "slam-compare datasets", "SLAM_DATA=~/data slam-compare datasets --json -")
-add_verb(
-    app, consistency, "slam-compare consistency",
-    "slam-compare consistency --noise 1 --figure anees.png --json anees.json",
-    "slam-compare consistency --estimators 'landmark nodes,fastslam2' --logs 50",
-)  # fmt: skip
-add_verb(
-    app, sweep, "slam-compare sweep examples/study.toml", "slam-compare sweep study.toml --jobs 8",
-    "slam-compare sweep study.toml --dask tcp://head-node:8786",
-)  # fmt: skip
-add_verb(
-    app, study, "slam-compare study study.sqlite",
-    "slam-compare study show study.sqlite --baseline fastslam1 --figure study.pdf",
-    "slam-compare study study.sqlite --csv runs.csv --jsonl runs.jsonl",
-)  # fmt: skip
-add_verb(
-    app, animate, "slam-compare animate relaxing.gif",
-    "slam-compare animate LOG particles.mp4 --estimator fastslam1 --particles 200",
-    "slam-compare animate LOG growing.html --estimator isam2 --max-frames 100",
-)  # fmt: skip
+#: the verbs, and the examples in their help
+VERBS: dict[Callable[..., None], tuple[str, ...]] = {
+    run: (
+        "slam-compare run",
+        "slam-compare run LOG --estimators graph,fastslam1 --particles 5000",
+        "slam-compare run LOG --edges virtual --frame world --json -",
+        "slam-compare run LOG --noise noise.toml --kernel huber",
+        "slam-compare run --config results/latest/config.toml",
+    ),
+    report: (
+        "slam-compare report report.html",
+        "slam-compare report LOG report.html --estimators graph,fastslam1",
+        "slam-compare report report.html --config results/latest/config.toml",
+    ),
+    solvers: (
+        "slam-compare solvers",
+        "slam-compare solvers LOG --motion-weights 1,10,100 --json differences.json",
+        "slam-compare solvers LOG --kernel none,huber,cauchy",
+    ),
+    simulate: (
+        "slam-compare simulate my.npz --seed 7",
+        "slam-compare simulate room.npz --way-points '4,-3 4,3 -4,3' --landmarks 20",
+        "slam-compare simulate clean.npz --clean --no-orientation",
+    ),
+    backends: (
+        "slam-compare backends M3500.g2o",
+        "slam-compare backends *.g2o --figure cost.png --json rows.json",
+    ),
+    particles: (
+        "slam-compare particles --particles 10,100,1000 --seeds 5",
+        "slam-compare particles LOG --figure particles.png --json particles.json",
+    ),
+    calibrate: (
+        "slam-compare calibrate LOG --out noise.toml",
+        "slam-compare calibrate ../shared/data/mrclam6 --robot 1 --out noise.toml",
+        "slam-compare calibrate LOG --source residuals --json -",
+        "slam-compare run LOG --noise noise.toml --kernel huber",
+    ),
+    datasets: (
+        "slam-compare datasets",
+        "SLAM_DATA=~/data slam-compare datasets --json -",
+    ),
+    consistency: (
+        "slam-compare consistency",
+        "slam-compare consistency --noise 1 --figure anees.png --json anees.json",
+        "slam-compare consistency --estimators 'landmark nodes,fastslam2' --logs 50",
+    ),
+    sweep: (
+        "slam-compare sweep examples/study.toml",
+        "slam-compare sweep study.toml --jobs 8",
+        "slam-compare sweep study.toml --dask tcp://head-node:8786",
+    ),
+    study: (
+        "slam-compare study study.sqlite",
+        "slam-compare study show study.sqlite --baseline fastslam1 --figure study.pdf",
+        "slam-compare study study.sqlite --csv runs.csv --jsonl runs.jsonl",
+    ),
+    animate: (
+        "slam-compare animate relaxing.gif",
+        "slam-compare animate LOG particles.mp4 --estimator fastslam1 --particles 200",
+        "slam-compare animate LOG growing.html --estimator isam2 --max-frames 100",
+    ),
+}
+
+
+def make_app(complete: Collection[str] | None = None) -> typer.Typer:
+    """The command line.
+
+    Args:
+        complete: the verbs that have all their options; the others are only listed. Default: all.
+    """
+    app = typer.Typer(
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="rich",
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    )
+    app.callback(epilog="Examples:\n\n  slam-compare run\n\n  slam-compare run LOG --estimators graph,fastslam1")(_app)
+    for verb, examples in VERBS.items():
+        if complete is None or verb.__name__ in complete:
+            add_verb(app, verb, *examples)
+        else:
+            list_verb(app, verb)
+    return app
+
+
+def __getattr__(name: str) -> typer.Typer:
+    if name != "app":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    app: typer.Typer = globals().setdefault("app", make_app())
+    return app
 
 
 def main() -> None:
     """Entry point of ``slam-compare``."""
     try:
-        app(prog_name="slam-compare")
+        # only the verb that is called needs its options; completion in a shell needs those of all
+        words = None if "_SLAM_COMPARE_COMPLETE" in os.environ else sys.argv[1:]
+        make_app(words)(prog_name="slam-compare")
     except KeyboardInterrupt:
         # before a verb began, or while modules were being imported
         sys.exit(INTERRUPTED)

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..options import BackendOptions, FigureOptions, SolverCheckOptions
 from .output import DIFFERENT, Output
 from .verb import LogFile
 
 if TYPE_CHECKING:
     from ..backends import BackendRow
+    from ..options import BackendOptions, FigureOptions, SolverCheckOptions
     from ..solvers import SkippedVariant, VariantResult
 
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..documents import SimulateDocument, document
-from ..options import OUTPUT, CalibrationOptions, NoiseOptions, ReadingOptions, SimulationOptions
 from .output import DIFFERENT, Output
 from .verb import LogFile, command
+
+if TYPE_CHECKING:
+    from ..options import OUTPUT, CalibrationOptions, NoiseOptions, ReadingOptions, SimulationOptions
 
 
 def simulate(
@@ -28,6 +29,7 @@ def simulate(
     import graphslam
 
     from ..comparison import describe
+    from ..documents import SimulateDocument, document
     from ..saving import check_can_write
 
     check_can_write(out)

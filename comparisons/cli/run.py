@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..options import AnimationOptions, EstimatorOptions, OutputOptions, RunOptions
 from .output import Advance, Output
 from .verb import LogFile, command
 
 if TYPE_CHECKING:
     from ..comparison import Comparison, Progress, Skipped
+    from ..options import AnimationOptions, EstimatorOptions, OutputOptions, RunOptions
     from ..results import EstimatorResult
 
 

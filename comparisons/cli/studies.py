@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..options import ConsistencyOptions, FigureOptions, ParticleStudyOptions, SummaryOptions, SweepOptions
 from .output import DIFFERENT, INTERRUPTED, Advance, Output
 from .verb import LogFile
 
 if TYPE_CHECKING:
+    from ..options import ConsistencyOptions, FigureOptions, ParticleStudyOptions, SummaryOptions, SweepOptions
     from ..particles import ParticleRun
     from ..studies.outcome import Outcome
     from ..studies.plan import Run
@@ -39,6 +39,7 @@ def particles(output: Output, log: LogFile = None, *, options: ParticleStudyOpti
 def consistency(output: Output, *, options: ConsistencyOptions, drawing: FigureOptions) -> None:
     """Average normalised errors (ANEES) over many simulated logs, for each estimator and weight, with the 95 % band."""
     from ..consistency import study_consistency
+    from ..options import ConsistencyOptions
 
     check_figure(drawing.figure)
     with output.bar("logs", options.logs) as advance:

@@ -11,13 +11,14 @@ import inspect
 import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from ..option import Option, Options, options_of
-from ..options import JsonOptions, NoiseOptions, ReadingOptions
 from .output import Output, sentences
+
+if TYPE_CHECKING:
+    from ..option import Option, Options
 
 #: the argument LOG of most verbs
 LogFile = Annotated[
@@ -38,14 +39,22 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
         function: its docstring is the help.
         examples: command lines for the end of the help.
     """
-    hints = get_type_hints(function, include_extras=True)
+    from .. import options as declared
+    from ..option import Options, options_of
+
+    # the modules of the verbs do not import the options, so that the list of all verbs is shown at once
+    hints = get_type_hints(function, localns=vars(declared), include_extras=True)
     parameters = [p for p in inspect.signature(function).parameters.values() if p.name != "output"]
-    groups = {p.name: hints[p.name] for p in parameters if _is_options(hints[p.name])}
+    groups = {
+        p.name: hints[p.name]
+        for p in parameters
+        if isinstance(hints[p.name], type) and issubclass(hints[p.name], Options)
+    }
     options: dict[str, Option] = {}
-    for group in (*groups.values(), JsonOptions):
+    for group in (*groups.values(), declared.JsonOptions):
         options |= {name: each for name, each in options_of(group).items() if each.only != "python"}
     arguments = [p.replace(annotation=hints[p.name]) for p in parameters if p.name not in groups]
-    configurable = any(issubclass(group, ReadingOptions) for group in groups.values())
+    configurable = any(issubclass(group, declared.ReadingOptions) for group in groups.values())
 
     def command(ctx: typer.Context, quiet: bool, verbose: bool, config: Path | None = None, **values: Any) -> None:
         with sentences(verbose):
@@ -72,8 +81,14 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
     app.command(function.__name__, epilog=epilog)(command)
 
 
-def _is_options(hint: Any) -> bool:
-    return isinstance(hint, type) and issubclass(hint, Options)
+def list_verb(app: typer.Typer, function: Callable[..., None]) -> None:
+    """Add a function for the list of verbs only, without its options."""
+
+    def listed() -> None:
+        pass
+
+    listed.__doc__ = function.__doc__
+    app.command(function.__name__)(listed)
 
 
 def _parameter(option: Option) -> inspect.Parameter:
@@ -155,6 +170,9 @@ def _without_outranked(ctx: typer.Context, values: dict[str, Any], options: dict
 
     if not ("noise" in options and typed("noise")):
         return values
+    from ..option import options_of
+    from ..options import NoiseOptions
+
     of_noise = {name for name, each in options_of(NoiseOptions).items() if each.only != "python"}
     return {name: value if name not in of_noise or typed(name) else None for name, value in values.items()}
 
