@@ -202,7 +202,7 @@ def joint_nees(solution: Solution, graph: Graph, truth: Array) -> float:
 
 def _one_log(seed: int, options: ConsistencyOptions) -> tuple[float, dict[str, tuple[Array, float]]]:
     """Sightings per landmark, and per estimator the NEES of each step (T,) and of the trajectory; NaN where it failed."""
-    noise = dict(zip(("motion", "sensor"), models(options.noise)))
+    noise: dict[str, Any] = dict(zip(("motion", "sensor"), models(options.noise)))
     log = simulate(seed=seed, steps=options.steps, clean=True, orientation=options.dimensions == 3, **noise)
     row = {}
     for name in options.estimators:

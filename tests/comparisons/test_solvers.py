@@ -61,7 +61,9 @@ def test_jobs_change_nothing_but_the_time(log: Log) -> None:
 
 
 def test_landmark_nodes_agree_although_dead_reckoning_misleads() -> None:
-    outcome = compare_solvers(sample_log_path(), dimensions=2, motion_weights=(1.0,), edges=("landmark+motion",), jobs=0)
+    outcome = compare_solvers(
+        sample_log_path(), dimensions=2, motion_weights=(1.0,), edges=("landmark+motion",), jobs=0
+    )
     assert [v.name for v in outcome.variants] == [f"landmark+motion {f} 2-D lambda=1" for f in ("world", "body")]
     assert outcome.problems == ()
 

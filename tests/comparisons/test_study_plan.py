@@ -127,7 +127,9 @@ def test_a_noise_file_counts_by_its_content(folder: Path) -> None:
 
 
 def test_options_of_files_do_not_count_for_simulated_worlds(folder: Path) -> None:
-    runs = study_of(folder, "logs = ['a.npz']\nestimators = ['graph']\n[options]\nformat = 'npz'\nstride = 2\n[simulate]\n")
+    runs = study_of(
+        folder, "logs = ['a.npz']\nestimators = ['graph']\n[options]\nformat = 'npz'\nstride = 2\n[simulate]\n"
+    )
     assert [run.options for run in runs] == [{"format": "npz", "stride": 2}, {"stride": 2}]
 
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
 from pebble import ProcessExpired
 
 from comparisons.comparison import run as run_by_hand
@@ -24,9 +23,9 @@ from comparisons.pool import how_it_ended, processes, results
 from comparisons.results import EstimatorResult
 from comparisons.studies.database import COLUMNS, StudyDatabase
 from comparisons.studies.outcome import DONE, ERROR, TIMEOUT, Outcome
+from comparisons.studies.places import in_pool, pool_outcome
 from comparisons.studies.plan import Study, read_study
 from comparisons.studies.sweep import SweepOutcome, sweep
-from comparisons.studies.places import in_pool, pool_outcome
 from graphslam import FormatError, Log, OptionError, SlamError, save, simulate
 
 ROOT = Path(__file__).parents[2]
