@@ -1,8 +1,8 @@
-"""Pose graphs through the optimisers that people use today: GTSAM with its native factors, and g2o.
+"""Pose graphs through other optimisers: GTSAM with its native factors, and g2o.
 
-Each peer is handed the very nodes, edges and initial values of a `Graph` and returns the state it ends in. Between
-factors are GTSAM's own (C++), whose residual is the logarithm of g2o's error: close to the optimum the same, far from it
-not, so a peer may end at a slightly different point; all are judged by one evaluator, `Graph.cost`.
+Each peer gets the nodes, edges and initial values of a `Graph` and returns the state at the end. The between factors are
+GTSAM's own (C++). Their residual is the logarithm of g2o's error, which is the same close to the optimum but not far from
+it, so a peer may end at a slightly different point. The cost of every state is computed by `Graph.cost`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from graphslam.solvers.gtsam_solver import from_values, to_values
 
 @dataclass(frozen=True)
 class PeerRun:
-    """One optimisation: the state (n, 3) it ended in, iterations, seconds, how it ended, chi2 before and after steps."""
+    """One optimisation: the state (n, 3) at the end, iterations, seconds, how it ended, chi2 before and after steps."""
 
     state: Array
     iterations: int
@@ -35,12 +35,12 @@ class PeerRun:
     costs: tuple[float, ...] = ()
 
 
-#: a peer prepares a graph, outside the clock, into a function that optimises it anew each time it is called
+#: a peer prepares a graph, before the time is measured, and returns a function that optimises it anew at each call
 Peer = Callable[[Graph, float, int], Callable[[], PeerRun]]
 
 
 def information_of_g2o(edges: RelativePoseEdges) -> Array:
-    """The information (E, 3, 3) for the residual z^-1 (x_i^-1 x_j), which is ours turned by R(theta_z)'."""
+    """The information (E, 3, 3) for the residual z^-1 (x_i^-1 x_j), which is our residual rotated by R(theta_z)'."""
     turn = np.broadcast_to(np.eye(3), (edges.count, 3, 3)).copy()
     turn[:, :2, :2] = rotation(-edges.measured[:, 2])
     return turn @ edges.information @ np.swapaxes(turn, 1, 2)
@@ -130,7 +130,7 @@ def _gtsam_costs(optimizer: Any, graph: Graph, cost_tolerance: float, max_iterat
 def g2o_peer(damped: bool) -> Peer:
     """g2o's Levenberg-Marquardt (damped) or Gauss-Newton, with its sparse Cholesky on Eigen, from the package g2opy.
 
-    It has no stop rule of its own here: it is given the smallest number of iterations that reaches its final cost.
+    It has no stop rule here: it executes the smallest number of iterations that reaches its final cost.
     """
 
     def prepare(graph: Graph, cost_tolerance: float, max_iterations: int) -> Callable[[], PeerRun]:
@@ -165,7 +165,7 @@ def _import_g2o() -> Any:
 def _smallest_number(
     g2o: Any, graph: Graph, damped: bool, cost_tolerance: float, max_iterations: int
 ) -> tuple[tuple[float, ...], int]:
-    """The chi2 before and after each iteration, and how few come as close to the last as the others' stop rule asks."""
+    """The chi2 before and after each iteration, and the number of iterations after which the stop rule is met."""
     optimizer = _g2o_optimizer(g2o, graph, damped)
     optimizer.set_compute_batch_statistics(True)
     optimizer.initialize_optimization()
@@ -175,7 +175,7 @@ def _smallest_number(
         if not np.isfinite(costs[count]):
             return tuple(costs[: count + 1]), count
         if abs(costs[count - 1] - costs[count]) <= cost_tolerance * costs[count - 1]:
-            # the step before the one that changed nothing was already there
+            # the step before the one that changed nothing had already reached it
             return tuple(costs[:count]), max(count - 1, 1)
     return tuple(costs), max_iterations
 

@@ -63,18 +63,24 @@ def default_jobs() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-@contextmanager
-def processes(jobs: int, estimators: Sequence[str]) -> Iterator[ProcessPool]:
-    """A pool of processes, which end with the block, however it ends.
+def process_pool(jobs: int, estimators: Sequence[str]) -> ProcessPool:
+    """A pool of processes, which end with this process at the latest.
 
     Args:
         jobs: how many.
         estimators: each process compiles or loads their kernels before its first task, outside of any time limit.
+    """
+    return ProcessPool(jobs, initializer=_begin, initargs=(os.getpid(), tuple(estimators)), context=_Context())
+
+
+@contextmanager
+def processes(jobs: int, estimators: Sequence[str]) -> Iterator[ProcessPool]:
+    """A `process_pool` whose processes end with the block, however it ends.
 
     Raises:
         SlamError: the processes die before they begin a task.
     """
-    pool = ProcessPool(jobs, initializer=_begin, initargs=(os.getpid(), tuple(estimators)), context=_Context())
+    pool = process_pool(jobs, estimators)
     try:
         yield pool
     except BrokenProcessPool as error:

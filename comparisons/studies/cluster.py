@@ -11,7 +11,7 @@ import multiprocessing
 import socket
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from threading import Lock
 from typing import Any
@@ -22,7 +22,7 @@ from pebble import ProcessPool
 from graphslam import OptionError, SlamError
 
 from ..estimators import ESTIMATORS
-from ..pool import processes
+from ..pool import process_pool
 from .execute import sentence
 from .outcome import ERROR, Outcome
 from .places import Place, in_pool, pool_outcome
@@ -44,7 +44,7 @@ def _pool_of_worker() -> ProcessPool:
         if not _pools:
             # Dask runs its workers as daemons, which may otherwise not have processes of their own
             multiprocessing.current_process().daemon = False
-            _pools.append(ExitStack().enter_context(processes(get_worker().state.nthreads, tuple(ESTIMATORS))))
+            _pools.append(process_pool(get_worker().state.nthreads, tuple(ESTIMATORS)))
         return _pools[0]
 
 

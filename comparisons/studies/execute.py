@@ -64,6 +64,8 @@ def _execute(run: Run) -> dict[str, Any]:
         ranges = {"range_scale": noise.range_scale, "range_bias": noise.range_bias}
         options = {**ranges, **options, "motion": motion, "sensor": sensor}
     comparison = compare(log, RunOptions.of(**options, seed=run.seed), estimators=[run.estimator])
-    row, poses = comparison.table[0], comparison.results[0].poses
-    figures = {f.name: getattr(row, f.name) for f in fields(Outcome) if hasattr(row, f.name)}
-    return figures | {"poses_sha256": hashlib.sha256(poses.tobytes()).hexdigest()[:16]}
+    result = comparison.results[0]
+    # not the rows of the table: they have NEES, too, for which covariances would be computed
+    sources = (result, comparison.metrics[result.name])
+    figures = {f.name: getattr(each, f.name) for each in sources for f in fields(Outcome) if hasattr(each, f.name)}
+    return figures | {"poses_sha256": hashlib.sha256(result.poses.tobytes()).hexdigest()[:16]}

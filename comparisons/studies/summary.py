@@ -114,7 +114,7 @@ def summarise(study: str | PathLike[str] | StudyDatabase | Sequence[Row], *, bas
     if isinstance(study, StudyDatabase):
         rows, (planned, _) = study.rows(), study.counts()
     else:
-        rows, planned = [dict(row) for row in study], len(study)
+        rows, planned = list(map(dict, study)), len(study)
     names = list(dict.fromkeys(row["method"] for row in rows))
     if baseline is not None and baseline not in names:
         hint = f"; did you mean {nearest(baseline, names)!r}?" if names else ""
