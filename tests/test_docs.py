@@ -18,6 +18,7 @@ BLOCKS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("page", "number", "block"), BLOCKS, ids=[f"{page}-{number}" for page, number, _ in BLOCKS])
 def test_examples(page, number, block, capsys, tmp_path, monkeypatch):
     # examples read files of these folders, and what they write must not remain

@@ -50,6 +50,7 @@ def test_the_table_is_a_sequence_of_rows_that_also_knows_names(comparison):
         table["nobody"]
 
 
+@pytest.mark.slow
 def test_outcomes_show_themselves(comparison):
     text = str(comparison)
     assert "ATE" in text
@@ -64,6 +65,7 @@ def test_outcomes_show_themselves(comparison):
     assert "&lt;b&gt;&amp;" in named._repr_html_()
 
 
+@pytest.mark.slow
 def test_other_verbs_show_themselves_too(tmp_path):
     log = simulate(steps=15, seed=1)
     for outcome in (

@@ -44,6 +44,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert ranges == {"range_scale": found.range_scale, "range_bias": found.range_bias}
 
 
+@pytest.mark.slow
 def test_from_log_to_run(invoke: Invoke, log_file: Path) -> None:
     result = invoke("calibrate", "log.npz", "--out", "noise.toml", "--json", "c.json")
     assert result.exit_code == 0, result.output
@@ -70,6 +71,7 @@ def test_from_log_to_run(invoke: Invoke, log_file: Path) -> None:
     assert json.loads(again.stdout)["estimators"][0]["poses"] == right["poses"]
 
 
+@pytest.mark.slow
 def test_what_beats_what(invoke: Invoke, log_file: Path) -> None:
     Path("noise.toml").write_text("[motion]\nnn = 0.3\noo = 0.4\n[sensor]\nbearing_std = 0.2\n[ranges]\nscale = 1.1\n")
     Path("c.toml").write_text('log = "log.npz"\nnoise = "noise.toml"\nestimators = ["graph"]\n[motion]\noo = 0.5\n')

@@ -96,6 +96,7 @@ def test_damaged_logs(invoke: Invoke, tmp_path: Path, damage: str, verb: str) ->
     refused(invoke(verb, "log.txt"), word, "log")
 
 
+@pytest.mark.slow
 def test_the_good_log_is_good(invoke: Invoke, tmp_path: Path) -> None:
     (tmp_path / "log.txt").write_text(GOOD)
     assert invoke("run", "log.txt", *QUICK).exit_code == 0
@@ -333,6 +334,7 @@ def test_only_the_graphs_that_are_named(invoke: Invoke, log_file: Path) -> None:
     refused(invoke(*command, "--edges", "virtual,some"), "some", "virtual+motion")
 
 
+@pytest.mark.slow
 def test_solvers_that_differ_exit_with_one(invoke: Invoke, log_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sloppy = solvers.solve
     monkeypatch.setattr(solvers, "solve", lambda graph, **_: sloppy(graph, tolerance=1e-3))
@@ -377,6 +379,7 @@ def program(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_program_as_a_process(log_file: Path, tmp_path: Path) -> None:
     process = program("run", "log.npz", *QUICK, "--out", "here", "--json", "-", cwd=tmp_path)
     out, err = process.communicate(timeout=120)

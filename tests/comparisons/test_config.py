@@ -63,6 +63,7 @@ def test_a_relative_log_starts_from_the_folder_of_the_file(tmp_path: Path) -> No
     assert read_config(tmp_path / "c.toml")["log"] == tmp_path / "data" / "x.npz"
 
 
+@pytest.mark.slow
 def test_a_saved_configuration_repeats_its_run(invoke: Invoke, log_file: Path, tmp_path: Path) -> None:
     options = ["--particles", 60, "--seed", 5, "--nn", 0.21, "--weight", "tempered", "--initialize", "given"]
     first = invoke("run", "log.npz", *options)
@@ -74,6 +75,7 @@ def test_a_saved_configuration_repeats_its_run(invoke: Invoke, log_file: Path, t
     assert (folder / "config.toml").read_text() == Path("again/config.toml").read_text()
 
 
+@pytest.mark.slow
 def test_options_beat_the_file_which_beats_the_defaults(invoke: Invoke, log_file: Path) -> None:
     Path("c.toml").write_text(
         'log = "log.npz"\nestimators = ["fastslam1", "graph"]\nparticles = 40\nseed = 9\nframe = "world"\n'
@@ -91,6 +93,7 @@ def test_options_beat_the_file_which_beats_the_defaults(invoke: Invoke, log_file
     assert [entry["name"] for entry in json.loads(result.stdout)["estimators"]] == ["dead-reckoning"]
 
 
+@pytest.mark.slow
 def test_a_log_that_has_changed_is_not_taken_for_the_same(invoke: Invoke, log_file: Path) -> None:
     assert invoke("run", "log.npz", "--estimators", "graph", "--out", "o").exit_code == 0
     save(simulate(seed=3, steps=24, clean=True), log_file)

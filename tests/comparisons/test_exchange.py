@@ -92,6 +92,7 @@ def test_a_graph_that_g2o_cannot_hold_is_left_out(tmp_path):
         comparisons.run(log, estimators=["graph"]).save(tmp_path, figures=["bmp"])
 
 
+@pytest.mark.slow
 def test_the_same_data_makes_the_same_figures(tmp_path):
     log = simulate(steps=15, seed=1)
     comparison = comparisons.run(log, estimators=["dead-reckoning", "graph"])
@@ -102,6 +103,7 @@ def test_the_same_data_makes_the_same_figures(tmp_path):
         assert one == two, kind
 
 
+@pytest.mark.slow
 def test_a_second_run_into_the_folder_leaves_nothing_of_the_first(tmp_path):
     log = simulate(steps=15, seed=1)
     mine = tmp_path / "notes.txt"

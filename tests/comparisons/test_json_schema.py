@@ -42,6 +42,7 @@ particles = 10
 """
 
 
+@pytest.mark.slow
 def test_every_verb_writes_what_the_schema_says(write):
     valid("simulate", write("simulate", "log.npz", "--steps", 15, "--seed", 3))
     found = write("run", "log.npz", "--particles", 20, "--out", "out")

@@ -81,6 +81,7 @@ def count(browser: Chromium, selector: str) -> int:
     return int(browser.evaluate(f"document.querySelectorAll({selector!r}).length"))
 
 
+@pytest.mark.slow
 def test_it_opens_from_disk_and_asks_for_nothing_else(opened: Chromium, page: Path, comparison: Comparison) -> None:
     draw_all(opened)
     for name in ("map", "errors", "costs", "convergence"):

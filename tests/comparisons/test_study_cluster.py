@@ -62,6 +62,7 @@ def _dask(folder: Path, *words: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
+@pytest.mark.slow
 def test_the_same_numbers_from_a_cluster(scheduler: str, folder: Path) -> None:
     (folder / "there.toml").write_text(STUDY)
     there = read_study(folder / "there.toml")

@@ -58,7 +58,7 @@ def test_bad_input() -> None:
         study_particles(log, filters=("graph",))
     with pytest.raises(OptionError, match="seeds must be at least 1"):
         study_particles(log, seeds=0)
-    with pytest.raises(OptionError, match="particles must be a list"):
+    with pytest.raises(OptionError, match="particles must be whole numbers, at least one"):
         study_particles(log, particles=())
     poses_only = log.replace(dt=None, controls=None)
     with pytest.raises(LogError, match="no controls"):

@@ -60,6 +60,7 @@ def linear_posterior(log: Log) -> list[tuple[np.ndarray, np.ndarray]]:
     return posterior
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
 def test_convergence_to_the_closed_form_as_one_over_root_n(kind: type[ParticleFilter]) -> None:
     """Mean and covariance of pose and map: errors in standard deviations fall as N to the power of -0.4 to -0.6."""
@@ -87,6 +88,7 @@ def test_convergence_to_the_closed_form_as_one_over_root_n(kind: type[ParticleFi
     assert np.all(errors[-1] < 0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "seed", "last"), [(FastSLAM2, 0, 60), (FastSLAM2, 4, 60), (FastSLAM1, 1, 30)])
 def test_the_grown_graphs_posterior(kind: type[ParticleFilter], seed: int, last: int) -> None:
     """A fifth of the book's noise: within 0.3 standard deviations, and those within 25 %, at every tenth step.

@@ -50,6 +50,7 @@ def test_noise_from_truth(seed: int) -> None:
     assert min(found.degrees.values()) > 20
 
 
+@pytest.mark.slow
 def test_the_standard_errors_are_those_of_many_logs() -> None:
     off = [errors_in_sigmas(calibrate(drive(seed, steps=200)), MOTION, SENSOR) for seed in range(20)]
     for name in ("bearing_std", "range_scale", "range_bias"):
@@ -74,6 +75,7 @@ def test_range_scale_and_bias() -> None:
     assert (back.motion, back.sensor) == (found.motion, found.sensor)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_from_residuals(seed: int) -> None:
     log = drive(seed)

@@ -89,6 +89,7 @@ def random_state(rng):
     return state
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", frames)
 @pytest.mark.parametrize("name", FAMILIES)
 @given(seed=seeds)

@@ -24,6 +24,7 @@ def with_phantoms(log, part, seed):
     return log.replace(sightings=sightings), wrong
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options", [{"weight": w} for w in ("pairs", "tempered", "marginal")] + [{"edges": "landmark+motion"}], ids=str
 )

@@ -24,6 +24,7 @@ def largest_difference(a, b):
     return np.abs(off).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", VARIANTS, ids=str)
 @pytest.mark.parametrize("name", ["book", "sample"])
 def test_it_ends_at_the_batch_answer(name, options, book_log):
