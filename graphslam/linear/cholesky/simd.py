@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba import types
+from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
@@ -214,29 +214,6 @@ dot8 = _dot_kernel(8)
 dot4 = _dot_kernel(4)
 
 
-def _triple_kernel(accumulate: bool) -> Callable[..., None]:
-    """y[iy : iy + 3] = [y[...] +] x[ix : ix + 3]."""
-
-    @intrinsic
-    def kernel(typingctx, y, iy, x, ix):
-        def codegen(context, builder, sig, args):
-            yp, xp = _data(context, builder, sig.args[0], args[0]), _data(context, builder, sig.args[2], args[2])
-            for c in range(3):
-                step = ir.Constant(_I64, c)
-                target = builder.gep(yp, [builder.add(args[1], step)])
-                value = builder.load(builder.gep(xp, [builder.add(args[3], step)]))
-                builder.store(builder.fadd(builder.load(target), value) if accumulate else value, target)
-            return context.get_dummy_value()
-
-        return types.void(y, types.int64, x, types.int64), codegen
-
-    return kernel
-
-
-put_triple = _triple_kernel(False)
-add_triple = _triple_kernel(True)
-
-
 @intrinsic
 def get(typingctx, x, i):
     """x[i] without numba's wraparound test for negative indices, which costs 10 % of a sparse factorisation."""
@@ -256,6 +233,20 @@ def put(typingctx, x, i, value):
         return context.get_dummy_value()
 
     return types.void(x, types.int64, types.float64), codegen
+
+
+@njit(inline="always", error_model="numpy")
+def put_triple(y, iy, x, ix):
+    """y[iy : iy + 3] = x[ix : ix + 3]."""
+    for c in range(3):
+        put(y, iy + c, get(x, ix + c))
+
+
+@njit(inline="always", error_model="numpy")
+def add_triple(y, iy, x, ix):
+    """y[iy : iy + 3] += x[ix : ix + 3]."""
+    for c in range(3):
+        put(y, iy + c, get(y, iy + c) + get(x, ix + c))
 
 
 @intrinsic
