@@ -77,7 +77,9 @@ class BlockSystem:
         if key not in self._held:
             column = np.repeat(np.arange(self.num_nodes), np.diff(self.indptr))
             self._held[key] = np.flatnonzero(np.isin(column, nodes) | np.isin(self.indices, nodes))
-        _hold(self.values, self.xi, self._held[key], nodes, self.diagonal_slots)
+        self.values[self._held[key]] = 0.0
+        self.xi[nodes] = 0.0
+        self.rest(nodes, 0)
 
     def rest(self, nodes: np.ndarray, coordinate: int) -> None:
         """Hold the coordinates of nodes from ``coordinate`` on, which no edge may touch: their diagonal becomes 1."""
@@ -162,15 +164,6 @@ def _sorted_by(num_keys, keys):  # type: ignore[no-untyped-def]
         places[free[key]] = place
         free[key] += 1
     return start, places
-
-
-@njit(cache=True)
-def _hold(values, xi, slots, nodes, diagonal):  # type: ignore[no-untyped-def]
-    for k in slots:
-        values[k] = 0.0
-    for node in nodes:
-        xi[node] = 0.0
-    _rest(values, diagonal, nodes, 0)
 
 
 @njit(cache=True)

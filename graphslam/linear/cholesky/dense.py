@@ -54,19 +54,21 @@ class DenseStore:
 
     def invert(self) -> NDArray[np.float64]:
         """Inverse; returns its diagonal blocks (n, 3, 3)."""
-        self.z = lapack.dpotri(self.a, lower=1)[0]
+        inverse, _ = lapack.dpotri(self.a, lower=1)
+        # the transpose of the lower triangle holds the blocks (i, j) with i <= j
+        self.z = inverse.T.reshape(self.n, 3, self.n, 3)
         k = np.arange(self.n)
-        blocks = self._blocks(k, k)
-        return np.tril(blocks) + np.tril(blocks, -1).transpose(0, 2, 1)
-
-    def _blocks(self, i: NDArray[Any], j: NDArray[Any]) -> NDArray[np.float64]:
-        assert self.z is not None
-        c = np.arange(3)
-        return self.z[3 * i[:, None, None] + c[:, None], 3 * j[:, None, None] + c]
+        return _symmetric(self.z[k, :, k, :])
 
     def inverse_block(self, i: int, j: int) -> NDArray[np.float64]:
         """Block (i, j) of the inverse; ``invert`` has run."""
-        block = self._blocks(np.array([max(i, j)]), np.array([min(i, j)]))[0]
+        assert self.z is not None
+        block = self.z[min(i, j), :, max(i, j), :]
         if i == j:
-            return np.tril(block) + np.tril(block, -1).T
-        return block if i > j else block.T
+            return _symmetric(block)
+        return block.copy() if i < j else block.T.copy()
+
+
+def _symmetric(upper: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Blocks (..., 3, 3) of which the upper triangle is given."""
+    return np.triu(upper) + np.triu(upper, 1).swapaxes(-1, -2)

@@ -51,5 +51,7 @@ class MultifrontalStore:
     def inverse_block(self, i: int, j: int) -> NDArray[np.float64] | None:
         """Block (i, j) of the inverse if it lies on the pattern of L; ``invert`` has run."""
         t = self.layout
-        block = np.empty((3, 3))
-        return block if selected_inverse.stored_block(i, j, t, self.z, block) else None
+        block, turned = np.empty((3, 3)), t.position[i] < t.position[j]
+        if not selected_inverse.stored_block(*((j, i) if turned else (i, j)), t, self.z, block):
+            return None
+        return block.T if turned else block

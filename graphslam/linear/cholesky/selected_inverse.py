@@ -170,10 +170,9 @@ def selected_inverse(layout, x, z, u, run, f, y, transposed, gram, diagonal):
 
 @njit(cache=True, error_model="numpy")
 def stored_block(i, j, layout, z, block):
-    """Block (i, j) of the selected inverse into ``block`` (3, 3); False where the pattern of L has none."""
-    a, b = layout.position[i], layout.position[j]
+    """Block (i, j) of the selected inverse into ``block`` (3, 3), i eliminated after j; False outside the pattern of L."""
     first, row_start, rows = layout.first, layout.row_start, layout.rows
-    column, row = min(a, b), max(a, b)
+    column, row = layout.position[j], layout.position[i]
     s = np.searchsorted(first, column, side="right") - 1
     w = first[s + 1] - first[s]
     low, high = row_start[s], row_start[s + 1]
@@ -188,8 +187,5 @@ def stored_block(i, j, layout, z, block):
     at = layout.panel_start[s] + 3 * (column - first[s]) * ld + 3 * local
     for c in range(3):
         for k in range(3):
-            if a >= b:
-                block[k, c] = z[at + c * ld + k]
-            else:
-                block[c, k] = z[at + c * ld + k]
+            block[k, c] = z[at + c * ld + k]
     return True

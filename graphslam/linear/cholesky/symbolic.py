@@ -65,10 +65,7 @@ def _supernode_rows(n, first, count, row_pointer, columns):
     fill = row_start[:ns].copy()
     parent = np.full(ns, -1, np.int32)
     mark = np.full(ns, -1, np.int32)
-    owner = np.empty(n, np.int32)
-    for s in range(ns):
-        for k in range(first[s], first[s + 1]):
-            owner[k] = s
+    owner = np.repeat(np.arange(ns), first[1:] - first[:-1])
     for k in range(n):
         top = owner[k]
         mark[top] = k
@@ -85,8 +82,7 @@ def _supernode_rows(n, first, count, row_pointer, columns):
     for s in range(ns):
         if parent[s] >= 0:
             child_start[parent[s] + 1] += 1
-    for s in range(ns):
-        child_start[s + 1] += child_start[s]
+    child_start = np.cumsum(child_start)
     children = np.empty(child_start[ns], np.int32)
     place = child_start[:ns].copy()
     for s in range(ns):
@@ -150,8 +146,7 @@ def _entries(n, indptr, indices, position, owner, first, row_start, rows):
         b = position[j]
         for p in range(indptr[j], indptr[j + 1]):
             start[owner[min(position[indices[p]], b)] + 1] += 1
-    for s in range(ns):
-        start[s + 1] += start[s]
+    start = np.cumsum(start)
     fill = start[:ns].copy()
     source = np.empty(start[ns], np.int64)
     target = np.empty(start[ns], np.int64)
@@ -169,13 +164,7 @@ def _entries(n, indptr, indices, position, owner, first, row_start, rows):
                 local = row - first[s]
             else:
                 low, high = row_start[s], row_start[s + 1]
-                while high - low > 1:
-                    middle = (low + high) >> 1
-                    if rows[middle] <= row:
-                        low = middle
-                    else:
-                        high = middle
-                local = w + low - row_start[s]
+                local = w + np.searchsorted(rows[low:high], row)
             r = 3 * (row_start[s + 1] - row_start[s])
             ld = 3 * w + ((r + 3) & ~3)
             target[q] = 3 * local + 3 * (column - first[s]) * ld
