@@ -44,10 +44,6 @@ class ObservationEdges(PairEdges, SightingEdges):
         information = np.linalg.inv(self.sensor.Q(self.sightings)) * self.trusted[:, None, None]
         return Linearization(residuals, information, (self.first, self.second), (self.sensor.H_pose(x, m), by_landmark))
 
-    def squares(self, state: Array, reference: Array) -> Array:
-        """The squared Mahalanobis norm (M,) of each sighting, without kernel and trust."""
-        return self.with_trust(None).linearize(state, reference).mahalanobis
-
     def headings(self) -> Relations | None:
         if not self.oriented:
             return None

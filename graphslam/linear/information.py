@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from numba import njit
 
 from ..se2 import Array
-from .cholesky import Factor, Symbolic, analyze
+from .cholesky import Factor, Symbolic, analyze, symmetric
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +69,17 @@ class BlockSystem:
         Raises:
             SingularPivot: the edges leave a direction free.
         """
-        return self._factor.refactorize(self.values, damping=damping, relative=True)
+        return self._factor.refactorize(self.values, damping=damping)
 
     def hold(self, nodes: np.ndarray) -> None:
         """Take nodes out of the system: their rows and columns become those of the identity, their xi zero."""
         key = tuple(nodes.tolist())
         if key not in self._held:
-            self._held[key] = _slots_in_rows_and_columns(self.indptr, self.indices, nodes)
-        _hold(self.values, self.xi, self._held[key], nodes, self.diagonal_slots)
+            column = np.repeat(np.arange(self.num_nodes), np.diff(self.indptr))
+            self._held[key] = np.flatnonzero(np.isin(column, nodes) | np.isin(self.indices, nodes))
+        self.values[self._held[key]] = 0.0
+        self.xi[nodes] = 0.0
+        self.rest(nodes, 0)
 
     def rest(self, nodes: np.ndarray, coordinate: int) -> None:
         """Hold the coordinates of nodes from ``coordinate`` on, which no edge may touch: their diagonal becomes 1."""
@@ -104,13 +107,7 @@ class BlockSystem:
 
     def to_sparse(self) -> sp.csc_matrix:
         """Omega whole, both triangles, as a SciPy matrix (3n, 3n)."""
-        size = 3 * self.num_nodes
-        upper = sp.bsr_matrix(
-            (self.values.transpose(0, 2, 1), self.indices, self.indptr), shape=(size, size)
-        )  # fmt: skip
-        lower = sp.tril(upper, k=0).tocsc()  # the transpose of the upper blocks, column by column: rows are columns
-        strict = sp.tril(lower, k=-1)
-        return (lower + strict.T).tocsc()
+        return symmetric(self.indptr, self.indices, self.values)
 
 
 @njit(cache=True)
@@ -167,27 +164,6 @@ def _sorted_by(num_keys, keys):  # type: ignore[no-untyped-def]
         places[free[key]] = place
         free[key] += 1
     return start, places
-
-
-@njit(cache=True)
-def _slots_in_rows_and_columns(indptr, indices, nodes):  # type: ignore[no-untyped-def]
-    held = np.zeros(len(indptr) - 1, dtype=np.bool_)
-    held[nodes] = True
-    slots = []
-    for j in range(len(held)):
-        for k in range(indptr[j], indptr[j + 1]):
-            if held[j] or held[indices[k]]:
-                slots.append(k)
-    return np.array(slots)
-
-
-@njit(cache=True)
-def _hold(values, xi, slots, nodes, diagonal):  # type: ignore[no-untyped-def]
-    for k in slots:
-        values[k] = 0.0
-    for node in nodes:
-        xi[node] = 0.0
-    _rest(values, diagonal, nodes, 0)
 
 
 @njit(cache=True)

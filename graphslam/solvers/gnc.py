@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gammaincinv
 
-from ..edges import MarginalEdges, ObservationEdges, VirtualMotionEdges
+from ..edges import LandmarkSightings, MarginalEdges, SightingEdges, VirtualMotionEdges
 from ..errors import GraphError, OptionError
 from ..graph import Graph
 from ..se2 import Array
@@ -38,8 +38,6 @@ GROWTH = 1.4
 LAST_ROUNDS = 20
 #: a sighting with less trust than this counts as rejected
 REJECTED = 0.5
-
-SightingEdges = VirtualMotionEdges | MarginalEdges | ObservationEdges
 
 
 def solve_gnc(
@@ -187,7 +185,7 @@ def _eliminated(graph: Graph) -> tuple[Graph, np.ndarray]:
     if exchanged is not None:
         return exchanged
     f = _sighting_edges(graph)
-    assert isinstance(f, VirtualMotionEdges | MarginalEdges)
+    assert isinstance(f, LandmarkSightings)
     marginal = MarginalEdges(f.starts, f.nodes, f.sightings, f.sensor)
     return _exchanged(graph, marginal), np.arange(len(f.sightings))
 
@@ -211,6 +209,6 @@ def _with_trust(graph: Graph, trust: Array) -> Graph:
 
 def _squares(family: SightingEdges, trust: Array, state: Array) -> Array:
     """r² (M,) of every sighting at full trust, about the landmark that the trusted sightings give."""
-    assert not isinstance(family, ObservationEdges)
+    assert isinstance(family, LandmarkSightings)
     marginal = MarginalEdges(family.starts, family.nodes, family.sightings, family.sensor, trust=trust)
     return marginal.squares(state, state)

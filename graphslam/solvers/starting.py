@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 from ..checks import check_choice
 from ..errors import GraphError
 from ..graph import Graph
@@ -31,17 +33,15 @@ def starting_state(graph: Graph, initialize: str) -> Array:
         OptionError: there is no such start.
     """
     check_choice("initialize", initialize, (*INITIALIZE, "virtual-motion"))
-    if initialize == "auto":
-        for choice in AUTO:
-            try:
-                return starting_state(graph, choice)
-            except GraphError:
-                continue
-    if initialize == "rotation-first":
-        return rotation_first(graph)
-    if initialize == "virtual-motion":
-        return virtual_motion_first(graph)
-    return dead_reckoning(graph) if initialize == "dead-reckoning" else graph.initial
+    starts = {
+        "dead-reckoning": dead_reckoning,
+        "rotation-first": rotation_first,
+        "virtual-motion": virtual_motion_first,
+    }
+    for choice in AUTO if initialize == "auto" else ():
+        with suppress(GraphError):
+            return starting_state(graph, choice)
+    return starts[initialize](graph) if initialize in starts else graph.initial
 
 
 def virtual_motion_first(graph: Graph) -> Array:

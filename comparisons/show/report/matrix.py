@@ -54,7 +54,7 @@ def pictures(graph: Graph) -> list[Picture]:
         for (r, c), what in ((filled, FILL), ((rows, cols), ENTRY)):
             r, c = r * len(cells) // n, c * len(cells) // n
             cells[r, c] = cells[c, r] = what
-        blocks = analyze(indptr, indices, ordering=order, method="supernodal").blocks
+        blocks = analyze(indptr, indices, ordering=order, method="supernodal").layout.blocks
         made.append(Picture(cells, len(indices), blocks, n))
     return made
 

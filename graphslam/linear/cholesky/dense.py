@@ -10,7 +10,7 @@ from scipy.linalg import lapack
 
 
 @njit(cache=True, error_model="numpy")
-def scatter(n, indptr, indices, values, scaled, shift, a):
+def scatter(n, indptr, indices, values, damping, a):
     """Lower triangle of the matrix into ``a`` (3n, 3n) in Fortran order, passed transposed, and its diagonal."""
     a[:] = 0.0
     diagonal = np.empty(3 * n)
@@ -21,7 +21,7 @@ def scatter(n, indptr, indices, values, scaled, shift, a):
                 for k in range(3):
                     a[3 * i + k, 3 * j + c] = values[9 * p + 3 * k + c]
         for k in range(3):
-            d = a[3 * j + k, 3 * j + k] * scaled + shift
+            d = a[3 * j + k, 3 * j + k] * (1.0 + damping)
             a[3 * j + k, 3 * j + k] = d
             diagonal[3 * j + k] = d
     return diagonal
@@ -37,9 +37,9 @@ class DenseStore:
         self.a = np.empty((3 * n, 3 * n), order="F")
         self.z: NDArray[np.float64] | None = None
 
-    def factorize(self, values: NDArray[Any], tolerance: float, scaled: float, shift: float) -> int:
+    def factorize(self, values: NDArray[Any], tolerance: float, damping: float) -> int:
         """Cholesky factor in place in the lower triangle of ``a``; the bad scalar pivot, or -1."""
-        diagonal = scatter(self.n, self.indptr, self.indices, values, scaled, shift, self.a.T)
+        diagonal = scatter(self.n, self.indptr, self.indices, values, damping, self.a.T)
         _, info = lapack.dpotrf(self.a, lower=1, clean=0, overwrite_a=1)
         done = info - 1 if info > 0 else diagonal.size
         pivots = np.diagonal(self.a)[:done]
@@ -48,37 +48,27 @@ class DenseStore:
             return int(bad[0])
         return done if info > 0 else -1
 
-    def null_vector(self, bad: int) -> NDArray[np.float64]:
-        """Vector (n, 3) with a unit at the bad pivot that the leading rows of the matrix map to zero."""
-        v = np.zeros(3 * self.n)
-        v[bad] = 1.0
-        if bad:
-            v[:bad] = -lapack.dtrtrs(self.a[:bad, :bad], self.a[bad, :bad], lower=1, trans=1)[0]
-        return v.reshape(-1, 3)
-
-    def pivot_place(self, bad: int) -> tuple[int, int]:
-        """Node and component of a scalar pivot."""
-        return bad // 3, bad % 3
-
     def solve(self, rhs: NDArray[Any], out: NDArray[Any]) -> None:
         """One right-hand side, flat (3n,)."""
         out[:] = lapack.dpotrs(self.a, rhs, lower=1)[0]
 
     def invert(self) -> NDArray[np.float64]:
         """Inverse; returns its diagonal blocks (n, 3, 3)."""
-        self.z = lapack.dpotri(self.a, lower=1)[0]
+        inverse, _ = lapack.dpotri(self.a, lower=1)
+        # the transpose of the lower triangle holds the blocks (i, j) with i <= j
+        self.z = inverse.T.reshape(self.n, 3, self.n, 3)
         k = np.arange(self.n)
-        blocks = self._blocks(k, k)
-        return np.tril(blocks) + np.tril(blocks, -1).transpose(0, 2, 1)
-
-    def _blocks(self, i: NDArray[Any], j: NDArray[Any]) -> NDArray[np.float64]:
-        assert self.z is not None
-        c = np.arange(3)
-        return self.z[3 * i[:, None, None] + c[:, None], 3 * j[:, None, None] + c]
+        return _symmetric(self.z[k, :, k, :])
 
     def inverse_block(self, i: int, j: int) -> NDArray[np.float64]:
         """Block (i, j) of the inverse; ``invert`` has run."""
-        block = self._blocks(np.array([max(i, j)]), np.array([min(i, j)]))[0]
+        assert self.z is not None
+        block = self.z[min(i, j), :, max(i, j), :]
         if i == j:
-            return np.tril(block) + np.tril(block, -1).T
-        return block if i > j else block.T
+            return _symmetric(block)
+        return block.copy() if i < j else block.T.copy()
+
+
+def _symmetric(upper: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Blocks (..., 3, 3) of which the upper triangle is given."""
+    return np.triu(upper) + np.triu(upper, 1).swapaxes(-1, -2)

@@ -65,33 +65,21 @@ def supernodes(n, parent, count):
             while c >= 0:
                 following = sibling[c]
                 w = width[c] + width[p]
-                if relaxed == 0:
-                    merge = below[c] == width[p] + below[p]
-                else:
-                    merge = True
-                if merge:
-                    joint = _cost(w, below[p])
-                    if relaxed == 1:
-                        merge = joint < cost[c] + cost[p]
+                joint = _cost(w, below[p])
+                merge = joint < cost[c] + cost[p] if relaxed else below[c] == width[p] + below[p]
                 if merge:
                     cost[p] = joint
                     width[p] = w
                     alive[c] = False
-                    last = c
-                    column_next[last] = column_head[p]
+                    column_next[c] = column_head[p]
                     column_head[p] = column_head[c]
                     # the grandchildren take the place of c; they are not tested again, as they were tested against c
                     g = child[c]
-                    if g < 0:
-                        if previous < 0:
-                            child[p] = following
-                        else:
-                            sibling[previous] = following
+                    if previous < 0:
+                        child[p] = g if g >= 0 else following
                     else:
-                        if previous < 0:
-                            child[p] = g
-                        else:
-                            sibling[previous] = g
+                        sibling[previous] = g if g >= 0 else following
+                    if g >= 0:
                         while sibling[g] >= 0:
                             g = sibling[g]
                         sibling[g] = following
@@ -103,10 +91,7 @@ def supernodes(n, parent, count):
         if q >= 0:
             sibling[p] = child[q]
             child[q] = p
-    total = 0
-    for p in range(n):
-        if alive[p]:
-            total += 1
+    total = np.count_nonzero(alive)
     # a stack instead of recursion: the tree of a path is as deep as the path is long
     first = np.empty(total + 1, np.int32)
     rows = np.empty(total, np.int32)

@@ -1,11 +1,13 @@
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
 """Public classes: analyse once per graph, factorise once per iteration, solve."""
 
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit
+import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.linalg import spsolve
 
 from .dense import DenseStore
 from .errors import SingularPivot
@@ -13,96 +15,68 @@ from .multifrontal import MultifrontalStore
 from .ordering import amd
 from .symbolic import Layout, layout
 
-Method = Literal["supernodal", "dense"]
 # Smallest ratios of a pivot to its diagonal entry. Graphs that are held: INTEL 4e-11, a path of 10^5 poses held at one
 # end 1e-10, CSAIL 1e-7, the others above 1e-6. Graphs that are not held: negative, or M3500 9e-14, CSAIL (badly scaled)
 # 2e-11.
 PIVOT_TOLERANCE = 1e-12
 
 
-@njit(cache=True, error_model="numpy")
-def _pattern_fault(n, indptr, indices):
-    """Column in which the pattern is not an upper block-CSC with full diagonal, or -1."""
-    if indptr[0] != 0 or indptr[n] != indices.size:
-        return 0
-    for j in range(n):
-        low, high = indptr[j], indptr[j + 1]
-        if high <= low or high > indices.size or indices[high - 1] != j:
-            return j
-        previous = -1
-        for p in range(low, high):
-            i = indices[p]
-            if i <= previous:
-                return j
-            previous = i
-    return -1
-
-
+@dataclass(frozen=True, eq=False)
 class Symbolic:
     """Symbolic analysis of a symmetric pattern of 3x3 blocks; made by :func:`analyze`, valid for any values.
 
     Attributes:
-        n: number of nodes.
+        indptr, indices: the pattern.
+        layout: the supernodal structure (unused by the dense method), with the blocks and flops of the factorisation
+            without the zeros of relaxed supernodes.
         method: ``"supernodal"`` or ``"dense"``.
-        order: (n,) node eliminated k-th.
-        blocks: 3x3 blocks of L in the lower triangle, without the zeros of relaxed supernodes.
-        flops: operations of the factorisation, without those zeros.
-        layout: the supernodal structure (unused by the dense method).
     """
 
-    def __init__(self, indptr: NDArray[Any], indices: NDArray[Any], structure: Layout, method: Method) -> None:
-        self.n = indptr.size - 1
-        self.indptr = indptr
-        self.indices = indices
-        self.method: Method = method
-        self.layout = structure
-        self.order = structure.order if method == "supernodal" else np.arange(self.n, dtype=np.int32)
-        self.blocks = int(structure.blocks)
-        self.flops = float(structure.flops)
+    indptr: NDArray[Any]
+    indices: NDArray[Any]
+    layout: Layout
+    method: str
 
-    def factorize(self, values: NDArray[Any], *, damping: float = 0.0, relative: bool = False) -> "Factor":
-        """Cholesky factorisation Omega + damping = L L'.
+    @property
+    def order(self) -> NDArray[np.int32]:
+        """(n,) the node eliminated k-th."""
+        return self.layout.order if self.method == "supernodal" else np.arange(self.layout.order.size, dtype=np.int32)
 
-        Args:
-            values: (nnzb, 3, 3) blocks; of the diagonal blocks only the upper triangle is read.
-            damping: lambda >= 0 of a Levenberg-Marquardt step.
-            relative: add lambda diag(Omega) instead of lambda I.
+    def factorize(self, values: NDArray[Any], *, damping: float = 0.0) -> "Factor":
+        """A new factor of values on the pattern; see :meth:`Factor.refactorize`."""
+        return Factor(self).refactorize(values, damping=damping)
 
-        Raises:
-            ValueError: wrong shape, values not finite, negative damping.
-            SingularPivot: a pivot is not greater than 1e-12 times the diagonal entry it came from.
-        """
-        return Factor(self).refactorize(values, damping=damping, relative=relative)
+
+def symmetric(indptr: NDArray[Any], indices: NDArray[Any], values: NDArray[Any]) -> sp.csc_matrix:
+    """The whole matrix, both triangles (3n, 3n), of blocks in upper block-CSC."""
+    # the transpose of the upper blocks, column by column: rows are columns
+    lower = sp.tril(sp.bsr_matrix((values.transpose(0, 2, 1), indices, indptr)))
+    return (lower + sp.tril(lower, k=-1).T).tocsc()
 
 
 class Factor:
     """Cholesky factor of Omega. ``refactorize`` reuses all memory for new values; not to be shared by threads."""
 
     def __init__(self, symbolic: Symbolic) -> None:
-        self.symbolic = symbolic
+        self.symbolic, n = symbolic, symbolic.layout.order.size
         self._store: MultifrontalStore | DenseStore
         if symbolic.method == "dense":
-            self._store = DenseStore(symbolic.n, symbolic.indptr, symbolic.indices)
+            self._store = DenseStore(n, symbolic.indptr, symbolic.indices)
         else:
             self._store = MultifrontalStore(symbolic.layout)
         self._diagonal: NDArray[np.float64] | None = None
         self._valid = False
 
-    def refactorize(
-        self,
-        values: NDArray[Any],
-        *,
-        damping: float = 0.0,
-        relative: bool = False,
-        tolerance: float = PIVOT_TOLERANCE,
-    ) -> "Factor":
-        """Factorise new values on the same pattern in place; arguments and errors as :meth:`Symbolic.factorize`.
+    def refactorize(self, values: NDArray[Any], *, damping: float = 0.0) -> "Factor":
+        """Cholesky factorisation Omega + damping diag(Omega) = L L' of new values on the same pattern, in place.
 
         Args:
-            values: as there.
-            damping: as there.
-            relative: as there.
-            tolerance: a pivot must be greater than this times its (damped) diagonal entry.
+            values: (nnzb, 3, 3) blocks; of the diagonal blocks only the upper triangle is read.
+            damping: lambda >= 0 of a Levenberg-Marquardt step.
+
+        Raises:
+            ValueError: wrong shape, values not finite, negative damping.
+            SingularPivot: a pivot is not greater than 1e-12 times the (damped) diagonal entry it came from.
         """
         expected = (self.symbolic.indices.size, 3, 3)
         values = np.ascontiguousarray(values, dtype=np.float64)
@@ -112,23 +86,28 @@ class Factor:
             raise ValueError(f"damping must be finite and not negative, not {damping}")
         self._diagonal = None
         self._valid = False
-        scaled, shift = (1.0 + damping, 0.0) if relative else (1.0, damping)
-        bad = self._store.factorize(values.reshape(-1), tolerance, scaled, shift)
+        bad = self._store.factorize(values.reshape(-1), PIVOT_TOLERANCE, damping)
         if bad >= 0:
-            self._raise(values, bad)
+            self._raise(values, damping, bad)
         self._valid = True
         return self
 
-    def _raise(self, values: NDArray[np.float64], bad: int) -> None:
+    def _raise(self, values: NDArray[np.float64], damping: float, bad: int) -> None:
         # NaN and inf always end in a bad pivot, so that values need no check before
         finite = np.isfinite(values).all(axis=(1, 2))
         if not finite.all():
             p = int(np.argmin(finite))
             j = int(np.searchsorted(self.symbolic.indptr, p, side="right")) - 1
             raise ValueError(f"values hold NaN or infinity in block ({int(self.symbolic.indices[p])}, {j})")
-        node, component = self._store.pivot_place(bad)
-        vector = self._store.null_vector(bad)
-        raise SingularPivot(node, component, vector / np.abs(vector).max())
+        # the vector with a one at the bad pivot that the rows eliminated before it map to zero
+        order = (3 * self.symbolic.order[:, None] + np.arange(3)).ravel()
+        omega = symmetric(self.symbolic.indptr, self.symbolic.indices, values)
+        omega = (omega + damping * sp.diags(omega.diagonal())).tocsc()
+        head, pivot, vector = order[:bad], order[bad], np.zeros(order.size)
+        vector[pivot] = 1.0
+        if bad:
+            vector[head] = -spsolve(omega[head][:, head], omega[head, pivot].toarray().ravel())
+        raise SingularPivot(int(pivot) // 3, int(pivot) % 3, vector.reshape(-1, 3) / np.abs(vector).max())
 
     def _check(self) -> None:
         if not self._valid:
@@ -147,7 +126,7 @@ class Factor:
             ValueError: wrong shape, or rhs not finite.
         """
         self._check()
-        n = self.symbolic.n
+        n = self.symbolic.layout.order.size
         rhs = np.asarray(rhs, dtype=np.float64)
         if rhs.shape[:2] != (n, 3) or rhs.ndim not in (2, 3):
             raise ValueError(f"rhs must have shape ({n}, 3) or ({n}, 3, k), not {rhs.shape}")
@@ -177,7 +156,7 @@ class Factor:
             IndexError: no such node.
         """
         self._check()
-        n = self.symbolic.n
+        n = self.symbolic.layout.order.size
         if not (0 <= i < n and 0 <= j < n):
             raise IndexError(f"nodes {i} and {j}: the graph has {n}")
         if self._diagonal is not None:
@@ -193,7 +172,7 @@ def analyze(
     indptr: NDArray[Any],
     indices: NDArray[Any],
     *,
-    ordering: Literal["amd", "natural"] | NDArray[Any] = "amd",
+    ordering: NDArray[Any] | None = None,
     method: Literal["auto", "supernodal", "dense"] = "auto",
 ) -> Symbolic:
     """Symbolic analysis of a symmetric positive definite matrix of 3x3 blocks.
@@ -201,43 +180,33 @@ def analyze(
     Args:
         indptr: (n+1,) column pointers of the upper triangle in block-CSC.
         indices: (nnzb,) row nodes i <= j, ascending in each column j, the diagonal last.
-        ordering: ``"amd"``, ``"natural"`` or an elimination order (n,).
+        ordering: an elimination order (n,); default: approximate minimum degree.
         method: ``"auto"`` chooses between the two others by the fill and the size of the matrix.
 
     Raises:
-        ValueError: malformed pattern, order or method.
+        ValueError: malformed pattern or order.
     """
     indptr = np.ascontiguousarray(indptr, dtype=np.int64)
     indices = np.ascontiguousarray(indices, dtype=np.int32)  # one type, one compilation
-    if indptr.ndim != 1 or indices.ndim != 1 or indptr.size < 2:
-        raise ValueError("indptr (n+1,) and indices (nnzb,) must be one-dimensional, with at least one node")
     n = indptr.size - 1
-    fault = _pattern_fault(n, indptr, indices)
-    if fault >= 0:
-        raise ValueError(f"column {fault}: rows must ascend and end with the diagonal")
-    if method not in ("auto", "supernodal", "dense"):
-        raise ValueError(f"unknown method {method!r}")
-    if isinstance(ordering, str):
-        if ordering == "amd":
-            order = amd(indptr, indices)
-        elif ordering == "natural":
-            order = np.arange(n, dtype=np.int32)
-        else:
-            raise ValueError(f"unknown ordering {ordering!r}")
-    else:
-        order = np.ascontiguousarray(ordering, dtype=np.int32)
-        if order.shape != (n,) or not np.array_equal(np.sort(order), np.arange(n)):
-            raise ValueError(f"ordering must be a permutation of {n} nodes")
-    structure = Layout(*layout(n, indptr, indices, order))
-    chosen: Method
+    # the compiled loops trust their indices: rows must ascend in each column, so that (column, row) ascends as a whole
+    if n < 1 or indptr[0] != 0 or indptr[-1] != indices.size or np.any(np.diff(indptr) < 1):
+        raise ValueError("the pattern needs at least one node, and at least the diagonal in every column")
+    column = np.repeat(np.arange(n), np.diff(indptr))
+    wrong = np.flatnonzero((indices < 0) | np.append(np.diff(column * n + indices) <= 0, False))
+    ends = np.flatnonzero(indices[indptr[1:] - 1] != np.arange(n))
+    if wrong.size or ends.size:
+        raise ValueError(f"column {[*column[wrong], *ends][0]}: rows must ascend and end with the diagonal")
+    order = amd(indptr, indices) if ordering is None else np.ascontiguousarray(ordering, dtype=np.int32)
+    if not np.array_equal(np.sort(order), np.arange(n)):
+        raise ValueError(f"ordering must be a permutation of {n} nodes")
+    structure = layout(n, indptr, indices, order)
     if method == "auto":
         # Times on cliques with two idle cores, LAPACK and supernodes: 200 nodes 1.9 and 1.6 ms, 350 nodes 8 ms both,
         # 700 nodes 43 and 75 ms, 2,000 nodes 0.78 and 1.7 s. On busy cores LAPACK with its two threads may take ten
         # times as long, so it is used only where it gains much. The factor 1.5 accounts for the threads.
         # An up-looking factorisation for thin graphs was tried and rejected: against the supernodes INTEL took 0.105
         # and 0.118 ms, but 77 nodes 0.025 and 0.015 ms, M3500 1.30 and 0.69 ms, city10000 14.0 and 3.9 ms.
-        full = 9.0 * n**3
-        chosen = "dense" if n >= 700 and full < 1.5 * structure.flops else "supernodal"
-    else:
-        chosen = "dense" if method == "dense" else "supernodal"
-    return Symbolic(indptr, indices, structure, chosen)
+        large = n >= 700 and 9.0 * n**3 < 1.5 * structure.flops
+        method = "dense" if large else "supernodal"
+    return Symbolic(indptr, indices, structure, method)

@@ -1,8 +1,10 @@
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,call-arg"
 """Register-blocked dense kernels on column-major panels inside flat float64 arrays.
 
-All row counts are multiples of 4, which the padded leading dimensions guarantee, so there are no scalar tails.
-Constants go in as ``np.int64(1)``: numba compiles a function again for every literal argument.
+A matrix is given as (array, place of its first number, step from column to column). A right factor has two steps: from
+row to row and from column to column. All row counts are multiples of 4, which the padded leading dimensions guarantee,
+so there are no scalar tails. Constants go in as ``np.int64(1)``: numba compiles a function again for every literal
+argument.
 """
 
 import numpy as np
@@ -49,8 +51,9 @@ _add6, _add3, _set6, _set3 = (_column_kernel(*kind) for kind in ((6, True), (3, 
 
 
 @njit(cache=True, error_model="numpy")
-def subtract_product(c, ic, ldc, a, ia, lda, b, ib, step_k, step_j, rows, columns, depth):
-    """C -= A B for ``rows`` (multiple of 4) x ``columns`` (multiple of 3), all inside flat arrays."""
+def subtract_product(C, A, B, rows, columns, depth):
+    """C -= A B for ``rows`` (multiple of 4) x ``columns`` (multiple of 3)."""
+    (c, ic, ldc), (a, ia, lda), (b, ib, step_k, step_j) = C, A, B
     j = 0
     while j < columns:
         if columns - j >= 6:
@@ -62,33 +65,21 @@ def subtract_product(c, ic, ldc, a, ia, lda, b, ib, step_k, step_j, rows, column
 
 
 @njit(cache=True, error_model="numpy")
-def subtract_product_blocked(c, ic, ldc, a, ia, lda, b, ib, step_k, step_j, rows, columns, depth, lower):
+def subtract_product_blocked(C, A, B, rows, columns, depth, lower):
     """``subtract_product`` for large operands; with ``lower`` only the rows from the diagonal on of a square C.
 
     A is copied block by block to where it stays in the second-level cache and spans few memory pages. In the
     ``lower`` case C starts up to three rows above its diagonal: ``lower - 1`` of them.
     """
+    (c, ic, ldc), (a, ia, lda), (b, ib, step_k, step_j) = C, A, B
     if rows * depth <= 2 * PACK_ROWS * PACK_DEPTH:
         for j in range(0, columns, 6):
             i = max(0, j + lower - 1) & ~3 if lower else 0
-            subtract_product(
-                c,
-                ic + j * ldc + i,
-                ldc,
-                a,
-                ia + i,
-                lda,
-                b,
-                ib + j * step_j,
-                step_k,
-                step_j,
-                rows - i,
-                min(6, columns - j),
-                depth,
-            )
+            target, right = (c, ic + j * ldc + i, ldc), (b, ib + j * step_j, step_k, step_j)
+            subtract_product(target, (a, ia + i, lda), right, rows - i, min(6, columns - j), depth)
         return
     pack = np.empty(PACK_ROWS * PACK_DEPTH + 8)
-    right = np.empty(6 * PACK_DEPTH)
+    packed = np.empty(6 * PACK_DEPTH)
     base = (8 - (pack.ctypes.data >> 3)) & 7  # a whole vector per cache line
     for k in range(0, depth, PACK_DEPTH):
         deep = min(PACK_DEPTH, depth - k)
@@ -104,22 +95,9 @@ def subtract_product_blocked(c, ic, ldc, a, ia, lda, b, ib, step_k, step_j, rows
                 origin = ib + j * step_j + k * step_k
                 for q in range(deep):
                     for t in range(few):
-                        put(right, 6 * q + t, get(b, origin + q * step_k + t * step_j))
-                subtract_product(
-                    c,
-                    ic + i + skip + j * ldc,
-                    ldc,
-                    pack,
-                    base + skip,
-                    np.int64(PACK_ROWS),
-                    right,
-                    np.int64(0),
-                    np.int64(6),
-                    np.int64(1),
-                    high - skip,
-                    few,
-                    deep,
-                )
+                        put(packed, 6 * q + t, get(b, origin + q * step_k + t * step_j))
+                target, left = (c, ic + i + skip + j * ldc, ldc), (pack, base + skip, np.int64(PACK_ROWS))
+                subtract_product(target, left, (packed, np.int64(0), np.int64(6), np.int64(1)), high - skip, few, deep)
 
 
 @njit(cache=True, error_model="numpy")

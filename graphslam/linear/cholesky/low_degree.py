@@ -15,8 +15,7 @@ def twin_lists(n, indptr, indices):
             if i != j:
                 start[i + 1] += 1
                 start[j + 1] += 1
-    for j in range(n):
-        start[j + 1] += start[j]
+    start = np.cumsum(start)
     fill = start[:n].copy()
     graph = np.empty(start[n], np.int32)
     twin = np.empty(start[n], np.int32)
@@ -53,9 +52,7 @@ def eliminate_low_degree(n, start, graph, twin):
     a trajectory are of this kind, and here each costs a few list entries. ``twin`` makes every update local, so that a
     node with 10^5 neighbours costs nothing extra.
     """
-    length = np.empty(n, np.int32)
-    for i in range(n):
-        length[i] = start[i + 1] - start[i]
+    length = (start[1:] - start[:-1]).astype(np.int32)
     order = np.empty(n, np.int32)
     gone = np.zeros(n, np.bool_)
     stack = np.empty(n, np.int32)
@@ -113,25 +110,13 @@ def eliminate_low_degree(n, start, graph, twin):
 @njit(cache=True, error_model="numpy")
 def remaining(gone, start, length, graph):
     """The graph without the eliminated nodes: its nodes, list pointers and lists in new numbers."""
-    n = gone.size
-    number = np.full(n, -1, np.int32)
-    nodes = np.empty(n, np.int32)
-    count = 0
-    total = 0
-    for i in range(n):
-        if not gone[i]:
-            number[i] = count
-            nodes[count] = i
-            count += 1
-            total += length[i]
-    pointer = np.empty(count + 1, np.int64)
-    neighbours = np.empty(total, np.int32)
+    nodes, number = np.flatnonzero(~gone), np.cumsum(~gone) - 1
+    pointer = np.zeros(nodes.size + 1, np.int64)
+    pointer[1:] = np.cumsum(length[nodes])
+    neighbours = np.empty(pointer[-1], np.int32)
     q = 0
-    for k in range(count):
-        i = nodes[k]
-        pointer[k] = q
+    for i in nodes:
         for p in range(start[i], start[i] + length[i]):
             neighbours[q] = number[graph[p]]
             q += 1
-    pointer[count] = q
-    return nodes[:count], pointer, neighbours
+    return nodes, pointer, neighbours

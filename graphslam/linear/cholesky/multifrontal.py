@@ -4,31 +4,10 @@
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from . import selected_inverse, supernodal, triangular
 from .symbolic import Layout
-
-
-@njit(cache=True, error_model="numpy")
-def _null_vector(bad, layout, x, b, work):
-    """L' b = unit of column ``bad`` over the columns in front of it; b (3n,) comes in as zero."""
-    first, row_start, panel_start = layout.first, layout.row_start, layout.panel_start
-    s = np.searchsorted(first, bad // 3, side="right") - 1
-    head = 3 * first[s]
-    width = 3 * (first[s + 1] - first[s])
-    r = 3 * (row_start[s + 1] - row_start[s])
-    ld = width + ((r + 3) & ~3)
-    at = panel_start[s]
-    b[bad] = 1.0
-    # the unfinished supernode column by column; the diagonal of L is stored inverted
-    for j in range(bad - head - 1, -1, -1):
-        total = 0.0
-        for i in range(j + 1, bad - head + 1):
-            total += x[at + j * ld + i] * b[head + i]
-        b[head + j] = -total * x[at + j * (ld + 1)]
-    triangular.backward(first, row_start, layout.rows, panel_start, x, b, work, s)
 
 
 class MultifrontalStore:
@@ -45,42 +24,10 @@ class MultifrontalStore:
         self.b = np.empty(3 * n)
         self.z: NDArray[np.float64] | None = None
 
-    def factorize(self, values: NDArray[Any], tolerance: float, scaled: float, shift: float) -> int:
+    def factorize(self, values: NDArray[Any], tolerance: float, damping: float) -> int:
         """Bad pivot (scalar, elimination order), or -1."""
-        t = self.layout
-        return supernodal.factorize(
-            values,
-            t.first,
-            t.row_start,
-            t.relative,
-            t.child_start,
-            t.children,
-            t.panel_start,
-            t.stack_start,
-            t.entry_start,
-            t.entry_source,
-            t.entry_target,
-            self.x,
-            self.stack,
-            self.limits,
-            self.run,
-            tolerance,
-            scaled,
-            shift,
-        )
-
-    def null_vector(self, bad: int) -> NDArray[np.float64]:
-        """Null vector (n, 3) in node order after a bad pivot."""
-        t = self.layout
-        b = np.zeros(self.b.size)
-        _null_vector(bad, t, self.x, b, self.work)
-        out = np.empty((t.order.size, 3))
-        out[t.order] = b.reshape(-1, 3)
-        return out
-
-    def pivot_place(self, bad: int) -> tuple[int, int]:
-        """Node and component of a scalar pivot."""
-        return int(self.layout.order[bad // 3]), bad % 3
+        scratch = (self.x, self.stack, self.limits, self.run)
+        return supernodal.factorize(values, self.layout, *scratch, tolerance, damping)
 
     def solve(self, rhs: NDArray[Any], out: NDArray[Any]) -> None:
         """One right-hand side, flat (3n,)."""
@@ -104,5 +51,7 @@ class MultifrontalStore:
     def inverse_block(self, i: int, j: int) -> NDArray[np.float64] | None:
         """Block (i, j) of the inverse if it lies on the pattern of L; ``invert`` has run."""
         t = self.layout
-        block = np.empty((3, 3))
-        return block if selected_inverse.stored_block(i, j, t, self.z, block) else None
+        block, turned = np.empty((3, 3)), t.position[i] < t.position[j]
+        if not selected_inverse.stored_block(*((j, i) if turned else (i, j)), t, self.z, block):
+            return None
+        return block.T if turned else block

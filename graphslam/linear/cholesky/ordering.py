@@ -124,18 +124,12 @@ def minimum_degree(n, pointer, neighbours, dense):
         # --- the new element: variables reached directly or through an adjacent element
         need = 0
         for p in range(start[pivot], start[pivot] + length[pivot]):
-            if p < start[pivot] + elements[pivot]:
-                need += length[graph[p]]
-            else:
-                need += 1
+            need += length[graph[p]] if p < start[pivot] + elements[pivot] else 1
         if elements[pivot] > 0 and free + need > graph.size:
             graph, free = _compacted(graph, start, length, size, need + n)
         pivot_weight = weight[pivot]
         weight[pivot] = -pivot_weight
-        if elements[pivot] == 0:
-            first = start[pivot]
-        else:
-            first = free
+        first = free if elements[pivot] > 0 else start[pivot]
         end = first
         reach = 0
         for s in range(elements[pivot] + 1):
@@ -288,22 +282,6 @@ def minimum_degree(n, pointer, neighbours, dense):
     return order
 
 
-@njit(cache=True, error_model="numpy")
-def _amd(indptr, indices, dense):
-    n = indptr.size - 1
-    limit = n if dense < 0.0 else int(max(16.0, dense * np.sqrt(n)))
-    start, graph, twin = twin_lists(n, indptr, indices)
-    head, gone, length = eliminate_low_degree(n, start, graph, twin)
-    order = np.empty(n, np.int32)
-    order[: head.size] = head
-    if head.size < n:
-        nodes, pointer, neighbours = remaining(gone, start, length, graph)
-        rest = minimum_degree(nodes.size, pointer, neighbours, limit)
-        for k in range(rest.size):
-            order[head.size + k] = nodes[rest[k]]
-    return order
-
-
 def amd(indptr: NDArray[Any], indices: NDArray[Any], *, dense: float = 10.0) -> NDArray[np.int32]:
     """Approximate minimum degree ordering of a symmetric pattern (Amestoy, Davis & Duff 1996).
 
@@ -318,4 +296,10 @@ def amd(indptr: NDArray[Any], indices: NDArray[Any], *, dense: float = 10.0) -> 
     Returns:
         (n,) elimination order: ``order[k]`` is the node eliminated k-th.
     """
-    return _amd(np.ascontiguousarray(indptr, np.int64), np.ascontiguousarray(indices, np.int32), float(dense))
+    n = indptr.size - 1
+    limit = n if dense < 0.0 else int(max(16.0, dense * np.sqrt(n)))
+    start, graph, twin = twin_lists(n, np.ascontiguousarray(indptr, np.int64), np.ascontiguousarray(indices, np.int32))
+    head, gone, length = eliminate_low_degree(n, start, graph, twin)
+    nodes, pointer, neighbours = remaining(gone, start, length, graph)
+    rest = nodes[minimum_degree(nodes.size, pointer, neighbours, limit)]
+    return np.concatenate([head, rest], dtype=np.int32)

@@ -38,21 +38,8 @@ def _invert_block(x, at, ld, begin, stop, end, size, f, y):
             solve_rows(y, 2 * size + top, -size, i2, l21, l20, i1, l10, i0, rows)
             for c in range(3):
                 clear(f, c0 + c * size + top, rows)
-            subtract_product(
-                f,
-                c0 + top,
-                size,
-                f,
-                below * size + top,
-                size,
-                y,
-                below,
-                np.int64(1),
-                size,
-                rows,
-                np.int64(3),
-                end - below,
-            )
+            left, right = (f, below * size + top, size), (y, below, np.int64(1), size)
+            subtract_product((f, c0 + top, size), left, right, rows, np.int64(3), end - below)
         n10 = -l10 * i0 * i1
         n21 = -l21 * i1 * i2
         n20 = -(l20 * i0 + l21 * n10) * i2
@@ -98,41 +85,18 @@ def _extend_block(x, at, ld, begin, end, size, f, y, transposed, gram):
         for c in range(3):
             copy_vector(y, (j + c) * size + end, x, at + (begin + j + c) * ld + end, deep)
         if j + 3 < k:
-            subtract_product(
-                y,
-                j * size + top,
-                size,
-                y,
-                (j + 3) * size + top,
-                size,
-                x,
-                d0 + 3,
-                np.int64(1),
-                ld,
-                rows,
-                np.int64(3),
-                k - j - 3,
-            )
-        solve_rows(
-            y,
-            (j + 2) * size + top,
-            -size,
-            get(x, d1 + ld + 2),
-            get(x, d1 + 2),
-            get(x, d0 + 2),
-            get(x, d1 + 1),
-            get(x, d0 + 1),
-            get(x, d0),
-            rows,
-        )
+            left, right = (y, (j + 3) * size + top, size), (x, d0 + 3, np.int64(1), ld)
+            subtract_product((y, j * size + top, size), left, right, rows, np.int64(3), k - j - 3)
+        i0, l10, l20 = get(x, d0), get(x, d0 + 1), get(x, d0 + 2)
+        i1, l21, i2 = get(x, d1 + 1), get(x, d1 + 2), get(x, d1 + ld + 2)
+        solve_rows(y, (j + 2) * size + top, -size, i2, l21, l20, i1, l10, i0, rows)
     # the rows above ``end`` that a group of four reaches into belong to the diagonal block: save them
     spill = end - top
     for j in range(k):
         copy_vector(gram, j * 4, f, (begin + j) * size + top, spill)
         clear(f, (begin + j) * size + top, rows)
-    subtract_product_blocked(
-        f, begin * size + top, size, f, end * size + top, size, y, end, np.int64(1), size, rows, k, deep, np.int64(0)
-    )
+    left, right = (f, end * size + top, size), (y, end, np.int64(1), size)
+    subtract_product_blocked((f, begin * size + top, size), left, right, rows, k, deep, np.int64(0))
     for j in range(k):
         copy_vector(f, (begin + j) * size + top, gram, j * 4, spill)
     padded = (k + 3) & ~3
@@ -141,21 +105,8 @@ def _extend_block(x, at, ld, begin, end, size, f, y, transposed, gram):
             put(transposed, (i - end) * padded + j, get(y, j * size + i))
             put(f, i * size + begin + j, get(f, (begin + j) * size + i))
     clear(gram, 0, k * padded)
-    subtract_product(
-        gram,
-        np.int64(0),
-        padded,
-        transposed,
-        np.int64(0),
-        padded,
-        f,
-        begin * size + end,
-        np.int64(1),
-        size,
-        padded,
-        k,
-        deep,
-    )
+    left, right = (transposed, np.int64(0), padded), (f, begin * size + end, np.int64(1), size)
+    subtract_product((gram, np.int64(0), padded), left, right, padded, k, deep)
     for j in range(k):
         for i in range(k):
             p = (begin + j) * size + begin + i
@@ -219,10 +170,9 @@ def selected_inverse(layout, x, z, u, run, f, y, transposed, gram, diagonal):
 
 @njit(cache=True, error_model="numpy")
 def stored_block(i, j, layout, z, block):
-    """Block (i, j) of the selected inverse into ``block`` (3, 3); False where the pattern of L has none."""
-    a, b = layout.position[i], layout.position[j]
+    """Block (i, j) of the selected inverse into ``block`` (3, 3), i eliminated after j; False outside the pattern of L."""
     first, row_start, rows = layout.first, layout.row_start, layout.rows
-    column, row = min(a, b), max(a, b)
+    column, row = layout.position[j], layout.position[i]
     s = np.searchsorted(first, column, side="right") - 1
     w = first[s + 1] - first[s]
     low, high = row_start[s], row_start[s + 1]
@@ -237,8 +187,5 @@ def stored_block(i, j, layout, z, block):
     at = layout.panel_start[s] + 3 * (column - first[s]) * ld + 3 * local
     for c in range(3):
         for k in range(3):
-            if a >= b:
-                block[k, c] = z[at + c * ld + k]
-            else:
-                block[c, k] = z[at + c * ld + k]
+            block[k, c] = z[at + c * ld + k]
     return True

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba import types
+from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
@@ -56,11 +56,8 @@ def product_kernel(lanes: int, vectors: int, columns: int, accumulate: bool) -> 
             rows = [ir.Constant(_I64, lanes * v) for v in range(vectors)]
             c_at = [builder.add(ic, builder.mul(ldc, ir.Constant(_I64, j))) for j in range(columns)]
             b_step = [builder.mul(step_j, ir.Constant(_I64, j)) for j in range(columns)]
-            start = [
-                _load(builder, cp, builder.add(c_at[j], rows[v]), lanes) if accumulate else zero
-                for j in range(columns)
-                for v in range(vectors)
-            ]
+            cells = [builder.add(at, row) for at in c_at for row in rows]
+            start = [_load(builder, cp, cell, lanes) if accumulate else zero for cell in cells]
             entry = builder.block
             loop = builder.append_basic_block("depth")
             leave = builder.append_basic_block("done")
@@ -87,15 +84,12 @@ def product_kernel(lanes: int, vectors: int, columns: int, accumulate: bool) -> 
                 phi.add_incoming(first, entry)
                 phi.add_incoming(later, loop)
             builder.position_at_end(leave)
-            for j in range(columns):
-                for v in range(vectors):
-                    total = builder.phi(vector)
-                    total.add_incoming(start[j * vectors + v], entry)
-                    total.add_incoming(ends[j * vectors + v], loop)
-                    ends[j * vectors + v] = total
-            for j in range(columns):
-                for v in range(vectors):
-                    _store(builder, ends[j * vectors + v], cp, builder.add(c_at[j], rows[v]))
+            totals = [builder.phi(vector) for _ in cells]
+            for total, first, later in zip(totals, start, ends, strict=True):
+                total.add_incoming(first, entry)
+                total.add_incoming(later, loop)
+            for total, cell in zip(totals, cells, strict=True):
+                _store(builder, total, cp, cell)
             return context.get_dummy_value()
 
         return signature, codegen
@@ -144,18 +138,15 @@ def _axpy_kernel(lanes: int) -> Callable[..., None]:
         signature = types.void(y, types.int64, x, types.int64, types.int64, *[types.float64] * 3)
 
         def codegen(context, builder, sig, args):
-            y_base, x_base = (
-                _data(context, builder, sig.args[0], args[0]),
-                _data(context, builder, sig.args[2], args[2]),
-            )
-            total = _load(builder, y_base, args[1], lanes)
+            yp, xp = _data(context, builder, sig.args[0], args[0]), _data(context, builder, sig.args[2], args[2])
+            total = _load(builder, yp, args[1], lanes)
             at = args[3]
             for a in args[5:]:
-                column = _load(builder, x_base, at, lanes)
+                column = _load(builder, xp, at, lanes)
                 product = builder.fmul(column, _broadcast(builder, a, lanes), flags=_CONTRACT)
                 total = builder.fsub(total, product, flags=_CONTRACT)
                 at = builder.add(at, args[4])
-            _store(builder, total, y_base, args[1])
+            _store(builder, total, yp, args[1])
             return context.get_dummy_value()
 
         return signature, codegen
@@ -214,29 +205,6 @@ dot8 = _dot_kernel(8)
 dot4 = _dot_kernel(4)
 
 
-def _triple_kernel(accumulate: bool) -> Callable[..., None]:
-    """y[iy : iy + 3] = [y[...] +] x[ix : ix + 3]."""
-
-    @intrinsic
-    def kernel(typingctx, y, iy, x, ix):
-        def codegen(context, builder, sig, args):
-            yp, xp = _data(context, builder, sig.args[0], args[0]), _data(context, builder, sig.args[2], args[2])
-            for c in range(3):
-                step = ir.Constant(_I64, c)
-                target = builder.gep(yp, [builder.add(args[1], step)])
-                value = builder.load(builder.gep(xp, [builder.add(args[3], step)]))
-                builder.store(builder.fadd(builder.load(target), value) if accumulate else value, target)
-            return context.get_dummy_value()
-
-        return types.void(y, types.int64, x, types.int64), codegen
-
-    return kernel
-
-
-put_triple = _triple_kernel(False)
-add_triple = _triple_kernel(True)
-
-
 @intrinsic
 def get(typingctx, x, i):
     """x[i] without numba's wraparound test for negative indices, which costs 10 % of a sparse factorisation."""
@@ -256,6 +224,20 @@ def put(typingctx, x, i, value):
         return context.get_dummy_value()
 
     return types.void(x, types.int64, types.float64), codegen
+
+
+@njit(inline="always", error_model="numpy")
+def put_triple(y, iy, x, ix):
+    """y[iy : iy + 3] = x[ix : ix + 3]."""
+    for c in range(3):
+        put(y, iy + c, get(x, ix + c))
+
+
+@njit(inline="always", error_model="numpy")
+def add_triple(y, iy, x, ix):
+    """y[iy : iy + 3] += x[ix : ix + 3]."""
+    for c in range(3):
+        put(y, iy + c, get(y, iy + c) + get(x, ix + c))
 
 
 @intrinsic

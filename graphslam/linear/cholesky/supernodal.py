@@ -22,9 +22,8 @@ def _factor_columns(x, at, ld, rows, width, limits, pivot):
             # triangle, which is scratch
             count = (rows - j + 3) & ~3
             top = rows - count
-            subtract_product(
-                x, at + j * ld + top, ld, x, at + top, ld, x, at + j, ld, np.int64(1), count, np.int64(3), j
-            )
+            left, right = (x, at + top, ld), (x, at + j, ld, np.int64(1))
+            subtract_product((x, at + j * ld + top, ld), left, right, count, np.int64(3), j)
         # L D L' first: divisions, not square roots, on the critical path
         a00, a10, a20 = get(x, d0), get(x, d0 + 1), get(x, d0 + 2)
         a11, a21, a22 = get(x, d1 + 1), get(x, d1 + 2), get(x, d2 + 2)
@@ -87,64 +86,34 @@ def _update_rest(x, at, ld, begin, stop, end):
     """Columns ``stop`` to ``end`` of a panel minus the product with the finished columns from ``begin`` on."""
     rows = (ld - stop + 3) & ~3
     top = ld - rows
-    left = at + begin * ld
-    subtract_product_blocked(
-        x,
-        at + stop * ld + top,
-        ld,
-        x,
-        left + top,
-        ld,
-        x,
-        left + stop,
-        ld,
-        np.int64(1),
-        rows,
-        end - stop,
-        stop - begin,
-        stop - top + 1,
-    )
+    column = at + begin * ld
+    left, right = (x, column + top, ld), (x, column + stop, ld, np.int64(1))
+    target = (x, at + stop * ld + top, ld)
+    subtract_product_blocked(target, left, right, rows, end - stop, stop - begin, stop - top + 1)
 
 
 @njit(cache=True, error_model="numpy")
-def factorize(
-    values,
-    first,
-    row_start,
-    relative,
-    child_start,
-    children,
-    panel_start,
-    stack_start,
-    entry_start,
-    entry_source,
-    entry_target,
-    x,
-    u,
-    limits,
-    run,
-    tolerance,
-    scaled,
-    shift,
-):
+def factorize(values, layout, x, u, limits, run, tolerance, damping):
     """Numeric factorisation into the panels ``x``; returns the scalar column of a bad pivot, or -1.
 
     Multifrontal (Duff & Reid 1983; Liu 1990): the columns of a front are assembled from the matrix and from the
     update matrices of the children, factorised, and the update matrix -L21 L21' plus the children's is passed on.
     Only the columns are needed before the factorisation, hence the update matrix is written first by the product
-    and never zeroed.
+    and never zeroed. The diagonal of the matrix is multiplied by 1 + ``damping``.
     """
+    first, row_start, relative, stack_start = layout.first, layout.row_start, layout.relative, layout.stack_start
+    child_start, children = layout.child_start, layout.children
     for s in range(first.size - 1):
         w = first[s + 1] - first[s]
         width = 3 * w
         r = 3 * (row_start[s + 1] - row_start[s])
         padded = (r + 3) & ~3
         ld = width + padded
-        at = panel_start[s]
+        at = layout.panel_start[s]
         clear(x, at, width * ld)
-        for q in range(entry_start[s], entry_start[s + 1]):
-            source = entry_source[q]
-            t = at + entry_target[q]
+        for q in range(layout.entry_start[s], layout.entry_start[s + 1]):
+            source = layout.entry_source[q]
+            t = at + layout.entry_target[q]
             v = source >> 1
             if source & 1:
                 for c in range(3):
@@ -155,7 +124,7 @@ def factorize(
         pivot = 3 * first[s]
         for j in range(width):
             t = at + j * (ld + 1)
-            d = x[t] * scaled + shift
+            d = x[t] * (1.0 + damping)
             x[t] = d
             limits[pivot + j] = tolerance * d if d > 0.0 else 0.0
         for q in range(child_start[s], child_start[s + 1]):

@@ -1,7 +1,7 @@
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
 """Symbolic analysis: the supernodal structure of L and where everything is stored."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -19,7 +19,6 @@ class Layout(NamedTuple):
     row_start: NDArray[np.int64]  #: (ns+1,) into ``rows`` and ``relative``
     rows: NDArray[np.int32]  #: rows below the diagonal block of each supernode, ascending
     relative: NDArray[np.int32]  #: where those rows stand in the front of the parent supernode
-    parent: NDArray[np.int32]  #: (ns,) supernodal elimination tree, -1 at a root
     child_start: NDArray[np.int32]  #: (ns+1,) into ``children``
     children: NDArray[np.int32]  #: children of each supernode
     panel_start: NDArray[np.int64]  #: (ns+1,) scalars, into the factor's panels
@@ -42,8 +41,7 @@ def _permuted_lists(n, indptr, indices, position):
         for p in range(indptr[j], indptr[j + 1] - 1):
             a = position[indices[p]]
             row_pointer[max(a, b) + 1] += 1
-    for k in range(n):
-        row_pointer[k + 1] += row_pointer[k]
+    row_pointer = np.cumsum(row_pointer)
     fill = row_pointer[:n].copy()
     columns = np.empty(row_pointer[n], np.int32)
     for j in range(n):
@@ -61,17 +59,13 @@ def _supernode_rows(n, first, count, row_pointer, columns):
     """Row structure, tree and relative indices of the supernodes; row subtrees walked on the supernodal tree."""
     ns = first.size - 1
     row_start = np.zeros(ns + 1, np.int64)
-    for s in range(ns):
-        row_start[s + 1] = row_start[s] + count[s]
+    row_start[1:] = np.cumsum(count)
     rows = np.empty(row_start[ns], np.int32)
     relative = np.empty(row_start[ns], np.int32)
     fill = row_start[:ns].copy()
     parent = np.full(ns, -1, np.int32)
     mark = np.full(ns, -1, np.int32)
-    owner = np.empty(n, np.int32)
-    for s in range(ns):
-        for k in range(first[s], first[s + 1]):
-            owner[k] = s
+    owner = np.repeat(np.arange(ns), first[1:] - first[:-1])
     for k in range(n):
         top = owner[k]
         mark[top] = k
@@ -88,8 +82,7 @@ def _supernode_rows(n, first, count, row_pointer, columns):
     for s in range(ns):
         if parent[s] >= 0:
             child_start[parent[s] + 1] += 1
-    for s in range(ns):
-        child_start[s + 1] += child_start[s]
+    child_start = np.cumsum(child_start)
     children = np.empty(child_start[ns], np.int32)
     place = child_start[:ns].copy()
     for s in range(ns):
@@ -153,8 +146,7 @@ def _entries(n, indptr, indices, position, owner, first, row_start, rows):
         b = position[j]
         for p in range(indptr[j], indptr[j + 1]):
             start[owner[min(position[indices[p]], b)] + 1] += 1
-    for s in range(ns):
-        start[s + 1] += start[s]
+    start = np.cumsum(start)
     fill = start[:ns].copy()
     source = np.empty(start[ns], np.int64)
     target = np.empty(start[ns], np.int64)
@@ -172,62 +164,32 @@ def _entries(n, indptr, indices, position, owner, first, row_start, rows):
                 local = row - first[s]
             else:
                 low, high = row_start[s], row_start[s + 1]
-                while high - low > 1:
-                    middle = (low + high) >> 1
-                    if rows[middle] <= row:
-                        low = middle
-                    else:
-                        high = middle
-                local = w + low - row_start[s]
+                local = w + np.searchsorted(rows[low:high], row)
             r = 3 * (row_start[s + 1] - row_start[s])
             ld = 3 * w + ((r + 3) & ~3)
             target[q] = 3 * local + 3 * (column - first[s]) * ld
     return start, source, target
 
 
-@njit(cache=True, error_model="numpy")
-def layout(n, indptr, indices, order):
+def layout(n: int, indptr: NDArray[Any], indices: NDArray[Any], order: NDArray[np.int32]) -> Layout:
     """All of the symbolic analysis for a given elimination order."""
-    position = np.empty(n, np.int32)
-    for k in range(n):
-        position[order[k]] = k
-    row_pointer, columns = _permuted_lists(n, indptr, indices, position)
-    parent, count = elimination_tree(n, row_pointer, columns)
-    blocks = 0
-    flops = 0.0
-    for k in range(n):
-        blocks += count[k]
-        r = 3.0 * (count[k] - 1)
-        flops += 9.0 + 9.0 * r + 3.0 * r * r
-    moved, first, below = supernodes(n, parent, count)
-    final = np.empty(n, np.int32)
-    for k in range(n):
-        final[k] = order[moved[k]]
-    for k in range(n):
-        position[final[k]] = k
-    row_pointer, columns = _permuted_lists(n, indptr, indices, position)
-    row_start, rows, relative, tree, child_start, children, owner = _supernode_rows(
-        n, first, below, row_pointer, columns
-    )
-    panel_start, stack_start, stack_size, tallest = _storage(first, row_start, tree, child_start, children)
-    entry_start, source, target = _entries(n, indptr, indices, position, owner, first, row_start, rows)
-    return (
-        final,
-        position,
-        first,
-        row_start,
-        rows,
-        relative,
-        tree,
-        child_start,
-        children,
-        panel_start,
-        stack_start,
-        entry_start,
-        source,
-        target,
-        stack_size,
-        tallest,
-        blocks,
-        flops,
-    )
+    pattern = (n, indptr, indices)
+    parent, count = elimination_tree(n, *_permuted_lists(*pattern, _inverse(order)))
+    below = 3.0 * (count - 1)
+    flops = float(np.sum(9.0 + 9.0 * below + 3.0 * below * below))
+    # amalgamation moves the columns of a supernode next to each other
+    moved, first, rows_below = supernodes(n, parent, count)
+    order = order[moved]
+    position = _inverse(order)
+    lists = _permuted_lists(*pattern, position)
+    row_start, rows, relative, tree, *children, owner = _supernode_rows(n, first, rows_below, *lists)
+    panel_start, stack_start, *sizes = _storage(first, row_start, tree, *children)
+    entries = _entries(*pattern, position, owner, first, row_start, rows)
+    structure = (order, position, first, row_start, rows, relative, *children)
+    return Layout(*structure, panel_start, stack_start, *entries, *sizes, int(count.sum()), flops)
+
+
+def _inverse(order: NDArray[np.int32]) -> NDArray[np.int32]:
+    position = np.empty_like(order)
+    position[order] = np.arange(order.size)
+    return position

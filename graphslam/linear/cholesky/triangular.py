@@ -40,9 +40,9 @@ def forward(first, row_start, rows, panel_start, x, b, work):
 
 
 @njit(cache=True, error_model="numpy")
-def backward(first, row_start, rows, panel_start, x, b, work, ns):
-    """Solve L' y = b in place over the first ``ns`` supernodes."""
-    for s in range(ns - 1, -1, -1):
+def backward(first, row_start, rows, panel_start, x, b, work):
+    """Solve L' y = b in place; the arguments are those of `forward`."""
+    for s in range(first.size - 2, -1, -1):
         width = 3 * (first[s + 1] - first[s])
         low, high = row_start[s], row_start[s + 1]
         ld = width + ((3 * (high - low) + 3) & ~3)
@@ -82,7 +82,7 @@ def solve(order, first, row_start, rows, panel_start, x, rhs, out, b, work):
         i = 3 * order[k]
         put_triple(b, 3 * k, rhs, i)
     forward(first, row_start, rows, panel_start, x, b, work)
-    backward(first, row_start, rows, panel_start, x, b, work, first.size - 1)
+    backward(first, row_start, rows, panel_start, x, b, work)
     for k in range(order.size):
         i = 3 * order[k]
         put_triple(out, i, b, 3 * k)
