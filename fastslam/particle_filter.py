@@ -9,7 +9,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Unpack
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,11 +19,11 @@ from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
 
-from .checks import finite, index, measurements, real
+from .checks import finite, index, measurements
 from .genealogy import Genealogy
 from .motions import ControlMotion, GaussianMotion, check_motion, pick, robot_poses, sensor_motions
 from .noise import draw_key
-from .options import FilterKeywords, FilterOptions
+from .options import FilterOptions
 from .resampling import RESAMPLING_SCHEMES
 from .state import FilterResult, LandmarkEstimate, ParticleState
 from .threads import Threads
@@ -78,7 +78,7 @@ class ParticleFilter(ABC):
         motion: MotionModel | None = None,
         sensor: SensorModel | None = None,
         start: ArrayLike | None = None,
-        **keywords: Unpack[FilterKeywords],
+        **keywords: Any,
     ) -> None:
         for name, value, kind in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
             if value is not None and not isinstance(value, kind):
@@ -128,9 +128,9 @@ class ParticleFilter(ABC):
                 control or a standard deviation of its noise, go farther than 1e9 m or turn by more than 1e5 rad.
         """
         u = finite("control", control, "two finite numbers (nu, omega)", [(2,)])
-        dt = real("dt", dt, "a finite number of seconds, not below 0")
-        if not 0 <= dt < np.inf:
-            raise OptionError(f"dt must be a finite number of seconds, not below 0, not {dt!r}")
+        dt = float(finite("dt", dt, "a finite number of seconds", [()]))
+        if dt < 0:
+            raise OptionError(f"dt must not be negative, but is {dt!r}")
         with np.errstate(over="ignore"):
             std = np.sqrt(np.diag(self.motion.M(u, dt))) if dt > 0 else np.zeros(2)
         if dt > 0 and not self.sensor.centred:
