@@ -130,7 +130,7 @@ class ParticleFilter(ABC):
         u = finite("control", control, "two finite numbers (nu, omega)", [(2,)])
         dt = float(finite("dt", dt, "a finite number of seconds", [()]))
         if dt < 0:
-            raise OptionError(f"dt must not be negative, but is {dt!r}")
+            raise OptionError(f"dt must be 0 s or longer, not {dt!r}")
         with np.errstate(over="ignore"):
             std = np.sqrt(np.diag(self.motion.M(u, dt))) if dt > 0 else np.zeros(2)
         if dt > 0 and not self.sensor.centred:
