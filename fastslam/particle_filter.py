@@ -21,13 +21,13 @@ from graphslam.se2 import Array, wrap
 
 from .checks import finite, index, measurements
 from .genealogy import Genealogy
-from .motions import ControlMotion, GaussianMotion, check_motion, pick, robot_poses, sensor_motions
+from .motions import ControlMotion, GaussianMotion, check_motion, robot_poses, sensor_motions
 from .noise import draw_key
 from .options import FilterOptions
 from .resampling import RESAMPLING_SCHEMES
 from .state import FilterResult, LandmarkEstimate, ParticleState
 from .threads import Threads
-from .weight_kernels import multiply, normalize
+from .weight_kernels import normalize
 
 
 class VanishedWeightsWarning(RuntimeWarning):
@@ -314,7 +314,8 @@ class ParticleFilter(ABC):
         self._motion = None
         if log_weights is None:
             return
-        highest = multiply(self._threads, self._log_weights, log_weights)
+        log_weights += self._log_weights
+        highest = float(log_weights.max())
         if highest == -np.inf:
             warnings.warn(
                 f"step {self._step}: its sightings are impossible for all {self.particles} particles; "
@@ -338,9 +339,8 @@ class ParticleFilter(ABC):
             copy = int(np.argmax(self._log_weights[ancestors]))
         self._best = copy
         self._genealogy.branch(ancestors)
-        survivors = np.empty_like(self._poses)
-        self._threads.run_light(pick, self._poses, ancestors, survivors)
-        self._poses = _read_only(survivors)
+        # clip: checked indices would be copied through a buffer
+        self._poses = _read_only(np.take(self._poses, ancestors, axis=1, mode="clip"))
         self._log_weights = self._uniform
         self._resampled = self._resampled_history[-1] = True
 
