@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 
 from fastslam import FastSLAM1, FastSLAM2, ParticleState
-from fastslam.slam_filter import FastSLAM
 from graphslam import Log, MotionModel, SensorModel, simulate
 from graphslam.se2 import wrap
 
@@ -43,7 +42,7 @@ def largest_error(log: Log, state: ParticleState) -> float:
     return float(np.abs(np.concatenate(errors)).max())
 
 
-def run(slam: FastSLAM, log: Log) -> tuple[float, float]:
+def run(slam: FastSLAM1, log: Log) -> tuple[float, float]:
     """The largest error at any tenth step, and the effective number of families of step `EARLY` at the end."""
     errors, level = [], 0
     for state in slam:

@@ -288,7 +288,7 @@ class SimulationOptions(Options):
         Raises:
             OptionError: an option is impossible, or has no effect.
         """
-        world = WORLDS[self.world].changed(**self.of_component("settings"))
+        world = replace(WORLDS[self.world], **self.of_component("settings"))
         noise = {name: model().changed(**self.of_component(name)) for name, model in MODELS.items()}
         faults = {
             n: self.components[n][0](**f) for n in ("motion_faults", "sensor_faults") if (f := self.of_component(n))

@@ -3,38 +3,33 @@
 `fastslam.textbook` is the lectures' pseudocode, particle by particle; the classes here do the same with arrays.
 Names are imported at their first use. Kernels are compiled at their first call and cached on disk.
 """
+# ruff: noqa: F401
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .compilation import warm_up as warm_up
-    from .fastslam1 import FastSLAM1 as FastSLAM1
-    from .fastslam2 import FastSLAM2 as FastSLAM2
-    from .mcl import MonteCarloLocalization as MonteCarloLocalization
-    from .options import FilterOptions as FilterOptions
-    from .particle_filter import ParticleFilter as ParticleFilter
-    from .particle_filter import VanishedWeightsWarning as VanishedWeightsWarning
-    from .resampling import RESAMPLING_SCHEMES as RESAMPLING_SCHEMES
-    from .resampling import effective_sample_size as effective_sample_size
-    from .state import FilterResult as FilterResult
-    from .state import LandmarkEstimate as LandmarkEstimate
-    from .state import ParticleState as ParticleState
+    from .compilation import warm_up
+    from .fastslam1 import FastSLAM1
+    from .fastslam2 import FastSLAM2
+    from .mcl import MonteCarloLocalization
+    from .options import FilterOptions
+    from .particle_filter import ParticleFilter, VanishedWeightsWarning
+    from .resampling import RESAMPLING_SCHEMES, effective_sample_size
+    from .state import FilterResult, LandmarkEstimate, ParticleState
 
-_MODULE_OF = {
-    "FastSLAM1": "fastslam1",
-    "FastSLAM2": "fastslam2",
-    "FilterOptions": "options",
-    "FilterResult": "state",
-    "LandmarkEstimate": "state",
-    "MonteCarloLocalization": "mcl",
-    "ParticleFilter": "particle_filter",
-    "ParticleState": "state",
-    "RESAMPLING_SCHEMES": "resampling",
-    "VanishedWeightsWarning": "particle_filter",
-    "effective_sample_size": "resampling",
-    "warm_up": "compilation",
+#: the public names, by the module that defines them
+_PUBLIC = {
+    "compilation": "warm_up",
+    "fastslam1": "FastSLAM1",
+    "fastslam2": "FastSLAM2",
+    "mcl": "MonteCarloLocalization",
+    "options": "FilterOptions",
+    "particle_filter": "ParticleFilter VanishedWeightsWarning",
+    "resampling": "RESAMPLING_SCHEMES effective_sample_size",
+    "state": "FilterResult LandmarkEstimate ParticleState",
 }
+_MODULE_OF = {name: module for module, names in _PUBLIC.items() for name in names.split()}
 __all__ = list(_MODULE_OF)
 
 

@@ -148,7 +148,7 @@ class AnonymousLandmarks:
         for part in (self._slices[j] for j in landmarks):
             if not self._genealogy.is_living(part.level):
                 ancestors, index = self._genealogy.ancestors(part.level), self._free.pop()
-                np.take(self._pool[part.index], ancestors, axis=1, out=self._pool[index])
+                np.take(self._pool[part.index], ancestors, axis=1, out=self._pool[index], mode="clip")
                 self._free.append(part.index)
                 part.index = index
         return np.array([self._slices[j].index for j in landmarks], dtype=np.int64)

@@ -23,14 +23,6 @@ def whole(name: str, value: Any, expected: str = "a whole number") -> int:
         raise OptionError(f"{name} must be {expected}, not {value!r}") from None
 
 
-def real(name: str, value: Any, expected: str) -> float:
-    """Return one number, which need not be finite."""
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise OptionError(f"{name} must be {expected}, not {value!r}") from None
-
-
 def finite(name: str, value: Any, expected: str, shapes: Sequence[tuple[int, ...]]) -> Array:
     """Return a new array of finite numbers with one of the shapes."""
     try:
@@ -54,20 +46,17 @@ def measurements(ids: Any, sightings: ArrayLike) -> tuple[np.ndarray, Array]:
     """Return ids (k,) and sightings (k, 2 or 3) as arrays, angles wrapped; ids None stands for k unknown ids."""
     try:
         z = np.array(sightings, dtype=float)
-        ids = np.zeros(len(z), dtype=np.int64) if ids is None else np.asarray(ids)
+        numbers = np.zeros(len(z), dtype=np.int64) if ids is None else np.asarray(ids)
+        if numbers.size == 0 and z.size == 0:
+            return numbers, np.empty((0, 2))
+        if z.ndim != 2 or z.shape[1] not in (2, 3) or numbers.shape != (len(z),):
+            raise ValueError
     except (TypeError, ValueError):
-        raise OptionError(
-            f"observe takes whole numbers (k,) and sightings (k, 2) or (k, 3), not {ids!r} and {sightings!r}"
-        ) from None
-    if ids.size == 0 and z.size == 0:
-        return ids, np.empty((0, 2))
-    if z.ndim != 2 or z.shape[1] not in (2, 3) or ids.shape != (len(z),):
-        raise OptionError(
-            f"observe takes whole numbers (k,) and sightings (k, 2) or (k, 3), not shapes {ids.shape} and {z.shape}"
-        )
-    if ids.dtype.kind not in "iu":
-        raise OptionError(f"the ids of landmarks must be whole numbers, not {ids.tolist()!r}")
+        expected = "whole numbers (k,) and sightings (k, 2) or (k, 3)"
+        raise OptionError(f"observe takes {expected}, not {ids!r} and {sightings!r}") from None
+    if numbers.dtype.kind not in "iu":
+        raise OptionError(f"the ids of landmarks must be whole numbers, not {numbers.tolist()!r}")
     if not np.all(np.isfinite(z)) or np.any(z[:, 0] <= 0):
         raise OptionError("sightings must be finite and their ranges above zero")
     z[:, 1:] = wrap(z[:, 1:])
-    return ids, z
+    return numbers, z

@@ -6,15 +6,24 @@ Sources: Murphy, *Bayesian map learning in dynamic environments*, NIPS 1999; Mon
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
+from graphslam.errors import OptionError
 from graphslam.se2 import Array
 
+from .anonymous_maps import CONFIRMED, AnonymousLandmarks
 from .identified_maps import IdentifiedLandmarks
-from .slam_filter import FastSLAM
+from .particle_filter import ParticleFilter
+from .state import LandmarkEstimate, weighted_covariance, weighted_mean
+
+#: the largest range [m] and standard deviation, whose inverse is the smallest standard deviation: products of three
+#: variances and squares of covariances are then finite
+LARGEST = 1e50
 
 
-class FastSLAM1(FastSLAM):
+class FastSLAM1(ParticleFilter):
     """FastSLAM 1.0, for sightings with or without psi (with psi landmarks have a heading).
 
     A first sighting initialises a landmark as N(h^-1(x, z), (H' Q^-1 H)^-1) and does not change the weight. A later one
@@ -38,7 +47,37 @@ class FastSLAM1(FastSLAM):
     landmark. For each new landmark a particle's weight is multiplied by that density.
     """
 
+    _maps: IdentifiedLandmarks | AnonymousLandmarks | None = None
+
+    @property
+    def _needs_ids(self) -> bool:
+        return self.options.uses_ids
+
+    def _check_sightings(self, ids: np.ndarray, columns: int) -> None:  # noqa: ARG002
+        if self._maps is not None and columns != self._maps.coordinates:
+            raise OptionError(f"sightings so far had {self._maps.coordinates} columns, these have {columns}")
+
+    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
+        # three comparisons first, because this is checked at every step
+        if sightings[:, 0].max() > LARGEST or q.min() < LARGEST**-2 or q.max() > LARGEST**2:
+            k = int(np.argmax((sightings[:, 0] > LARGEST) | np.any((q < LARGEST**-2) | (q > LARGEST**2), axis=1)))
+            raise OptionError(
+                f"step {self._step}: sighting {k}, of range {sightings[k, 0]:g} m with noise of standard deviations "
+                f"{', '.join(f'{std:g}' for std in np.sqrt(q[k]))}, is beyond floating point; leave it out, or change "
+                "the sensor model"
+            )
+        if self._maps is None:
+            shape = self._genealogy, self._threads, self.particles, sightings.shape[1]
+            if self._needs_ids:
+                self._maps = IdentifiedLandmarks(*shape)
+            else:
+                self._maps = AnonymousLandmarks(*shape, self.options.new_landmark_threshold)
+        if isinstance(self._maps, IdentifiedLandmarks):
+            return self._weigh_identified(self._maps, ids, sightings, q)
+        return self._weigh_anonymous(self._maps, sightings, q)
+
     def _weigh_identified(self, maps: IdentifiedLandmarks, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
+        """Weigh sightings with ids, as `_weigh`."""
         log_likelihood = None
         for j, z, variances in zip(ids.tolist(), sightings, q, strict=True):
             if j not in maps:
@@ -49,3 +88,43 @@ class FastSLAM1(FastSLAM):
             maps.update(j, self._poses, z, variances, log_likelihood)
         maps.finish()
         return log_likelihood
+
+    def _weigh_anonymous(self, maps: AnonymousLandmarks, sightings: Array, q: Array) -> Array:
+        """Weigh sightings without ids from the current poses; each particle decides which landmarks they belong to."""
+        log_likelihood, belief = np.zeros(self.particles), np.zeros((9, self.particles))
+        belief[:3] = self._poses
+        # the poses are not written here, but the kernel is compiled for writable ones
+        maps.scan(belief, belief[:3], True, np.uint64(0), sightings, q, self._step, log_likelihood)
+        return log_likelihood
+
+    def _end_step(self) -> None:
+        if self._maps is not None:
+            self._maps.end_step(self._poses, self._step)
+
+    def _gaussians(self, particles: slice) -> Iterator[tuple[int, Array, Array, Array]]:
+        """Yield for every landmark: id, means (k, n), covariances (k, n, n) and evidence (k,), 0 where it is missing."""
+        if self._maps is not None:
+            for j in self._maps.ids:
+                yield j, *self._maps.gaussians(j, particles)
+
+    def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:
+        least = 1.0 if provisional else CONFIRMED
+        return {
+            j: LandmarkEstimate(means[0], covariances[0], bool(evidence[0] >= CONFIRMED))
+            for j, means, covariances, evidence in self._gaussians(slice(particle, particle + 1))
+            if evidence[0] >= least
+        }
+
+    def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]:
+        estimates = {}
+        for j, means, covariances, evidence in self._gaussians(slice(None)):
+            owned = evidence > 0
+            share, confirmed = weights @ owned, bool(weights @ (evidence >= CONFIRMED) >= 0.5)
+            # landmarks of particles with most of the weight, as those particles estimate them
+            if share < 0.5 or not (confirmed or provisional):
+                continue
+            among = np.where(owned, weights / share, 0.0)[owned]
+            mean = weighted_mean(means[owned], among)
+            within = np.tensordot(among, covariances[owned], 1)
+            estimates[j] = LandmarkEstimate(mean, within + weighted_covariance(means[owned], mean, among), confirmed)
+        return estimates

@@ -12,12 +12,11 @@ from graphslam.se2 import Array
 
 from . import landmark_kernels, motions
 from .anonymous_maps import AnonymousLandmarks
+from .fastslam1 import FastSLAM1
 from .identified_maps import IdentifiedLandmarks
-from .slam_filter import FastSLAM
-from .threads import Job
 
 
-class FastSLAM2(FastSLAM):
+class FastSLAM2(FastSLAM1):
     """FastSLAM 2.0, for sightings with or without psi; arguments and unknown association as in `FastSLAM1`.
 
     At a step with sightings of known landmarks each particle takes the motion as a Gaussian with mean f(x_{t-1}, u_t)
@@ -36,31 +35,28 @@ class FastSLAM2(FastSLAM):
     """
 
     def _weigh_identified(self, maps: IdentifiedLandmarks, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
-        log_likelihood, unused = np.zeros(self.particles), np.zeros(self.particles)
         # the first sighting of each known landmark
         leading: dict[int, int] = {}
         for k, j in enumerate(ids.tolist()):
-            if self._motion is not None and j in maps:
+            if j in maps:
                 leading.setdefault(j, k)
-        poses, proposal = self._poses, list[Job]()
-        if self._motion is not None and leading:
-            belief, poses = np.empty((9, self.particles)), np.empty_like(self._poses)
-            proposal.append(self._motion.predict(belief))
-            for j, k in leading.items():
-                proposal.append((landmark_kernels.correct, (belief, *maps.read(j), sightings[k], q[k], log_likelihood)))
-            proposal.append((motions.draw, (belief, self._motion.key, poses)))
-        weighed = bool(leading)
+        if self._motion is None or not leading:
+            return super()._weigh_identified(maps, ids, sightings, q)
+        log_likelihood, unused = np.zeros(self.particles), np.zeros(self.particles)
+        belief, poses = np.empty((9, self.particles)), np.empty_like(self._poses)
+        proposal = [self._motion.predict(belief)]
+        for j, k in leading.items():
+            proposal.append((landmark_kernels.correct, (belief, *maps.read(j), sightings[k], q[k], log_likelihood)))
+        proposal.append((motions.draw, (belief, self._motion.key, poses)))
         for k, j in enumerate(ids.tolist()):
             if j not in maps:
                 maps.initialize(j, poses, sightings[k], q[k])
                 continue
-            weighed = True
             # leading sightings are weighed by the proposal
             maps.update(j, poses, sightings[k], q[k], unused if leading.get(j) == k else log_likelihood)
         maps.finish(before=proposal)
-        if leading:
-            self._set_poses(poses)
-        return log_likelihood if weighed else None
+        self._set_poses(poses)
+        return log_likelihood
 
     def _weigh_anonymous(self, maps: AnonymousLandmarks, sightings: Array, q: Array) -> Array:
         if self._motion is None:

@@ -144,14 +144,6 @@ def draw_by_gaussian(
 
 
 @njit(**OPTIONS)
-def pick(lo: int, hi: int, poses: Array, ancestors: np.ndarray, survivors: Array) -> None:
-    """Copy the poses (3, N) of the ancestors."""
-    for k in range(3):
-        for i in range(lo, hi):
-            survivors[k, i] = poses[k, ancestors[i]]
-
-
-@njit(**OPTIONS)
 def chord_gaussian(
     nu: float, omega: float, nu_var: float, omega_var: float, dt: float
 ) -> tuple[float, Three, tuple[float, ...]]:

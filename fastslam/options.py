@@ -7,14 +7,13 @@ This module compiles nothing and imports neither numba nor SciPy.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TypedDict
 
 import numpy as np
 
 from graphslam.checks import check_choice
 from graphslam.errors import OptionError
 
-from .checks import real, whole
+from .checks import finite, whole
 
 #: how sightings are assigned to landmarks
 ASSOCIATIONS = ("known", "maximum-likelihood")
@@ -59,11 +58,11 @@ class FilterOptions:
             raise OptionError(f"seed must be a whole number, not below 0, not {self.seed}")
         check_choice("resampling", self.resampling, RESAMPLING)
         check_choice("association", self.association, ASSOCIATIONS)
-        if not 0 <= real("ess_threshold", self.ess_threshold, "a number between 0 and 1") <= 1:
+        if not 0 <= finite("ess_threshold", self.ess_threshold, "a number between 0 and 1", [()]) <= 1:
             raise OptionError(
                 f"ess_threshold must lie between 0 (never resample) and 1 (always), not {self.ess_threshold!r}"
             )
-        if not 0 < real("new_landmark_threshold", self.new_landmark_threshold, "a number between 0 and 1") < 1:
+        if not 0 < finite("new_landmark_threshold", self.new_landmark_threshold, "a number between 0 and 1", [()]) < 1:
             raise OptionError(f"new_landmark_threshold must lie between 0 and 1, not {self.new_landmark_threshold!r}")
         expected = "a whole number of at least 1, or None for all"
         if self.threads is not None and whole("threads", self.threads, expected) < 1:
@@ -73,15 +72,3 @@ class FilterOptions:
     def uses_ids(self) -> bool:
         """Whether FastSLAM uses the landmark ids of the sightings."""
         return self.association == "known"
-
-
-class FilterKeywords(TypedDict, total=False):
-    """The fields of `FilterOptions` as keywords."""
-
-    particles: int
-    seed: int | np.random.Generator
-    resampling: str
-    ess_threshold: float
-    threads: int | None
-    association: str
-    new_landmark_threshold: float

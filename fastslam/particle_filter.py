@@ -9,7 +9,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Unpack
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,15 +19,15 @@ from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
 
-from .checks import finite, index, measurements, real
+from .checks import finite, index, measurements
 from .genealogy import Genealogy
-from .motions import ControlMotion, GaussianMotion, check_motion, pick, robot_poses, sensor_motions
+from .motions import ControlMotion, GaussianMotion, check_motion, robot_poses, sensor_motions
 from .noise import draw_key
-from .options import FilterKeywords, FilterOptions
+from .options import FilterOptions
 from .resampling import RESAMPLING_SCHEMES
 from .state import FilterResult, LandmarkEstimate, ParticleState
 from .threads import Threads
-from .weight_kernels import multiply, normalize
+from .weight_kernels import normalize
 
 
 class VanishedWeightsWarning(RuntimeWarning):
@@ -78,7 +78,7 @@ class ParticleFilter(ABC):
         motion: MotionModel | None = None,
         sensor: SensorModel | None = None,
         start: ArrayLike | None = None,
-        **keywords: Unpack[FilterKeywords],
+        **keywords: Any,
     ) -> None:
         for name, value, kind in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
             if value is not None and not isinstance(value, kind):
@@ -128,9 +128,9 @@ class ParticleFilter(ABC):
                 control or a standard deviation of its noise, go farther than 1e9 m or turn by more than 1e5 rad.
         """
         u = finite("control", control, "two finite numbers (nu, omega)", [(2,)])
-        dt = real("dt", dt, "a finite number of seconds, not below 0")
-        if not 0 <= dt < np.inf:
-            raise OptionError(f"dt must be a finite number of seconds, not below 0, not {dt!r}")
+        dt = float(finite("dt", dt, "a finite number of seconds", [()]))
+        if dt < 0:
+            raise OptionError(f"dt must be 0 s or longer, not {dt!r}")
         with np.errstate(over="ignore"):
             std = np.sqrt(np.diag(self.motion.M(u, dt))) if dt > 0 else np.zeros(2)
         if dt > 0 and not self.sensor.centred:
@@ -314,7 +314,8 @@ class ParticleFilter(ABC):
         self._motion = None
         if log_weights is None:
             return
-        highest = multiply(self._threads, self._log_weights, log_weights)
+        log_weights += self._log_weights
+        highest = float(log_weights.max())
         if highest == -np.inf:
             warnings.warn(
                 f"step {self._step}: its sightings are impossible for all {self.particles} particles; "
@@ -338,9 +339,8 @@ class ParticleFilter(ABC):
             copy = int(np.argmax(self._log_weights[ancestors]))
         self._best = copy
         self._genealogy.branch(ancestors)
-        survivors = np.empty_like(self._poses)
-        self._threads.run_light(pick, self._poses, ancestors, survivors)
-        self._poses = _read_only(survivors)
+        # clip: checked indices would be copied through a buffer
+        self._poses = _read_only(np.take(self._poses, ancestors, axis=1, mode="clip"))
         self._log_weights = self._uniform
         self._resampled = self._resampled_history[-1] = True
 

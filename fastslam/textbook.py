@@ -10,7 +10,7 @@ Sources: Ueda, *LNPR*, chapters 5 and 8; Montemerlo, Thrun, Koller and Wegbreit,
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
 
@@ -25,11 +25,11 @@ from graphslam.se2 import Array, wrap
 from .noise import standard_normals
 
 
-@dataclass
-class Landmark:
-    """The estimate of one landmark by one particle: the Gaussian N(mean, covariance), (n,) and (n, n), n = 2 or 3.
+@dataclass(frozen=True)
+class Gaussian:
+    """N(mean, covariance): a particle's estimate of one landmark, (n,) and (n, n), n = 2 or 3, or of its pose in 2.0.
 
-    On a known map the covariance is zero.
+    The covariance of a landmark on a known map is zero.
     """
 
     mean: Array
@@ -38,24 +38,16 @@ class Landmark:
 
 @dataclass
 class Particle:
-    """A trajectory whose last pose is x_t, the logarithm of its weight, and a map of its own {id: Landmark}."""
+    """A trajectory whose last pose is x_t, the logarithm of its weight, and a map of its own {id: Gaussian}."""
 
     path: list[Array]
     log_weight: float
-    map: dict[int, Landmark] = field(default_factory=dict)
+    map: dict[int, Gaussian] = field(default_factory=dict)
 
     @property
     def pose(self) -> Array:
         """The current pose x_t, (3,)."""
         return self.path[-1]
-
-
-@dataclass(frozen=True)
-class PoseBelief:
-    """The estimate of x_t by one particle of FastSLAM 2.0 before the draw: the Gaussian N(mean, covariance)."""
-
-    mean: Array
-    covariance: np.ndarray
 
 
 def start(particles: int, pose: ArrayLike) -> list[Particle]:
@@ -86,26 +78,26 @@ def motion_update(
         particle.path.append(sample_motion(particle.pose, control, dt, motion, noise))
 
 
-def initialize_landmark(pose: Array, z: Array, sensor: SensorModel) -> Landmark:
+def initialize_landmark(pose: Array, z: Array, sensor: SensorModel) -> Gaussian:
     """Initialise a landmark by its first sighting: mean h^-1(x, z), covariance (H' Q^-1 H)^-1."""
     mean = sensor.h_inverse(pose, z)
     H = sensor.H(pose, mean)
-    return Landmark(mean, np.linalg.inv(H.T @ np.linalg.inv(sensor.Q(z)) @ H))
+    return Gaussian(mean, np.linalg.inv(H.T @ np.linalg.inv(sensor.Q(z)) @ H))
 
 
-def residual(pose: Array, landmark: Landmark, z: Array, sensor: SensorModel) -> Array:
+def residual(pose: Array, landmark: Gaussian, z: Array, sensor: SensorModel) -> Array:
     """Return the residual z - h(m), angles wrapped."""
     difference = z - sensor.h(pose, landmark.mean)
     return np.array([difference[0], *wrap(difference[1:])])
 
 
-def innovation_covariance(pose: Array, landmark: Landmark, z: Array, sensor: SensorModel) -> Array:
+def innovation_covariance(pose: Array, landmark: Gaussian, z: Array, sensor: SensorModel) -> Array:
     """Return the covariance of the residual, V = H S H' + Q, with Q at the measured range as in the graph's edges."""
     H = sensor.H(pose, landmark.mean)
     return H @ landmark.covariance @ H.T + sensor.Q(z)
 
 
-def log_likelihood(pose: Array, landmark: Landmark, z: Array, sensor: SensorModel) -> float:
+def log_likelihood(pose: Array, landmark: Gaussian, z: Array, sensor: SensorModel) -> float:
     """Return the logarithm of N(z; h(m), V) = det(2 pi V)^(-1/2) exp(-r' V^-1 r / 2), r = z - h(m).
 
     The determinant differs between particles and belongs to the weight. -inf where the particle stands on the
@@ -122,14 +114,14 @@ def log_density(r: Array, V: Array) -> float:
     return float(-0.5 * (r @ np.linalg.solve(V, r) + np.log(np.linalg.det(2 * np.pi * V))))
 
 
-def update_landmark(pose: Array, landmark: Landmark, z: Array, sensor: SensorModel) -> Landmark:
+def update_landmark(pose: Array, landmark: Gaussian, z: Array, sensor: SensorModel) -> Gaussian:
     """Update a landmark by a later sighting: K = S H' (Q + H S H')^-1, m += K (z - h(m)), S = (I - K H) S."""
     H = sensor.H(pose, landmark.mean)
     V = innovation_covariance(pose, landmark, z, sensor)
     K = landmark.covariance @ H.T @ np.linalg.inv(V)
     mean = landmark.mean + K @ residual(pose, landmark, z, sensor)
     mean[2:] = wrap(mean[2:])
-    return Landmark(mean, (np.eye(len(mean)) - K @ H) @ landmark.covariance)
+    return Gaussian(mean, (np.eye(len(mean)) - K @ H) @ landmark.covariance)
 
 
 def observation_update(
@@ -140,27 +132,39 @@ def observation_update(
     The weights then sum to 1. Returns whether any sighting was weighed; first sightings do not change the weights.
     """
     before = [particle.log_weight for particle in particles]
-    weighed = False
-    for j, z in zip(ids, sightings, strict=True):
-        for particle in particles:
-            if j not in particle.map:
-                particle.map[j] = initialize_landmark(particle.pose, z, sensor)
-                continue
-            weighed = True
-            likelihood = log_likelihood(particle.pose, particle.map[j], z, sensor)
-            particle.log_weight += likelihood
-            if likelihood > -np.inf:
-                particle.map[j] = update_landmark(particle.pose, particle.map[j], z, sensor)
+    sighted = list(zip(ids, sightings, strict=True))
+    weighed = [weigh_and_map(particle, sighted, sensor) for particle in particles]
     normalize(particles, before)
+    return any(weighed)
+
+
+def weigh_and_map(
+    particle: Particle, sighted: list[tuple[int, Array]], sensor: SensorModel, leading: Collection[int] = ()
+) -> bool:
+    """Process the sightings (id, z) of a step from the particle's pose, and return whether any is of a known landmark.
+
+    The sightings with numbers in ``leading`` do not change the weight: FastSLAM 2.0 has weighed them before.
+    """
+    weighed = False
+    for k, (j, z) in enumerate(sighted):
+        if j not in particle.map:
+            particle.map[j] = initialize_landmark(particle.pose, z, sensor)
+            continue
+        weighed = True
+        likelihood = log_likelihood(particle.pose, particle.map[j], z, sensor)
+        if k not in leading:
+            particle.log_weight += likelihood
+        if likelihood > -np.inf:
+            particle.map[j] = update_landmark(particle.pose, particle.map[j], z, sensor)
     return weighed
 
 
-def predict_pose(pose: Array, control: ArrayLike, dt: float, motion: MotionModel) -> PoseBelief:
+def predict_pose(pose: Array, control: ArrayLike, dt: float, motion: MotionModel) -> Gaussian:
     """FastSLAM 2.0: predict the pose before the sightings as a Gaussian, N(f(x_{t-1}, u_t), A M A' + epsilon I)."""
-    return PoseBelief(wrap_heading(motion.f(pose, control, dt)), motion.covariance(pose, control, dt))
+    return Gaussian(wrap_heading(motion.f(pose, control, dt)), motion.covariance(pose, control, dt))
 
 
-def correct_pose(belief: PoseBelief, landmark: Landmark, z: Array, sensor: SensorModel) -> tuple[PoseBelief, float]:
+def correct_pose(belief: Gaussian, landmark: Gaussian, z: Array, sensor: SensorModel) -> tuple[Gaussian, float]:
     """FastSLAM 2.0: correct the Gaussian of a pose by one sighting, and return also the log likelihood of the sighting.
 
     V = H_x P H_x' + H_m S H_m' + Q, K = P H_x' V^-1, mean += K (z - h), P = (I - K H_x) P. The likelihood N(z; h, V) is
@@ -172,11 +176,11 @@ def correct_pose(belief: PoseBelief, landmark: Landmark, z: Array, sensor: Senso
     V = H_x @ belief.covariance @ H_x.T + H_m @ landmark.covariance @ H_m.T + sensor.Q(z)
     r = residual(belief.mean, landmark, z, sensor)
     K = belief.covariance @ H_x.T @ np.linalg.inv(V)
-    corrected = PoseBelief(wrap_heading(belief.mean + K @ r), (np.eye(3) - K @ H_x) @ belief.covariance)
+    corrected = Gaussian(wrap_heading(belief.mean + K @ r), (np.eye(3) - K @ H_x) @ belief.covariance)
     return corrected, log_density(r, V)
 
 
-def draw_pose(belief: PoseBelief, noise: Array) -> Array:
+def draw_pose(belief: Gaussian, noise: Array) -> Array:
     """Sample x_t ~ N(mean, P) as mean + L noise with P = L L'; three standard normal numbers."""
     return wrap_heading(belief.mean + np.linalg.cholesky(belief.covariance) @ noise)
 
@@ -212,16 +216,7 @@ def proposal_update(
             particle.path.append(draw_pose(belief, noise[:3]))
         else:
             particle.path.append(sample_motion(particle.pose, control, dt, motion, noise))
-        for k, (j, z) in enumerate(sighted):
-            if j not in particle.map:
-                particle.map[j] = initialize_landmark(particle.pose, z, sensor)
-                continue
-            weighed = True
-            likelihood = log_likelihood(particle.pose, particle.map[j], z, sensor)
-            if k not in leading:
-                particle.log_weight += likelihood
-            if likelihood > -np.inf:
-                particle.map[j] = update_landmark(particle.pose, particle.map[j], z, sensor)
+        weighed |= weigh_and_map(particle, sighted, sensor, leading)
     normalize(particles, before)
     return weighed
 
@@ -237,7 +232,7 @@ def localization_update(
     before = [particle.log_weight for particle in particles]
     for j, z in zip(ids, sightings, strict=True):
         n = min(len(z), len(landmarks[j]))
-        known = Landmark(np.asarray(landmarks[j])[:n], np.zeros((n, n)))
+        known = Gaussian(np.asarray(landmarks[j])[:n], np.zeros((n, n)))
         for particle in particles:
             particle.log_weight += log_likelihood(particle.pose, known, z[:n], sensor)
     normalize(particles, before)

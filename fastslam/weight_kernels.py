@@ -1,7 +1,7 @@
-"""Weights as logarithms, compiled: multiply and normalise in one pass each, where NumPy needs eight.
+"""Weights as logarithms, compiled: normalise in one pass, where NumPy needs six.
 
-Maxima and sums are kept per chunk of particles, so that they do not depend on the number of threads. Within a chunk they
-are kept per lane, where lane k takes every 64th particle: the compiler may not change the order of a sum, but it can
+Sums are kept per chunk of particles, so that they do not depend on the number of threads. Within a chunk they are kept
+per lane, where lane k takes every 64th particle: the compiler may not change the order of a sum, but it can
 vectorise over independent lanes.
 """
 
@@ -20,13 +20,6 @@ from .threads import Threads
 LANES = 64
 
 
-def multiply(threads: Threads, log_weights: Array, log_likelihood: Array) -> float:
-    """Add log_weights to log_likelihood (N,) in place and return the largest result; NaN must not occur."""
-    maxima = np.empty(-(-len(log_weights) // CHUNK))
-    threads.run_light(_multiply, log_weights, log_likelihood, maxima)
-    return float(maxima.max())
-
-
 def normalize(threads: Threads, log_weights: Array, highest: float) -> tuple[Array, float, float]:
     """Normalise log_weights (N,) in place so that their exponentials sum to 1.
 
@@ -38,20 +31,6 @@ def normalize(threads: Threads, log_weights: Array, highest: float) -> tuple[Arr
     total, squares = sums.sum(axis=1).tolist()
     log_weights -= highest + np.log(total)
     return weights, total, squares
-
-
-@njit(**OPTIONS)
-def _multiply(lo: int, hi: int, log_weights: Array, log_likelihood: Array, maxima: Array) -> None:
-    lanes = np.empty(LANES)
-    for chunk in range(lo, hi, CHUNK):
-        lanes[:] = -np.inf
-        end = min(chunk + CHUNK, hi)
-        for start in range(chunk, end, LANES):
-            for i in range(min(LANES, end - start)):
-                value = log_likelihood[start + i] + log_weights[start + i]
-                log_likelihood[start + i] = value
-                lanes[i] = value if value > lanes[i] else lanes[i]
-        maxima[chunk // CHUNK] = lanes.max()
 
 
 @njit(**OPTIONS)

@@ -268,16 +268,6 @@ class Log:
         changes["steps"] = np.searchsorted(kept, self.steps[seen])
         return replace(self, landmarks=self.landmarks[seen], sightings=self.sightings[seen], **changes)
 
-    def where_seen(self) -> Log:
-        """The log with only the poses that have sightings; `at_steps` joins the motions between them.
-
-        Raises:
-            LogError: there are no sightings.
-        """
-        if len(self.steps) == 0:
-            raise LogError(f"{self.name} has no sightings at all, so no pose would be left")
-        return self.at_steps(np.unique(self.steps))
-
     def replace(self, **changes: Any) -> Log:
         """The same log with some arguments replaced.
 
@@ -305,13 +295,10 @@ def _same(a: Any, b: Any) -> bool:
 
 def _checked_starts(value: np.ndarray, controls: int) -> np.ndarray:
     starts = np.array(value)
-    if starts.ndim != 1 or len(starts) == 0 or starts.dtype.kind not in "iu":
+    whole = starts.ndim == 1 and len(starts) > 0 and starts.dtype.kind in "iu"
+    if not whole or starts[0] != 0 or starts[-1] != controls or np.any(np.diff(starts) <= 0):
         raise LogError(
-            f"control_starts must be whole numbers, one per pose, not {starts.dtype} of shape {starts.shape}"
-        )
-    if starts[0] != 0 or starts[-1] != controls or np.any(np.diff(starts) <= 0):
-        raise LogError(
-            f"control_starts must increase from 0 to the number of controls, {controls}: every motion has a control"
+            f"control_starts must be whole numbers, one per pose, that increase from 0 to the number of controls, {controls}"
         )
     return starts.astype(np.int64)
 
@@ -329,10 +316,10 @@ def _checked_truth(value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def _landmark(id: int, value: ArrayLike) -> Array:
-    landmark = np.asarray(value, dtype=float)
-    if landmark.shape not in ((2,), (3,)):
+    landmark = _floats(f"true_landmarks[{id}]", value, (None,))
+    if len(landmark) not in (2, 3):
         raise LogError(f"true_landmarks[{id}] must be (x, y) or (x, y, heading), not of shape {landmark.shape}")
-    return _floats(f"true_landmarks[{id}]", landmark, landmark.shape)
+    return landmark
 
 
 def _floats(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:

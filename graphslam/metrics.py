@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import OptionError
-from .se2 import Array, between, compose, transform, wrap
+from .se2 import Array, between, transform, wrap
 
 
 @dataclass(frozen=True)
@@ -216,11 +216,6 @@ def evaluate(
         landmark_rmse_m=None if true_landmarks is None else landmark_rmse(true_landmarks, landmarks, alignment),
         poses_counted=int(np.count_nonzero(counted)),
     )
-
-
-def aligned(truth: ArrayLike, estimate: ArrayLike, *, mask: ArrayLike | None = None) -> Array:
-    """The estimate (T+1, 3) in the frame of the ground truth, A x_t (see `align`)."""
-    return compose(align(truth, estimate, mask=mask), np.asarray(estimate, dtype=float))
 
 
 def _positions(places: Mapping[int, ArrayLike], ids: list[int]) -> Array:

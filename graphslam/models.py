@@ -308,7 +308,9 @@ class SensorModel(NoiseModel):
         """The derivative dh/dm of the sighting by the landmark; (..., 2, 2) or (..., 3, 3)."""
         pose, landmark = self.mount(pose), np.asarray(landmark, dtype=float)
         n = landmark.shape[-1]
-        d, q, r = _offset(pose, landmark)
+        d = landmark[..., :2] - pose[..., :2]
+        q = d[..., 0] ** 2 + d[..., 1] ** 2
+        r = np.sqrt(q)
         jacobian = np.zeros((*r.shape, n, n))
         jacobian[..., 0, :2] = d / r[..., None]
         jacobian[..., 1, 0], jacobian[..., 1, 1] = -d[..., 1] / q, d[..., 0] / q
@@ -319,18 +321,15 @@ class SensorModel(NoiseModel):
 
     def H_pose(self, pose: ArrayLike, landmark: ArrayLike) -> Array:
         """The derivative dh/dx of the sighting by the pose; (..., 2, 3) or (..., 3, 3)."""
-        pose, landmark = np.asarray(pose, dtype=float), np.asarray(landmark, dtype=float)
-        n = landmark.shape[-1]
-        sensor = self.mount(pose)
-        d, q, r = _offset(sensor, landmark)
-        jacobian = np.zeros((*r.shape, n, 3))
-        jacobian[..., 0, :2] = -d / r[..., None]
-        jacobian[..., 1, 0], jacobian[..., 1, 1], jacobian[..., 1, 2] = d[..., 1] / q, -d[..., 0] / q, -1.0
-        if n == 3:
-            jacobian[..., 2, :2] = jacobian[..., 1, :2]
+        pose = np.asarray(pose, dtype=float)
+        by_landmark = self.H(pose, landmark)
+        # only the difference of the two positions counts
+        jacobian = np.zeros((*by_landmark.shape[:-1], 3))
+        jacobian[..., :2] = -by_landmark[..., :2]
+        jacobian[..., 1, 2] = -1.0
         if not self.centred:
             # a turn of the robot also moves a sensor that is off its centre
-            arm = sensor[..., :2] - pose[..., :2]
+            arm = self.mount(pose)[..., :2] - pose[..., :2]
             jacobian[..., 2] += jacobian[..., 1] * arm[..., 0, None] - jacobian[..., 0] * arm[..., 1, None]
         return jacobian
 
@@ -362,9 +361,3 @@ class SensorModel(NoiseModel):
         """The covariance of h^-1(x, z) for a known pose, R Q R'; (..., n, n)."""
         R = self.R(pose, sighting)
         return R @ self.Q(sighting) @ np.swapaxes(R, -1, -2)
-
-
-def _offset(pose: Array, landmark: Array) -> tuple[Array, Array, Array]:
-    d = landmark[..., :2] - pose[..., :2]
-    q = d[..., 0] ** 2 + d[..., 1] ** 2
-    return d, q, np.sqrt(q)

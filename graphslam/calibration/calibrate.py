@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from ..checks import check_choice
 from ..errors import LogError
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from .from_residuals import noise_from_residuals
+from .from_residuals import MAX_ROUNDS, noise_from_residuals
 from .from_truth import knows_enough, motion_noise, sensor_noise
-from .parts import OF_SENSOR, motion_model, sensor_model
-from .variances import VarianceFit
+from .parts import OF_SENSOR, with_variances
 
 #: the choices of the option ``source``
 SOURCES = ("auto", "truth", "residuals")
@@ -115,35 +114,19 @@ def calibrate(
     if source == "auto":
         source = "truth" if knows_enough(log) else "residuals"
     if source == "truth":
-        return _from_truth(log, sensor, degrees)
-    return _from_residuals(log, motion, sensor, degrees)
-
-
-def _from_truth(log: Log, sensor: SensorModel, degrees: float | None) -> Calibration:
-    if not knows_enough(log):
-        raise LogError(
-            f"{log.name} has no ground truth with headings and landmarks that were seen; estimate its noise from residuals"
-        )
-    moved = None if log.controls is None else motion_noise(log, degrees)
-    seen, line = sensor_noise(log, sensor, degrees)
-    calibration = _calibration("truth", moved, seen, sensor)
-    errors = calibration.errors | {"range_scale": line.scale_error, "range_bias": line.bias_error}
-    return replace(calibration, range_scale=line.scale, range_bias=line.bias, errors=errors)
-
-
-def _from_residuals(log: Log, motion: MotionModel, sensor: SensorModel, degrees: float | None) -> Calibration:
-    if log.controls is None:
-        raise LogError(f"{log.name} has no controls, and residuals alone do not determine the noise without them")
-    settled = noise_from_residuals(log, motion, sensor, degrees)
-    calibration = _calibration("residuals", settled.motion, settled.sensor, sensor)
-    if settled.converged:
-        return calibration
-    return replace(
-        calibration, notes=(*calibration.notes, f"the variances had not settled after {settled.rounds} rounds")
-    )
-
-
-def _calibration(source: str, moved: VarianceFit | None, seen: VarianceFit, sensor: SensorModel) -> Calibration:
+        if not knows_enough(log):
+            raise LogError(
+                f"{log.name} has no ground truth with headings and landmarks that were seen; estimate its noise from "
+                "residuals"
+            )
+        moved = None if log.controls is None else motion_noise(log, degrees)
+        seen, line, line_errors = sensor_noise(log, sensor, degrees)
+        converged = True
+    else:
+        if log.controls is None:
+            raise LogError(f"{log.name} has no controls, and residuals alone do not determine the noise without them")
+        moved, seen, converged = noise_from_residuals(log, motion, sensor, degrees)
+        line, line_errors = {}, {}
     fits = {"sensor": seen} if moved is None else {"motion": moved, "sensor": seen}
     notes = [
         f"{what} have heavy tails ({fits[name].degrees:.1f} degrees of freedom): the values describe typical {what}, "
@@ -154,21 +137,15 @@ def _calibration(source: str, moved: VarianceFit | None, seen: VarianceFit, sens
         )
         if name in fits and fits[name].degrees < HEAVY
     ]
+    if not converged:
+        notes.append(f"the variances had not settled after {MAX_ROUNDS} rounds")
     return Calibration(
-        motion=None if moved is None else motion_model(moved.variances),
-        sensor=sensor_model(seen.variances, sensor),
-        errors={name: error for fit in fits.values() for name, error in _errors(fit).items()},
+        motion=None if moved is None else with_variances(motion, moved.variances),
+        sensor=with_variances(sensor, seen.variances),
+        **line,
+        errors={name: error for fit in fits.values() for name, error in fit.errors_of_model().items()} | line_errors,
         degrees={name: fit.degrees for name, fit in fits.items()},
         counts={name: fit.count for name, fit in fits.items()},
         source=source,
         notes=tuple(notes),
     )
-
-
-def _errors(fit: VarianceFit) -> dict[str, float]:
-    """The standard errors of the model's numbers: standard deviations, except for epsilon, which is a variance."""
-    return {
-        name: error if name == "epsilon" or not value > 0 else error / (2 * value**0.5)
-        for name, error in fit.errors.items()
-        for value in (fit.variances[name],)
-    }

@@ -24,7 +24,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import digamma
 
 from ..edges import ObservationEdges, RelativePoseEdges
 from ..errors import GraphError
@@ -34,19 +33,13 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from ..solvers.solve import solve
 from ..uncertainty import Uncertainty
-from .parts import (
-    LEAST_EPSILON,
-    motion_parts,
-    motion_variances,
-    ordinary,
-    sensor_model,
-    sensor_parts,
-    sensor_variances,
-)
-from .variances import FEWEST, MOST, VarianceFit, standard_errors
+from .parts import LEAST_EPSILON, motion_parts, ordinary, sensor_parts, variances_of, with_variances
+from .variances import FEWEST, MOST, VarianceFit, slope_by_nu, standard_errors
 
 #: converged when no variance, made e times larger or smaller, would change the log likelihood by more than this
 SETTLED = 0.1
+#: the most graphs to solve
+MAX_ROUNDS = 200
 #: the greatest factor by which a variance changes in one round
 FASTEST = 10.0
 #: a part that explains less than this fraction of the edges' variance is zero
@@ -77,10 +70,7 @@ class _Share:
         pulled = np.einsum("eij,ej->ei", W, residuals)
         d = residuals.shape[1]
         squares = np.einsum("ei,ei->e", residuals, pulled) + np.einsum("eij,eji->e", W, leverage)
-        if self.degrees is None:
-            self.nu = degrees_of_freedom(squares[self.counted], d)
-        else:
-            self.nu = self.degrees
+        self.nu = degrees_of_freedom(squares[self.counted], d) if self.degrees is None else self.degrees
         self.weights = np.ones(len(squares)) if np.isinf(self.nu) else (self.nu + d) / (self.nu + squares)
         u = self.weights * self.counted
         fitted = W @ leverage @ W
@@ -115,26 +105,18 @@ class _Share:
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Settled:
-    """The result of `noise_from_residuals`, the number of rounds, and whether the variances converged."""
-
-    motion: VarianceFit
-    sensor: VarianceFit
-    rounds: int
-    converged: bool
-
-
 def noise_from_residuals(
-    log: Log, motion: MotionModel, sensor: SensorModel, degrees: float | None = None, max_rounds: int = 200
-) -> Settled:
+    log: Log, motion: MotionModel, sensor: SensorModel, degrees: float | None = None
+) -> tuple[VarianceFit, VarianceFit, bool]:
     """The variances of both models, from a graph with landmark nodes and motion edges.
 
     Args:
         log: with controls and ids.
         motion, sensor: the start of the search. Variances that are zero start at a fraction of the others.
         degrees: of freedom of both; None to estimate them, infinity for Gaussian noise.
-        max_rounds: the most graphs to solve.
+
+    Returns:
+        The fits of motion and sensor, and whether they converged within `MAX_ROUNDS` rounds.
 
     Raises:
         GraphError: the log has no controls, or its graph is not determined.
@@ -143,8 +125,8 @@ def noise_from_residuals(
     anchor, seen, driven = graph.families
     assert isinstance(seen, ObservationEdges) and isinstance(driven, RelativePoseEdges)
     regular = ordinary(log)
-    moved = _share(motion_parts(log), motion_variances(motion), regular, degrees)
-    sighted = _share(sensor_parts(log.sightings), sensor_variances(sensor), np.ones(seen.count, dtype=bool), degrees)
+    moved = _share(motion_parts(log), variances_of(motion), regular, degrees)
+    sighted = _share(sensor_parts(log.sightings), variances_of(sensor), np.ones(seen.count, dtype=bool), degrees)
     across_gaps = log.motions(motion)[1][~regular]
 
     def models() -> Graph:
@@ -152,12 +134,11 @@ def noise_from_residuals(
         covariances[~regular] = across_gaps
         information = np.linalg.inv(covariances)
         information = moved.weights[:, None, None] * (information + np.swapaxes(information, 1, 2)) / 2
-        weighted = replace(seen, sensor=sensor_model(sighted.variances, sensor), kernel=None, trust=sighted.weights)
+        weighted = replace(seen, sensor=with_variances(sensor, sighted.variances), kernel=None, trust=sighted.weights)
         return replace(graph, families=(anchor, weighted, replace(driven, information=information)))
 
     current, state = graph, solve(graph, tolerance=1e-4).state
-    rounds, converged = 0, False
-    while rounds < max_rounds and not converged:
+    for rounds in range(MAX_ROUNDS):
         if rounds > 0:
             current = models().with_initial(state)
             state = solve(current, tolerance=1e-6, max_iterations=20, initialize="given").state
@@ -168,19 +149,16 @@ def noise_from_residuals(
         for share, family in ((sighted, current.families[1]), (moved, current.families[2])):
             taken = family.linearize(state, state)
             slope = max(slope, share.improve(taken.residuals, uncertainty.of_edges(taken)))
-        rounds += 1
-        converged = slope < SETTLED
-    return Settled(moved.fit(), sighted.fit(), rounds, converged)
+        if slope < SETTLED:
+            break
+    return moved.fit(), sighted.fit(), slope < SETTLED
 
 
 def degrees_of_freedom(squares: Array, d: int) -> float:
     """The maximum-likelihood nu for squared Mahalanobis norms (E,) of d-vectors; infinite from `MOST` on."""
 
     def slope(log_nu: float) -> float:
-        nu = np.exp(log_nu)
-        weights = (nu + d) / (nu + squares)
-        of_gamma = digamma((nu + d) / 2) - digamma(nu / 2) - d / nu
-        return float(of_gamma + np.mean(-np.log1p(squares / nu) + weights * squares / nu))
+        return slope_by_nu(squares, d, np.exp(log_nu))
 
     low, high = np.log(FEWEST), np.log(MOST)
     if slope(low) <= 0:

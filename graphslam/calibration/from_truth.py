@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..errors import LogError
@@ -15,16 +13,6 @@ from .variances import VarianceFit, fit_variances
 
 #: scale and bias have converged when they change by less than this
 SETTLED = 1e-6
-
-
-@dataclass(frozen=True)
-class RangeLine:
-    """measured range = scale * range + bias, with the standard errors of both."""
-
-    scale: float
-    bias: float
-    scale_error: float
-    bias_error: float
 
 
 def knows_enough(log: Log) -> bool:
@@ -81,8 +69,10 @@ def straightened(log: Log, moved: Array, e: Array) -> Array:
     return np.where((np.abs(turn) < np.pi)[:, None], straight, e)
 
 
-def sensor_noise(log: Log, sensor: SensorModel, degrees: float | None = None) -> tuple[VarianceFit, RangeLine]:
-    """The variances of the sensor, and the line by which it measures ranges.
+def sensor_noise(
+    log: Log, sensor: SensorModel, degrees: float | None = None
+) -> tuple[VarianceFit, dict[str, float], dict[str, float]]:
+    """The variances of the sensor, the line by which it measures ranges ("range_scale", "range_bias"), and its errors.
 
     Line and variances are estimated in turn: the line by least squares with the variances and weights of the last fit,
     the variances from the ranges that the line corrects. The noise is assumed to grow with the true range; if it grew
@@ -120,4 +110,5 @@ def sensor_noise(log: Log, sensor: SensorModel, degrees: float | None = None) ->
     # the expected information of Student's t, as a fraction of the Gaussian one
     share = 1.0 if np.isinf(fit.degrees) else (fit.degrees + n) / (fit.degrees + n + 2)
     covariance = np.linalg.inv(lines.T @ (lines * (share / variance)[:, None])) * scale**2
-    return fit, RangeLine(scale, bias, float(covariance[0, 0] ** 0.5), float(covariance[1, 1] ** 0.5))
+    names, errors = ("range_scale", "range_bias"), np.sqrt(np.diag(covariance)).tolist()
+    return fit, dict(zip(names, (scale, bias))), dict(zip(names, errors))

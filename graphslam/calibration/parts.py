@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
+
+Model = TypeVar("Model", MotionModel, SensorModel)
 
 #: the standard deviations of the models
 OF_MOTION = tuple(f.name for f in fields(MotionModel) if f.name != "epsilon")
@@ -40,15 +42,15 @@ def motion_parts(log: Log) -> dict[str, Array]:
     return parts
 
 
-def motion_model(variances: Mapping[str, float]) -> MotionModel:
-    """The model with these variances; epsilon is `LEAST_EPSILON` at least."""
-    deviations = {name: variances[name] ** 0.5 for name in OF_MOTION}
-    return MotionModel(**deviations, epsilon=max(variances["epsilon"], LEAST_EPSILON))
+def variances_of(model: MotionModel | SensorModel) -> dict[str, float]:
+    """The variances of a model by the names of its fields."""
+    return {n: value if n == "epsilon" else value**2 for n, value in vars(model).items() if n != "offset"}
 
 
-def motion_variances(motion: MotionModel) -> dict[str, float]:
-    """The variances of a model."""
-    return {name: getattr(motion, name) ** 2 for name in OF_MOTION} | {"epsilon": motion.epsilon}
+def with_variances(model: Model, variances: Mapping[str, float]) -> Model:
+    """The model with these variances, epsilon at least `LEAST_EPSILON`; fields that are not named stay."""
+    numbers: dict[str, Any] = {n: max(v, LEAST_EPSILON) if n == "epsilon" else v**0.5 for n, v in variances.items()}
+    return replace(model, **numbers)
 
 
 def ordinary(log: Log) -> np.ndarray:
@@ -63,14 +65,3 @@ def sensor_parts(sightings: Array) -> dict[str, Array]:
     least = _EXACT.Q(sightings)
     parts = {name: SensorModel(**(_TINY | {name: 1.0})).Q(sightings) - least for name in OF_SENSOR}
     return {name: C for name, C in parts.items() if C.any()}
-
-
-def sensor_model(variances: Mapping[str, float], like: SensorModel) -> SensorModel:
-    """The model ``like`` with these variances; offset, and the noise of psi where it is not measured, stay."""
-    deviations: dict[str, Any] = {name: variance**0.5 for name, variance in variances.items()}
-    return replace(like, **deviations)
-
-
-def sensor_variances(sensor: SensorModel) -> dict[str, float]:
-    """The variances of a model."""
-    return {name: getattr(sensor, name) ** 2 for name in OF_SENSOR}

@@ -50,6 +50,13 @@ class VarianceFit:
     weights: Array
     count: int
 
+    def errors_of_model(self) -> dict[str, float]:
+        """The standard errors of the model's numbers: standard deviations, except for epsilon, which is a variance."""
+        return {
+            name: self.errors[name] if name == "epsilon" or not value > 0 else self.errors[name] / (2 * value**0.5)
+            for name, value in self.variances.items()
+        }
+
 
 def fit_variances(
     residuals: Array, parts: Mapping[str, Array], *, degrees: float | None = None, start: VarianceFit | None = None
@@ -132,11 +139,17 @@ def _log_likelihood(e: Array, C: Array, theta: Array, nu: float) -> tuple[float,
         tails = np.log1p(squares / nu)
         value = count * float(constant) - 0.5 * logdet - (nu + d) / 2 * float(tails.sum())
         weights = (nu + d) / (nu + squares)
-        by_nu = 0.5 * count * (digamma((nu + d) / 2) - digamma(nu / 2) - d / nu)
-        by_nu += 0.5 * float(np.sum(-tails + weights * squares / nu))
+        by_nu = slope_by_nu(squares, d, nu)
     by_theta = 0.5 * np.einsum("e,ei,peij,ej->p", weights, pulled, C, pulled, optimize=True)
     by_theta -= 0.5 * np.einsum("eij,peji->p", information, C)
-    return value, by_theta, float(by_nu)
+    return value, by_theta, by_nu
+
+
+def slope_by_nu(squares: Array, d: int, nu: float) -> float:
+    """The derivative by nu of the sum of log t_nu, for the squared Mahalanobis norms (E,) of d-vectors."""
+    weights = (nu + d) / (nu + squares)
+    of_gamma = digamma((nu + d) / 2) - digamma(nu / 2) - d / nu
+    return 0.5 * len(squares) * float(of_gamma) + 0.5 * float(np.sum(-np.log1p(squares / nu) + weights * squares / nu))
 
 
 def standard_errors(information: Array, C: Array, theta: Array, nu: float) -> Array:

@@ -26,8 +26,8 @@ from ..reading import ReadOptions
 from .base import Format, errors_name
 from .text import number, whole
 
-_COLUMNS = {"delta": (2,), "u": (4,), "x": (5,), "z": (5, 6)}
-_FORM = {"delta": "delta DT", "u": "u t NU OMEGA", "x": "x t X Y THETA", "z": "z t ID RANGE BEARING [PSI]"}
+#: the columns of each kind of line; the last one of z may be missing
+_COLUMNS = {"delta": "DT", "u": "t NU OMEGA", "x": "t X Y THETA", "z": "t ID RANGE BEARING PSI"}
 
 
 def _recognises(_: Path, head: bytes) -> bool:
@@ -37,7 +37,7 @@ def _recognises(_: Path, head: bytes) -> bool:
 
 
 class _Reader:
-    """Collects the lines of one file; each method takes the words of one kind of line."""
+    """Collects the lines of one file."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.line = path, 0
@@ -51,51 +51,42 @@ class _Reader:
     def error(self, message: str) -> FormatError:
         return FormatError(self.path, self.line or None, message)
 
-    def numbers(self, columns: tuple[str, ...], words: list[str]) -> list[float]:
-        return [number(self.path, self.line, *pair) for pair in zip(columns, words)]
-
-    def take(self, line: int, words: list[str]) -> None:
-        self.line, tag = line, words[0]
+    def take(self, line: int, tag: str, words: list[str]) -> None:
+        self.line = line
         if tag not in _COLUMNS:
             raise self.error(f"unknown line tag {tag!r}; expected delta, u, x or z")
-        if len(words) not in _COLUMNS[tag]:
-            raise self.error(f"expected {_FORM[tag]!r}, found {len(words)} columns in {' '.join(words)!r}")
-        getattr(self, f"take_{tag}")(words[1:])
+        columns = _COLUMNS[tag].split()
+        if len(words) != len(columns) and (tag, len(words)) != ("z", 4):
+            form = f"{tag} {_COLUMNS[tag].replace('PSI', '[PSI]')}"
+            raise self.error(f"expected {form!r}, found {1 + len(words)} columns in {' '.join([tag, *words])!r}")
+        names = {"t": "the step number"}
+        integers = [whole(self.path, line, names.get(c, c), w) for c, w in zip(columns, words) if c in ("t", "ID")]
+        values = [number(self.path, line, c, w) for c, w in zip(columns, words) if c not in ("t", "ID")]
+        if tag == "delta":
+            if self.delta is not None:
+                raise self.error("a second delta line; a log has one step time")
+            (self.delta,) = values
+            if self.delta <= 0:
+                raise self.error(f"delta is {words[0]}; a step must last longer than 0 s")
+        elif tag == "z":
+            self.take_sighting(integers[0], integers[1], values)
+        else:
+            rows = self.controls if tag == "u" else self.poses
+            if (step := integers[0]) != (expected := len(rows)):
+                how = "jumps" if step > expected else ("repeats" if step == expected - 1 else "runs backwards")
+                raise self.error(f"step number {how}: expected '{tag} {expected}', found '{tag} {step}'")
+            if tag == "u" and self.delta is None:
+                raise self.error("a control before any delta line; a log with controls begins with 'delta DT'")
+            rows.append(values)
 
-    def take_delta(self, words: list[str]) -> None:
-        if self.delta is not None:
-            raise self.error("a second delta line; a log has one step time")
-        (self.delta,) = self.numbers(("DT",), words)
-        if self.delta <= 0:
-            raise self.error(f"delta is {words[0]}; a step must last longer than 0 s")
-
-    def counted(self, tag: str, word: str, expected: int) -> None:
-        step = whole(self.path, self.line, "the step number", word)
-        if step != expected:
-            how = "jumps" if step > expected else ("repeats" if step == expected - 1 else "runs backwards")
-            raise self.error(f"step number {how}: expected '{tag} {expected}', found '{tag} {step}'")
-
-    def take_u(self, words: list[str]) -> None:
-        self.counted("u", words[0], len(self.controls))
-        if self.delta is None:
-            raise self.error("a control before any delta line; a log with controls begins with 'delta DT'")
-        self.controls.append(self.numbers(("NU", "OMEGA"), words[1:]))
-
-    def take_x(self, words: list[str]) -> None:
-        self.counted("x", words[0], len(self.poses))
-        self.poses.append(self.numbers(("X", "Y", "THETA"), words[1:]))
-
-    def take_z(self, words: list[str]) -> None:
-        step = whole(self.path, self.line, "the step number", words[0])
-        landmark = whole(self.path, self.line, "ID", words[1])
+    def take_sighting(self, step: int, landmark: int, values: list[float]) -> None:
         current = len(self.poses) - 1
         if step != current:
             how = "runs backwards" if 0 <= step < current else "jumps"
             latest = f"'x {current}'" if current >= 0 else "missing"
             raise self.error(f"step number {how}: a sighting of step {step}, but the latest pose line is {latest}")
-        values = self.numbers(("RANGE", "BEARING", "PSI"), words[2:])
         if values[0] <= 0:
-            raise self.error(f"range {words[2]} m; a range must be above zero")
+            raise self.error(f"range {values[0]:g} m; a range must be above zero")
         if self.sightings and len(values) != len(self.sightings[0]):
             have, other = "has no PSI" if len(values) == 2 else "has PSI", next(iter(self.lines.values()))
             raise self.error(f"this sighting {have}, unlike line {other}; all must be alike")
@@ -128,8 +119,8 @@ class _Reader:
 def _read(path: Path, _: ReadOptions) -> Log:
     reader = _Reader(path)
     for line, content in enumerate(read_text(path).splitlines(), start=1):
-        if content.strip():
-            reader.take(line, content.split())
+        if words := content.split():
+            reader.take(line, words[0], words[1:])
     with errors_name(path):
         return reader.log()
 

@@ -15,8 +15,8 @@ Variables (K = 12,609 times, L = 17 landmarks)::
 Ids of landmarks are their columns, from 0. Peculiarities: v and om of row k belong to the motion from row k-1 to row k
 (the course's x_k = f(x_{k-1}, v_k)). The robot drives 0.074 rad (4.3 degrees) to the right of its true heading, to which
 the bearings do fit, so its motion has a constant part to the side. The truth is not valid everywhere; it is NaN here
-where it is not. Every time is a pose, with or without sightings: `Log.at_steps` and `Log.where_seen` keep fewer poses and
-join the motions between them.
+where it is not. Every time is a pose, with or without sightings: `Log.at_steps` keeps fewer poses and joins the
+motions between them.
 """
 
 from __future__ import annotations

@@ -27,13 +27,14 @@ import warnings
 from collections import Counter, deque
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ..checks import check_choice, first
 from ..errors import FormatError
 from ..files import read_text, write_whole
-from ..se2 import Array, compose, inverse, rotation, transform, wrap
+from ..se2 import Array, compose, inverse, transform, turn_matrix, wrap
 from .text import number, whole
 
 DIALECTS = ("g2o", "toro", "isam")
@@ -60,20 +61,13 @@ class PoseGraphFile:
     point_information: Array
 
 
-@dataclass
-class _Edges:
-    """The edge lines of one kind: the two ids, the numbers, the line and the tag of each."""
+class _Edge(NamedTuple):
+    """The line of an edge: its number and tag, the two ids, and the numbers."""
 
-    ids: list[list[int]] = field(default_factory=list)
-    numbers: list[list[float]] = field(default_factory=list)
-    lines: list[int] = field(default_factory=list)
-    tags: list[str] = field(default_factory=list)
-
-    def add(self, line: int, tag: str, ids: list[int], numbers: list[float]) -> None:
-        self.ids.append(ids)
-        self.numbers.append(numbers)
-        self.lines.append(line)
-        self.tags.append(tag)
+    line: int
+    tag: str
+    ids: list[int]
+    numbers: list[float]
 
 
 @dataclass
@@ -81,13 +75,12 @@ class _Lines:
     """The lines of one file, sorted by kind."""
 
     path: Path
+    tags: Counter[str] = field(default_factory=Counter)
     poses: dict[int, list[float]] = field(default_factory=dict)
     landmarks: dict[int, list[float]] = field(default_factory=dict)
     fixed: dict[int, int] = field(default_factory=dict)
-    pose_edges: _Edges = field(default_factory=_Edges)
-    point_edges: _Edges = field(default_factory=_Edges)
-    tags: Counter[str] = field(default_factory=Counter)
-    unknown: Counter[str] = field(default_factory=Counter)
+    pose_edges: list[_Edge] = field(default_factory=list)
+    point_edges: list[_Edge] = field(default_factory=list)
 
 
 #: tag -> number of ids, number of numbers, form of the line
@@ -127,10 +120,10 @@ def read_pose_graph(path: Path, dialect: str | None = None, unknown: str = "erro
             lines.tags[words[0]] += 1
             _take(lines, line, words, unknown)
     tags = lines.tags
-    if lines.unknown:
-        counted = ", ".join(f"{count} x {tag}" for tag, count in lines.unknown.items())
+    if left_out := tags.keys() - {*_TAGS, "FIX"}:
+        counted = ", ".join(f"{count} x {tag}" for tag, count in tags.items() if tag in left_out)
         warnings.warn(f"{path}: left out lines with unknown tags: {counted}", UserWarning, stacklevel=3)
-    if not lines.pose_edges.ids and not lines.point_edges.ids:
+    if not lines.pose_edges and not lines.point_edges:
         raise FormatError(path, None, "no edges: a graph has at least one line like 'EDGE_SE2 i j x y theta ...'")
     if dialect is None:
         if "EDGE2" in tags and "VERTEX2" in tags and ("LANDMARK" in tags or "ODOMETRY" in tags):
@@ -156,7 +149,6 @@ def _take(lines: _Lines, line: int, words: list[str], unknown: str) -> None:
         if unknown == "error":
             known = ", ".join([*_TAGS, "FIX"])
             raise FormatError(path, line, f"unknown tag {tag!r}; known are {known} (unknown='skip' leaves others out)")
-        lines.unknown[tag] += 1
         return
     num_ids, count, form = _TAGS[tag]
     if len(words) != 1 + num_ids + count:
@@ -166,7 +158,7 @@ def _take(lines: _Lines, line: int, words: list[str], unknown: str) -> None:
     if num_ids == 2:
         if count == 9 and ids[0] == ids[1]:
             raise FormatError(path, line, f"the edge goes from node {ids[0]} to itself; an edge ties two nodes")
-        (lines.pose_edges if count == 9 else lines.point_edges).add(line, tag, ids, numbers)
+        (lines.pose_edges if count == 9 else lines.point_edges).append(_Edge(line, tag, ids, numbers))
     elif ids[0] in lines.poses or ids[0] in lines.landmarks:
         raise FormatError(path, line, f"vertex {ids[0]} is given a second time; remove one of the two")
     else:
@@ -175,38 +167,31 @@ def _take(lines: _Lines, line: int, words: list[str], unknown: str) -> None:
 
 def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
     path = lines.path
-    pose_edges, point_edges = (
-        np.array(e.ids, dtype=np.int64).reshape(-1, 2) for e in (lines.pose_edges, lines.point_edges)
-    )
-    pose_numbers = np.array(lines.pose_edges.numbers).reshape(-1, 9)
-    point_numbers = np.array(lines.point_edges.numbers).reshape(-1, 5)
-    information = _information(path, lines.pose_edges, pose_numbers[:, 3:], edge2)
-    point_information = _information(path, lines.point_edges, point_numbers[:, 2:], edge2)
+    pose_edges, pose_numbers, information = _arrays(path, lines.pose_edges, 3, edge2)
+    point_edges, point_numbers, point_information = _arrays(path, lines.point_edges, 2, edge2)
     # the residual of g2o is turned by R(theta_z)' against ours
-    turn = np.broadcast_to(np.eye(3), (len(pose_edges), 3, 3)).copy()
-    turn[:, :2, :2] = rotation(pose_numbers[:, 2])
+    turn = turn_matrix(pose_numbers[:, 2])
     information = turn @ information @ np.swapaxes(turn, 1, 2)
 
     pose_values, landmark_values = lines.poses, lines.landmarks
     if not pose_values and not landmark_values:
         pose_values, landmark_values = _initial_values(pose_edges, pose_numbers, point_edges, point_numbers)
-        for edges in (lines.pose_edges, lines.point_edges):
-            for line, (i, _) in zip(edges.lines, edges.ids):
-                if i not in pose_values:
-                    raise FormatError(
-                        path,
-                        line,
-                        f"the graph falls into pieces: no edges lead from pose {next(iter(pose_values))} to pose {i}; add "
-                        "the edge that ties them, or give all vertices",
-                    )
-    for edges, ids, kind, values in (
-        (lines.pose_edges, pose_edges[:, 0], "pose", pose_values),
-        (lines.pose_edges, pose_edges[:, 1], "pose", pose_values),
-        (lines.point_edges, point_edges[:, 0], "pose", pose_values),
-        (lines.point_edges, point_edges[:, 1], "landmark", landmark_values),
+        for edge in (*lines.pose_edges, *lines.point_edges):
+            if edge.ids[0] not in pose_values:
+                raise FormatError(
+                    path,
+                    edge.line,
+                    f"the graph falls into pieces: no edges lead from pose {next(iter(pose_values))} to pose "
+                    f"{edge.ids[0]}; add the edge that ties them, or give all vertices",
+                )
+    for edges, last, of_last in (
+        (lines.pose_edges, "pose", pose_values),
+        (lines.point_edges, "landmark", landmark_values),
     ):
-        if (k := first(~np.isin(ids, np.fromiter(values, dtype=np.int64, count=len(values))))) is not None:
-            raise FormatError(path, edges.lines[k], f"the edge uses {kind} {ids[k]}, which no vertex line gives")
+        for edge in edges:
+            for id, kind, values in zip(edge.ids, ("pose", last), (pose_values, of_last)):
+                if id not in values:
+                    raise FormatError(path, edge.line, f"the edge uses {kind} {id}, which no vertex line gives")
     for node, line in lines.fixed.items():
         if node not in pose_values:
             raise FormatError(path, line, f"FIX names node {node}, which is no pose of the file")
@@ -222,36 +207,35 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
         pose_measured=np.column_stack([pose_numbers[:, :2], wrap(pose_numbers[:, 2])]),
         pose_information=information,
         point_edges=point_edges,
-        point_measured=point_numbers[:, :2],
+        point_measured=point_numbers,
         point_information=point_information,
     )
 
 
-def _information(path: Path, edges: _Edges, entries: Array, edge2: str) -> Array:
-    """The symmetric matrices (E, d, d) from their entries (E, 6 or 3) in the order of each tag's dialect."""
-    d = 3 if entries.shape[1] == 6 else 2
-    dialects = np.array([_DIALECT_OF.get(tag, edge2) for tag in edges.tags], dtype="U4")
-    information = np.zeros((len(entries), d, d))
-    for dialect in np.unique(dialects).tolist():
-        those = dialects == dialect
-        rows, columns = np.triu_indices(d)
-        if dialect == "toro":
-            rows, columns = np.array([0, 0, 1, 2, 0, 1]), np.array([0, 1, 1, 2, 2, 2])
-        matrices = np.zeros((int(those.sum()), d, d))
-        matrices[:, rows, columns] = entries[those]
-        if dialect == "isam":
-            with np.errstate(over="ignore", invalid="ignore"):
-                matrices = np.swapaxes(matrices, 1, 2) @ matrices
-        else:
-            matrices[:, columns, rows] = entries[those]
-        information[those] = matrices
+def _arrays(path: Path, edges: list[_Edge], d: int, edge2: str) -> tuple[np.ndarray, Array, Array]:
+    """The ids (E, 2) of edges, their measurements (E, d), and their information (E, d, d) from the order of the dialect."""
+    rows, columns = np.triu_indices(d)
+    ids = np.array([edge.ids for edge in edges], dtype=np.int64).reshape(-1, 2)
+    numbers = np.array([edge.numbers for edge in edges]).reshape(-1, d + len(rows))
+    dialects = np.array([_DIALECT_OF.get(edge.tag, edge2) for edge in edges], dtype="U4")
+    entries = numbers[:, d:]
+    if d == 3:
+        # TORO has 11 12 22 33 13 23
+        entries = np.where(dialects[:, None] == "toro", entries[:, [0, 1, 4, 2, 5, 3]], entries)
+    information = np.zeros((len(edges), d, d))
+    information[:, rows, columns] = entries
+    roots = dialects == "isam"
+    with np.errstate(over="ignore", invalid="ignore"):
+        squares = np.swapaxes(information[roots], 1, 2) @ information[roots]
+    information[:, columns, rows] = entries
+    information[roots] = squares
     if (k := first(~np.isfinite(information).all(axis=(1, 2)))) is not None:
-        raise FormatError(path, edges.lines[k], "the square-root information is so large that its square overflows")
+        raise FormatError(path, edges[k].line, "the square-root information is so large that its square overflows")
     smallest = np.linalg.eigvalsh(information)[:, 0]
     if (k := first(smallest < -1e-9 * np.abs(information).max(axis=(1, 2)))) is not None:
         what = f"the information is not positive semi-definite (eigenvalue {smallest[k]:.3g})"
-        raise FormatError(path, edges.lines[k], what)
-    return information
+        raise FormatError(path, edges[k].line, what)
+    return ids, numbers[:, :d], information
 
 
 def _initial_values(
@@ -277,20 +261,20 @@ def _initial_values(
                 if there in placed:
                     continue
                 if there == following.get(here) and not backwards:
-                    placed[there] = compose(placed[here], pose_numbers[k, :3])
+                    placed[there] = compose(placed[here], pose_numbers[k])
                     queue.appendleft(there)
                 else:
                     ahead.append((there, k, backwards, here))
         else:
             there, k, backwards, here = ahead.popleft()
             if there not in placed:
-                step = inverse(pose_numbers[k, :3]) if backwards else pose_numbers[k, :3]
+                step = inverse(pose_numbers[k]) if backwards else pose_numbers[k]
                 placed[there] = compose(placed[here], step)
                 queue.append(there)
     landmarks: dict[int, list[float]] = {}
     for (i, j), z in zip(point_edges.tolist(), point_numbers):
         if j not in landmarks and i in placed:
-            landmarks[j] = transform(placed[i], z[:2]).tolist()
+            landmarks[j] = transform(placed[i], z).tolist()
     return {k: pose.tolist() for k, pose in placed.items()}, landmarks
 
 
@@ -299,8 +283,7 @@ def write_g2o(data: PoseGraphFile, path: Path) -> None:
     out = [f"VERTEX_SE2 {k} {_numbers(pose)}" for k, pose in zip(data.pose_ids.tolist(), data.poses)]
     out += [f"VERTEX_XY {k} {_numbers(m)}" for k, m in zip(data.landmark_ids.tolist(), data.landmarks)]
     out += [f"FIX {k}" for k in data.fixed]
-    turn = np.broadcast_to(np.eye(3), (len(data.pose_edges), 3, 3)).copy()
-    turn[:, :2, :2] = rotation(-data.pose_measured[:, 2])
+    turn = turn_matrix(-data.pose_measured[:, 2])
     information = turn @ data.pose_information @ np.swapaxes(turn, 1, 2)
     upper = np.triu_indices(3)
     for (i, j), z, omega in zip(data.pose_edges.tolist(), data.pose_measured, information):

@@ -15,8 +15,8 @@ H = 0.76 m off the middle, and with L = 2.83 m between the axles nu = v / (1 - t
 L. Bearings have pi/2 straight ahead, and the laser sits a = 3.78 m ahead and b = 0.5 m to the left of the pose.
 Peculiarities: sightings have no id of their tree (`UNIDENTIFIED`); the sources differ on a (3.78 or 0.95 m); the first
 scans come before the odometry and are left out. GPS gives positions only, of its own antenna, with jumps of metres and
-gaps up to a minute: it is interpolated over at most `GPS_GAP` seconds. No noise is published: `MOTION` and `SENSOR` are
-our choice.
+gaps up to a minute: it is interpolated over short gaps only, as every truth (`synchronize`). No noise is published:
+`MOTION` and `SENSOR` are our choice.
 """
 
 from __future__ import annotations
@@ -41,9 +41,6 @@ WHEEL_BASE, ENCODER, LASER = 2.83, 0.76, (3.78, 0.5)
 
 #: the first pose: the first GPS position, and the heading that the sources give
 START = (-67.6493, -41.7142, math.radians(35.5))
-
-#: GPS is interpolated between positions at most this far apart [s]
-GPS_GAP = 0.5
 
 #: chosen by hand for wheel slip on grass and errors of the tree detection; no noise is published
 MOTION = MotionModel.constant(2.0, math.radians(10.0), epsilon=1e-6)
@@ -85,7 +82,6 @@ def _read(path: Path, options: ReadOptions) -> Log:
             np.full(len(seen_at), UNIDENTIFIED),
             options=options,
             truth=None if gps_path is None else _gps(gps_path),
-            truth_gap=GPS_GAP,
             start=START,
             name="victoria-park",
             notes=tuple(notes),

@@ -9,7 +9,7 @@ Source of the faults: Ueda, *LNPR*, chapter 3 (uncertainty in a mobile robot's m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, pi
 from typing import Any
 
@@ -92,7 +92,7 @@ def simulate(
     Raises:
         OptionError: an option has an impossible value.
     """
-    world = (world or World()).changed(**options)
+    world = replace(world or World(), **options)
     if world.clean and (motion_faults is not None or sensor_faults is not None):
         raise OptionError("clean means no faults: leave out motion_faults and sensor_faults, or clean")
     rng = np.random.default_rng(seed)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_positive, first
+from ..checks import first
 from ..errors import LogError
 from ..log import Log
 from ..models import MotionModel
@@ -50,8 +50,6 @@ def synchronize(
     truth: Stream | None = None,
     true_landmarks: Mapping[int, ArrayLike] | None = None,
     start: ArrayLike | None = None,
-    longest_gap: float = LONGEST_GAP,
-    truth_gap: float = TRUTH_GAP,
     name: str = "log",
     notes: tuple[str, ...] = (),
     **models: Any,
@@ -66,18 +64,21 @@ def synchronize(
         truth: poses (G, 3), interpolated in SE(2), or positions (G, 2), interpolated along lines.
         true_landmarks: {id: position}.
         start: the first pose (3,); default: the true one, or (0, 0, 0) where it is unknown.
-        longest_gap: odometry that is silent for longer [s] is refused. Above `BRIDGED_GAP` the last control is held,
-            with noise as large as the spread of all controls of the log, and a warning.
-        truth_gap: the truth is unknown between samples farther apart than this [s].
         name, notes, models: of the `Log`.
 
+    Odometry that is silent for longer than `BRIDGED_GAP` is bridged by its last control, with noise as large as the
+    spread of all controls of the log, and a warning. The truth is unknown between samples farther apart than `TRUTH_GAP`.
+
     Raises:
-        LogError: nothing is seen while there is odometry, times run backwards, or the odometry has too long a gap.
-        OptionError: an option is not above zero.
+        LogError: nothing is seen while there is odometry, times run backwards, or the odometry is silent for longer than
+            `LONGEST_GAP`.
     """
-    check_positive(longest_gap=longest_gap, truth_gap=truth_gap)
     for what, stream in (("odometry", odometry), ("sightings", sightings), ("truth", truth)):
-        check_times(what, stream)
+        if stream is not None and (k := first(np.diff(stream.times) < 0)) is not None:
+            raise LogError(
+                f"the times of the {what} run backwards in row {k + 2}: {stream.times[k + 1]:.3f} s comes after "
+                f"{stream.times[k]:.3f} s"
+            )
     if len(odometry) < 2:
         raise LogError(f"the odometry has {len(odometry)} rows, but motion takes two")
     inside = (sightings.times >= odometry.times[0]) & (sightings.times <= odometry.times[-1])
@@ -90,11 +91,11 @@ def synchronize(
     times = np.unique(seen)
     if options is not None and options.keep_every is not None:
         times = _filled(times, options.keep_every)
-    controls, dt, starts, variances, gaps = divide(odometry, times, longest_gap)
+    controls, dt, starts, variances, gaps = divide(odometry, times)
     if gaps:
         remarks.append(gap_note(gaps))
         warnings.warn(f"{name}: {remarks[-1]}", UserWarning, stacklevel=3)
-    true_poses = None if truth is None else truth_at(times, truth, truth_gap)
+    true_poses = None if truth is None else truth_at(times, truth)
     if true_poses is not None:
         covered = np.isfinite(true_poses[:, 0])
         if not covered.any():
@@ -103,8 +104,7 @@ def synchronize(
         elif not covered.all():
             remarks.append(f"the truth covers {covered.sum()} of {len(covered)} poses")
     if start is None:
-        known = true_poses is not None and bool(np.all(np.isfinite(true_poses[0])))
-        start = true_poses[0] if known and true_poses is not None else np.zeros(3)
+        start = np.zeros(3) if true_poses is None or np.isnan(true_poses[0]).any() else true_poses[0]
     return Log(
         dt=dt,
         controls=controls,
@@ -123,16 +123,14 @@ def synchronize(
     )
 
 
-def divide(
-    odometry: Stream, times: Array, longest_gap: float = LONGEST_GAP
-) -> tuple[Array, Array, np.ndarray, Array | None, list[float]]:
+def divide(odometry: Stream, times: Array) -> tuple[Array, Array, np.ndarray, Array | None, list[float]]:
     """The pieces of the controls between poses at ``times`` (T+1,), which increase and lie within those of the odometry.
 
     Returns:
         controls (S, 2), dt (S,), control_starts (T+1,), control_variances (S, 2) or None, and the bridged gaps [s].
 
     Raises:
-        LogError: a gap is longer than ``longest_gap`` [s].
+        LogError: a gap is longer than `LONGEST_GAP`.
     """
     within = (odometry.times > times[0]) & (odometry.times < times[-1])
     cuts = np.union1d(odometry.times[within], times)
@@ -140,7 +138,7 @@ def divide(
     row = np.searchsorted(odometry.times, cuts[:-1], side="right") - 1
     following = np.minimum(row + 1, len(odometry) - 1)
     silence = odometry.times[following] - odometry.times[row]
-    check_gaps(silence, odometry.times[row], longest_gap)
+    check_gaps(silence, odometry.times[row])
     lasting = np.diff(cuts)
     bridged = silence > BRIDGED_GAP
     gaps = silence[bridged][np.unique(row[bridged], return_index=True)[1]].tolist()
@@ -148,11 +146,11 @@ def divide(
     return odometry.rows[row], lasting, np.searchsorted(cuts, times), variances, gaps
 
 
-def check_gaps(silence: Array, after: Array, longest_gap: float = LONGEST_GAP) -> None:
+def check_gaps(silence: Array, after: Array) -> None:
     """Raise `LogError` where the odometry is silent for too long; ``silence`` (N,) follows the times ``after`` (N,) [s]."""
-    if (k := first(silence > longest_gap)) is not None:
+    if (k := first(silence > LONGEST_GAP)) is not None:
         raise LogError(
-            f"the odometry is silent for {silence[k]:.1f} s after t = {after[k]:.3f} s, longer than {longest_gap:g} s: "
+            f"the odometry is silent for {silence[k]:.1f} s after t = {after[k]:.3f} s, longer than {LONGEST_GAP:g} s: "
             "cut the log there"
         )
 
@@ -177,8 +175,8 @@ def gap_note(gaps: list[float]) -> str:
     return f"{what} in the odometry: bridged by the last control, with noise as large as the spread of all controls"
 
 
-def truth_at(times: Array, truth: Stream, gap: float = TRUTH_GAP) -> Array:
-    """The true poses (T+1, 3) at ``times``, interpolated between samples at most ``gap`` [s] apart, NaN elsewhere.
+def truth_at(times: Array, truth: Stream) -> Array:
+    """The true poses (T+1, 3) at ``times``, interpolated between samples at most `TRUTH_GAP` apart, NaN elsewhere.
 
     Positions without headings, (G, 2), become rows (x, y, NaN).
     """
@@ -193,22 +191,13 @@ def truth_at(times: Array, truth: Stream, gap: float = TRUTH_GAP) -> Array:
     apart = at[after] - at[before]
     share = (times - at[before]) / apart
     # a sample at exactly this time needs no neighbour
-    known = ((share >= 0) & (share <= 1) & (apart <= gap)) | (share == 0) | (share == 1)
+    known = ((share >= 0) & (share <= 1) & (apart <= TRUTH_GAP)) | (share == 0) | (share == 1)
     a, b, s = rows[before[known]], rows[after[known]], share[known]
     if rows.shape[1] == 2:
         poses[known, :2] = a + s[:, None] * (b - a)
     else:
         poses[known] = interpolate(a, b, s)
     return poses
-
-
-def check_times(what: str, stream: Stream | None) -> None:
-    """Raise `LogError` where times run backwards."""
-    if stream is not None and (k := first(np.diff(stream.times) < 0)) is not None:
-        raise LogError(
-            f"the times of the {what} run backwards in row {k + 2}: {stream.times[k + 1]:.3f} s comes after "
-            f"{stream.times[k]:.3f} s"
-        )
 
 
 def _filled(times: Array, most: float) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.resources import files
 from math import pi
 from pathlib import Path
@@ -65,14 +65,6 @@ class World:
         else:
             rule = "landmarks must be a number or an array of shape (L, 2) or (L, 3)"
             object.__setattr__(self, "landmarks", _places(rule, landmarks, (2, 3)))
-
-    def changed(self, **options: Any) -> World:
-        """This world with some options replaced.
-
-        Raises:
-            OptionError: an option has an impossible value.
-        """
-        return replace(self, **options)
 
 
 def _places(rule: str, value: Any, columns: tuple[int, ...]) -> Places:

@@ -79,9 +79,9 @@ def test_against_the_textbooks_equations(columns: int, version: int) -> None:
                 moved = textbook.sample_motion(particle.pose, CONTROL, DT, motion, normals[i])
                 belief = textbook.predict_pose(particle.pose, CONTROL, DT, motion)
                 if version == 1:
-                    belief = textbook.PoseBelief(moved, np.zeros((3, 3)))
+                    belief = textbook.Gaussian(moved, np.zeros((3, 3)))
             else:
-                moved, belief = particle.pose, textbook.PoseBelief(particle.pose, np.zeros((3, 3)))
+                moved, belief = particle.pose, textbook.Gaussian(particle.pose, np.zeros((3, 3)))
             names = sorted(particle.map)
             scores = np.array(
                 [[textbook.correct_pose(belief, particle.map[j], one, sensor)[1] for j in names] for one in z]
@@ -230,8 +230,8 @@ def test_the_gate_keeps_every_possible_pair(columns: int) -> None:
         roots = rng.normal(0, 0.15, (2, 3, 3))
         P, S = (root @ root.T for root in roots)
         mean = np.array([*rng.uniform(-4, 4, 2), 0.3])[:columns]
-        belief = textbook.PoseBelief(rng.normal(0, 0.5, 3), P)
-        landmark = textbook.Landmark(mean, S[:columns, :columns])
+        belief = textbook.Gaussian(rng.normal(0, 0.5, 3), P)
+        landmark = textbook.Gaussian(mean, S[:columns, :columns])
         z = sensor.h(belief.mean, mean) + rng.normal(0, 1.0, (40, columns))
         z[:, 0] = np.abs(z[:, 0]) + 0.1
         Q = sensor.Q(z)

@@ -102,7 +102,7 @@ def test_a_second_call_in_a_step_weighs_as_in_1() -> None:
     slam.observe([1], z[1:])
     np.testing.assert_array_equal(slam.state.poses, poses)
     expected = before + [
-        textbook.log_likelihood(pose, textbook.Landmark(m.mean, m.covariance), z[1], slam.sensor)
+        textbook.log_likelihood(pose, textbook.Gaussian(m.mean, m.covariance), z[1], slam.sensor)
         for pose, m in zip(poses, maps, strict=True)
     ]
     np.testing.assert_allclose(slam.state.log_weights, expected - np.log(np.exp(expected).sum()), atol=1e-10)

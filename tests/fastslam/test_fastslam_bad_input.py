@@ -27,7 +27,7 @@ def make(cls: type, **options: object) -> FastSLAM1 | FastSLAM2 | MonteCarloLoca
         ({"particles": 10.5}, "particles must be a whole number"),
         ({"resampling": "best"}, "resampling must be one of systematic"),
         ({"ess_threshold": 1.5}, "ess_threshold must lie between"),
-        ({"ess_threshold": float("nan")}, "ess_threshold must lie between"),
+        ({"ess_threshold": float("nan")}, "ess_threshold must be a number between 0 and 1"),
         ({"ess_threshold": "half"}, "ess_threshold must be a number between 0 and 1"),
         ({"seed": -1}, "seed must be a whole number, not below 0"),
         ({"seed": 1.5}, "seed must be a whole number"),

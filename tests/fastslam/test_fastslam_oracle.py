@@ -111,7 +111,7 @@ def test_the_textbook_with_one_particle() -> None:
 def test_textbook_restores_vanished_weights() -> None:
     particles = textbook.start(3, (1.0, 2.0, 0.0))
     for particle in particles:
-        particle.map[0] = textbook.Landmark(np.array([1.0, 2.0]), np.eye(2))
+        particle.map[0] = textbook.Gaussian(np.array([1.0, 2.0]), np.eye(2))
     assert textbook.observation_update(particles, [0], [np.array([1.0, 0.0])], FastSLAM1().sensor)
     np.testing.assert_allclose([particle.log_weight for particle in particles], -np.log(3))
     np.testing.assert_array_equal(particles[0].map[0].mean, [1.0, 2.0])

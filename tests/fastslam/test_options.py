@@ -5,20 +5,17 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import fields
-from typing import get_type_hints
 
 import numpy as np
 import pytest
 
 import fastslam
 from fastslam import FastSLAM1, FastSLAM2, FilterOptions, MonteCarloLocalization, warm_up
-from fastslam.options import FilterKeywords
 from graphslam import OptionError, simulate
 
 
-def test_every_option_has_help_and_a_typed_keyword() -> None:
+def test_every_option_has_help() -> None:
     assert all(option.metadata["help"].endswith(".") for option in fields(FilterOptions))
-    assert get_type_hints(FilterKeywords) == get_type_hints(FilterOptions)
 
 
 def test_an_options_object_is_the_same_as_keywords() -> None:

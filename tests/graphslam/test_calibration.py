@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from graphslam import Graph, Log, LogError, MotionModel, OptionError, SensorModel, calibrate, simulate, solve
-from graphslam.calibration.parts import motion_parts, motion_variances, sensor_parts, sensor_variances
+from graphslam.calibration.parts import motion_parts, sensor_parts, variances_of
 from graphslam.calibration.variances import fit_variances, standard_errors
 from graphslam.uncertainty import Uncertainty
 
@@ -117,10 +117,10 @@ def test_wrong_sightings_and_slips_do_not_blow_the_noise_up() -> None:
 def test_the_parts_make_up_the_models() -> None:
     log = drive(0, steps=30, orientation=True)
     motion = MotionModel(nn=0.1, no=0.2, on=0.3, oo=0.4, sigma_v=0.5, sigma_omega=0.6, epsilon=1e-3)
-    parts, variances = motion_parts(log), motion_variances(motion)
+    parts, variances = motion_parts(log), variances_of(motion)
     whole = sum(variances[name] * part for name, part in parts.items())
     np.testing.assert_allclose(whole, log.motions(motion)[1], rtol=1e-9, atol=1e-15)
-    parts, variances = sensor_parts(log.sightings), sensor_variances(SENSOR)
+    parts, variances = sensor_parts(log.sightings), variances_of(SENSOR)
     np.testing.assert_allclose(sum(variances[n] * C for n, C in parts.items()), SENSOR.Q(log.sightings))
 
 

@@ -11,7 +11,6 @@ from graphslam import OptionError
 from graphslam.metrics import (  # fmt: skip
     Metrics,
     align,
-    aligned,
     ate,
     evaluate,
     heading_rmse,
@@ -191,11 +190,6 @@ def test_evaluate_says_none_where_the_truth_is_silent() -> None:
     # a single pose always fits
     alone = np.arange(len(truth)) == 3
     assert evaluate(truth, landmarks, estimate, landmarks, mask=alone) == Metrics()
-
-
-def test_aligned_carries_headings_too() -> None:
-    truth, _ = walk(6)
-    np.testing.assert_allclose(aligned(truth, compose([1.0, 2, 3], truth)), truth, atol=1e-9)
 
 
 @pytest.mark.parametrize(

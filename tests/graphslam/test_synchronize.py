@@ -67,9 +67,9 @@ def test_a_pose_at_least_every_so_often():
 
 
 def test_truth_is_interpolated_where_it_is_dense_and_nan_elsewhere():
-    # a quarter turn on the unit circle in one second, then silence
-    truth = Stream(np.array([0.0, 1.0, 9.0]), np.array([[1.0, 0, np.pi / 2], [0, 1, np.pi], [5, 5, 0]]))
-    poses = truth_at(np.array([-0.1, 0.0, 0.5, 1.0, 2.0, 9.0, 9.5]), truth, gap=1.0)
+    # a quarter turn on the unit circle in half a second, then silence
+    truth = Stream(np.array([0.0, 0.5, 9.0]), np.array([[1.0, 0, np.pi / 2], [0, 1, np.pi], [5, 5, 0]]))
+    poses = truth_at(np.array([-0.1, 0.0, 0.25, 0.5, 2.0, 9.0, 9.5]), truth)
     half = np.sqrt(0.5)
     expected = [[1, 0, np.pi / 2], [half, half, 3 * np.pi / 4], [0, 1, np.pi], [5, 5, 0]]
     np.testing.assert_allclose(poses[[1, 2, 3, 5]], expected)
@@ -77,13 +77,13 @@ def test_truth_is_interpolated_where_it_is_dense_and_nan_elsewhere():
 
 
 def test_positions_as_truth_tell_no_heading():
-    poses = truth_at(np.array([0.5]), Stream(np.array([0.0, 1.0]), np.array([[0.0, 0], [2, 4]])), gap=1.0)
+    poses = truth_at(np.array([0.25]), Stream(np.array([0.0, 0.5]), np.array([[0.0, 0], [2, 4]])))
     np.testing.assert_allclose(poses, [[1, 2, np.nan]])
 
 
 def test_truth_that_ends_early():
-    truth = Stream(np.array([0.0, 1.0, 2.0]), np.zeros((3, 3)) + [1, 2, 3])
-    log = joined(0.5, 1.5, 5.0, truth=truth, truth_gap=1.0)
+    truth = Stream(np.arange(5) * 0.5, np.zeros((5, 3)) + [1, 2, 3])
+    log = joined(0.5, 1.5, 5.0, truth=truth)
     assert log.covered.tolist() == [True, True, False]
     assert "the truth covers 2 of 3 poses" in log.notes
     np.testing.assert_allclose(log.initial_poses[0], [1, 2, 3])  # the known start
@@ -123,8 +123,6 @@ def test_the_noise_of_a_gap_does_not_depend_on_the_poses_in_it(poses):
 def test_too_long_a_gap_is_refused():
     with pytest.raises(LogError, match=r"silent for 40\.0 s after t = 1\.000 s"):
         synchronize(gapped(40.0), seen(0.5, 41.2), np.zeros(2))
-    with pytest.warns(UserWarning, match="bridged"):
-        synchronize(gapped(40.0), seen(0.5, 41.2), np.zeros(2), longest_gap=60.0)
     # a gap that no motion of the log crosses does not matter
     assert synchronize(gapped(40.0), seen(0.5, 0.9), np.zeros(2)).num_poses == 2
 
