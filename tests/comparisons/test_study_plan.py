@@ -163,7 +163,7 @@ def test_the_study_file_of_the_documentation_is_one(folder: Path) -> None:
         ("[simulate]\nworld = 'bok'\n", [":2:", "'book'"]),
         ("[simulate]\nspeed = -1\n", [":2:", "speed"]),
         ("[simulate]\nstart = [1, 2]\n", [":2:", "start"]),
-        ("[simulate]\nway_points = [[1, 2], [3]]\n", ["way_points", "no world"]),
+        ("[simulate]\nway_points = [[1, 2], [3]]\n", ["way_points", "points of finite numbers"]),
         ("[simulate]\nphantom = 2\n", [":2:", "phantom"]),
         ("seeds = 0\n[simulate]\n", [":1:", "seeds"]),
         ("seeds = [1, -1]\n[simulate]\n", [":1:", "seeds"]),
