@@ -93,7 +93,8 @@ def dask_cluster(address: str) -> Iterator[Place]:
         _check_versions(client, address)
         executor = client.get_executor(pure=False)
         try:
-            yield Place(2 * threads, lambda run, limit: executor.submit(execute_on_worker, run, limit), outcome)
+            # several runs wait on each worker, so that short ones do not wait for the network
+            yield Place(8 * threads, lambda run, limit: executor.submit(execute_on_worker, run, limit), outcome)
         finally:
             # without waiting, which cancels the runs that have not begun
             executor.shutdown(wait=False)
