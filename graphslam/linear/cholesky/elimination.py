@@ -65,10 +65,9 @@ def supernodes(n, parent, count):
             while c >= 0:
                 following = sibling[c]
                 w = width[c] + width[p]
-                joint = _cost(w, below[p])
-                merge = joint < cost[c] + cost[p] if relaxed else below[c] == width[p] + below[p]
+                merge = _cost(w, below[p]) < cost[c] + cost[p] if relaxed else below[c] == width[p] + below[p]
                 if merge:
-                    cost[p] = joint
+                    cost[p] = _cost(w, below[p])
                     width[p] = w
                     alive[c] = False
                     column_next[c] = column_head[p]
