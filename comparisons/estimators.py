@@ -246,8 +246,8 @@ def _isam2_seconds(log: Log) -> float:
 
 _GRAPH = tuple(options_of(GraphOptions))
 _FILTER = tuple(name for name in options_of(fastslam.FilterOptions) if name not in ("seed", "threads"))
-#: without those of the association
-_LOCALISATION = _FILTER[: _FILTER.index("association")]
+#: localisation knows its map, and does not use the last two options
+_LOCALISATION = _FILTER[:-2]
 
 #: the estimators by name, in the order in which they run and are shown
 ESTIMATORS: dict[str, Estimator] = {

@@ -10,7 +10,7 @@ To add an option, add a field here and use it where it takes effect.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 

@@ -43,7 +43,7 @@ class Variant(GraphOptions):
         """The variant in words, unique among the variants."""
         edges = str(self.edges)
         weight = f" {self.weight}" if edges.startswith("virtual") else ""
-        lam = f" lambda={self.motion_weight:g}" if edges.endswith("+motion") else ""
+        lam = " lambda=" + format(self.motion_weight, "g") if edges.endswith("+motion") else ""
         return f"{edges} {self.frame}{weight} {self.dimensions}-D{lam}{'' if self.plain else f' {self.kernel}'}"
 
     @property

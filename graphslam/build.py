@@ -93,7 +93,7 @@ def _check_log(log: Log, with_motion: bool) -> None:
     if not log.identified:
         raise GraphError(
             f"{log.name} has sightings of unidentified landmarks, and a graph needs the identities; use FastSLAM with "
-            "association='maximum-likelihood'"
+            "the association maximum-likelihood"
         )
     if with_motion and log.controls is None:
         raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")

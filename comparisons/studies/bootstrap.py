@@ -46,7 +46,7 @@ def median_of(values: Sequence[float], units: Sequence[Hashable], *, seed: int =
     Args:
         values: the numbers.
         units: of each value; equal for values that belong together.
-        seed: random seed of the resampling: the same values give the same interval.
+        seed: random seed of the resampling; the same values give the same interval.
 
     Returns:
         None where there are no values.

@@ -89,7 +89,7 @@ def particle_film(log: Log, options: RunOptions, animation: AnimationOptions, pr
         scene.strip.plot(steps, np.full(len(steps), 0.95), "|", color=FLASH, markersize=4)
         scene.add_curve(np.arange(log.num_poses), result.ess / options.filter.particles, "step", "ESS / N")
         scene.strip.set_ylim(0, 1.05)
-        scene.remember("resampling", Line2D([], [], color=FLASH, linestyle="none", marker="|", markersize=6))
+        scene.remember("resampled", Line2D([], [], color=FLASH, linestyle="none", marker="|", markersize=6))
         return scene.finish()
 
     return Film(title, tuple(frames), log.num_poses, animation.fps or FPS, tuple(notes), set_up, log)
