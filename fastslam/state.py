@@ -66,8 +66,7 @@ class ParticleState:
     @property
     def pose_covariance(self) -> Array:
         """The weighted covariance about the mean pose, (3, 3); differences of headings are wrapped."""
-        weights = np.exp(self.log_weights)
-        return weighted_covariance(self.poses, weighted_mean(self.poses, weights), weights)
+        return weighted_covariance(self.poses, self.mean_pose, np.exp(self.log_weights))
 
     def map(self, particle: int | None = None, *, provisional: bool = False) -> dict[int, LandmarkEstimate]:
         """Return the map of one particle, by default the best, {id: estimate}; on request with unconfirmed landmarks.

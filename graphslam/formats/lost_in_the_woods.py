@@ -69,11 +69,10 @@ def _read(path: Path, _: ReadOptions) -> Log:
     controls = np.column_stack([content["v"], content["om"]])[1:]
     with errors_name(path):
         check_gaps(dt, times[:-1])
-    gaps = dt[dt > BRIDGED_GAP].tolist()
-    if gaps:
-        notes.append(gap_note(gaps))
-        warnings.warn(f"{path}: {notes[-1]}", UserWarning, stacklevel=3)
-    with errors_name(path):
+        gaps = dt[dt > BRIDGED_GAP].tolist()
+        if gaps:
+            notes.append(gap_note(gaps))
+            warnings.warn(f"{path}: {notes[-1]}", UserWarning, stacklevel=3)
         return Log(
             dt=dt,
             controls=controls,

@@ -26,6 +26,7 @@ from .base import Format
 
 VERSION = "graphslam-log-1"
 _REQUIRED = ("steps", "landmarks", "sightings", "initial_poses")
+_MODELS: dict[str, type[MotionModel | SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
 _OPTIONAL = ("dt", "controls", "control_starts", "control_variances", "true_poses")
 
 
@@ -48,7 +49,7 @@ def _read(path: Path, _: ReadOptions) -> Log:
         truth = {j: pose[:2] if np.isnan(pose[2]) else pose for j, pose in rows}
     try:
         models: dict[str, Any] = {}
-        for name, model in (("motion", MotionModel), ("sensor", SensorModel)):
+        for name, model in _MODELS.items():
             if name in content:
                 names, values = [f.name for f in fields(model)], content[name].tolist()
                 if names[-1] == "offset":
@@ -71,10 +72,8 @@ def _write(log: Log, path: Path) -> None:
     content |= {name: getattr(log, name) for name in _OPTIONAL if getattr(log, name) is not None}
     if not log.composite:
         content.pop("control_starts", None)
-    if log.motion is not None:
-        content["motion"] = np.array(astuple(log.motion))
-    if log.sensor is not None:
-        content["sensor"] = np.array([*astuple(log.sensor)[:-1], *log.sensor.offset])
+    # the two numbers of the sensor's offset follow the others
+    content |= {name: np.hstack(astuple(model)) for name, model in vars(log).items() if name in _MODELS and model}
     if log.true_landmarks is not None:
         content["true_landmark_ids"] = np.array(list(log.true_landmarks), dtype=np.int64)
         poses = [np.append(m, np.nan)[:3] for m in log.true_landmarks.values()]
