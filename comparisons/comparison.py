@@ -256,7 +256,8 @@ def compare(
     names = None if estimators is None else check_estimators(estimators)
     data, source, options = prepare(log, options)
     if len(data.steps) == 0:
-        raise GraphError(f"{data.name} has no sightings at all, so there is nothing to estimate from")
+        within = "" if options.max_range is None else f" within max_range = {options.max_range:g} m"
+        raise GraphError(f"{data.name} has no sightings at all{within}, so there is nothing to estimate from")
     results: list[EstimatorResult] = []
     skipped: list[Skipped] = []
     for name in names or ESTIMATORS:

@@ -17,7 +17,7 @@ import graphslam
 from graphslam import Graph, GraphError, Log, OptionError, SensorModel, Solution
 from graphslam.se2 import wrap
 
-from .option import nearest, options_of
+from .option import options_of, suggestion
 from .options import GraphOptions, RunOptions
 from .results import EstimatorResult
 
@@ -272,8 +272,8 @@ def check_estimators(names: Any) -> tuple[str, ...]:
     for name in names:
         if name not in ESTIMATORS:
             raise OptionError(
-                f"estimators: there is no estimator {name!r}; did you mean {nearest(str(name), ESTIMATORS)!r}? The "
-                f"estimators are {', '.join(ESTIMATORS)}"
+                f"estimators: there is no estimator {name!r}{suggestion(name, ESTIMATORS)}; the estimators are "
+                f"{', '.join(ESTIMATORS)}"
             )
     if not names:
         raise OptionError(f"estimators: name at least one of {', '.join(ESTIMATORS)}")

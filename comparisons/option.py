@@ -119,10 +119,8 @@ class Option:
         if not isinstance(value, self.each) or (isinstance(value, bool) and self.each is not bool):
             raise OptionError(f"{self.name} must be {self._wanted}, not {value!r}")
         if self.choices and value not in self.choices:
-            raise OptionError(
-                f"{self.name} must be one of {', '.join(self.choices)}, not {value!r}; "
-                f"did you mean {nearest(str(value), self.choices)!r}?"
-            )
+            message = f"{self.name} must be one of {', '.join(self.choices)}, not {value!r}"
+            raise OptionError(message + suggestion(value, self.choices))
         if isinstance(value, float) and not math.isfinite(value) and value != self.default:
             raise OptionError(f"{self.name} must be a finite number, not {value!r}")
         if self.minimum is not None and checked < self.minimum:
@@ -173,7 +171,7 @@ class Options:
         given = {name: value for name, value in given.items() if value is not None}
         for name in given:
             if name not in known:
-                raise OptionError(f"there is no option {name!r}; did you mean {nearest(name, known)!r}?")
+                raise OptionError(f"there is no option {name!r}" + suggestion(name, known))
         numbers = {name: known[name].checked(given.pop(name)) for name in list(given) if known[name].model}
         return cls(**given, numbers=numbers)
 
@@ -236,6 +234,7 @@ def _option(f: Any, hint: Any, panel: str) -> Option:
     return Option(name=f.name, field=f.name, kind=kind, each=each, default=default, **{"panel": panel, **f.metadata})
 
 
-def nearest(word: str, known: Collection[str]) -> str:
-    """The known word that is most like a mistyped one."""
-    return difflib.get_close_matches(word, list(known), n=1, cutoff=0.0)[0]
+def suggestion(word: object, known: Collection[str]) -> str:
+    """The end of a message about an unknown word: the known word that is spelled like it, if there is one."""
+    matches = difflib.get_close_matches(str(word), list(known), n=1)
+    return f"; did you mean {matches[0]!r}?" if matches else ""

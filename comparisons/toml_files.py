@@ -13,7 +13,7 @@ import tomli_w
 from graphslam import FormatError, OptionError
 from graphslam.files import check_file
 
-from .option import Option, nearest
+from .option import Option, suggestion
 from .options import MODELS
 
 T = TypeVar("T")
@@ -82,7 +82,7 @@ class TomlFile:
                 place = f" in [{where}]" if where else ""
                 raise self.error(
                     f"{where}.{key}" if where else key,
-                    f"unknown key {key!r}{place}; did you mean {nearest(key, known)!r}?",
+                    f"unknown key {key!r}{place}" + (suggestion(key, known) or f"; known are {', '.join(known)}"),
                 )
 
     def value(self, table: Mapping[str, Any], key: str, *types: type, where: str = "") -> Any:

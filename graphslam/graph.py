@@ -112,6 +112,8 @@ class Graph:
             log, motion=motion, sensor=sensor, edges=edges, frame=frame, weight=weight, scale=motion_weight,
             kernel=kernel_of(kernel),
         )  # fmt: skip
+        if edges.startswith("landmark") and weight != WEIGHTS[0]:
+            parts["notes"] += (f"weight={weight!r} has no effect: with landmark nodes each sighting counts once",)
         return cls(**parts)
 
     @classmethod

@@ -255,8 +255,8 @@ class SensorModel(NoiseModel):
             offset = np.asarray(self.offset, dtype=float)
         except (TypeError, ValueError):
             offset = np.empty(0)
-        if offset.ndim == 0:
-            offset = np.array([float(offset), 0.0])
+        if offset.size == 1:
+            offset = np.array([offset.item(), 0.0])
         if offset.shape != (2,) or not np.all(np.isfinite(offset)):
             raise OptionError(f"offset must be (ahead, to the left) in m, or one number ahead, not {self.offset!r}")
         object.__setattr__(self, "offset", (float(offset[0]), float(offset[1])))

@@ -94,7 +94,7 @@ VERBS: dict[Callable[..., None], tuple[str, ...]] = {
     ),
     study: (
         "slam-compare study study.sqlite",
-        "slam-compare study show study.sqlite --baseline fastslam1 --figure study.pdf",
+        "slam-compare study study.sqlite --baseline fastslam1 --figure study.pdf",
         "slam-compare study study.sqlite --csv runs.csv --jsonl runs.jsonl",
     ),
     animate: (

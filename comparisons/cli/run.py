@@ -120,18 +120,18 @@ def log_and_file(words: list[str], form: str) -> tuple[Path | None, Path]:
 def _compared(output: Output, log: Path | None, chosen: EstimatorOptions, options: RunOptions) -> Comparison:
     from ..comparison import compare
     from ..estimators import ESTIMATORS
-    from ..kernels import compiled
 
-    if not compiled():
-        output.progress("Compiling the numerical kernels. This happens once and takes about half a minute.")
     with output.bar("estimators", len(chosen.estimators or ESTIMATORS)) as advance:
         return compare(log, options, estimators=chosen.estimators, progress=_progress(output, advance))
 
 
 def _progress(output: Output, advance: Advance) -> Progress:
     def report(name: str, outcome: EstimatorResult | Skipped | None) -> None:
+        from ..kernels import compiled
         from ..results import EstimatorResult
 
+        if not compiled():
+            output.progress("Compiling the numerical kernels. This happens once and takes about half a minute.")
         advance(0 if outcome is None else 1, name)
         if isinstance(outcome, EstimatorResult):
             output.detail(f"{name}: {outcome.seconds:.3g} s" + (f", {outcome.reason}" if outcome.reason else ""))

@@ -87,7 +87,7 @@ def study(
     output: Output,
     words: Annotated[
         list[str],
-        typer.Argument(metavar="[show] DATABASE", help="The database of a study, or the study file that names it."),
+        typer.Argument(metavar="DATABASE", help="The database of a study, or the study file that names it."),
     ],
     *,
     options: SummaryOptions,

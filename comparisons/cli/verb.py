@@ -99,7 +99,8 @@ def _parameter(option: Option) -> inspect.Parameter:
     flags = [flag, *([f"--{option.alias}"] if option.alias else [])]
     text = option.help.removesuffix(".") + (f" [{option.unit}]." if option.unit else ".")
     if not all(choice in option.help for choice in option.choices):
-        text += f" One of: {', '.join(option.choices)}."
+        several = "One or several of, with commas between" if option.kind is tuple else "One of"
+        text += f" {several}: {', '.join(option.choices)}."
     default = option.default_text or (option.default not in (None, False) and option.text(option.default))
     metavar = option.metavar or None
     settings = typer.Option(

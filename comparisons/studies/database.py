@@ -212,7 +212,7 @@ def _connected(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
     except sqlite3.IntegrityError:
         raise
     except sqlite3.DatabaseError as error:
-        raise FormatError(path, None, f"SQLite: {error}; rows written before are kept") from None
+        raise FormatError(path, None, f"SQLite cannot use this file as the database of a study: {error}") from None
     finally:
         if connection is not None:
             connection.close()

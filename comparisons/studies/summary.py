@@ -16,7 +16,7 @@ from typing import Any
 from graphslam import OptionError
 
 from ..display import Displayed
-from ..option import nearest
+from ..option import suggestion
 from .bootstrap import Median, median_of
 from .database import StudyDatabase
 from .outcome import DONE, TIMEOUT
@@ -117,8 +117,7 @@ def summarise(study: str | PathLike[str] | StudyDatabase | Sequence[Row], *, bas
         rows, planned = list(map(dict, study)), len(study)
     names = list(dict.fromkeys(row["method"] for row in rows))
     if baseline is not None and baseline not in names:
-        hint = f"; did you mean {nearest(baseline, names)!r}?" if names else ""
-        raise OptionError(f"the study has no method {baseline!r}{hint}")
+        raise OptionError(f"the study has no method {baseline!r}{suggestion(baseline, names)}")
     if baseline is None:
         baseline = next((row["method"] for row in rows if row["estimator"] == "graph"), next(iter(names), None))
     logs = list(dict.fromkeys(row["log"] for row in rows))

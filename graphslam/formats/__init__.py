@@ -50,7 +50,7 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
         if name not in known:
             raise OptionError(f"load has no option {name!r}; its options are format, {', '.join(known)}")
         if options[name] is not None and not getattr(chosen, known[name]):
-            raise OptionError(f"{name} is not for logs of the format {chosen.name!r} ({path})")
+            raise OptionError(f"{name} does not apply to logs of the format {chosen.name!r} ({path}); leave it out")
     return chosen.read(path, ReadOptions(**options))
 
 

@@ -109,3 +109,10 @@ def test_body_frame_costs_do_not_change_with_the_world(psi):
     moved = state @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + [5.0, -3.0, turn]
     for family in graph.families[1:]:
         assert family.cost(moved, moved) == pytest.approx(family.cost(state, state), rel=1e-10)
+
+
+def test_a_weight_without_effect_is_a_note():
+    log = simulate(steps=10)
+    graph = Graph.from_log(log, edges="landmark+motion", weight="marginal")
+    assert any("'marginal' has no effect" in note for note in graph.notes)
+    assert not any("no effect" in note for note in Graph.from_log(log, edges="landmark+motion").notes)

@@ -135,7 +135,7 @@ def test_options_for_the_wrong_format(folder, tmp_path):
     with pytest.raises(SlamError, match="a folder"):
         load(folder / "Barcodes.dat", format="mrclam")
     (tmp_path / "log.txt").write_text("x 0 0 0 0\n")
-    with pytest.raises(OptionError, match="robot is not for logs of the format 'lnpr'"):
+    with pytest.raises(OptionError, match="robot does not apply to logs of the format 'lnpr'"):
         load(tmp_path / "log.txt", robot=1)
     with pytest.raises(FormatError, match="not that of a known data set"):
         load(tmp_path)
