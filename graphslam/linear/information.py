@@ -75,8 +75,7 @@ class BlockSystem:
         """Take nodes out of the system: their rows and columns become those of the identity, their xi zero."""
         key = tuple(nodes.tolist())
         if key not in self._held:
-            column = np.repeat(np.arange(self.num_nodes), np.diff(self.indptr))
-            self._held[key] = np.flatnonzero(np.isin(column, nodes) | np.isin(self.indices, nodes))
+            self._held[key] = _slots_in_rows_and_columns(self.indptr, self.indices, nodes)
         self.values[self._held[key]] = 0.0
         self.xi[nodes] = 0.0
         self.rest(nodes, 0)
@@ -164,6 +163,21 @@ def _sorted_by(num_keys, keys):  # type: ignore[no-untyped-def]
         places[free[key]] = place
         free[key] += 1
     return start, places
+
+
+@njit(cache=True)
+def _slots_in_rows_and_columns(indptr, indices, nodes):  # type: ignore[no-untyped-def]
+    # compiled, because `numpy.isin` takes 0.4 ms where a whole solution of a small graph takes 2 ms
+    held = np.zeros(len(indptr) - 1, dtype=np.bool_)
+    held[nodes] = True
+    slots = np.empty(len(indices), dtype=np.int64)
+    count = 0
+    for j in range(len(held)):
+        for k in range(indptr[j], indptr[j + 1]):
+            if held[j] or held[indices[k]]:
+                slots[count] = k
+                count += 1
+    return slots[:count]
 
 
 @njit(cache=True)

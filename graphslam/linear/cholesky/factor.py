@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse as sp
+from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse.linalg import spsolve
 
@@ -168,6 +169,20 @@ class Factor:
         return self.solve(unit)[i].copy()
 
 
+@njit(cache=True, error_model="numpy")
+def _pattern_fault(indptr, indices):
+    """The first column whose rows do not ascend to the diagonal, or -1."""
+    for j in range(indptr.size - 1):
+        previous = -1
+        for p in range(indptr[j], indptr[j + 1]):
+            if indices[p] <= previous:
+                return j
+            previous = indices[p]
+        if previous != j:
+            return j
+    return -1
+
+
 def analyze(
     indptr: NDArray[Any],
     indices: NDArray[Any],
@@ -192,11 +207,8 @@ def analyze(
     # the compiled loops trust their indices: rows must ascend in each column, so that (column, row) ascends as a whole
     if n < 1 or indptr[0] != 0 or indptr[-1] != indices.size or np.any(np.diff(indptr) < 1):
         raise ValueError("the pattern needs at least one node, and at least the diagonal in every column")
-    column = np.repeat(np.arange(n), np.diff(indptr))
-    wrong = np.flatnonzero((indices < 0) | np.append(np.diff(column * n + indices) <= 0, False))
-    ends = np.flatnonzero(indices[indptr[1:] - 1] != np.arange(n))
-    if wrong.size or ends.size:
-        raise ValueError(f"column {[*column[wrong], *ends][0]}: rows must ascend and end with the diagonal")
+    if (fault := _pattern_fault(indptr, indices)) >= 0:
+        raise ValueError(f"column {fault}: rows must ascend and end with the diagonal")
     order = amd(indptr, indices) if ordering is None else np.ascontiguousarray(ordering, dtype=np.int32)
     if not np.array_equal(np.sort(order), np.arange(n)):
         raise ValueError(f"ordering must be a permutation of {n} nodes")

@@ -171,25 +171,39 @@ def _entries(n, indptr, indices, position, owner, first, row_start, rows):
     return start, source, target
 
 
-def layout(n: int, indptr: NDArray[Any], indices: NDArray[Any], order: NDArray[np.int32]) -> Layout:
-    """All of the symbolic analysis for a given elimination order."""
-    pattern = (n, indptr, indices)
-    parent, count = elimination_tree(n, *_permuted_lists(*pattern, _inverse(order)))
-    below = 3.0 * (count - 1)
-    flops = float(np.sum(9.0 + 9.0 * below + 3.0 * below * below))
+@njit(cache=True, error_model="numpy")
+def _inverse(order):
+    position = np.empty_like(order)
+    for k in range(order.size):
+        position[order[k]] = k
+    return position
+
+
+@njit(cache=True, error_model="numpy")
+def _structure(n, indptr, indices, order):
+    # one compiled function: a call from Python costs as much as a step of the analysis of a small graph
+    row_pointer, columns = _permuted_lists(n, indptr, indices, _inverse(order))
+    parent, count = elimination_tree(n, row_pointer, columns)
+    blocks, flops = 0, 0.0
+    for k in range(n):
+        below = 3.0 * (count[k] - 1)
+        blocks += count[k]
+        flops += 9.0 + 9.0 * below + 3.0 * below * below
     # amalgamation moves the columns of a supernode next to each other
     moved, first, rows_below = supernodes(n, parent, count)
     order = order[moved]
     position = _inverse(order)
-    lists = _permuted_lists(*pattern, position)
-    row_start, rows, relative, tree, *children, owner = _supernode_rows(n, first, rows_below, *lists)
-    panel_start, stack_start, *sizes = _storage(first, row_start, tree, *children)
-    entries = _entries(*pattern, position, owner, first, row_start, rows)
-    structure = (order, position, first, row_start, rows, relative, *children)
-    return Layout(*structure, panel_start, stack_start, *entries, *sizes, int(count.sum()), flops)
+    row_pointer, columns = _permuted_lists(n, indptr, indices, position)
+    row_start, rows, relative, tree, child_start, children, owner = _supernode_rows(
+        n, first, rows_below, row_pointer, columns
+    )
+    panel_start, stack_start, stack_size, tallest = _storage(first, row_start, tree, child_start, children)
+    entries = _entries(n, indptr, indices, position, owner, first, row_start, rows)
+    structure = (order, position, first, row_start, rows, relative, child_start, children, panel_start, stack_start)
+    return structure, entries, (stack_size, tallest, blocks, flops)
 
 
-def _inverse(order: NDArray[np.int32]) -> NDArray[np.int32]:
-    position = np.empty_like(order)
-    position[order] = np.arange(order.size)
-    return position
+def layout(n: int, indptr: NDArray[Any], indices: NDArray[Any], order: NDArray[np.int32]) -> Layout:
+    """All of the symbolic analysis for a given elimination order."""
+    structure, entries, sizes = _structure(n, indptr, indices, order)
+    return Layout(*structure, *entries, *sizes)
