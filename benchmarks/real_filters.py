@@ -121,11 +121,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--particles", type=int, default=500)
     parser.add_argument("--laser", type=float, default=3.78, help="how far the laser is ahead of the rear axle [m]")
-    told = parser.parse_args()
+    keywords = parser.parse_args()
     study = (
-        mrclam(told.data, told.seeds, told.particles)
-        if told.study == "mrclam"
-        else victoria(told.data, told.seeds, told.particles, told.laser)
+        mrclam(keywords.data, keywords.seeds, keywords.particles)
+        if keywords.study == "mrclam"
+        else victoria(keywords.data, keywords.seeds, keywords.particles, keywords.laser)
     )
     for line in study:
         print(line, flush=True)

@@ -108,7 +108,7 @@ def calibrated(data: Path, folder: str, robot: int, source: str) -> Calibration:
 
 
 def prepared(case: Case, data: Path) -> tuple[Log, RunOptions]:
-    """The log of a case, with its ranges corrected where the noise says so, and what the estimators are told."""
+    """The log of a case, with its ranges corrected where the noise says so, and what the estimators are keywords."""
     log = read(data, case.folder, case.robot, case.stride, case.max_range)
     options = RunOptions(robust=case.robust, particles=500)
     if case.noise == "by hand":
@@ -174,23 +174,23 @@ def main() -> None:
     parser.add_argument("--only", default="", help="cases whose title has this in it")
     parser.add_argument("--figures", type=Path, help="folder for figures")
     parser.add_argument("--json", type=Path, help="also write the rows there")
-    told = parser.parse_args()
+    keywords = parser.parse_args()
     rows = []
     for case in CASES:
-        if told.only not in case.title:
+        if keywords.only not in case.title:
             continue
-        if not (told.data / case.folder).exists():
-            print(f"\n{case.title}: not below {told.data}, left out", flush=True)
+        if not (keywords.data / case.folder).exists():
+            print(f"\n{case.title}: not below {keywords.data}, left out", flush=True)
             continue
-        outcome, consistency = run(case, told.data)
+        outcome, consistency = run(case, keywords.data)
         print("\n".join(lines(case, outcome, consistency)), flush=True)
         rows += [row(case, r, outcome.metrics[r.name], consistency) for r in outcome.results]
-        if told.figures is not None and case.figure is not None:
+        if keywords.figures is not None and case.figure is not None:
             # the native graph lies on ours
             shown = replace(outcome, results=tuple(r for r in outcome.results if r.name != "gtsam-native"))
-            comparison_figure(shown).savefig(told.figures / f"{case.figure}.png", dpi=110)
-    if told.json is not None:
-        told.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+            comparison_figure(shown).savefig(keywords.figures / f"{case.figure}.png", dpi=110)
+    if keywords.json is not None:
+        keywords.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -20,9 +20,8 @@ from typing import TYPE_CHECKING, Any
 from . import display
 
 if TYPE_CHECKING:
-    from graphslam.calibration import calibrate
-
     from .backends import compare_backends
+    from .calibration import calibrate
     from .comparison import Comparison, run
     from .consistency import study_consistency
     from .datasets import survey
@@ -40,7 +39,7 @@ _HOMES = {
     "Comparison": ".comparison",
     "RunOptions": ".options",
     "animate": ".show.films",
-    "calibrate": "graphslam.calibration",
+    "calibrate": ".calibration",
     "compare_backends": ".backends",
     "compare_solvers": ".solvers",
     "read_study": ".studies.plan",

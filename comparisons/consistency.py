@@ -169,7 +169,7 @@ def models(noise: float) -> tuple[MotionModel, SensorModel]:
 
 
 def band(degrees: int) -> tuple[float, float]:
-    """The interval in which the mean of so many independent squares of unit variance lies in 95 of 100 cases.
+    """The interval in which the mean of this number of independent squares of unit variance lies in 95 of 100 cases.
 
     The quantiles of chi2(d) / d; that of chi2 at probability p is twice the inverse of the regularised incomplete gamma
     function P(d / 2, x) at p.

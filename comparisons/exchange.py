@@ -88,6 +88,16 @@ def write_pose_graph(comparison: Comparison, path: Path) -> str | None:
     Raises:
         FormatError: the file cannot be written.
     """
+    reason = reason_without_graph(comparison)
+    if reason is None:
+        result = comparison["graph"]
+        assert result.graph is not None
+        relative_graph(result.graph, state=result.state).save_g2o(path)
+    return reason
+
+
+def reason_without_graph(comparison: Comparison) -> str | None:
+    """Why the graph of ``graph`` cannot be written as g2o; None where it can."""
     if "graph" not in comparison:
         return "the estimator graph did not run"
     result = comparison["graph"]
@@ -96,7 +106,7 @@ def write_pose_graph(comparison: Comparison, path: Path) -> str | None:
     if result.graph.num_edges > MOST_EDGES:
         return f"the graph has {result.graph.num_edges} edges, more than {MOST_EDGES}"
     try:
-        relative_graph(result.graph, state=result.state).save_g2o(path)
+        relative_graph(result.graph)
     except GraphError as error:
         return str(error)
     return None

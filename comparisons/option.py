@@ -104,7 +104,9 @@ class Option:
         if isinstance(value, int):
             return value
         points = tuple(tuple(row) if isinstance(row, (list, tuple)) else (row,) for row in value)
-        if len(set(map(len, points))) != 1 or not all(math.isfinite(number) for point in points for number in point):
+        numbers = [number for point in points for number in point]
+        finite = all(isinstance(number, (int, float)) and math.isfinite(number) for number in numbers)
+        if len(set(map(len, points))) != 1 or not finite:
             raise OptionError(f"{self.name} must be points of finite numbers, 'x,y x,y ...', not {value!r}")
         return points
 

@@ -10,7 +10,7 @@ To add an option, add a field here and use it where it takes effect.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,7 @@ class ReadingOptions(Options):
     format: str | None = option(None, "Format of the log: npz, lnpr, mrclam, huang, ...", default_text="by its content")
     robot: int | None = option(None, "The robot of a data set that has several.", minimum=0)
     keep_every: float | None = option(
-        None, "Also keep a pose at least every so many seconds, even where nothing was seen.", unit="s", positive=True,
+        None, "Also keep a pose at least once in this time, even where nothing was seen.", unit="s", positive=True,
         default_text="poses only where something was seen",
     )  # fmt: skip
     stride: int = option(1, "Keep every N-th pose and the sightings from it.", minimum=1, metavar="N")
@@ -256,8 +256,11 @@ class AnimationOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrationOptions(Options):
-    """How `graphslam.calibrate` estimates noise."""
+class CalibrationOptions(ReadingOptions):
+    """How `graphslam.calibrate` estimates noise; of the sensor only its place is given."""
+
+    components = {"sensor": (SensorModel, NOISE)}
+    hidden = tuple(f.name for f in fields(SensorModel) if f.name != "offset")
 
     source: str = option(
         "auto", "Where the noise is measured: against the ground truth, or from residuals of the solved graph. auto "

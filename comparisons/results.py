@@ -79,6 +79,8 @@ class EstimatorResult:
         if self.graph is None or self.state is None:
             return None
         try:
+            if isinstance(self.origin, Solution):
+                return self.origin.covariances()
             blocks = Uncertainty(self.graph, self.state).diagonal[: len(self.graph.steps)]
         except SlamError:
             return None

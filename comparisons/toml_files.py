@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -55,18 +55,20 @@ class TomlFile:
         return FormatError(self.path, self.line_of(key), message)
 
     def line_of(self, key: str) -> int | None:
-        """The line that sets a key, "table.key" where it stands in a table, or opens the table of that name.
+        """The line on which the statement begins that sets a key, "table.key" or "tables[1].key"; None if there is none.
 
-        None where no line does, for instance because the key is set in an inline table.
+        It is the first line after which the text, read up to there, has the key.
         """
-        wanted, header = key.split("."), []
-        for number, line in enumerate(self.text.splitlines(), start=1):
-            if opened := re.match(r"\s*\[+([^\]]+)\]", line):
-                header = _parts(opened[1])
-                if header == wanted:
-                    return number
-            elif (name := re.match(r"\s*([\w.\"' -]+?)\s*=", line)) and _starts(wanted, [*header, *_parts(name[1])]):
-                return number
+        path = re.findall(r"[^.\[\]]+", key)
+        lines, begin = self.text.splitlines(), 1
+        for number in range(1, len(lines) + 1):
+            try:
+                table = tomllib.loads("\n".join(lines[:number]))
+            except tomllib.TOMLDecodeError:
+                continue  # in the middle of a value of several lines
+            if _holds(table, path):
+                return begin
+            begin = number + 1
         return None
 
     def check_keys(self, table: Mapping[str, Any], known: Collection[str], where: str = "") -> None:
@@ -112,6 +114,9 @@ class TomlFile:
         """
         inside = {model: {n: o for n, o in known.items() if o.model == model} for model in MODELS}
         plain = {n: o for n, o in known.items() if o.model not in MODELS and o.only != "python"}
+        for key in table:
+            if key in known and known[key].model in MODELS:
+                raise self.error(f"{where}.{key}" if where else key, f"{key} belongs in the table [{known[key].model}]")
         self.check_keys(table, (*plain, *(model for model in MODELS if inside[model])), where)
         values: dict[str, Any] = {}
         for key in table:
@@ -158,13 +163,18 @@ class TomlFile:
             raise self.error(place, str(error)) from None
 
 
-def _parts(dotted: str) -> list[str]:
-    return [part.strip().strip("\"'") for part in dotted.split(".")]
-
-
-def _starts(wanted: list[str], found: list[str]) -> bool:
-    """Whether a line that sets ``found`` sets the key, or a part of the table, that is wanted."""
-    return found[: len(wanted)] == wanted
+def _holds(value: Any, path: Sequence[str]) -> bool:
+    """Whether a table has the key of a path; digits count the tables of an array."""
+    for part in path:
+        if isinstance(value, list):
+            if not part.isdigit() or int(part) >= len(value):
+                return False
+            value = value[int(part)]
+        elif isinstance(value, Mapping) and part in value:
+            value = value[part]
+        else:
+            return False
+    return True
 
 
 def to_toml(table: Mapping[str, Any], comment: str = "") -> str:

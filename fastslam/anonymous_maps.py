@@ -154,7 +154,7 @@ class AnonymousLandmarks:
         return np.array([self._slices[j].index for j in landmarks], dtype=np.int64)
 
     def _make_room(self, count: int) -> None:
-        """Free at least so many slices: first those that no living particle has, then by enlarging the pool."""
+        """Free at least the given number of slices: first those that no living particle has, then by enlarging the pool."""
         if len(self._free) >= count:
             return
         for j in list(self._slices):

@@ -35,7 +35,7 @@ class FilterOptions:
 
     particles: int = field(default=1000, metadata={"help": "Number of particles N."})
     seed: int | np.random.Generator = field(
-        default=0, metadata={"help": "Random seed; in Python also a numpy.random.Generator."}
+        default=0, metadata={"help": "Random seed; the same seed gives the same result."}
     )
     resampling: str = field(default="systematic", metadata={"help": "Resampling scheme.", "choices": RESAMPLING})
     ess_threshold: float = field(

@@ -250,7 +250,7 @@ class ParticleFilter(ABC):
 
     @abstractmethod
     def _check_sightings(self, ids: np.ndarray, columns: int) -> None:
-        """Raise `OptionError` where sightings of these ids with so many columns cannot be used."""
+        """Raise `OptionError` where sightings of these ids with this number of columns cannot be used."""
 
     @abstractmethod
     def _weigh(self, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:

@@ -30,7 +30,7 @@ def solvers(output: Output, log: LogFile = None, *, options: SolverCheckOptions)
     output.show(outcome)
     if not outcome.problems:
         output.say(f"The solvers agree in all {len(outcome.variants)} variants.")
-        output.hint("Next: slam-compare consistency tests whether the covariances are consistent")
+        output.hint("To test whether the covariances are consistent: slam-compare consistency")
     output.json(outcome.to_json())
     if outcome.problems:
         raise typer.Exit(DIFFERENT)

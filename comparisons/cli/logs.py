@@ -11,7 +11,7 @@ from .output import DIFFERENT, Output
 from .verb import LogFile, command
 
 if TYPE_CHECKING:
-    from ..options import OUTPUT, CalibrationOptions, NoiseOptions, ReadingOptions, SimulationOptions
+    from ..options import OUTPUT, CalibrationOptions, SimulationOptions
 
 
 def simulate(
@@ -45,9 +45,7 @@ def calibrate(
     output: Output,
     log: LogFile = None,
     *,
-    calibration: CalibrationOptions,
-    reading: ReadingOptions,
-    noise: NoiseOptions,
+    options: CalibrationOptions,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -56,23 +54,23 @@ def calibrate(
     ] = None,
 ) -> None:
     """Estimate motion and sensor noise, range scale and range bias from a log, by maximum likelihood."""
-    from graphslam.calibration import calibrate as estimate
-
+    from ..calibration import calibrate as estimate
     from ..noise_files import write_noise
-    from ..reading import read_log
     from ..saving import check_can_write
 
     if out is not None:
         check_can_write(out)
-    data, _ = read_log(log, reading)
-    _, sensor = noise.models(data.motion, data.sensor)
-    degrees = float("inf") if calibration.gaussian else None
-    result = estimate(data, source=calibration.source, sensor=sensor, degrees=degrees)
-    output.show(result, name=data.name)
+    name = "sample" if log is None else log.stem
+    with output.bar("calibration"):
+        result = estimate(log, **options.keywords())
+    output.show(result, name=name)
     output.json(result.to_json())
     if out is not None:
-        write_noise(result, out, data.name)
-        output.hint(f"Wrote {out}.", f"Next: {command('run', log, '--noise', out, options=reading)}")
+        write_noise(result, out, name)
+        leave_out = ("source", "gaussian")
+        output.hint(
+            f"Wrote {out}.", f"Next: {command('run', log, '--noise', out, options=options, leave_out=leave_out)}"
+        )
 
 
 def datasets(

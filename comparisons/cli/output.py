@@ -68,7 +68,9 @@ class Output:
         if self._file is not None:
             check_can_write(self._file)
         stream = sys.stderr if self._to_stdout else sys.stdout
-        self.console = Console(file=stream, width=None if stream.isatty() else WIDTH, highlight=False)
+        # without a terminal the width is that of the variable COLUMNS, if it is set
+        width = None if stream.isatty() or "COLUMNS" in os.environ else WIDTH
+        self.console = Console(file=stream, width=width, highlight=False)
         self._errors = Console(stderr=True, highlight=False)
 
     def show(self, result: Any, **options: Any) -> None:
@@ -111,6 +113,12 @@ class Output:
         if self.verbose:
             self._errors.print(line, style="dim", markup=False, soft_wrap=True)
 
+    def _announce_compilation(self) -> None:
+        from ..kernels import compiled
+
+        if not compiled():
+            self.progress("Compiling the numerical kernels. This happens once and takes about a minute.")
+
     def progress(self, line: str) -> None:
         """A line on standard error about work that takes a while; not with --quiet."""
         if not self.quiet:
@@ -127,6 +135,7 @@ class Output:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
         from rich.progress import TimeRemainingColumn as Remaining
 
+        self._announce_compilation()
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         hidden = self.quiet or not self._errors.is_terminal
         left = (TextColumn("remaining"), Remaining())

@@ -23,6 +23,7 @@ def run(
     output: Output, log: LogFile = None, *, chosen: EstimatorOptions, options: RunOptions, saving: OutputOptions
 ) -> None:
     """Run all estimators on one log: a table, a figure and the results as JSON."""
+    from ..exchange import reason_without_graph
     from ..saving import RESULTS, check_can_make
 
     check_can_make(RESULTS if saving.out is None else saving.out)
@@ -42,9 +43,14 @@ def run(
     named += ["trajectories (*.tum)", "maps (*-map.csv)", *(["graph.g2o"] if "graph.g2o" in files else [])]
     output.hint(f"Wrote {', '.join(named)} into {folder}{os.sep}")
     output.hint(f"Repeat this run:     {command('run', '--config', files['config'])}")
-    plotly = "" if find_spec("plotly") else " (first: pip install plotly)"
-    output.hint(f"Interactive report:  {command('report', log, 'report.html', options=options)}{plotly}")
-    output.hint(f"Animation:           {command('animate', log, 'animation.gif', options=options)}")
+    plotly = "" if find_spec("plotly") else "The interactive report needs plotly: pip install plotly"
+    if plotly:
+        output.hint(plotly)
+    output.hint(f"Interactive report:  {command('report', log, 'report.html', options=(chosen, options))}")
+    if options.kernel != "gnc":
+        output.hint(f"Animation:           {command('animate', log, 'animation.gif', options=options)}")
+    if "graph" in outcome and (reason := reason_without_graph(outcome)):
+        output.hint(f"There is no graph.g2o: {reason}.")
 
 
 def report(
@@ -66,7 +72,7 @@ def report(
     output.show(outcome)
     _write_page(output, outcome, page)
     output.json(outcome.to_json({"html": page}))
-    output.hint(f"Next: {command('run', log, options=options)}")
+    output.hint(f"Next: {command('run', log, options=(chosen, options))}")
 
 
 def animate(
@@ -127,11 +133,8 @@ def _compared(output: Output, log: Path | None, chosen: EstimatorOptions, option
 
 def _progress(output: Output, advance: Advance) -> Progress:
     def report(name: str, outcome: EstimatorResult | Skipped | None) -> None:
-        from ..kernels import compiled
         from ..results import EstimatorResult
 
-        if not compiled():
-            output.progress("Compiling the numerical kernels. This happens once and takes about half a minute.")
         advance(0 if outcome is None else 1, name)
         if isinstance(outcome, EstimatorResult):
             output.detail(f"{name}: {outcome.seconds:.3g} s" + (f", {outcome.reason}" if outcome.reason else ""))

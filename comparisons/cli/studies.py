@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .output import DIFFERENT, INTERRUPTED, Advance, Output
-from .verb import LogFile
+from .verb import LogFile, command
 
 if TYPE_CHECKING:
     from ..options import ConsistencyOptions, FigureOptions, ParticleStudyOptions, SummaryOptions, SweepOptions
@@ -48,7 +49,9 @@ def consistency(output: Output, *, options: ConsistencyOptions, drawing: FigureO
     output.json(outcome.to_json())
     output.draw(outcome, drawing.figure)
     if options.noise == ConsistencyOptions().noise:
-        output.hint("Next: slam-compare consistency --noise 0.5 shows the effect of the models' curvature")
+        output.hint(
+            f"The effect of the models' curvature: {command('consistency', options=replace(options, noise=0.5))}"
+        )
 
 
 def sweep(
@@ -72,10 +75,10 @@ def sweep(
         + (f", {outcome.failed} of these failed." if outcome.failed else ".")
     )
     if outcome.interrupted:
-        output.say(f"Interrupted; finished runs are kept. To continue: slam-compare sweep {study}")
+        output.hint(f"Interrupted; finished runs are kept. To continue: {command('sweep', study, options=options)}")
     elif outcome.failed:
-        output.hint(f"Repeat the failed runs: slam-compare sweep {study} --retry")
-    output.hint(f"Next: slam-compare study {outcome.database}")
+        output.hint(f"Repeat the failed runs: {command('sweep', study, options=replace(options, retry=True))}")
+    output.hint(f"Next: {command('study', outcome.database)}")
     output.json({"study": str(study), **outcome.to_json()})
     if outcome.interrupted:
         raise typer.Exit(INTERRUPTED)
@@ -127,9 +130,9 @@ def study(
         output.draw(summary, options.figure, metric=options.metric)
     output.json({"database": str(database.path), "study": about.get("study"), **summary.to_json()})
     if missing := summary.planned - summary.done:
-        output.hint(f"Next: slam-compare sweep {about.get('study')} (executes the other {missing} runs)")
+        output.hint(f"To execute the other {missing} runs: {command('sweep', about.get('study'))}")
     elif options.figure is None:
-        output.hint(f"Next: slam-compare study {database.path} --figure study.png --csv runs.csv")
+        output.hint(f"Next: {command('study', database.path, '--figure', 'study.png', '--csv', 'runs.csv')}")
 
 
 def check_figure(path: Path | None) -> None:

@@ -178,17 +178,20 @@ def _without_outranked(ctx: typer.Context, values: dict[str, Any], options: dict
     return {name: value if name not in of_noise or typed(name) else None for name, value in values.items()}
 
 
-def command(verb: str, *words: Path | str | None, options: Options | None = None, leave_out: Sequence[str] = ()) -> str:
+def command(
+    verb: str, *words: Path | str | None, options: Options | Sequence[Options] = (), leave_out: Sequence[str] = ()
+) -> str:
     """A command line that can be pasted: the verb, the words that are not None, and all options off their defaults.
 
     Args:
         verb: of ``slam-compare``.
         words: arguments of the verb.
-        options: those of the run that the command continues.
+        options: those of the run that the command continues, one dataclass or several.
         leave_out: names of options that the verb does not have.
     """
     parts = [str(word) for word in words if word is not None]
-    for option, value in options.changed() if options is not None else ():
+    groups = options if isinstance(options, Sequence) else [options]
+    for option, value in (each for group in groups for each in group.changed()):
         if option.only == "python" or option.name in leave_out:
             continue
         if option.kind is bool:

@@ -30,7 +30,7 @@ MOST_LOGS = 6
 
 @contextmanager
 def _panels(count: int, **options: Any) -> Iterator[tuple[Figure, np.ndarray]]:
-    """A figure with so many panels, three in a row."""
+    """A figure with the given number of panels, three in a row."""
     columns, rows = min(count, 3), -(-count // 3)
     with paper_figure((WIDTH * columns / 3, 2.4 * rows)) as figure:
         panels = figure.subplots(rows, columns, squeeze=False, **options).ravel()

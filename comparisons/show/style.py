@@ -57,7 +57,7 @@ MATRIX = ("#ffffff", "#E69F00", "#0072B2")
 
 
 def style_of(name: str, points: int = 0) -> dict[str, Any]:
-    """The line properties of an estimator, a graph of a consistency study or a backend, for a line of so many points."""
+    """The line properties of an estimator, a graph of a consistency study or a backend, for a line with the given number of points."""
     style = ESTIMATORS.get(name) or CONSISTENCY.get(name) or BACKENDS.get(name)
     if style is None:
         color = _OTHER[sum(map(ord, name)) % len(_OTHER)]

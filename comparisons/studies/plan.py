@@ -151,17 +151,18 @@ def _worlds(file: TomlFile) -> Iterator[tuple[str, dict[str, Any]]]:
     tables = file.value(file.table, "simulate", dict, list)
     names: set[str] = set()
     for number, table in enumerate([tables] if isinstance(tables, dict) else tables or [], start=1):
+        where = "simulate" if isinstance(tables, dict) else f"simulate[{number - 1}]"
         if not isinstance(table, dict):
             raise file.error(
                 "simulate", f"simulate should be a table [simulate], or several [[simulate]], not {table!r}"
             )
-        fixed = _settings(file, {key: value for key, value in table.items() if key not in ("name", "vary")}, "simulate")
-        name = file.value(table, "name", str, where="simulate") or fixed.get("world", "book")
+        fixed = _settings(file, {key: value for key, value in table.items() if key not in ("name", "vary")}, where)
+        name = file.value(table, "name", str, where=where) or fixed.get("world", "book")
         if name in names:
             name = f"{name}-{number}"
         names.add(name)
-        for varied in _combinations(file, table, "simulate", _settings):
-            _check_world(file, fixed | varied)
+        for varied in _combinations(file, table, where, _settings):
+            _check_world(file, fixed | varied, where)
             yield _label(name, varied), {"simulate": fixed | varied}
 
 
@@ -170,14 +171,14 @@ def _settings(file: TomlFile, table: Mapping[str, Any], where: str) -> dict[str,
     return file.options(table, _SETTINGS, where)
 
 
-def _check_world(file: TomlFile, settings: Mapping[str, Any]) -> None:
+def _check_world(file: TomlFile, settings: Mapping[str, Any], where: str) -> None:
     """Simulate one step: the simulator itself checks its settings."""
     try:
         simulated_log({**settings, "steps": min(settings.get("steps", 1), 1)}, seed=0)
     except OptionError as error:
-        raise file.error(f"simulate.{str(error).split()[0]}", f"simulate: {error}") from None
+        raise file.error(f"{where}.{str(error).split()[0]}", f"{where}: {error}") from None
     except (TypeError, ValueError) as error:
-        raise file.error("simulate", f"simulate: these settings make no world: {error}") from None
+        raise file.error(where, f"{where}: these settings make no world: {error}") from None
 
 
 def _methods(file: TomlFile, names: tuple[str, ...]) -> Iterator[tuple[str, str, dict[str, Any]]]:

@@ -20,9 +20,9 @@ WAY_POINTS = [(6.0, -4.0), (6.0, 5.0), (-6.0, 5.0), (0.0, 0.0), (-6.0, -5.0)]
 
 
 def drive(seed: int, steps: int = 1000, orientation: bool = False, **more: object) -> Log:
-    """A robot that drives straight on and turns on the spot, so that noise per metre and per radian can be told apart."""
-    told: dict = {"motion": MOTION, "sensor": SENSOR, "landmarks": 20, "way_points": WAY_POINTS, "dt": 1.0} | more
-    return simulate(seed=seed, steps=steps, clean=True, orientation=orientation, speed=0.5, turn_rate=0.5, **told)
+    """A robot that drives straight on and turns on the spot, so that noise per metre and per radian can be degrees_of apart."""
+    degrees_of: dict = {"motion": MOTION, "sensor": SENSOR, "landmarks": 20, "way_points": WAY_POINTS, "dt": 1.0} | more
+    return simulate(seed=seed, steps=steps, clean=True, orientation=orientation, speed=0.5, turn_rate=0.5, **degrees_of)
 
 
 def errors_in_sigmas(found, motion: MotionModel, sensor: SensorModel) -> dict[str, float]:

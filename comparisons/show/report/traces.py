@@ -65,7 +65,7 @@ def logarithmic(values: Sequence[float]) -> dict[str, Any]:
 
 
 def short(value: float, digits: int = 4) -> float | None:
-    """A number with so many significant digits, None where it is not finite: the page has to stay small."""
+    """A number with the given number of significant digits, None where it is not finite: the page has to stay small."""
     return float(f"{value:.{digits}g}") if math.isfinite(value) else None
 
 
