@@ -54,7 +54,7 @@ def native_gtsam_graph(graph: Graph) -> gtsam.NonlinearFactorGraph:
     """
     factors = gtsam.NonlinearFactorGraph()
     for family in graph.families:
-        if isinstance(family, RelativePoseEdges) and not family.frozen_information:
+        if isinstance(family, RelativePoseEdges) and not family.state_dependent_information:
             for i, j, z, omega in zip(
                 family.first.tolist(), family.second.tolist(), family.measured, information_of_g2o(family)
             ):

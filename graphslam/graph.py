@@ -168,9 +168,9 @@ class Graph:
         return sum(family.count for family in self.families if not isinstance(family, AnchorEdges))
 
     @property
-    def frozen_information(self) -> bool:
+    def state_dependent_information(self) -> bool:
         """Whether some information depends on the state, so that it has to be re-evaluated between linear solves."""
-        return any(family.frozen_information for family in self.families)
+        return any(family.state_dependent_information for family in self.families)
 
     @property
     def reweighted(self) -> bool:

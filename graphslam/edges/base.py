@@ -89,7 +89,7 @@ class EdgeFamily(ABC):
         """The number of edges."""
 
     @property
-    def frozen_information(self) -> bool:
+    def state_dependent_information(self) -> bool:
         """Whether Omega_e depends on the reference state."""
         return False
 

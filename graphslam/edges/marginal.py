@@ -48,7 +48,7 @@ class MarginalEdges(LandmarkSightings):
         return len(self.nodes)
 
     @property
-    def frozen_information(self) -> bool:
+    def state_dependent_information(self) -> bool:
         return self.frame == "world"
 
     def linearize(self, state: Array, reference: Array) -> Linearization:

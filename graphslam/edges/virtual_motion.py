@@ -59,7 +59,7 @@ class VirtualMotionEdges(LandmarkSightings):
         return (int(np.sum(np.diff(self.starts) ** 2)) - int(np.sum(alike**2))) // 2
 
     @property
-    def frozen_information(self) -> bool:
+    def state_dependent_information(self) -> bool:
         # only with psi and in the body frame do the sightings alone give the information
         return self.frame == "world" or not self.oriented
 

@@ -65,7 +65,7 @@ def solve_with_gtsam(
     made = to_gtsam(started, factors=factors)
     begin = time.perf_counter()
     try:
-        if graph.frozen_information:
+        if graph.state_dependent_information:
             state, norms, converged = _refrozen(started, tolerance, max_iterations, factors)
         else:
             state, norms, converged = _optimize(started, made, tolerance, max_iterations)
