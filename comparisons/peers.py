@@ -159,7 +159,7 @@ def _import_g2o() -> Any:
     try:
         return import_module("g2opy")
     except ImportError:
-        raise OptionError("the backend g2o needs the package g2opy: pip install 'virtual-motion-slam[peers]'") from None
+        raise OptionError("the backend g2o needs the package g2opy: pip install -e '.[peers]' in the clone") from None
 
 
 def _smallest_number(

@@ -1,4 +1,4 @@
-"""A graph: nodes with initial values, and the families of edges that tie them."""
+"""A graph: nodes with initial values, and the families of edges that connect them."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def run(
     named += ["trajectories (*.tum)", "maps (*-map.csv)", *(["graph.g2o"] if "graph.g2o" in files else [])]
     output.hint(f"Wrote {', '.join(named)} into {folder}{os.sep}")
     output.hint(f"Repeat this run:     {command('run', '--config', files['config'])}")
-    plotly = "" if find_spec("plotly") else " (first: pip install plotly)"
+    plotly = "" if find_spec("plotly") else " (first: pip install -e '.[report]' in the clone)"
     output.hint(f"Interactive report:  {command('report', log, 'report.html', options=options)}{plotly}")
     output.hint(f"Animation:           {command('animate', log, 'animation.gif', options=options)}")
 

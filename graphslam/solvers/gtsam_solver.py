@@ -1,6 +1,7 @@
 """The same graph solved by GTSAM: the factor types of this package, and GTSAM's Levenberg-Marquardt.
 
-This solver shares with the hand-written one the state that it starts from, and nothing else.
+The two solvers share the noise models, the initial state and Anderson acceleration; residuals, Jacobians and linear solvers
+are separate.
 """
 
 from __future__ import annotations
