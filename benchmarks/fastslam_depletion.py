@@ -61,26 +61,26 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--resampling", default="systematic")
     parser.add_argument("--threshold", type=float, default=0.5)
-    keywords = parser.parse_args()
+    arguments = parser.parse_args()
     options = {
-        "particles": keywords.particles,
-        "resampling": keywords.resampling,
-        "ess_threshold": keywords.threshold,
+        "particles": arguments.particles,
+        "resampling": arguments.resampling,
+        "ess_threshold": arguments.threshold,
         **MODELS,
     }
     for kind in (FastSLAM1, FastSLAM2):
         met = 0
-        for seed in range(keywords.seeds):
+        for seed in range(arguments.seeds):
             log = simulate(seed=seed, steps=STEPS, clean=True, orientation=False, **MODELS)
             begin = time.perf_counter()
             error, families = run(kind(log, seed=seed, **options), log)
             met += error < 0.3
             print(
-                f"{kind.__name__}, N = {keywords.particles}, log {seed}: largest error {error:.2f} standard deviations, "
+                f"{kind.__name__}, N = {arguments.particles}, log {seed}: largest error {error:.2f} standard deviations, "
                 f"{families:.1f} effective families of step {EARLY}, {time.perf_counter() - begin:.0f} s",
                 flush=True,
             )
-        print(f"{kind.__name__}: {met} of {keywords.seeds} logs within 0.3 standard deviations", flush=True)
+        print(f"{kind.__name__}: {met} of {arguments.seeds} logs within 0.3 standard deviations", flush=True)
 
 
 if __name__ == "__main__":

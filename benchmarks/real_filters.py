@@ -121,11 +121,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--particles", type=int, default=500)
     parser.add_argument("--laser", type=float, default=3.78, help="how far the laser is ahead of the rear axle [m]")
-    keywords = parser.parse_args()
+    arguments = parser.parse_args()
     study = (
-        mrclam(keywords.data, keywords.seeds, keywords.particles)
-        if keywords.study == "mrclam"
-        else victoria(keywords.data, keywords.seeds, keywords.particles, keywords.laser)
+        mrclam(arguments.data, arguments.seeds, arguments.particles)
+        if arguments.study == "mrclam"
+        else victoria(arguments.data, arguments.seeds, arguments.particles, arguments.laser)
     )
     for line in study:
         print(line, flush=True)

@@ -174,23 +174,23 @@ def main() -> None:
     parser.add_argument("--only", default="", help="cases whose title has this in it")
     parser.add_argument("--figures", type=Path, help="folder for figures")
     parser.add_argument("--json", type=Path, help="also write the rows there")
-    keywords = parser.parse_args()
+    arguments = parser.parse_args()
     rows = []
     for case in CASES:
-        if keywords.only not in case.title:
+        if arguments.only not in case.title:
             continue
-        if not (keywords.data / case.folder).exists():
-            print(f"\n{case.title}: not below {keywords.data}, left out", flush=True)
+        if not (arguments.data / case.folder).exists():
+            print(f"\n{case.title}: not below {arguments.data}, left out", flush=True)
             continue
-        outcome, consistency = run(case, keywords.data)
+        outcome, consistency = run(case, arguments.data)
         print("\n".join(lines(case, outcome, consistency)), flush=True)
         rows += [row(case, r, outcome.metrics[r.name], consistency) for r in outcome.results]
-        if keywords.figures is not None and case.figure is not None:
+        if arguments.figures is not None and case.figure is not None:
             # the native graph lies on ours
             shown = replace(outcome, results=tuple(r for r in outcome.results if r.name != "gtsam-native"))
-            comparison_figure(shown).savefig(keywords.figures / f"{case.figure}.png", dpi=110)
-    if keywords.json is not None:
-        keywords.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+            comparison_figure(shown).savefig(arguments.figures / f"{case.figure}.png", dpi=110)
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -31,11 +31,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=data_folder(), help="default: SLAM_DATA, else ../shared/data")
     parser.add_argument("--robots", type=int, nargs="+", default=[1], help="robot 3 has 700,000 pairs: minutes")
-    keywords = parser.parse_args()
+    arguments = parser.parse_args()
     print("| robot | pairs | edges | kernel | converged | ATE [m] | map [m] | NEES / 3 | iterations | time [s] |")
     print("|---|---|---|---|---|---|---|---|---|---|")
-    for robot in keywords.robots:
-        log = read(keywords.data, "mrclam6", robot, 1, None)
+    for robot in arguments.robots:
+        log = read(arguments.data, "mrclam6", robot, 1, None)
         for variant in VARIANTS:
             for robust in ("none", "huber"):
                 options = RunOptions(robust=robust, **variant, **BY_HAND)

@@ -1,4 +1,4 @@
-"""Pose graphs through this solver, GTSAM and g2o: cost by one evaluator, time, and how each ended."""
+"""Pose graphs solved by this solver, GTSAM and g2o: cost by one evaluator, time, and whether each converged."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """Trajectories and maps in files that other programs read.
 
-Trajectories are in the text format of the TUM RGB-D benchmark, a pose a line,
+Trajectories are in the text format of the TUM RGB-D benchmark, one pose per line,
 
     timestamp x y z qx qy qz qw        [s, m, quaternion]; here z = qx = qy = 0, qz = sin(theta / 2), qw = cos(theta / 2)
 
-maps are tables with commas. Both have numbers at full precision: read again they are the same bits.
+Maps are tables with commas. Reading a file gives exactly the same numbers.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Compile the numba kernels ahead of their first use: ``python -m comparisons.kernels``, two processes side by side.
 
 numba compiles a function when it is first called and keeps the result beside the source; in one process all of them
-take half a minute. Nothing depends on this having been run.
+take half a minute. This is optional.
 """
 
 from __future__ import annotations

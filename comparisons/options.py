@@ -1,11 +1,12 @@
-"""Every option of the project, declared once.
+"""The options of the command line, each declared once.
 
-An option is a field of one of the dataclasses below: its name, type and default are those of the field, its help, unit,
+An option is a field of a dataclass: its name, type and default are those of the field, its help, unit,
 choices and limits are the field's metadata (see `comparisons.option`). The command line, configuration files, study files,
-the printed next commands and the keywords of the Python functions all derive from these fields. The numbers of the noise
-models, of the particle filters and of the simulator are fields of dataclasses of their packages, and are not repeated here.
+the printed next commands and the keywords of the Python functions all derive from these fields. Options of
+the particle filters are fields of `fastslam.options`, the numbers of the noise models fields of `graphslam.models`, and those
+of the simulator are in `graphslam.sources`. All others are declared here.
 
-To add an option, add a field here and use it where it takes effect.
+To add an option, add a field and use it where it takes effect.
 """
 
 from __future__ import annotations

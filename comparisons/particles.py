@@ -1,4 +1,4 @@
-"""How many particles are enough? Error, effective sample size, ancestors and time over their number, many seeds."""
+"""Error, effective sample size, ancestors and time as functions of the number of particles, for many random seeds."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def native_gtsam_graph(graph: Graph) -> gtsam.NonlinearFactorGraph:
     """
     factors = gtsam.NonlinearFactorGraph()
     for family in graph.families:
-        if isinstance(family, RelativePoseEdges) and not family.frozen_information:
+        if isinstance(family, RelativePoseEdges) and not family.state_dependent_information:
             for i, j, z, omega in zip(
                 family.first.tolist(), family.second.tolist(), family.measured, information_of_g2o(family)
             ):
@@ -159,7 +159,7 @@ def _import_g2o() -> Any:
     try:
         return import_module("g2opy")
     except ImportError:
-        raise OptionError("the backend g2o needs the package g2opy: pip install 'virtual-motion-slam[peers]'") from None
+        raise OptionError("the backend g2o needs the package g2opy: pip install -e '.[peers]' in the clone") from None
 
 
 def _smallest_number(

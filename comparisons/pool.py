@@ -5,7 +5,7 @@ stopped at a time limit, or die without taking the others along. Its processes a
 
 - with one thread each, so that there are as many as cores, and so that results do not depend on the number of cores;
 - without importing the caller's script again: notebooks have none, and scripts need no ``if __name__ == "__main__"``;
-- without the terminal's Ctrl-C, which is for the process that started them, and with which they end.
+- without a reaction to Ctrl-C: they ignore it, and stop when the parent process stops.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What one estimator makes of a log. A result keeps the object it was computed from, and asks it for more."""
+"""The result of one estimator on one log. It keeps the object from which it was computed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from graphslam.uncertainty import Uncertainty
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EstimatorResult:
-    """What one estimator makes of a log.
+    """The result of one estimator on one log.
 
     Attributes:
         name: of the estimator.

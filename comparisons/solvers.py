@@ -243,7 +243,7 @@ def _compare_robust(name: str, graph: Graph, ours: Solution, theirs: Solution) -
     stayed, _ = _attempt(solve_with_gtsam, graph.with_initial(ours.state))
     if stayed is None:
         return result
-    if not graph.frozen_information:
+    if not graph.state_dependent_information:
         # where the information is re-evaluated, J does not compare two states
         back, _ = _attempt(solve, graph.with_initial(theirs.state), method=ROBUST_METHOD)
         if back is None or back.cost > theirs.cost * (1 + COST_TOLERANCE):

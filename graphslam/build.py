@@ -182,7 +182,7 @@ def file_of_parts(
     for family in families:
         if isinstance(family, AnchorEdges):
             held.append(family.nodes)
-        elif isinstance(family, RelativePoseEdges) and not family.frozen_information:
+        elif isinstance(family, RelativePoseEdges) and not family.state_dependent_information:
             poses.append(family)
         elif isinstance(family, RelativePointEdges):
             points.append(family)

@@ -1,4 +1,4 @@
-"""A graph: nodes with initial values, and the families of edges that tie them."""
+"""A graph: nodes with initial values, and the families of edges that connect them."""
 
 from __future__ import annotations
 
@@ -113,7 +113,8 @@ class Graph:
             kernel=kernel_of(kernel),
         )  # fmt: skip
         if edges.startswith("landmark") and weight != WEIGHTS[0]:
-            parts["notes"] += (f"weight={weight!r} has no effect: with landmark nodes each sighting counts once",)
+            note = f"weight={weight!r} has no effect: with landmark nodes each sighting counts once"
+            parts["notes"] = (*parts.get("notes", ()), note)
         return cls(**parts)
 
     @classmethod
@@ -170,9 +171,9 @@ class Graph:
         return sum(family.count for family in self.families if not isinstance(family, AnchorEdges))
 
     @property
-    def frozen_information(self) -> bool:
+    def state_dependent_information(self) -> bool:
         """Whether some information depends on the state, so that it has to be re-evaluated between linear solves."""
-        return any(family.frozen_information for family in self.families)
+        return any(family.state_dependent_information for family in self.families)
 
     @property
     def reweighted(self) -> bool:

@@ -65,6 +65,9 @@ class NoiseModel:
         return replace(self, **zero, **given)  # type: ignore[type-var]
 
 
+_REPLACES_MOTION = "If none of nn, no, on, oo is given, these become 0"
+
+
 @dataclass(frozen=True, kw_only=True)
 class MotionModel(NoiseModel):
     """A robot that moves on arcs: control u = (nu, omega) [m/s, rad/s] held for dt seconds.
@@ -87,9 +90,11 @@ class MotionModel(NoiseModel):
     on: float = option(0.13, "Noise of the turn rate per distance driven", "rad/√m")
     oo: float = option(0.2, "Noise of the turn rate per angle turned", "rad/√rad")
     epsilon: float = option(1e-4, "Variance added to the pose after each motion", "m², rad²")
-    sigma_v: float = option(0.0, "Noise of the speed of every control; alone it replaces nn, no, on and oo", "m/s")
+    sigma_v: float = option(
+        0.0, "Standard deviation of the speed, the same for every control. " + _REPLACES_MOTION, "m/s"
+    )
     sigma_omega: float = option(
-        0.0, "Noise of the turn rate of every control; alone it replaces nn, no, on and oo", "rad/s"
+        0.0, "Standard deviation of the turn rate, the same for every control. " + _REPLACES_MOTION, "rad/s"
     )
 
     def __post_init__(self) -> None:
@@ -241,8 +246,12 @@ class SensorModel(NoiseModel):
     range_rate: float = option(0.14, "Noise of the range per metre of range", "m/m")
     bearing_std: float = option(0.05, "Noise of the bearing", "rad")
     orientation_std: float = option(0.05, "Noise of the orientation psi", "rad")
-    range_std: float = option(0.0, "Noise of the range, the same at every range; alone it replaces range_rate", "m")
-    offset: tuple[float, float] = option((0.0, 0.0), "Place of the sensor on the robot, ahead and to the left", "m")
+    range_std: float = option(
+        0.0,
+        "Standard deviation of the range, the same at every range. If range_rate is not given, it becomes 0",
+        "m",
+    )
+    offset: tuple[float, float] = option((0.0, 0.0), "Position of the sensor on the robot: forward, left", "m")
 
     def __post_init__(self) -> None:
         check_positive(bearing_std=self.bearing_std, orientation_std=self.orientation_std)

@@ -5,7 +5,7 @@ properties that better solvers do not have: Omega_e is re-evaluated at every ite
 xi, so that it is reset to the current x_0 at every step. Therefore the whole graph drifts by a small constant amount at
 every step, and the program stops only because its threshold is coarse. Headings are not wrapped, so they count turns.
 
-Source: the lectures on graph SLAM (LNPR chapter 9, slides 9.1.2 to 9.3.2).
+Source: the lectures on graph SLAM (LNPR chapter 9, slides 9.1 to 9.5).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .log import Log
 from .models import MotionModel, SensorModel
 from .se2 import Array
 
-#: slide 9.2.2: information of the anchor, Omega_0 = 1e6 I
+#: slides 9.1.1 and 9.2: information of the anchor; they take an infinite one, the book's program 1e6 I
 OMEGA_0 = 1e6 * np.eye(3)
 
 

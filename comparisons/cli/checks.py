@@ -43,7 +43,7 @@ def backends(
     options: BackendOptions,
     drawing: FigureOptions,
 ) -> None:
-    """Time this solver against GTSAM and g2o on pose graphs; one evaluator computes the chi2 of all."""
+    """Time this solver, GTSAM and g2o on pose graphs; the same function computes the chi2 of every solver's result."""
     from ..backends import BACKENDS, compare_backends
     from ..saving import FIGURE_FORMATS, check_can_write
 

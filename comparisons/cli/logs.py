@@ -24,7 +24,8 @@ def simulate(
 ) -> None:
     """Write a simulated log with its ground truth.
 
-    The robot has the book's faults, each of which can be changed; with --clean only the noise of the models.
+    The robot has the book's faults, each of which can be changed. With --clean the robot has no faults, only the noise of
+    the models.
     """
     import graphslam
 

@@ -43,7 +43,9 @@ def run(
     named += ["trajectories (*.tum)", "maps (*-map.csv)", *(["graph.g2o"] if "graph.g2o" in files else [])]
     output.hint(f"Wrote {', '.join(named)} into {folder}{os.sep}")
     output.hint(f"Repeat this run:     {command('run', '--config', files['config'])}")
-    plotly = "" if find_spec("plotly") else "The interactive report needs plotly: pip install plotly"
+    plotly = (
+        "" if find_spec("plotly") else "The interactive report needs plotly: pip install -e '.[report]' in the clone."
+    )
     if plotly:
         output.hint(plotly)
     output.hint(f"Interactive report:  {command('report', log, 'report.html', options=(chosen, options))}")

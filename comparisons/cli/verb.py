@@ -97,7 +97,8 @@ def _parameter(option: Option) -> inspect.Parameter:
     kind: Any = option.each if option.kind in (str, int, float, bool) else str
     flag = f"{option.flag}/--no-{option.flag[2:]}" if option.kind is bool and option.default else option.flag
     flags = [flag, *([f"--{option.alias}"] if option.alias else [])]
-    text = option.help.removesuffix(".") + (f" [{option.unit}]." if option.unit else ".")
+    first, dot, more = option.help.removesuffix(".").partition(". ")
+    text = first + (f" [{option.unit}]" if option.unit else "") + f"{dot}{more}."
     if not all(choice in option.help for choice in option.choices):
         several = "One or several of, with commas between" if option.kind is tuple else "One of"
         text += f" {several}: {', '.join(option.choices)}."

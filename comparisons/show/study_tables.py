@@ -119,11 +119,11 @@ def _intervals(figures: Mapping[str, Median | None], sign: str = "") -> list[str
 
 
 def survey_tables(survey: Survey) -> Tables:
-    """A row per log or pose graph at hand; below, what the known data sets are."""
+    """A row for each log or pose graph found on this computer; below, what the known data sets are."""
     from ..datasets import DATA_SETS
 
     headings = ["robot", "poses", "sightings,\nedges", "landmarks", "controls", "time\n[s]", "truth\ncovers", "reads"]
-    table = LeanTable("At hand", ["data set", "file or folder"], headings)
+    table = LeanTable("Found on this computer", ["data set", "file or folder"], headings)
     for name, entries in survey.found.items():
         for entry in entries:
             counts = [entry.robot, entry.poses, entry.sightings, entry.landmarks, entry.controls]
@@ -161,10 +161,14 @@ def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
     for number_of, value in calibration.numbers.items():
         error = calibration.errors.get(number_of, np.nan)
         known = f"{error:.2g}" if np.isfinite(error) else NOTHING
+        # a bias may be zero, but no other number
+        if error > value and number_of != "range_bias":
+            known = "not identifiable"
         table.add_row(number_of, Text(options_of(NoiseOptions)[number_of].unit), f"{value:.4g}", known)
     names = {"motion": "motions", "sensor": "sightings"}
     counts = " and ".join(f"{count} {names[part]}" for part, count in calibration.counts.items())
     return [table], [
-        f'From {counts}. Measured range = range_scale * range + range_bias. "{NOTHING}": zero or not identifiable.',
+        f'From {counts}. Measured range = range_scale * range + range_bias. "{NOTHING}": zero or not estimated; '
+        '"not identifiable": the standard error exceeds the value.',
         *(f"{note}." for note in calibration.notes),
     ]

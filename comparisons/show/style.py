@@ -1,15 +1,15 @@
-"""Colours, line styles and markers: whatever is drawn anywhere has one look, and it is defined here.
+"""The colours, line styles and markers of all figures, animations and reports.
 
 Most colours are those of Okabe and Ito, the others those of Paul Tol; readers with colour blindness can distinguish all
-of them. Each estimator also has its own line style or marker and its own lightness, so that a figure survives a grey
-print.
+of them. Each estimator also has its own line style or marker and its own lightness, so that a figure printed in grey
+remains readable.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-# thick light lines lie below, thin dark ones and bare markers above: where estimates coincide all of them show
+# thick light lines are drawn first, thin dark lines and markers over them, so that all estimates that coincide are visible
 ESTIMATORS: dict[str, dict[str, Any]] = {
     "dead-reckoning": {"color": "#E69F00", "linestyle": (0, (5, 1.5)), "linewidth": 1.1, "zorder": 2.1},
     "textbook": {"color": "#D55E00", "linestyle": "none", "marker": "x", "markersize": 3.6, "zorder": 3.4},
@@ -57,7 +57,7 @@ MATRIX = ("#ffffff", "#E69F00", "#0072B2")
 
 
 def style_of(name: str, points: int = 0) -> dict[str, Any]:
-    """The line properties of an estimator, a graph of a consistency study or a backend, for a line with the given number of points."""
+    """The line properties of an estimator, a graph of a consistency study or a backend, for a line of ``points``."""
     style = ESTIMATORS.get(name) or CONSISTENCY.get(name) or BACKENDS.get(name)
     if style is None:
         color = _OTHER[sum(map(ord, name)) % len(_OTHER)]

@@ -65,7 +65,7 @@ def dask_cluster(address: str) -> Iterator[Place]:
     try:
         from distributed import Client
     except ModuleNotFoundError:
-        raise OptionError("--dask needs Dask; install it with: pip install 'virtual-motion-slam[cluster]'") from None
+        raise OptionError("--dask needs Dask; install it with: pip install -e '.[cluster]' in the clone") from None
     from distributed.comm import CommClosedError
     from distributed.scheduler import KilledWorker
 

@@ -1,4 +1,4 @@
-"""Edge families: what ties the nodes of a graph together, one file for each kind, and the kernels that they share."""
+"""Edge families, which connect the nodes of a graph: one file for each kind, and the kernels that they share."""
 
 from .anchor import ANCHOR_INFORMATION, AnchorEdges
 from .base import EdgeFamily, Linearization, Relations

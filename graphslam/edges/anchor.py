@@ -1,4 +1,4 @@
-"""Anchor: a pose held at a value, (x - x̂)' Omega_0 (x - x̂). Without an anchor the whole graph can move freely."""
+"""Anchor: a prior on a pose, (x - x̂)' Omega_0 (x - x̂). Without an anchor the whole graph can move freely."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a family of edges must be able to do, and how it looks when it is taken apart edge by edge.
+"""The interface of an edge family, and the linearisation of its edges one by one.
 
 A graph has n nodes; ``state`` (n, 3) holds their values, poses (x, y, theta) and landmarks alike. Some information
 matrices depend on the state. They are evaluated at ``reference`` (n, 3): Gauss-Newton sets it to the current state at
@@ -89,13 +89,13 @@ class EdgeFamily(ABC):
         """The number of edges."""
 
     @property
-    def frozen_information(self) -> bool:
+    def state_dependent_information(self) -> bool:
         """Whether Omega_e depends on the reference state."""
         return False
 
     @abstractmethod
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
-        """The groups of nodes that the edges tie, as (starts, nodes): group g is ``nodes[starts[g]:starts[g+1]]``.
+        """The groups of nodes that the edges connect, as (starts, nodes): group g is ``nodes[starts[g]:starts[g+1]]``.
 
         Within a group the nodes do not decrease, and every pair of different nodes has an edge.
         """
@@ -123,7 +123,7 @@ class EdgeFamily(ABC):
 
 @dataclass(frozen=True, eq=False)
 class PairEdges(EdgeFamily):
-    """Edges that tie two nodes each, ``first`` (E,) and ``second`` (E,)."""
+    """Edges that connect two nodes each, ``first`` (E,) and ``second`` (E,)."""
 
     first: np.ndarray
     second: np.ndarray

@@ -1,5 +1,8 @@
 """The arithmetic that the compiled loops of all edge families share. Every function is inlined into its caller.
 
+In world axes, the Jacobians of an edge between two nodes are B_i = -[I, u; 0, 1] and B_j = [I, v; 0, 1]; u and v are
+called levers. `add_pair` adds B' Omega B to Omega and -B' Omega e to xi.
+
 A symmetric 3 x 3 matrix W is a tuple of six numbers, (w00, w01, w11, w02, w12, w22); a vector is a tuple of three.
 Residuals without a heading row have w02 = w12 = w22 = 0.
 """
@@ -119,7 +122,7 @@ def add_pair(values, xi, i, j, slots, W, g, u, v):
         slots: those of their diagonal blocks and of the block that they share.
         W: Omega.
         g: Omega e.
-        u, v: the levers: how the residual's position moves when the nodes turn.
+        u, v: the levers, the derivatives of the residual's position with respect to the headings of the nodes.
     """
     add_gradient(xi[i], 1.0, g, u)
     add_gradient(xi[j], -1.0, g, v)

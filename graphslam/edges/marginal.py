@@ -4,15 +4,16 @@ With y_a = h^-1(x_a, z_a) and W_a = (R_a Q_a R_a')^-1 a landmark m costs
 
     min over m of sum over a of (m - y_a)' W_a (m - y_a),   at  m̂ = S^-1 sum W_a y_a,   S = sum W_a,
 
-and ties all poses that saw it into one clique. With e_a = m̂ - y_a and B_a = de_a/dx_a = -[I, t_a; 0, 1] it adds
+and connects all poses that saw it by one clique. With e_a = m̂ - y_a and its Jacobian B_a = de_a/dx_a = -[I, t_a; 0, 1]
+it adds
 
     B_a' W_a B_a  to the diagonal,   -U_a S^-1 U_b'  to every pair of poses, U_a = B_a' W_a,   -B_a' W_a e_a  to xi:
 
 the Schur complement of the landmark. The information is blkdiag(W) - [W_a S^-1 W_b], which is no sum of pair terms.
 
-``frame`` decides about W_a, which turns with its own pose: ``world`` evaluates it at the reference. In ``body`` it turns
-along, so that the information in the axes of the sighting is constant, with psi or without, and t_a gains the
-derivative of the turning, (-e_y, e_x).
+``frame`` decides about W_a, which rotates with its own pose. ``world`` evaluates it at the reference state and keeps it
+fixed. In ``body`` it rotates with the pose during a step, so that the information in the axes of the sighting is constant,
+with psi or without, and the derivative of the rotation, (-e_y, e_x), is added to t_a.
 
 Headings wrap: every e_a is taken in [-pi, pi) about m̂ itself. The search for m̂ starts at the circular mean of the
 headings, so that the result does not depend on the order of the sightings.
@@ -48,7 +49,7 @@ class MarginalEdges(LandmarkSightings):
         return len(self.nodes)
 
     @property
-    def frozen_information(self) -> bool:
+    def state_dependent_information(self) -> bool:
         return self.frame == "world"
 
     def linearize(self, state: Array, reference: Array) -> Linearization:
@@ -84,7 +85,7 @@ class MarginalEdges(LandmarkSightings):
         return e, W, factor, lever, means, total
 
     def _effective(self, lever: Array, e: Array) -> Array:
-        """The lever (M, 2) with the derivative of the turning of W in it."""
+        """The lever (M, 2), including the derivative of the rotation of W."""
         return lever if self.frame == "world" else lever + perpendicular(e[:, :2])
 
 

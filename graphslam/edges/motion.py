@@ -3,9 +3,9 @@
 Where odometry is finer than the poses, f is the composition f(... f(x_{t-1}, u_1) ..., u_k), and A M A' the covariance
 propagated through it (`MotionModel.accumulate`).
 
-f turns with the pose it starts from, so the whole edge is a relative-pose edge whose measurement is f(0, u) and whose
+f rotates with the pose from which it starts, so the whole edge is a relative-pose edge whose measurement is f(0, u) and whose
 covariance is that of a motion that starts at 0: no new equations. ``frame`` says whether the residual is the lectures'
-(world, Omega re-evaluated at every step) or turned into the frame of x_{t-1} (body, Omega constant).
+(world, Omega re-evaluated at every step) or expressed in the frame of x_{t-1} (body, Omega constant).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The information is Q^-1 at the measured range. These edges are exact where virtual-motion edges are an approximation,
 and their number is linear in the number of sightings. A landmark without heading uses the first two coordinates of its
-node; `Graph.linearize` holds the third.
+node; `Graph.linearize` keeps the third coordinate constant.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ class _RelativeEdges(PairEdges):
     frame: str = field(default="body", kw_only=True)
 
     @property
-    def frozen_information(self) -> bool:
+    def state_dependent_information(self) -> bool:
         return self.frame == "world"
 
     def linearize(self, state: Array, reference: Array) -> Linearization:

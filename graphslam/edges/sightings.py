@@ -1,8 +1,8 @@
 """What all edges that come from sightings have in common, and sightings grouped by landmark.
 
-Every sighting puts its landmark at y = h^-1(x, z) with covariance C = R Q R'. Turning the pose moves y by the lever t =
-(-v_y, v_x), where v leads from the pose to the landmark: l (cos, sin)(theta + phi), and R(theta) o before it where the
-sensor sits at o on the robot.
+Every sighting places its landmark at y = h^-1(x, z) with covariance C = R Q R'. When the pose rotates, y moves by the
+lever t = (-v_y, v_x) per radian, where v leads from the pose to the landmark. It is l (cos, sin)(theta + phi), plus
+R(theta) o where the sensor sits at o on the robot.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from .robust import Kernel, code_and_width
 
 Self = TypeVar("Self", bound="SightingEdges")
 
-#: how `prepare` treats the covariance: at the reference; in the landmark's own axes; at the reference, but turning along
+#: how `prepare` treats the covariance: evaluated at the reference; in the landmark's own axes; evaluated at the reference,
+#: and then rotating with the pose
 WORLD, BODY, BODY_WITHOUT_PSI = 0, 1, 2
 
 #: the least trust: a landmark all of whose sightings are wrong must still be somewhere

@@ -1,25 +1,27 @@
-"""Virtual-motion edges: two sightings of one landmark tie the two poses they were made from.
+"""Virtual-motion edges: two sightings of one landmark connect the two poses from which they were made.
 
-Every sighting puts the landmark at y_a = h^-1(x_a, z_a), with covariance C_a = R_a Q_a R_a'. All pairs of sightings of
+Every sighting places the landmark at y_a = h^-1(x_a, z_a), with covariance C_a = R_a Q_a R_a'. All pairs of sightings of
 a landmark from different steps give an edge
 
     e = y_b - y_a  (heading wrapped),   Omega^-1 = C_a + C_b,   B_a = -[I, t_a; 0, 1],  B_b = [I, t_b; 0, 1],
 
-where t = (-l sin(theta + phi), l cos(theta + phi)) is what turning the pose does to y. Without psi the heading row is
-missing. A sensor that sits at o on the robot adds R(theta) o to y, and R(theta) (-o_y, o_x) to t; C is the same.
+where B_a and B_b are the Jacobians of e, and t = (-l sin(theta + phi), l cos(theta + phi)) is the derivative of the
+position of y with respect to theta. Without psi the heading row is missing. A sensor that sits at o on the robot adds
+R(theta) o to y, and R(theta) (-o_y, o_x) to t; C is the same.
 
-``frame`` decides how Omega, which turns with the poses, is treated:
+``frame`` decides how Omega, which rotates with the poses, is treated:
 
 * ``world``: C is evaluated at the reference state and kept fixed (the lectures).
-* ``body``: the residual is turned into axes that turn with pose a, in which Omega is given by the sightings alone. The
+* ``body``: the residual is expressed in axes that rotate with pose a, in which Omega follows from the sightings alone. The
   natural axes are the landmark's own, because there a sighting comes from direction psi, whatever the poses:
   C_a = L(l_a, psi_a) Q_a L', L(l, d) = [[cos d, -l sin d, 0], [sin d, l cos d, 0], [0, 1, -1]]. (Axes along the first
-  sighting, as in `factors`, differ from these by psi_a, a constant, so the cost is the same.) Pose a puts the
-  landmark's axes at gamma_a = theta_a + phi_a - psi_a. Written back in world axes Omega turns by gamma_a, e stays
-  y_b - y_a, and t_a gains the derivative of the turning, (-e_y, e_x).
+  sighting, as in `factors`, differ from these by psi_a, a constant, so the cost is the same.) Seen from pose a,
+  the heading of the landmark's axes is gamma_a = theta_a + phi_a - psi_a. Expressed in world axes again, Omega is
+  rotated by gamma_a, e stays y_b - y_a, and the derivative of the rotation, (-e_y, e_x), is added to t_a.
 * ``body`` without psi: the direction between the two sightings is not measured; it is taken from the reference state:
-  C is evaluated there, as for ``world``, but then turns with pose a, gamma_a = theta_a - (theta_a at the reference).
-  So the edge does not change under turning the whole graph, yet its information needs re-evaluation.
+  C is evaluated there, as for ``world``, but then rotates with pose a, gamma_a = theta_a - (theta_a at the reference).
+  Therefore the cost does not change when the whole graph is rotated, but the information must be computed again at
+  every step.
 
 The number of pairs grows with the square of the sightings per landmark. The solver visits them without listing them.
 """
@@ -59,7 +61,7 @@ class VirtualMotionEdges(LandmarkSightings):
         return (int(np.sum(np.diff(self.starts) ** 2)) - int(np.sum(alike**2))) // 2
 
     @property
-    def frozen_information(self) -> bool:
+    def state_dependent_information(self) -> bool:
         # only with psi and in the body frame do the sightings alone give the information
         return self.frame == "world" or not self.oriented
 
@@ -81,7 +83,7 @@ class VirtualMotionEdges(LandmarkSightings):
         return self.sensor.landmark_covariance(facing, self.sightings)
 
     def linearize(self, state: Array, reference: Array) -> Linearization:
-        """The edges one by one; with ``frame="body"`` the residuals are given in the turned axes."""
+        """The edges one by one; with ``frame="body"`` the residuals are given in the rotated axes."""
         a, b, group = self.pairs()
         y, lever = self.placed(state)
         covariance = self.covariances(reference)

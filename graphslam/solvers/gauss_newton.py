@@ -19,7 +19,7 @@ def gauss_newton(graph: Graph, run: Run) -> None:
 
     Source: the lectures, section 9.1; Nocedal and Wright, *Numerical Optimization*, section 10.3.
     """
-    run.mixing = AndersonMixing() if graph.frozen_information or graph.reweighted else None
+    run.mixing = AndersonMixing() if graph.state_dependent_information or graph.reweighted else None
     run.reason = f"max_iterations = {run.max_iterations} reached"
     factor: Factor | None = None
     for _ in range(run.max_iterations):

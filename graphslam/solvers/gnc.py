@@ -1,14 +1,14 @@
 """Graduated non-convexity: a solver that finds out which sightings are wrong, together with the trajectory.
 
 Truncated least squares counts a sighting with r² = e' Omega e as at most c². A wrong sighting then costs the same however
-wrong it is, and does not pull on the solution. This cost has very many minima. Graduated non-convexity approaches a good
-one through a sequence of surrogates, from a convex one (mu near 0: all squares) to the truncated squares (mu to infinity).
-At each mu the graph is solved with a trust w in every sighting, and the trust is then computed anew:
+wrong it is, and has no influence on the solution. This cost has very many minima. Graduated non-convexity searches a good
+one by a sequence of problems. The first is close to least squares (mu near 0), the last to truncated least squares (mu
+large). For each mu the graph is solved with a trust w between 0 and 1 in every sighting. Then the trust is computed again:
 
     w = 1 for r² <= mu / (mu + 1) c²,   w = 0 for r² >= (mu + 1) / mu c²,   w = c sqrt(mu (mu + 1)) / r - mu between.
 
-The trust belongs to a sighting, not to an edge: one wrong sighting spoils K - 1 pair edges at once, and all of them lose
-their weight together. Therefore r² is computed with the landmarks eliminated (`edges.marginal`), whatever the edges of the
+Each sighting has one trust, not each edge: one wrong sighting affects K - 1 pair edges, and its trust reduces the weight of
+all of them. Therefore r² is computed with the landmarks eliminated (`edges.marginal`), whatever the edges of the
 graph, and the resulting trust is applied to the graph itself. Headings make even the squares non-convex, so a sequence may
 end in a poor minimum. Two sequences are computed, on marginal and on pair edges; the lower truncated cost counts.
 

@@ -1,6 +1,7 @@
 """The same graph solved by GTSAM: the factor types of this package, and GTSAM's Levenberg-Marquardt.
 
-This solver shares with the hand-written one the state that it starts from, and nothing else.
+The two solvers share the noise models, the initial state and Anderson acceleration; residuals, Jacobians and linear solvers
+are separate.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def solve_with_gtsam(
     made = to_gtsam(started, factors=factors)
     begin = time.perf_counter()
     try:
-        if graph.frozen_information:
+        if graph.state_dependent_information:
             state, norms, converged = _refrozen(started, tolerance, max_iterations, factors)
         else:
             state, norms, converged = _optimize(started, made, tolerance, max_iterations)

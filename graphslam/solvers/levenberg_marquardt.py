@@ -20,7 +20,7 @@ def levenberg_marquardt(graph: Graph, run: Run) -> None:
 
     Source: Madsen, Nielsen and Tingleff, *Methods for non-linear least squares problems* (2004), section 3.2.
     """
-    run.mixing = AndersonMixing() if graph.frozen_information else None
+    run.mixing = AndersonMixing() if graph.state_dependent_information else None
     run.reason = f"max_iterations = {run.max_iterations} reached"
     damping, growth = 1e-4, 2.0
     while len(run.step_norms) < run.max_iterations:

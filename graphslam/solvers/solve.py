@@ -38,7 +38,7 @@ def solve(
     Args:
         graph: what to solve.
         method: "gauss-newton", or "levenberg-marquardt", which takes no step that raises J.
-        tolerance: converged when the Euclidean norm of a whole correction is below this.
+        tolerance: the iteration has converged when the Euclidean norm of a whole correction is below this.
         max_iterations: the most steps to take.
         initialize: "given", the graph's own initial values; "dead-reckoning" along the motion edges; "rotation-first",
             headings by linear least squares and then positions; or "auto". "auto" starts landmark nodes from
@@ -46,8 +46,11 @@ def solve(
             or ends above the cost of the given values, it also tries the other starts and Levenberg-Marquardt, and
             returns the solution with the lowest cost.
         callback: called after each step with an `Iteration`.
-        cost_tolerance: converged, too, when a step changes J by less than this fraction; 0 uses ``tolerance`` alone.
-            (Steps of 1e-9 correspond to about 1e-16 here; 1e-6 is enough for a picture.)
+        cost_tolerance: the iteration has also converged when a step changes J, or is predicted to change it, by less
+            than this fraction; 0 for no such rule. (Steps of 1e-9 correspond to about 1e-16; 1e-6 is enough for a figure.)
+
+    Whatever the tolerances, the iteration has also converged when the steps no longer become shorter and the predicted
+    decrease of J is below its rounding error (1e-15 of J). `solvers.iteration` has all stop rules.
 
     Raises:
         GraphError: the edges do not determine the nodes.

@@ -27,7 +27,7 @@ def rotation_first(graph: Graph) -> Array:
     """A state (n, 3): headings by linear least squares on unit vectors, then positions by linear least squares.
 
     Raises:
-        GraphError: the edges do not tie all headings together (no psi and no motion edges, for instance).
+        GraphError: the edges do not connect all headings (no psi and no motion edges, for instance).
     """
     state = graph.initial.copy()
     held = _held(graph, state)
@@ -45,7 +45,7 @@ def rotation_first(graph: Graph) -> Array:
     if not np.all(tied[: len(graph.steps)]):
         loose = np.flatnonzero(~tied[: len(graph.steps)])
         raise GraphError(
-            f"initialize='rotation-first' needs edges that tie the headings; {graph.names(loose)} have none"
+            f"initialize='rotation-first' needs edges that measure relative headings; {graph.names(loose)} have none"
         )
     system.rest(np.flatnonzero(~tied), 0)
     unit += _solved(graph, system, held)

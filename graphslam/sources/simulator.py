@@ -56,7 +56,7 @@ class SensorFaults:
     range_bias_rate_std: float = option(0.1, "Standard deviation of the run's range bias per metre of range", "m/m")
     bearing_bias_std: float = option(pi / 90, "Standard deviation of the run's bearing bias", "rad")
     orientation_bias_std: float = option(pi / 90, "Standard deviation of the run's bias of psi", "rad")
-    phantom: float = option(0.0, "Probability that a sighting is of a random position instead of the landmark")
+    phantom: float = option(0.0, "Probability that the sensor reports a random position instead of a visible landmark")
     oversight: float = option(0.1, "Probability that a visible landmark is not seen")
     occlusion: float = option(0.0, "Probability that a range is too long, uniform up to the greatest range")
 

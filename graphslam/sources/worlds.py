@@ -37,7 +37,7 @@ class World:
     )
     start: tuple[float, ...] = option((0.0, -3.0, 0.0), "First pose, true and dead-reckoned", "m, m, rad")
     landmarks: tuple[tuple[float, ...], ...] | int = option(
-        BOOK_LANDMARKS, "Landmarks x, y (and heading), or the number of random ones", "m"
+        BOOK_LANDMARKS, "Landmarks 'x,y x,y ...' ('x,y,heading' also allowed), or how many to place at random", "m"
     )
     arena: float | None = option(None, "Half the side of the square world; default: as large as needed", "m")
     min_range: float = option(0.5, "Least range of the camera", "m")

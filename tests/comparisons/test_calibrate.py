@@ -98,7 +98,7 @@ def test_what_beats_what(invoke: Invoke, log_file: Path) -> None:
         ("[ranges]\nscale = 0\n", [":2:", "scale"]),
         ("[ranges]\nbias = inf\n", [":2:", "bias"]),
         ("[ranges]\noffset = 0\n", [":2:", "[ranges]"]),
-        ("[movement]\nnn = 1\n", ["'movement'", "'motion'"]),
+        ("[movement]\nnn = 1\n", ["'movement'", "motion, sensor, ranges"]),
         ("motion = 3\n", [":1:", "a table"]),
         ("", ["no noise"]),
         ("[sensor\n", [":1:", "TOML"]),

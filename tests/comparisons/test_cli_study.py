@@ -81,7 +81,7 @@ def test_a_study_with_failed_runs_ends_with_1_and_says_how_to_go_on(invoke: Invo
     result = invoke("sweep", "study.toml", "--jobs", "0", "--json", "-")
     assert result.exit_code == 1
     assert json.loads(result.stdout)["failed"] == 1
-    assert "slam-compare sweep study.toml --retry" in result.stderr
+    assert "slam-compare sweep study.toml --jobs 0 --retry" in result.stderr
     result = invoke("study", "study.sqlite")
     assert result.exit_code == 0
     assert "1 x" in result.stdout
@@ -97,7 +97,7 @@ def test_a_study_that_is_not_finished_says_so(invoke: Invoke) -> None:
         database.plan(read_study(Path("study.toml")))
     result = invoke("study", "study.sqlite")
     assert "6 of 10 runs" in result.stdout
-    assert "executes the other 4" in result.stdout
+    assert "execute the other 4" in result.stdout
     Path("study.toml").write_text(STUDY.replace("3", "1"))
     invoke("sweep", "study.toml", "--jobs", "0")
     assert "4 rows of runs that are no longer part of the study file are kept" in invoke("study", "study.sqlite").stdout

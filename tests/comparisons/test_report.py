@@ -384,7 +384,7 @@ def test_a_bad_place_is_refused(comparison: Comparison, tmp_path: Path, name: st
 
 def test_without_plotly_the_extra_is_named(comparison: Comparison, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setattr(page, "find_spec", lambda _: None)
-    with pytest.raises(OptionError, match=r"pip install 'virtual-motion-slam\[report\]'"):
+    with pytest.raises(OptionError, match=r"pip install -e '\.\[report\]'"):
         write_report(comparison, tmp_path / "page.html")
     assert list(tmp_path.iterdir()) == []
 

@@ -18,7 +18,7 @@ from comparisons.studies.sweep import sweep
 from graphslam import OptionError
 
 pytestmark = [pytest.mark.cluster, pytest.mark.slow]
-pytest.importorskip("distributed", reason="needs the extra cluster: pip install 'virtual-motion-slam[cluster]'")
+pytest.importorskip("distributed", reason="needs the extra cluster: pip install -e '.[cluster]'")
 
 ROOT = Path(__file__).parents[2]
 STUDY = """\

@@ -20,9 +20,9 @@ WAY_POINTS = [(6.0, -4.0), (6.0, 5.0), (-6.0, 5.0), (0.0, 0.0), (-6.0, -5.0)]
 
 
 def drive(seed: int, steps: int = 1000, orientation: bool = False, **more: object) -> Log:
-    """A robot that drives straight on and turns on the spot, so that noise per metre and per radian can be degrees_of apart."""
-    degrees_of: dict = {"motion": MOTION, "sensor": SENSOR, "landmarks": 20, "way_points": WAY_POINTS, "dt": 1.0} | more
-    return simulate(seed=seed, steps=steps, clean=True, orientation=orientation, speed=0.5, turn_rate=0.5, **degrees_of)
+    """A robot that drives straight on and turns on the spot, so that noise per metre and per radian can be distinguished."""
+    options: dict = {"motion": MOTION, "sensor": SENSOR, "landmarks": 20, "way_points": WAY_POINTS, "dt": 1.0} | more
+    return simulate(seed=seed, steps=steps, clean=True, orientation=orientation, speed=0.5, turn_rate=0.5, **options)
 
 
 def errors_in_sigmas(found, motion: MotionModel, sensor: SensorModel) -> dict[str, float]:
@@ -135,7 +135,7 @@ def test_one_variance_has_a_closed_form() -> None:
     assert fit.log_likelihood == pytest.approx(-400 * (np.log(2 * np.pi * np.mean(e**2)) + 1), rel=1e-9)
 
 
-def test_degrees_of_freedom_are_found() -> None:
+def test_options_freedom_are_found() -> None:
     rng = np.random.default_rng(3)
     e = rng.standard_t(4, (4000, 1)) * 0.2
     fit = fit_variances(e, {"a": np.ones((4000, 1, 1))})

@@ -56,7 +56,7 @@ def check_page(path: Path) -> None:
     """
     check_can_write(path, endings=(".html", ".htm"))
     if find_spec("plotly") is None:
-        raise OptionError("the interactive report needs the package plotly: pip install 'virtual-motion-slam[report]'")
+        raise OptionError("the interactive report needs the package plotly: pip install -e '.[report]' in the clone")
 
 
 def write_report(comparison: Comparison, path: str | PathLike[str]) -> None:
