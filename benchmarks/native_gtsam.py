@@ -11,9 +11,10 @@ import time
 
 import gtsam
 import numpy as np
-from comparisons.estimator import EstimatorResult, RunOptions
 
 from comparisons.estimators import make_graph
+from comparisons.options import RunOptions
+from comparisons.results import EstimatorResult
 from graphslam import Log, SensorModel
 from graphslam.edges.robust import KERNELS
 from graphslam.se2 import Array, compose, inverse, rotation
@@ -28,12 +29,11 @@ def native_gtsam(log: Log, options: RunOptions, start: Array | None = None) -> E
 
     Args:
         log: with controls and ids; psi is left out.
-        options: ``motion``, ``sensor``, ``robust`` and ``initialize`` count.
+        options: noise models, ``kernel`` and ``initialize`` count.
         start: (T+1 + L, 3) another state to begin from.
     """
     log = log.without_orientation()
-    motion, sensor = options.motion or log.motion, options.sensor or log.sensor
-    assert sensor is not None
+    motion, sensor = options.models(log.motion, log.sensor)
     if start is None:
         start = starting_state(make_graph(log, options), options.initialize)
     offset, ids, count = np.array([*sensor.offset, 0.0]), log.landmark_ids, log.num_poses
@@ -92,13 +92,13 @@ def _motions(motions: Array, covariances: Array, offset: Array) -> gtsam.Nonline
     return factors
 
 
-def _sightings(factors: gtsam.NonlinearFactorGraph, log: Log, sensor: SensorModel, kernel: str | None) -> None:
+def _sightings(factors: gtsam.NonlinearFactorGraph, log: Log, sensor: SensorModel, kernel: str) -> None:
     names = {"huber": gtsam.noiseModel.mEstimator.Huber, "cauchy": gtsam.noiseModel.mEstimator.Cauchy}
     nodes = log.num_poses + np.searchsorted(log.landmark_ids, log.landmarks)
     # BearingRangeFactor2D has the bearing first
     sigmas = np.sqrt(np.diagonal(sensor.Q(log.sightings), axis1=1, axis2=2))[:, ::-1]
     for t, j, (length, bearing), sigma in zip(log.steps.tolist(), nodes.tolist(), log.sightings.tolist(), sigmas):
         noise = gtsam.noiseModel.Diagonal.Sigmas(sigma)
-        if kernel is not None:
+        if kernel != "none":
             noise = gtsam.noiseModel.Robust.Create(names[kernel].Create(KERNELS[kernel].width), noise)
         factors.add(gtsam.BearingRangeFactor2D(t, j, gtsam.Rot2(bearing), length, noise))

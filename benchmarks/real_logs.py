@@ -17,18 +17,14 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from comparisons.estimator import EstimatorResult, RunOptions
 from native_gtsam import native_gtsam
 
-from comparisons.comparison import Comparison, compare, with_models
+from comparisons.comparison import Comparison, Row, compare
 from comparisons.datasets import data_folder
-from comparisons.estimators import make_graph
-from comparisons.results import jsonable
-from comparisons.show.figures import comparison_figure
-from graphslam import Log, MotionModel, SensorModel, load, solve
+from comparisons.options import RunOptions
+from comparisons.saving import jsonable
+from graphslam import Log, MotionModel, SensorModel, load
 from graphslam.calibration import Calibration, calibrate
-from graphslam.metrics import Metrics
-from graphslam.se2 import compose, inverse, rotation, wrap
 
 FILTERS = ("mcl", "fastslam1", "fastslam2")
 ALL = ("dead-reckoning", "graph", "gtsam", "isam2", *FILTERS)
@@ -47,7 +43,7 @@ class Case:
     Attributes:
         folder: below the data; robot, stride, max_range: see `slam-compare run`.
         noise: "published", "by hand", or "<source> of <robot>", calibrated on that robot's log.
-        robust: kernel of the graphs.
+        kernel: robust kernel of the graphs.
         estimators: which run, besides the native GTSAM graph.
         figure: name of a figure in docs/img, if one is drawn.
     """
@@ -57,7 +53,7 @@ class Case:
     robot: int | None = None
     stride: int = 1
     max_range: float | None = None
-    robust: str = "none"
+    kernel: str = "none"
     estimators: tuple[str, ...] = ALL
     figure: str | None = None
 
@@ -67,19 +63,19 @@ class Case:
         extra = [f"robot {self.robot}"] if self.robot is not None else []
         extra += [f"every {self.stride}th pose"] if self.stride > 1 else []
         extra += [f"up to {self.max_range:g} m"] if self.max_range is not None else []
-        return ", ".join([self.folder.split("/")[0], *extra, f"noise {self.noise}", f"kernel {self.robust}"])
+        return ", ".join([self.folder.split("/")[0], *extra, f"noise {self.noise}", f"kernel {self.kernel}"])
 
 
 GRAPHS = ("graph",)
 CASES = (
-    Case(folder="mrclam6", robot=1, noise="by hand", robust="huber", figure="real-mrclam6-1"),
-    Case(folder="mrclam6", robot=1, noise="truth of 1", robust="huber", estimators=GRAPHS),
-    Case(folder="mrclam6", robot=1, noise="truth of 3", robust="huber", estimators=GRAPHS),
-    Case(folder="mrclam6", robot=1, noise="residuals of 1", robust="cauchy", estimators=GRAPHS),
-    Case(folder="mrclam6", robot=3, noise="by hand", robust="huber", figure="real-mrclam6-3"),
-    Case(folder="mrclam6", robot=3, noise="truth of 3", robust="huber", estimators=GRAPHS),
-    Case(folder="mrclam6", robot=3, noise="truth of 1", robust="huber", estimators=GRAPHS),
-    Case(folder="mrclam6", robot=3, noise="residuals of 3", robust="cauchy", estimators=GRAPHS),
+    Case(folder="mrclam6", robot=1, noise="by hand", kernel="huber", figure="real-mrclam6-1"),
+    Case(folder="mrclam6", robot=1, noise="truth of 1", kernel="huber", estimators=GRAPHS),
+    Case(folder="mrclam6", robot=1, noise="truth of 3", kernel="huber", estimators=GRAPHS),
+    Case(folder="mrclam6", robot=1, noise="residuals of 1", kernel="cauchy", estimators=GRAPHS),
+    Case(folder="mrclam6", robot=3, noise="by hand", kernel="huber", figure="real-mrclam6-3"),
+    Case(folder="mrclam6", robot=3, noise="truth of 3", kernel="huber", estimators=GRAPHS),
+    Case(folder="mrclam6", robot=3, noise="truth of 1", kernel="huber", estimators=GRAPHS),
+    Case(folder="mrclam6", robot=3, noise="residuals of 3", kernel="cauchy", estimators=GRAPHS),
     Case(
         folder="lost_in_the_woods/dataset2.mat", noise="published", stride=5, max_range=5.0,
         figure="real-lost-in-the-woods",
@@ -108,63 +104,41 @@ def calibrated(data: Path, folder: str, robot: int, source: str) -> Calibration:
 
 
 def prepared(case: Case, data: Path) -> tuple[Log, RunOptions]:
-    """The log of a case, with its ranges corrected where the noise says so, and what the estimators are keywords."""
+    """The log of a case, with its ranges corrected where the noise says so, and the options of the estimators."""
     log = read(data, case.folder, case.robot, case.stride, case.max_range)
-    options = RunOptions(robust=case.robust, particles=500)
-    if case.noise == "by hand":
-        return log, replace(options, **BY_HAND)
-    if case.noise != "published":
+    models = BY_HAND if case.noise == "by hand" else {}
+    if case.noise not in ("by hand", "published"):
         source, _, robot = case.noise.partition(" of ")
         log = calibrated(data, case.folder, int(robot), source).apply(log)
-    return log, with_models(options, log)
+    return log, RunOptions.of(kernel=case.kernel, particles=500, **models)
 
 
-def nees(log: Log, options: RunOptions) -> float | None:
-    """Mean over poses of e' Sigma^-1 e / 3, e the error of the pose seen from the first: 1 where uncertainty is true."""
-    truth = log.true_poses
-    if truth is None or not np.isfinite(truth[0]).all():
-        return None
-    solution = solve(make_graph(log, options), initialize=options.initialize)
-    known = np.isfinite(truth[:, 2])
-    known[0] = False
-    frame = compose(truth[0], inverse(solution.poses[0]))
-    e = compose(frame, solution.poses[known]) - truth[known]
-    e[:, 2] = wrap(e[:, 2])
-    turn = np.eye(3)
-    turn[:2, :2] = rotation(frame[2])
-    covariances = turn @ solution.covariances()[known] @ turn.T
-    return float(np.mean(np.einsum("ti,ti->t", e, np.linalg.solve(covariances, e[..., None])[..., 0])) / 3)
-
-
-def run(case: Case, data: Path) -> tuple[Comparison, float | None]:
-    """All estimators of a case, the native graph among them, and the graph's NEES."""
+def run(case: Case, data: Path) -> Comparison:
+    """All estimators of a case, the native graph among them."""
     log, options = prepared(case, data)
-    outcome = compare(log, case.estimators, options, source=data / case.folder)
-    native = native_gtsam(log, options)
-    return replace(outcome, results=(*outcome.results, native)), nees(log, options)
+    outcome = compare(log, options, estimators=case.estimators)
+    return replace(outcome, results=(*outcome.results, native_gtsam(log, options)))
 
 
-def lines(case: Case, outcome: Comparison, consistency: float | None) -> Iterator[str]:
+def lines(case: Case, outcome: Comparison) -> Iterator[str]:
     """A table in Markdown."""
     log = outcome.log
     yield f"\n**{case.title}** ({log.num_poses} poses, {len(log.steps)} sightings, {len(log.landmark_ids)} landmarks)\n"
     yield "| estimator | ATE [m] | RPE [m] | RPE [rad] | heading [rad] | map [m] | NEES / 3 | J | time [s] |"
     yield "|---|---|---|---|---|---|---|---|---|"
-    for result in outcome.results:
-        m = outcome.metrics[result.name]
-        figures = [m.ate_m, m.rpe_m, m.rpe_rad, m.heading_rad, m.landmark_rmse_m]
-        figures.append(consistency if result.name == "graph" else None)
+    for row in outcome.table:
+        heading = outcome.metrics[row.name].heading_rad
+        figures = [row.ate_m, row.rpe_m, row.rpe_rad, heading, row.landmark_rmse_m, row.nees]
         cells = ["–" if f is None else f"{f:.3f}" for f in figures]
-        cost = "–" if result.cost is None else f"{result.cost:.6g}"
-        stopped = "" if result.converged in (True, None) else " (not converged)"
-        yield f"| {result.name}{stopped} | {' | '.join(cells)} | {cost} | {result.seconds:.2f} |"
+        cost = "–" if row.cost is None else f"{row.cost:.6g}"
+        stopped = "" if row.converged in (True, None) else " (not converged)"
+        yield f"| {row.name}{stopped} | {' | '.join(cells)} | {cost} | {row.seconds:.2f} |"
 
 
-def row(case: Case, result: EstimatorResult, m: Metrics, consistency: float | None) -> dict[str, object]:
-    """A result as plain data."""
-    keep = ("name", "converged", "iterations", "seconds", "cost", "reason")
-    figures = {"nees": consistency if result.name == "graph" else None}
-    return jsonable({"case": case.title} | {key: getattr(result, key) for key in keep} | vars(m) | figures)
+def plain(case: Case, outcome: Comparison, row: Row) -> dict[str, object]:
+    """A row as plain data."""
+    metrics = vars(outcome.metrics[row.name])
+    return jsonable({"case": case.title, "reason": outcome[row.name].reason} | metrics | vars(row))
 
 
 def main() -> None:
@@ -182,13 +156,13 @@ def main() -> None:
         if not (arguments.data / case.folder).exists():
             print(f"\n{case.title}: not below {arguments.data}, left out", flush=True)
             continue
-        outcome, consistency = run(case, arguments.data)
-        print("\n".join(lines(case, outcome, consistency)), flush=True)
-        rows += [row(case, r, outcome.metrics[r.name], consistency) for r in outcome.results]
+        outcome = run(case, arguments.data)
+        print("\n".join(lines(case, outcome)), flush=True)
+        rows += [plain(case, outcome, row) for row in outcome.table]
         if arguments.figures is not None and case.figure is not None:
             # the native graph lies on ours
             shown = replace(outcome, results=tuple(r for r in outcome.results if r.name != "gtsam-native"))
-            comparison_figure(shown).savefig(arguments.figures / f"{case.figure}.png", dpi=110)
+            shown.save_figure([arguments.figures / f"{case.figure}.png"])
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
 

@@ -11,12 +11,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from comparisons.estimator import RunOptions
-from real_logs import BY_HAND, nees, read
+from real_logs import BY_HAND, read
 
+from comparisons.comparison import compare
 from comparisons.datasets import data_folder
-from comparisons.estimators import graph_estimator, pair_count
-from graphslam.metrics import evaluate
+from comparisons.estimators import pair_count
+from comparisons.options import RunOptions
 
 VARIANTS = (
     {"edges": "landmark+motion"},
@@ -37,15 +37,14 @@ def main() -> None:
     for robot in arguments.robots:
         log = read(arguments.data, "mrclam6", robot, 1, None)
         for variant in VARIANTS:
-            for robust in ("none", "huber"):
-                options = RunOptions(robust=robust, **variant, **BY_HAND)
-                result = graph_estimator(log, options)
-                m = evaluate(log.true_poses, log.true_landmarks, result.poses, result.landmarks, mask=result.estimated)
+            for kernel in ("none", "huber"):
+                options = RunOptions.of(kernel=kernel, **variant, **BY_HAND)
+                row = compare(log, options, estimators="graph").table["graph"]
                 name = variant.get("weight", "landmark nodes")
                 print(
-                    f"| {robot} | {pair_count(log)} | {name} | {robust} | {'yes' if result.converged else 'no'} | "
-                    f"{m.ate_m:.3f} | {m.landmark_rmse_m:.3f} | {nees(log, options):.1f} | {result.iterations} | "
-                    f"{result.seconds:.2f} |",
+                    f"| {robot} | {pair_count(log)} | {name} | {kernel} | {'yes' if row.converged else 'no'} | "
+                    f"{row.ate_m:.3f} | {row.landmark_rmse_m:.3f} | {row.nees:.1f} | {row.iterations} | "
+                    f"{row.seconds:.2f} |",
                     flush=True,
                 )
 
