@@ -37,7 +37,8 @@ def estimate_map(
 
     Args:
         log: whose sightings are used; those without a landmark id are left out.
-        poses: the trajectory (T+1, 3), or anything with such an attribute ``poses`` (a `Solution`).
+        poses: the trajectory (T+1, 3), or anything with such an attribute ``poses``. A `Solution` of this log also gives
+            the defaults of sensor, kernel and trust: those of its graph.
         sensor: the noise model; default: the log's, else the book's.
         kernel: a robust kernel on each sighting, as in `Graph.from_log`; the map is then the robust mean.
         trust: (M,) a factor from 0 to 1 on the information of each sighting, such as `Solution.trust`; NaN counts as 1.
@@ -51,6 +52,10 @@ def estimate_map(
 
     Source: the lectures, section 9.1.2.
     """
+    graph = getattr(poses, "graph", None)
+    if graph is not None and graph.log is not None:
+        own_kernel, own_trust = graph.verdict
+        sensor, kernel, trust = sensor or graph.sensor, kernel or own_kernel, own_trust if trust is None else trust
     sensor = sensor or log.sensor or SensorModel()
     trajectory = np.asarray(getattr(poses, "poses", poses), dtype=float)
     if trajectory.shape != (log.num_poses, 3):

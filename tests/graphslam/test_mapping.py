@@ -110,6 +110,7 @@ def test_the_map_of_graduated_non_convexity_leaves_out_what_was_rejected():
     expected = estimate_map(by_hand, solution.poses)
     assert worst(log, solution.landmarks) < 0.5
     assert worst(log, estimate_map(log, solution.poses)) > 3
+    assert worst(log, estimate_map(log, solution)) < 0.5
     for j, place in expected.items():
         np.testing.assert_allclose(solution.landmarks[j], place, atol=1e-6)
         np.testing.assert_allclose(solution.landmark_covariances[j], expected.covariances[j], rtol=1e-6, atol=1e-9)
@@ -122,6 +123,7 @@ def test_the_map_of_a_kernel_is_the_robust_one(weight, kernel):
     solution = solve(Graph.from_log(log, weight=weight, kernel=kernel))
     assert worst(log, estimate_map(log, solution.poses)) > 3
     assert worst(log, solution.landmarks) < 0.6
+    assert worst(log, estimate_map(log, solution)) < 0.6
 
 
 def test_the_map_with_a_kernel_by_hand():
