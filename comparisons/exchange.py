@@ -80,7 +80,8 @@ def texts(comparison: Comparison) -> Iterator[tuple[str, str]]:
 def write_pose_graph(comparison: Comparison, path: Path) -> str | None:
     """Write the graph that ``graph`` solved as g2o, with its solution as initial values, see `graphslam.relative`.
 
-    It is the graph of the solution itself: sightings that graduated non-convexity rejected do not count in the file.
+    It is the graph of the solution itself: sightings that graduated non-convexity rejected do not count in the file, and
+    a robust kernel is in it as the weight of each edge at the solution.
 
     Returns:
         None, or why there is no such file.

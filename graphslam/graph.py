@@ -11,12 +11,13 @@ import numpy as np
 
 from .build import file_of_parts, node_names, parts_of_file, parts_of_log
 from .checks import check_choice, check_positive
-from .edges import AnchorEdges, EdgeFamily
+from .edges import AnchorEdges, EdgeFamily, SightingEdges
 from .edges.robust import Kernel, kernel_of
 from .errors import GraphError, OptionError
 from .formats.pose_graph import read_pose_graph, write_g2o
 from .linear.information import BlockSystem
 from .log import Log
+from .mapping import LandmarkMap, estimate_map
 from .models import MotionModel, SensorModel
 from .se2 import Array
 
@@ -206,6 +207,21 @@ class Graph:
     def names(self, nodes: np.ndarray) -> str:
         """The names of nodes in a sentence: 'poses 3 and 4', 'landmark 7', 'pose 2 and landmark 5'."""
         return node_names(nodes, self.pose_ids, self.landmark_ids)
+
+    @property
+    def verdict(self) -> tuple[Kernel | None, Array]:
+        """The robust kernel on the edges from sightings, and the trust (M,) in each sighting of the log, 1 by default."""
+        assert self.log is not None
+        family = next(family for family in self.families if isinstance(family, SightingEdges))
+        trust = np.ones(len(self.log.steps))
+        trust[self.sighting_rows] = family.trusted
+        return family.kernel, trust
+
+    def map_from(self, poses: Array) -> LandmarkMap:
+        """The map of the log from a trajectory (T+1, 3), with the graph's sensor, kernel and trust."""
+        assert self.log is not None
+        kernel, trust = self.verdict
+        return estimate_map(self.log, poses, sensor=self.sensor, kernel=kernel, trust=trust)
 
     def trajectory_of(self, state: Array) -> tuple[Array, np.ndarray]:
         """All poses (T+1, 3) of a state, with the initial guess where a pose is no node, and which ones are (T+1,)."""

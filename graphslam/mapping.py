@@ -7,10 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .edges import MarginalEdges
+from .edges.robust import Kernel, kernel_of
 from .errors import OptionError
 from .log import UNIDENTIFIED, Log
 from .models import SensorModel
-from .se2 import Array, wrap
+from .se2 import Array
 
 
 class LandmarkMap(dict[int, Array]):
@@ -21,41 +23,54 @@ class LandmarkMap(dict[int, Array]):
         self.covariances = dict(covariances)
 
 
-def estimate_map(log: Log, poses: ArrayLike, *, sensor: SensorModel | None = None) -> LandmarkMap:
+def estimate_map(
+    log: Log,
+    poses: ArrayLike,
+    *,
+    sensor: SensorModel | None = None,
+    kernel: Kernel | str | None = None,
+    trust: ArrayLike | None = None,
+) -> LandmarkMap:
     """m_j = argmin over m of the sum of (m - y)' Omega (m - y), y = h^-1(x_t, z), Omega^-1 = R Q R', for each landmark.
 
-    Headings are averaged as differences from that of the first sighting, so that headings near -pi and pi average well.
+    Headings are compared with that of the landmark itself, so the result does not depend on the order of the sightings.
 
     Args:
         log: whose sightings are used; those without a landmark id are left out.
-        poses: the trajectory (T+1, 3), or anything with such an attribute ``poses`` (a `Solution`).
+        poses: the trajectory (T+1, 3), or anything with such an attribute ``poses``. A `Solution` of this log also gives
+            the defaults of sensor, kernel and trust: those of its graph.
         sensor: the noise model; default: the log's, else the book's.
+        kernel: a robust kernel on each sighting, as in `Graph.from_log`; the map is then the robust mean.
+        trust: (M,) a factor from 0 to 1 on the information of each sighting, such as `Solution.trust`; NaN counts as 1.
 
     Returns:
-        The map, with the covariance (sum of Omega)^-1 of each landmark given the trajectory.
+        The map, with the covariance (sum of w Omega)^-1 of each landmark given the trajectory, w the trust times the
+        kernel's weight.
 
     Raises:
-        OptionError: the poses do not fit the log.
+        OptionError: the poses or the trust do not fit the log, or there is no such kernel.
 
     Source: the lectures, section 9.1.2.
     """
+    graph = getattr(poses, "graph", None)
+    if graph is not None and graph.log is not None:
+        own_kernel, own_trust = graph.verdict
+        sensor, kernel, trust = sensor or graph.sensor, kernel or own_kernel, own_trust if trust is None else trust
     sensor = sensor or log.sensor or SensorModel()
     trajectory = np.asarray(getattr(poses, "poses", poses), dtype=float)
     if trajectory.shape != (log.num_poses, 3):
         raise OptionError(f"poses must have shape ({log.num_poses}, 3) for this log, not {trajectory.shape}")
+    trusted = np.ones(len(log.steps)) if trust is None else np.nan_to_num(np.asarray(trust, dtype=float), nan=1.0)
+    if trusted.shape != log.steps.shape or np.any((trusted < 0) | (trusted > 1)):
+        raise OptionError(f"trust must be {len(log.steps)} numbers from 0 to 1, one for each sighting of this log")
     known = np.flatnonzero(log.landmarks != UNIDENTIFIED)
     if len(known) == 0:
         return LandmarkMap({}, {})
-    order = known[np.argsort(log.landmarks[known], kind="stable")]
-    ids, starts, count = np.unique(log.landmarks[order], return_index=True, return_counts=True)
-    at, z = trajectory[log.steps[order]], log.sightings[order]
-    y = sensor.h_inverse(at, z)
-    information = np.linalg.inv(sensor.landmark_covariance(at, z))
-    first = y[starts]
-    offset = y - np.repeat(first, count, axis=0)
-    offset[:, 2:] = wrap(offset[:, 2:])
-    covariance = np.linalg.inv(np.add.reduceat(information, starts, axis=0))
-    pulled = np.add.reduceat(np.einsum("kij,kj->ki", information, offset), starts, axis=0)
-    mean = first + np.einsum("kij,kj->ki", covariance, pulled)
-    mean[:, 2:] = wrap(mean[:, 2:])
-    return LandmarkMap(dict(zip(ids.tolist(), mean)), dict(zip(ids.tolist(), covariance)))
+    rows = known[np.argsort(log.landmarks[known], kind="stable")]
+    ids, starts = np.unique(log.landmarks[rows], return_index=True)
+    edges = MarginalEdges(
+        np.append(starts, len(rows)), log.steps[rows], log.sightings[rows], sensor,
+        kernel=kernel_of(kernel), trust=trusted[rows],
+    )  # fmt: skip
+    means, covariances = edges.map(trajectory)
+    return LandmarkMap(dict(zip(ids.tolist(), means)), dict(zip(ids.tolist(), covariances)))

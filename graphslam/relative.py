@@ -8,11 +8,15 @@ to the residual of `edges.relative`, to first order: with J = de_virtual / de_re
 
 So both graphs have the same Omega where the sightings are free of noise, and optima that differ by second order of it
 elsewhere. Motion edges already are relative poses.
+
+A robust kernel becomes the weight w(r) that it gives each edge at a state, with r of the graph's own edge. At the
+optimum of the graph Omega and xi are the same with these weights as with the kernel, so the solution stays one.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -22,28 +26,32 @@ from .edges import (
     ObservationEdges,
     RelativePointEdges,
     RelativePoseEdges,
+    SightingEdges,
     VirtualMotionEdges,
 )
 from .errors import GraphError
 from .graph import Graph
 from .se2 import Array, between, inverse, perpendicular, rotation, turn_matrix
 
+_Relative = TypeVar("_Relative", RelativePoseEdges, RelativePointEdges, RelativePoseEdges | RelativePointEdges)
+
 
 def relative_graph(graph: Graph, *, state: Array | None = None) -> Graph:
     """The graph with every edge as a relative pose or relative point, for `Graph.save_g2o`.
 
-    Poses keep their ids. Landmarks with a heading become poses, with ids above the others'. Robust kernels are left out,
-    since the files cannot hold them.
+    Poses keep their ids. Landmarks with a heading become poses, with ids above the others'. Files hold no robust
+    kernels, so a kernel becomes a factor on the information of each edge: its weight at the state.
 
     Args:
         graph: made by `Graph.from_log`, or a pose graph, which comes back as it is.
-        state: (n, 3) the initial values of the result; default: those of the graph.
+        state: (n, 3) the initial values of the result, at which kernels are evaluated: give the solution's state for a
+            graph with a kernel. Default: the initial values of the graph.
 
     Raises:
         GraphError: the edges measure no relative pose: virtual-motion edges without psi, or ``weight="marginal"``.
     """
-    families = tuple(_relative(family) for family in graph.families)
     initial = graph.initial if state is None else np.array(state, dtype=float)
+    families = tuple(_relative(family, initial) for family in graph.families)
     if graph.log is None or graph.landmark_dimension == 2:
         return replace(graph, initial=initial, families=families, log=None, sensor=None, notes=())
     landmarks = int(graph.pose_ids.max()) + 1 + np.arange(len(graph.landmark_ids))
@@ -52,11 +60,11 @@ def relative_graph(graph: Graph, *, state: Array | None = None) -> Graph:
     return Graph(initial, families=families, steps=steps, trajectory=initial, pose_ids=ids, fixed=graph.fixed)
 
 
-def _relative(family: EdgeFamily) -> EdgeFamily:
+def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
     if isinstance(family, VirtualMotionEdges) and family.oriented:
-        return _of_pairs(family)
+        return _weighted(_of_pairs(family), family, state)
     if isinstance(family, ObservationEdges):
-        return _of_sightings(family)
+        return _weighted(_of_sightings(family), family, state)
     if isinstance(family, RelativePoseEdges):
         return replace(family, frame="body")
     if isinstance(family, (AnchorEdges, RelativePointEdges)):
@@ -67,6 +75,14 @@ def _relative(family: EdgeFamily) -> EdgeFamily:
             'one; use edges="landmark+motion"'
         )
     raise GraphError(f'{type(family).__name__} are no sum of edges between two nodes; use weight="pairs" or "tempered"')
+
+
+def _weighted(edges: _Relative, family: SightingEdges, state: Array) -> _Relative:
+    """The edges with the weights that the kernel of the family they come from has at a state."""
+    if family.kernel is None:
+        return edges
+    weights = family.kernel.weight(family.linearize(state, state).mahalanobis)
+    return replace(edges, information=edges.information * weights[:, None, None])
 
 
 def _of_pairs(family: VirtualMotionEdges) -> RelativePoseEdges:

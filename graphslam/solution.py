@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .errors import OptionError
 from .graph import Graph
-from .mapping import LandmarkMap, estimate_map
+from .mapping import LandmarkMap
 from .metrics import pose_nees
 from .se2 import Array, wrap
 from .uncertainty import Uncertainty
@@ -26,7 +26,8 @@ class Solution:
     Attributes:
         poses: (T+1, 3) [m, m, rad], headings in [-pi, pi); for a pose graph one row per pose id, by increasing id.
         estimated: (T+1,) bool; False for poses that are not part of the graph: their rows hold the initial guess.
-        landmarks: {id: (x, y) or (x, y, heading)}; landmark nodes, or the map that `estimate_map` makes from the poses.
+        landmarks: {id: (x, y) or (x, y, heading)}; landmark nodes, or the map that `estimate_map` makes from the poses,
+            with the graph's robust kernel and its trust in the sightings.
         cost: J at the solution, the sum of e' Omega e (without a factor 1/2).
         costs: J before the first step and after each one, as far as the solver reports it.
         iterations: the number of steps taken.
@@ -196,7 +197,7 @@ def make_solution(
         nodes[:, 2:] = wrap(nodes[:, 2:])
         landmarks = dict(zip(graph.landmark_ids.tolist(), nodes))
     elif graph.log is not None and np.all(np.isfinite(poses)):
-        landmarks = estimate_map(graph.log, poses, sensor=graph.sensor)
+        landmarks = graph.map_from(poses)
     return Solution(
         poses=poses,
         estimated=estimated,

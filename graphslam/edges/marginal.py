@@ -33,9 +33,13 @@ from ..linear.information import BlockSystem
 from ..se2 import Array, perpendicular
 from . import kernels
 from .base import Linearization, linearization
-from .robust import loss, weight
+from .robust import loss, weight, weight_slope
 from .sightings import WORLD, LandmarkSightings
 
+#: the most steps to a robust mean, a guard that is never reached in practice
+MOST_STEPS = 1000
+#: how often a re-weighting may raise the cost before its steps are halved
+MOST_RAISES = 10
 #: which of the six numbers of a symmetric matrix stands where
 _SYMMETRIC = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
 
@@ -67,6 +71,16 @@ class MarginalEdges(LandmarkSightings):
         """The squared Mahalanobis norm (M,) of each sighting about m̂, without kernel and trust on the sighting itself."""
         e, W, *_ = self._around_means(state, reference)
         return np.einsum("mi,mij,mj->m", e, W[:, _SYMMETRIC], e)
+
+    def map(self, poses: Array) -> tuple[Array, Array]:
+        """m̂ (G, d) of each landmark, and its covariance given the poses (G, d, d): (sum of w Omega)^-1.
+
+        w is the trust times the weight that the kernel gives the sighting at m̂.
+        """
+        _, W, factor, _, means, _ = self._around_means(poses, poses)
+        d = self.sightings.shape[1]
+        information = np.add.reduceat(W * factor[:, None], self.starts[:-1], axis=0)[:, _SYMMETRIC][:, :d, :d]
+        return means[:, :d], np.linalg.inv(information)
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
         e, W, factor, lever, _, total = self._around_means(state, reference)
@@ -110,8 +124,7 @@ def _start_heading(y, W, trust, first, end):  # type: ignore[no-untyped-def]
 def _around_means(starts, y, C, oriented, kernel, width, trust):  # type: ignore[no-untyped-def]
     """e = m̂ - y (M, 3), W = C^-1 (M, 6), the factor that trust and kernel put on it (M,), m̂ (G, 3) and the cost.
 
-    The robust mean is found by re-weighting from the plain one, in at most 100 steps; the last one is below 1e-13. The
-    plain one takes a second pass only where a heading wraps on the way.
+    The plain mean takes one pass, unless a heading wraps on the way; see `_search` for all others.
     """
     W, e, means, factor = np.empty_like(C), np.zeros_like(y), np.zeros((len(starts) - 1, 3)), trust.copy()
     for k in range(len(C)):
@@ -121,36 +134,89 @@ def _around_means(starts, y, C, oriented, kernel, width, trust):  # type: ignore
         first, end = starts[g], starts[g + 1]
         # positions and headings as differences from the first sighting's: no cancellation
         x0, y0, t0 = y[first, 0], y[first, 1], y[first, 2]
-        mx, my, mt = 0.0, 0.0, _start_heading(y, W, trust, first, end) if oriented else 0.0
-        for _ in range(100):
-            wrapped = False
-            S = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0 if oriented else 1.0)
-            bx, by, bt = 0.0, 0.0, 0.0
-            for k in range(first, end):
-                d = (y[k, 0] - x0 - mx, y[k, 1] - y0 - my, kernels.wrap(y[k, 2] - t0 - mt))
-                e[k, 2] = d[2]
-                weighted = kernels.scaled(factor[k], kernels.row(W, k))
-                S = kernels.plus(S, weighted)
-                pull = kernels.product(weighted, d)
-                bx, by, bt = bx + pull[0], by + pull[1], bt + pull[2]
-            ox, oy, ot = kernels.product(kernels.inverse(S, True), (bx, by, bt))
-            mx, my, mt = mx + ox, my + oy, mt + ot
-            part = 0.0
-            for k in range(first, end):
-                et = ot - e[k, 2]
-                if abs(et) > np.pi:
-                    wrapped, et = True, kernels.wrap(et)
-                residual = (mx - y[k, 0] + x0, my - y[k, 1] + y0, et)
-                e[k, 0], e[k, 1], e[k, 2] = residual
-                squares = trust[k] * kernels.dot(kernels.product(kernels.row(W, k), residual), residual)
-                part += loss(kernel, width, squares)
-                if kernel:
-                    factor[k] = trust[k] * weight(kernel, width, squares)
-            if not wrapped and (not kernel or abs(ox) + abs(oy) + abs(ot) < 1e-13 * (1 + abs(mx) + abs(my))):
-                break
+        begin = _start_heading(y, W, trust, first, end) if oriented else 0.0
+        S = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0 if oriented else 1.0)
+        bx, by, bt = 0.0, 0.0, 0.0
+        for k in range(first, end):
+            d = (y[k, 0] - x0, y[k, 1] - y0, kernels.wrap(y[k, 2] - t0 - begin))
+            e[k, 2] = d[2]
+            weighted = kernels.scaled(trust[k], kernels.row(W, k))
+            S = kernels.plus(S, weighted)
+            pull = kernels.product(weighted, d)
+            bx, by, bt = bx + pull[0], by + pull[1], bt + pull[2]
+        mx, my, turn = kernels.product(kernels.inverse(S, True), (bx, by, bt))
+        mt = begin + turn
+        part, wrapped = 0.0, False
+        for k in range(first, end):
+            residual = (mx - y[k, 0] + x0, my - y[k, 1] + y0, turn - e[k, 2])
+            wrapped = wrapped or abs(residual[2]) > np.pi
+            e[k, 0], e[k, 1], e[k, 2] = residual
+            part += trust[k] * kernels.dot(kernels.product(kernels.row(W, k), residual), residual)
+        if kernel or wrapped:
+            (mx, my, mt), part = _search(first, end, y, W, oriented, kernel, width, trust, (mx, my, mt), e, factor)
         total += part
         means[g, 0], means[g, 1], means[g, 2] = x0 + mx, y0 + my, kernels.wrap(t0 + mt)
     return e, W, factor, means, total
+
+
+@njit(cache=True, error_model="numpy")
+def _search(first, end, y, W, oriented, kernel, width, trust, start, e, factor):  # type: ignore[no-untyped-def]
+    """The robust mean (3,) of the sightings ``first`` to ``end``, from a start (3,), and its cost; fills e and factor.
+
+    The mean is a difference from the first sighting. Re-weighting lowers the cost from anywhere, but near the minimum it
+    may take thousands of steps. There Newton's method takes over, with H = sum of w W + 2 w' (W e) (W e)', w' = dw / dr².
+    A Newton step that raises the cost is replaced by re-weighting. Re-weighting itself can raise the cost only by
+    wrapping a heading: W ties headings to positions, so that the cost jumps there. Where it has done so `MOST_RAISES`
+    times, the steps go to and fro over a jump. They are then halved, and the lower side of the jump is the end.
+    """
+    x0, y0, t0 = y[first, 0], y[first, 1], y[first, 2]
+    mean, back, step = start, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    best, size, scale, newton, done, raises = np.inf, np.inf, 1.0, False, False, 0
+    for _ in range(MOST_STEPS):
+        mx, my, mt = mean[0] + scale * step[0], mean[1] + scale * step[1], mean[2] + scale * step[2]
+        A, D = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0 if oriented else 1.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        bx, by, bt, cost = 0.0, 0.0, 0.0, 0.0
+        for k in range(first, end):
+            residual = (mx - y[k, 0] + x0, my - y[k, 1] + y0, kernels.wrap(mt - y[k, 2] + t0))
+            e[k, 0], e[k, 1], e[k, 2] = residual
+            p, q, r = kernels.product(kernels.row(W, k), residual)
+            squares = trust[k] * kernels.dot((p, q, r), residual)
+            cost += loss(kernel, width, squares)
+            w = trust[k] * weight(kernel, width, squares)
+            factor[k] = w
+            bx, by, bt = bx - w * p, by - w * q, bt - w * r
+            A = kernels.plus(A, kernels.scaled(w, kernels.row(W, k)))
+            bend = 2 * trust[k] ** 2 * weight_slope(kernel, width, squares)
+            D = kernels.plus(D, kernels.scaled(bend, (p * p, p * q, q * q, p * r, q * r, r * r)))
+        if done:
+            break
+        smallest = 1e-14 * (1 + abs(mx) + abs(my))
+        raised = not cost <= best * (1 + 1e-13)
+        raises += raised and not newton
+        if raised and (newton or raises > MOST_RAISES):
+            if newton:
+                step, newton, size = back, False, np.inf
+            else:
+                scale /= 2
+                done = scale * (abs(step[0]) + abs(step[1]) + abs(step[2])) < smallest
+                if done:
+                    step = (0.0, 0.0, 0.0)
+            continue
+        best, mean, scale = cost, (mx, my, mt), min(1.0, 2 * scale)
+        back = kernels.product(kernels.inverse(A, True), (bx, by, bt))
+        step, newton = back, False
+        if kernel and kernels.dot(back, (bx, by, bt)) < 0.01:
+            # the step is below a tenth of the mean's standard deviation
+            H = kernels.plus(A, D)
+            inverse = kernels.inverse(H, True)
+            # positive definite by its leading minors; inverse[5] is the quotient of the last two
+            if H[0] > 0 and H[0] * H[2] > H[1] * H[1] and inverse[5] > 0:
+                step, newton = kernels.product(inverse, (bx, by, bt)), True
+        before, size = size, abs(step[0]) + abs(step[1]) + abs(step[2])
+        # below rounding, or stopped by it
+        if size < smallest or (newton and before <= size < 1e4 * smallest):
+            break
+    return mean, best
 
 
 @njit(cache=True, error_model="numpy")

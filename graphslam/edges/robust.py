@@ -122,3 +122,15 @@ def weight(code, c, squares):  # type: ignore[no-untyped-def]
     if code == GEMAN_MCCLURE:
         return (c * c / (c * c + squares)) ** 2
     return 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def weight_slope(code, c, squares):  # type: ignore[no-untyped-def]
+    """The derivative of w by r², never positive."""
+    if code == HUBER and squares > c * c:
+        return -0.5 * c / squares**1.5
+    if code == CAUCHY:
+        return -((c / (c * c + squares)) ** 2)
+    if code == GEMAN_MCCLURE:
+        return -2 * c**4 / (c * c + squares) ** 3
+    return 0.0

@@ -85,3 +85,23 @@ def test_edges_that_measure_no_relative_pose_are_refused():
         relative_graph(Graph.from_log(log.without_orientation(), edges="virtual+motion"))
     with pytest.raises(GraphError, match="pairs"):
         relative_graph(Graph.from_log(log, weight="marginal", edges="virtual+motion"))
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"weight": "tempered"}, {"edges": "landmark+motion"}], ids=["pairs", "tempered", "landmark nodes"]
+)
+@pytest.mark.parametrize("kernel", ["huber", "cauchy", "geman-mcclure"])
+def test_a_kernel_is_exported_as_its_weights(options, kernel, tmp_path):
+    """Wrong sightings count in the file as little as in the solution, which solving the file gives again."""
+    faultless = SensorModel(range_rate=0.01, bearing_std=0.005, orientation_std=0.005)
+    log = simulate(clean=True, sensor=faultless, seed=2, steps=40)
+    sightings = log.sightings.copy()
+    sightings[::10, 0] *= 2
+    log = replace(log, sightings=sightings)
+    graph = Graph.from_log(log, sensor=faultless, kernel=kernel, **options)
+    solution = solve(graph)
+    relative_graph(graph, state=solution.state).save_g2o(tmp_path / "robust.g2o")
+    again = solve(Graph.from_g2o(tmp_path / "robust.g2o"))
+    plain = solve(Graph.from_log(log, sensor=faultless, **options))
+    moved, harm = (np.abs(other[:, :2] - solution.poses[:, :2]).max() for other in (again.poses[:41], plain.poses))
+    assert moved < 0.1 * harm

@@ -11,7 +11,7 @@ from matplotlib.artist import Artist
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from graphslam import Graph, GraphError, Log, OptionError, Solution, estimate_map, solve
+from graphslam import Graph, GraphError, Log, OptionError, Solution, solve
 from graphslam.se2 import Array, wrap
 from graphslam.solvers.solve import METHODS, Iteration, starting_state
 
@@ -70,7 +70,7 @@ def graph_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
     costs = np.array([graph.cost(state) for state in run.states])
     frames: list[GraphFrame] = []
     for number in kept(len(run.states), animation.max_frames).tolist():
-        frames.append(_frame(graph, log, residuals, run, number, float(costs[number])))
+        frames.append(_frame(graph, residuals, run, number, float(costs[number])))
         progress()
     title = f"{log.name}: graph SLAM, {graph.num_edges} edges"
 
@@ -145,11 +145,11 @@ def _chosen(graph: Graph, initialize: str) -> tuple[_Run, tuple[str, ...]]:
     return run, (f"{worse}: the animation starts {_STARTS[run.start]}",)
 
 
-def _frame(graph: Graph, log: Log, residuals: Residuals, run: _Run, number: int, cost: float) -> GraphFrame:
+def _frame(graph: Graph, residuals: Residuals, run: _Run, number: int, cost: float) -> GraphFrame:
     state = run.states[number]
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])
-    of_path = estimate_map(log, poses, sensor=graph.sensor)
+    of_path = graph.map_from(poses)
     nodes = state[len(graph.steps) :, : graph.landmark_dimension]
     edges, distances = residuals(state)
     caption = f"iteration {number}" if number else "start" if run.start == "given" else f"start ({run.start})"

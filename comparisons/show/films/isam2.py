@@ -94,7 +94,7 @@ def _frame(log: Log, smoother: IncrementalSmoother, step: int, before: Array) ->
     past = log.replace(steps=log.steps[so_far], landmarks=log.landmarks[so_far], sightings=log.sightings[so_far])
     # the steps to come have no pose yet, and nothing was seen from them
     trajectory = np.concatenate([poses, np.zeros((log.num_poses - len(poses), 3))])
-    estimated = estimate_map(past, trajectory, sensor=smoother.sensor)
+    estimated = estimate_map(past, trajectory, sensor=smoother.sensor, kernel=smoother.kernel)
     seen = log.sightings[log.steps == step]
     metres = corrections.max()
     length = f"{metres:.2f} m" if metres >= 0.1 else f"{1000 * metres:.1f} mm"
