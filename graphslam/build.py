@@ -158,6 +158,7 @@ def parts_of_file(data: PoseGraphFile, path: Path) -> dict[str, Any]:
         "initial": np.concatenate([data.poses, np.pad(data.landmarks, ((0, 0), (0, 1)))]),
         "families": tuple(families), "steps": np.arange(num_poses), "trajectory": data.poses,
         "pose_ids": data.pose_ids, "landmark_ids": data.landmark_ids, "fixed": fixed,
+        "notes": data.notes,
     }  # fmt: skip
 
 
