@@ -193,7 +193,7 @@ def file_of_parts(
                 "graphslam.relative.relative_graph makes relative poses of them where that is possible"
             )
 
-    def columns(kind: str, chosen: list[Any], d: int) -> dict[str, Array]:
+    def columns(kind: str, chosen: list[Any], d: int) -> dict[str, Any]:
         return {
             f"{kind}_edges": np.concatenate(
                 [np.zeros((0, 2), dtype=np.int64)] + [ids[np.column_stack([f.first, f.second])] for f in chosen]

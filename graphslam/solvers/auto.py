@@ -9,11 +9,11 @@ import numpy as np
 
 from ..errors import GraphError
 from ..graph import Graph
-from .iteration import Run
+from .iteration import Run, factorized
 from .starting import AUTO, starting_state
 
 DAMPED = "levenberg-marquardt"
-#: graphs of at most so many nodes are run from every start: that takes milliseconds
+#: graphs of at most so many nodes are always run from a second start: that takes milliseconds
 SMALL = 100
 #: J per degree of freedom beyond which an end is doubtful and compared with another start's
 DOUBTFUL = 3.0
@@ -32,9 +32,9 @@ class _End:
 def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
     """The run with the lowest end among the starts of `AUTO`.
 
-    Two starts that converge to the same cost end the search. So does the first converged end of a large graph whose J per
-    degree of freedom is plausible. An end above the given values never counts: where there is no other, damped steps from
-    the given values lower J itself (with state-dependent information a fixed point of the iteration may lie higher).
+    The search ends early where J per degree of freedom is plausible or two starts converge to the same cost; in small
+    graphs both must hold. An end above the given values never counts: where there is no other, damped steps from the given
+    values lower J itself (with state-dependent information a fixed point of the iteration may lie higher).
 
     Args:
         graph: what to solve.
@@ -66,8 +66,12 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
                 break
         if _enough(graph, [end.cost for end in ends if end.run.converged and _allowed(end, given)]):
             break
-    if not ends and error is not None:
-        raise error
+    if error is not None and not any(end.run.converged for end in ends):
+        # undetermined nodes show at the given values, too; an iteration that strayed to a singular state does not
+        graph.linearize(graph.initial)
+        factorized(graph, graph.initial)
+        if not ends:
+            raise error
     allowed = [end for end in ends if _allowed(end, given)]
     if not any(end.run.converged for end in allowed):
         run = run_from(graph.initial, DAMPED, descend=True)
@@ -99,10 +103,9 @@ def _enough(graph: Graph, costs: list[float]) -> bool:
     """Whether the costs of converged ends leave no reason to try another start."""
     if not costs:
         return False
-    lowest = min(costs)
-    if sum(cost <= lowest * (1 + SAME) for cost in costs) > 1:
-        return True
-    return graph.num_nodes > SMALL and lowest <= DOUBTFUL * _expected(graph)
+    plausible = min(costs) <= DOUBTFUL * _expected(graph)
+    agreed = sum(cost <= min(costs) * (1 + SAME) for cost in costs) > 1
+    return (plausible and agreed) if graph.num_nodes <= SMALL else (plausible or agreed)
 
 
 def _expected(graph: Graph) -> float:

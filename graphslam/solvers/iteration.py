@@ -46,6 +46,7 @@ class Run:
         costs, step_norms: J before each step, and the norm of each step.
         predicted: how much the last step should lower J by the quadratic model.
         descend: whether damped steps must lower J itself, with state-dependent information evaluated at both ends.
+        recorded: the steps, where somebody wants them after the end.
         converged, reason: whether a stop rule was met, and why the iteration ended.
     """
 
@@ -59,6 +60,7 @@ class Run:
     step_norms: list[float] = field(default_factory=list)
     predicted: float = np.inf
     descend: bool = False
+    recorded: list[Iteration] = field(default_factory=list)
     converged: bool = False
     reason: str = ""
 

@@ -41,7 +41,7 @@ def levenberg_marquardt(graph: Graph, run: Run) -> None:
             predicted = float(np.sum(delta * (system.xi + damping * system.diagonal() * delta)))
             # below the rounding error of J the costs cannot be compared, but no step may raise J beyond it
             rounding = run.rounding(system)
-            negligible = abs(predicted) <= max(1e-12 * cost, rounding) and tried <= cost * (1 + 1e-9) + rounding
+            negligible = abs(predicted) <= max(1e-12 * cost, rounding) and tried <= max(cost * (1 + 1e-9), rounding)
             if negligible or (np.isfinite(tried) and tried < cost):
                 break
             damping, growth = damping * growth, growth * 2

@@ -45,7 +45,7 @@ def solve(
             virtual-motion edges, and other graphs rotation-first where the edges allow it. Where that does not converge,
             ends above the given values, or ends with an implausible J, and for small graphs, it also tries the other
             starts, and returns the solution with the lowest cost, which is never above that of the given values.
-        callback: called after each step with an `Iteration`.
+        callback: called after each step with an `Iteration`; with "auto" at the end, with the steps of the run returned.
         cost_tolerance: converged, too, when a step changes J by less than this fraction; 0 uses ``tolerance`` alone.
             (Steps of 1e-9 correspond to about 1e-16 here; 1e-6 is enough for a picture.)
 
@@ -64,12 +64,16 @@ def solve(
     begin = time.perf_counter()
 
     def run_from(start: Array, search: str, descend: bool = False) -> Run:
-        run = Run(start.copy(), tolerance, max_iterations, cost_tolerance, callback, descend=descend)
+        run = Run(start.copy(), tolerance, max_iterations, cost_tolerance, descend=descend)
+        if callback is not None:
+            run.callback = run.recorded.append if initialize == "auto" else callback
         METHODS[search](graph, run)
         return run
 
     if initialize == "auto":
         run = best_run(graph, run_from, method)
+        for step in run.recorded if callback is not None else ():
+            callback(step)
     else:
         run = run_from(starting_state(graph, initialize), method)
     return make_solution(
