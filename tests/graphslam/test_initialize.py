@@ -152,3 +152,22 @@ def test_oscillating_gauss_newton_goes_on_with_damped_steps(edges):
             if not graph.frozen_information:
                 assert solution.cost <= np.min(solution.costs) * (1 + 1e-6)
     assert damped >= 3
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_short_damped_steps_alone_are_no_proof():
+    """Where a pose lands on a landmark damping shortens all steps; only an undamped one that promises little converges."""
+    converged = 0
+    for seed in range(60):
+        log, options = random_problem(seed)
+        try:
+            graph = Graph.from_log(log, **(options | {"edges": "landmark+motion", "frame": "body"}))
+            solution = solve(graph, method="levenberg-marquardt", initialize="given", max_iterations=300)
+        except GraphError:
+            continue
+        if solution.converged:
+            converged += 1
+            system, cost = graph.linearize(solution.state)
+            decrease = np.sum(system.xi * system.factorize().solve(system.xi))
+            assert decrease <= max(1e-6 * cost, 1e-20), (seed, solution.reason)
+    assert converged > 20
