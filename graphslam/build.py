@@ -158,6 +158,7 @@ def parts_of_file(data: PoseGraphFile, path: Path) -> dict[str, Any]:
         "initial": np.concatenate([data.poses, np.pad(data.landmarks, ((0, 0), (0, 1)))]),
         "families": tuple(families), "steps": np.arange(num_poses), "trajectory": data.poses,
         "pose_ids": data.pose_ids, "landmark_ids": data.landmark_ids, "fixed": fixed,
+        "notes": data.notes,
     }  # fmt: skip
 
 
@@ -192,7 +193,7 @@ def file_of_parts(
                 "graphslam.relative.relative_graph makes relative poses of them where that is possible"
             )
 
-    def columns(kind: str, chosen: list[Any], d: int) -> dict[str, Array]:
+    def columns(kind: str, chosen: list[Any], d: int) -> dict[str, Any]:
         return {
             f"{kind}_edges": np.concatenate(
                 [np.zeros((0, 2), dtype=np.int64)] + [ids[np.column_stack([f.first, f.second])] for f in chosen]

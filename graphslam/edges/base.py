@@ -89,6 +89,11 @@ class EdgeFamily(ABC):
         """The number of edges."""
 
     @property
+    def numbers(self) -> tuple[int, float]:
+        """How many independent numbers the edges measure, and the mean of their cost at the true state."""
+        return 0, 0.0
+
+    @property
     def state_dependent_information(self) -> bool:
         """Whether Omega_e depends on the reference state."""
         return False

@@ -34,6 +34,10 @@ class ObservationEdges(PairEdges, SightingEdges):
     kernel: Kernel | None = None
     trust: Array | None = None
 
+    @property
+    def numbers(self) -> tuple[int, float]:
+        return self.sightings.size, float(self.sightings.shape[1] * np.sum(self.trusted))
+
     def linearize(self, state: Array, reference: Array) -> Linearization:
         d = self.sightings.shape[1]
         x, m = state[self.first], state[self.second][:, :d]

@@ -35,6 +35,10 @@ class _RelativeEdges(PairEdges):
     frame: str = field(default="body", kw_only=True)
 
     @property
+    def numbers(self) -> tuple[int, float]:
+        return self.measured.size, self.measured.size
+
+    @property
     def state_dependent_information(self) -> bool:
         return self.frame == "world"
 

@@ -93,6 +93,12 @@ class LandmarkSightings(SightingEdges):
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
         return self.starts, self.nodes
 
+    @property
+    def numbers(self) -> tuple[int, float]:
+        # the landmark itself takes the numbers of one sighting
+        count = self.sightings.shape[1] * int(np.sum(np.diff(self.starts) - 1))
+        return count, count
+
     @cached_property
     def group(self) -> np.ndarray:
         """The landmark (M,) of each sighting, from 0 to G-1."""

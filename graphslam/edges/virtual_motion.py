@@ -61,6 +61,13 @@ class VirtualMotionEdges(LandmarkSightings):
         return (int(np.sum(np.diff(self.starts) ** 2)) - int(np.sum(alike**2))) // 2
 
     @property
+    def numbers(self) -> tuple[int, float]:
+        independent, once = super().numbers
+        seen = np.diff(self.starts)
+        # every one of the K (K-1) / 2 pairs of a landmark costs as much as it measures
+        return independent, once if self.tempered else self.sightings.shape[1] * float(np.sum(seen * (seen - 1))) / 2
+
+    @property
     def state_dependent_information(self) -> bool:
         # only with psi and in the body frame do the sightings alone give the information
         return self.frame == "world" or not self.oriented

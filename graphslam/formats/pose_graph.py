@@ -12,8 +12,9 @@ iSAM                    ``ODOMETRY`` or ``EDGE2 i j x y theta`` + upper triangle
 
 Every tag has the meaning of its own dialect. Only ``EDGE2`` belongs to two: it is TORO's in a file that has ``VERTEX2``
 lines, and iSAM's in any other, unless the format is named. All edges measure the second node in the frame of the first.
-The residual is g2o's, e = z^-1 (x_i^-1 x_j); its information is turned here into the axes of the first pose, as in
-`RelativePoseEdges`. Lines that begin with # are comments.
+`RelativePoseEdges` needs the information in the axes of the first pose. TORO and iSAM give it so: their residual is
+(x_i^-1 x_j) - z. g2o's residual is e = z^-1 (x_i^-1 x_j), in axes turned by the measured heading, so its information is
+turned back here. Lines that begin with # are comments.
 
 In a file without vertices the initial values follow the odometry: from the first pose along edges to the next id, then
 along the others.
@@ -45,7 +46,8 @@ class PoseGraphFile:
     """What a file holds: ids and values of poses (P,), (P, 3) and landmarks (L,), (L, 2), fixed ids, and the edges.
 
     Edges name ids: ``pose_edges`` (E, 2) with ``pose_measured`` (E, 3) and ``pose_information`` (E, 3, 3) in the axes of
-    the first pose; ``point_edges`` (K, 2) with ``point_measured`` (K, 2) and ``point_information`` (K, 2, 2).
+    the first pose; ``point_edges`` (K, 2) with ``point_measured`` (K, 2) and ``point_information`` (K, 2, 2). ``notes`` are
+    doubts about the numbers, one sentence each.
     """
 
     pose_ids: np.ndarray
@@ -59,6 +61,7 @@ class PoseGraphFile:
     point_edges: np.ndarray
     point_measured: Array
     point_information: Array
+    notes: tuple[str, ...] = ()
 
 
 class _Edge(NamedTuple):
@@ -169,8 +172,9 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
     path = lines.path
     pose_edges, pose_numbers, information = _arrays(path, lines.pose_edges, 3, edge2)
     point_edges, point_numbers, point_information = _arrays(path, lines.point_edges, 2, edge2)
-    # the residual of g2o is turned by R(theta_z)' against ours
-    turn = turn_matrix(pose_numbers[:, 2])
+    # the residual of g2o is turned by R(theta_z)' against ours; those of TORO and iSAM are ours
+    dialects = np.array([_DIALECT_OF.get(edge.tag, edge2) for edge in lines.pose_edges], dtype="U4")
+    turn = turn_matrix(np.where(dialects == "g2o", pose_numbers[:, 2], 0.0))
     information = turn @ information @ np.swapaxes(turn, 1, 2)
 
     pose_values, landmark_values = lines.poses, lines.landmarks
@@ -209,7 +213,28 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
         point_edges=point_edges,
         point_measured=point_numbers,
         point_information=point_information,
+        notes=_doubts(path, information, dialects),
     )
+
+
+def _doubts(path: Path, information: Array, dialects: np.ndarray) -> tuple[str, ...]:
+    """A note where the information (E, 3, 3) of relative poses is so small that the file must have covariances.
+
+    A heading that is not measured at all is uniform, with a deviation of pi / sqrt(3). Edges that claim more say nothing,
+    and a covariance read as information claims it nearly always. Edges without information on the heading do not count.
+    """
+    heading = information[:, 2, 2]
+    heading = heading[heading > 0]
+    if len(heading) == 0 or (middle := float(np.median(heading))) >= 3 / np.pi**2:
+        return ()
+    root = np.any(dialects == "isam")
+    wanted = "the square root R of the information R'R, 1 / deviation" if root else "the information, 1 / variance"
+    note = (
+        f"the information of this file means a deviation of {middle**-0.5:.2g} rad for half of its headings: it "
+        f"seems to hold covariances where its format wants {wanted}"
+    )
+    warnings.warn(f"{path}: {note}", UserWarning, stacklevel=5)
+    return (note,)
 
 
 def _arrays(path: Path, edges: list[_Edge], d: int, edge2: str) -> tuple[np.ndarray, Array, Array]:

@@ -11,9 +11,13 @@ from numba import njit
 from ..diagnosis import undetermined
 from ..graph import Graph
 from ..linear.cholesky import Factor, SingularPivot
+from ..linear.information import BlockSystem
 from ..se2 import Array
 from .mixing import AndersonMixing
 
+#: a step shorter than the tolerance ends the iteration only where it promises to lower J by less than this part of it,
+#: or less than the tolerance itself where that is greater: a rough tolerance asks for a rough end
+PROMISE = 1e-6
 #: a step is confirmed where its predicted decrease of J is below this many times the cost tolerance
 CONFIRMED = 1e3
 
@@ -41,6 +45,8 @@ class Run:
         mixing: Anderson acceleration of the steps, or None for plain steps.
         costs, step_norms: J before each step, and the norm of each step.
         predicted: how much the last step should lower J by the quadratic model.
+        descend: whether damped steps must lower J itself, with state-dependent information evaluated at both ends.
+        recorded: the steps, where somebody wants them after the end.
         converged, reason: whether a stop rule was met, and why the iteration ended.
     """
 
@@ -53,6 +59,8 @@ class Run:
     costs: list[float] = field(default_factory=list)
     step_norms: list[float] = field(default_factory=list)
     predicted: float = np.inf
+    descend: bool = False
+    recorded: list[Iteration] = field(default_factory=list)
     converged: bool = False
     reason: str = ""
 
@@ -81,8 +89,11 @@ class Run:
             self._converge(f"J changed by less than {self.cost_tolerance:g} of it")
         return self.converged
 
-    def finished(self, predicted: float) -> bool:
+    def finished(self, predicted: float, system: BlockSystem) -> bool:
         """Whether the last step, which should lower J by ``predicted``, was short enough to stop.
+
+        A short step alone proves nothing where J is steep: it must also promise little, compared with J or with what
+        rounding of the state (about 1e-15 of each coordinate) does to J.
 
         On badly scaled graphs rounding keeps the steps from becoming shorter than some 1e-7 (INTEL). Therefore a step
         that no longer shrinks is also the last one, if its predicted decrease is below the rounding error of J. Mixed
@@ -91,13 +102,23 @@ class Run:
         self.predicted = predicted
         norm, window = self.step_norms[-1], 1 if self.mixing is None else 10
         before = self.step_norms[-1 - window : -1]
-        if norm < self.tolerance:
+        if norm < self.tolerance and self.negligible(predicted, system):
             self._converge(f"step norm {norm:.1e} below the tolerance {self.tolerance:g}")
         elif abs(predicted) <= self.cost_tolerance * self.costs[-1] != 0:
             self._converge(f"the last step lowered J by less than {self.cost_tolerance:g} of it")
         elif abs(predicted) < 1e-15 * self.costs[-1] and len(before) == window and norm > 0.5 * min(before):
             self._converge(f"step norm {norm:.1e} at its rounding floor: J can fall no further")
         return self.converged
+
+    def negligible(self, predicted: float, system: BlockSystem) -> bool:
+        """Whether a predicted decrease is a small part of J, or no more than rounding makes of it."""
+        part = max(PROMISE, self.tolerance, self.cost_tolerance)
+        return abs(predicted) <= part * self.costs[-1] or abs(predicted) <= self.rounding(system)
+
+    def rounding(self, system: BlockSystem) -> float:
+        """What J is, at least, by rounding errors of 1e-15 of all coordinates: the sum of diag(Omega) errors²."""
+        error = 1e-15 * (1 + np.abs(self.state).max(axis=0))
+        return float(np.sum(system.diagonal() * error**2))
 
     def _converge(self, reason: str) -> None:
         self.converged, self.reason = True, reason

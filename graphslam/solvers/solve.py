@@ -6,17 +6,16 @@ import time
 from collections.abc import Callable
 from numbers import Real
 
-import numpy as np
-
 from ..checks import check_choice, check_count, check_positive
-from ..errors import GraphError, OptionError
+from ..errors import OptionError
 from ..graph import Graph
 from ..se2 import Array
 from ..solution import Solution, make_solution
+from .auto import best_run
 from .gauss_newton import gauss_newton
 from .iteration import Iteration, Run
 from .levenberg_marquardt import levenberg_marquardt
-from .starting import AUTO, INITIALIZE, starting_state
+from .starting import INITIALIZE, starting_state
 
 METHODS = {"gauss-newton": gauss_newton, "levenberg-marquardt": levenberg_marquardt}
 
@@ -37,15 +36,16 @@ def solve(
 
     Args:
         graph: what to solve.
-        method: "gauss-newton", or "levenberg-marquardt", which takes no step that raises J.
+        method: "gauss-newton", which continues with damped steps where it makes no progress, or "levenberg-marquardt",
+            which takes no step that raises J.
         tolerance: the iteration has converged when the Euclidean norm of a whole correction is below this.
         max_iterations: the most steps to take.
         initialize: "given", the graph's own initial values; "dead-reckoning" along the motion edges; "rotation-first",
             headings by linear least squares and then positions; or "auto". "auto" starts landmark nodes from
             virtual-motion edges, and other graphs rotation-first where the edges allow it. Where that does not converge,
-            or ends above the cost of the given values, it also tries the other starts and Levenberg-Marquardt, and
-            returns the solution with the lowest cost.
-        callback: called after each step with an `Iteration`.
+            or ends above the cost of the given values or at an implausible J, and for small graphs always, it also tries
+            the other starts, and returns the solution with the lowest cost, which is never above that of the given values.
+        callback: called after each step with an `Iteration`; with "auto" at the end, with the steps of the run returned.
         cost_tolerance: the iteration has also converged when a step changes J, or is predicted to change it, by less
             than this fraction; 0 for no such rule. (Steps of 1e-9 correspond to about 1e-16; 1e-6 is enough for a figure.)
 
@@ -66,13 +66,17 @@ def solve(
     check_count(max_iterations=max_iterations)
     begin = time.perf_counter()
 
-    def run_from(start: Array, search: str) -> Run:
-        run = Run(start.copy(), tolerance, max_iterations, cost_tolerance, callback)
+    def run_from(start: Array, search: str, descend: bool = False) -> Run:
+        run = Run(start.copy(), tolerance, max_iterations, cost_tolerance, descend=descend)
+        if callback is not None:
+            run.callback = run.recorded.append if initialize == "auto" else callback
         METHODS[search](graph, run)
         return run
 
     if initialize == "auto":
-        run = _best_run(graph, run_from, method)
+        run = best_run(graph, run_from, method)
+        for step in run.recorded if callback is not None else ():
+            callback(step)
     else:
         run = run_from(starting_state(graph, initialize), method)
     return make_solution(
@@ -85,31 +89,3 @@ def solve(
         seconds=time.perf_counter() - begin,
         solver="graphslam",
     )
-
-
-def _best_run(graph: Graph, run_from: Callable[[Array, str], Run], method: str) -> Run:
-    """The run with the lowest cost among the starts of `AUTO`; the first one whose end is good enough ends the search."""
-    given_cost = graph.cost(graph.initial)
-    best: Run | None = None
-    best_cost = np.inf
-    for initialize in AUTO:
-        try:
-            start = starting_state(graph, initialize)
-        except GraphError:
-            continue  # these edges do not allow that start
-        for search in dict.fromkeys((method, "levenberg-marquardt")):
-            try:
-                run = run_from(start, search)
-            except GraphError:
-                if initialize == "given" and best is None:
-                    raise
-                continue
-            cost = graph.cost(run.state) if run.converged else np.inf
-            run.reason += f" (started {initialize}, {search})"
-            if best is None or cost < best_cost:
-                best, best_cost = run, cost
-            # a minimum above the cost of the given values is not good enough
-            if run.converged and best_cost <= given_cost * (1 + 1e-9):
-                return best
-    assert best is not None
-    return best

@@ -102,7 +102,7 @@ def simulate(
         poses, controls = _drive_clean(world, motion, rng)
     else:
         poses, controls = _drive(world, motion_faults or MotionFaults(), arena, rng)
-    at, seen = _visible(poses, landmarks, world)
+    at, seen = _visible(sensor.mount(poses), landmarks, world)
     exact = sensor.h(poses[at], landmarks[seen])
     if world.clean:
         deviations = np.sqrt(np.diagonal(sensor.Q(exact), axis1=-2, axis2=-1))
@@ -214,7 +214,7 @@ def _drive(world: World, faults: MotionFaults, arena: float, rng: np.random.Gene
 
 
 def _visible(poses: Array, landmarks: Array, world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Every (step, landmark) within the camera's limits, by step and then by landmark."""
+    """Every (step, landmark) within the camera's limits, by step and then by landmark, from the camera's poses (T+1, 3)."""
     from scipy.spatial import cKDTree
 
     near = cKDTree(landmarks[:, :2]).query_ball_point(poses[:, :2], world.max_range, return_sorted=True)

@@ -1,9 +1,11 @@
+import warnings
+
 import numpy as np
 import pytest
 
 from graphslam import FormatError, Graph, GraphError, OptionError, solve
 from graphslam.formats.pose_graph import read_pose_graph
-from graphslam.se2 import between, wrap
+from graphslam.se2 import between, compose, turn_matrix, wrap
 
 SQUARE = """VERTEX_SE2 0 0 0 0
 VERTEX_SE2 1 1 0 1.5
@@ -128,7 +130,7 @@ def test_motion_graphs_can_be_written_and_virtual_ones_cannot(tmp_path, book_log
 
 
 def test_the_three_dialects_say_the_same(tmp_path):
-    """One graph, its information 11 12 13 22 23 33 written as each dialect orders it, or by its square root."""
+    """One graph, its information written in each dialect's order and axes, or by its square root."""
     omega = np.array([[10.0, 1.0, 0.5], [1.0, 20.0, 0.2], [0.5, 0.2, 30.0]])
     root = np.linalg.cholesky(omega).T
     upper = np.triu_indices(3)
@@ -137,7 +139,9 @@ def test_the_three_dialects_say_the_same(tmp_path):
         return " ".join(map(repr, np.asarray(values).tolist()))
 
     vertices = "VERTEX2 0 0 0 0\nVERTEX2 1 1 0 1.5\n"
-    g2o = vertices.replace("VERTEX2", "VERTEX_SE2") + f"EDGE_SE2 0 1 1 0.1 1.4 {numbers(omega[upper])}\n"
+    turn = turn_matrix(1.4)
+    g2o = vertices.replace("VERTEX2", "VERTEX_SE2")
+    g2o += f"EDGE_SE2 0 1 1 0.1 1.4 {numbers((turn.T @ omega @ turn)[upper])}\n"
     toro_order = [omega[0, 0], omega[0, 1], omega[1, 1], omega[2, 2], omega[0, 2], omega[1, 2]]
     toro = vertices + f"EDGE2 0 1 1 0.1 1.4 {numbers(toro_order)}\n"
     isam = f"EDGE2 0 1 1 0.1 1.4 {numbers(root[upper])}\n"
@@ -286,3 +290,74 @@ def test_a_state_that_is_none_is_not_written(tmp_path):
         with pytest.raises(OptionError, match="state must be"):
             graph.save_g2o(tmp_path / "bad.g2o", state=state)
     assert not (tmp_path / "bad.g2o").exists()
+
+
+def simulated_edges(dialect, deviations, rng):
+    """A file of 160 poses with random turns, 159 odometry edges and 162 others whose noise is drawn in the first pose's axes.
+
+    The deviations [m, m, rad] are those along the axes of the first pose; g2o's information is turned by the heading.
+    """
+    poses = [np.zeros(3)]
+    while len(poses) < 160:
+        poses.append(compose(poses[-1], np.array([1.0, 0.0, rng.uniform(-2.5, 2.5)])))
+    pairs = [(k, k + 1) for k in range(159)]
+    pairs += [tuple(sorted(rng.choice(160, 2, replace=False))) for _ in range(162)]
+    lines = [f"{'VERTEX2' if dialect == 'toro' else 'VERTEX_SE2'} {k} {x!r} {y!r} {t!r}"
+             for k, (x, y, t) in enumerate(np.array(poses).tolist()) if dialect != "isam"]  # fmt: skip
+    for i, j in pairs:
+        z = between(poses[i], poses[j]) + rng.normal(size=3) * deviations
+        omega = np.diag(np.array(deviations) ** -2.0)
+        if dialect == "g2o":
+            turn = turn_matrix(z[2])
+            omega = turn.T @ omega @ turn
+        elif dialect == "isam":
+            omega = np.linalg.cholesky(omega).T
+        order = [0, 1, 3, 5, 2, 4] if dialect == "toro" else range(6)
+        entries = omega[np.triu_indices(3)][list(order)]
+        tag = "EDGE_SE2" if dialect == "g2o" else "EDGE2"
+        lines.append(f"{tag} {i} {j} {' '.join(map(repr, [*z.tolist(), *entries.tolist()]))}")
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("dialect", ["g2o", "toro", "isam"])
+def test_information_is_taken_in_the_axes_of_its_dialect(tmp_path, dialect):
+    """321 edges with 0.15 m along and 0.02 m across the first pose: J is chi-square with 3 * (321 - 159) degrees."""
+    text = simulated_edges(dialect, (0.15, 0.02, 0.01), np.random.default_rng(0))
+    solution = solve(Graph.from_g2o(written(tmp_path, text)))
+    assert solution.converged
+    degrees = 3 * (321 - 159)
+    assert abs(solution.cost / degrees - 1) < 3.3 * (2 / degrees) ** 0.5
+
+
+def test_the_public_isam_files_have_their_costs(shared_data):
+    """cityTrees10000 has equal deviations in x and y, and chi2 per degree of freedom near 1; Victoria Park does not."""
+    trees = Graph.from_g2o(shared_data("posegraph/cityTrees10000.txt"))
+    np.testing.assert_allclose(trees.families[0].information, np.broadcast_to(np.diag([2500, 2500, 1e4]), (9999, 3, 3)))
+    degrees = 3 * 9999 + 2 * 4443 - 3 * 9999 - 2 * 100
+    assert solve(trees).cost / degrees == pytest.approx(1, abs=3.3 * (2 / degrees) ** 0.5)
+    park = Graph.from_g2o(shared_data("victoria_park/victoriaPark_isam.txt"))
+    # along the first pose the deviation is 0.01 m, across it 0.002 m, whatever the robot turned
+    np.testing.assert_allclose(
+        park.families[0].information, np.broadcast_to(np.diag([1e4, 250_000, 250_000]), (6968, 3, 3)), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("dialect", ["g2o", "toro", "isam"])
+def test_covariances_in_place_of_information_are_noticed(tmp_path, dialect):
+    """The same file with the covariance of every edge: 1 / deviation instead of deviation swaps the two."""
+    wrong = {"isam": (0.15**-2, 0.02**-2, 0.01**-2)}.get(dialect, (1 / 0.15, 1 / 0.02, 1 / 0.01))
+    rng = np.random.default_rng(0)
+    right = simulated_edges(dialect, (0.15, 0.02, 0.01), rng)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert Graph.from_g2o(written(tmp_path, right)).notes == ()
+    numbers = iter(simulated_edges(dialect, wrong, np.random.default_rng(0)).splitlines())
+    lines = [
+        " ".join(line.split()[:6] + other.split()[6:]) if line.startswith("EDGE") else line
+        for line, other in zip(right.splitlines(), numbers)
+    ]
+    with pytest.warns(UserWarning, match="seems to hold covariances") as caught:
+        graph = Graph.from_g2o(written(tmp_path, "\n".join(lines) + "\n"))
+    assert len(caught) == 1
+    assert "seems to hold covariances" in graph.notes[0]
+    assert ("square root" in graph.notes[0]) == (dialect == "isam")

@@ -55,6 +55,25 @@ def test_the_camera_has_limits_and_sees_everything_within():
     assert set(zip(log.steps.tolist(), log.landmarks.tolist())) == expected
 
 
+def test_the_limits_are_those_of_a_camera_with_an_offset():
+    """Every landmark within range and view of the camera is seen, and no other, wherever it is on the robot."""
+    sensor, limits = SensorModel(offset=(1.5, -0.5)), {"min_range": 1.0, "max_range": 4.0, "field_of_view": 1.0}
+    log = simulate(motion_faults=SMOOTH, sensor_faults=QUIET, sensor=sensor, steps=400, **limits)
+    expected = set()
+    for t, (x, y, theta) in enumerate(log.true_poses):
+        camera = np.array([x, y]) + [
+            1.5 * np.cos(theta) + 0.5 * np.sin(theta),
+            1.5 * np.sin(theta) - 0.5 * np.cos(theta),
+        ]
+        for j, landmark in log.true_landmarks.items():
+            ahead = landmark[:2] - camera
+            bearing = wrap(np.arctan2(ahead[1], ahead[0]) - theta)
+            if 1.0 <= np.hypot(*ahead) <= 4.0 and abs(bearing) <= 0.5:
+                expected.add((t, j))
+    assert set(zip(log.steps.tolist(), log.landmarks.tolist())) == expected
+    assert np.abs(log.sightings[:, 1]).max() <= 0.5
+
+
 def test_clean_noise_is_the_models_own():
     """Whitened motion and sensor residuals against the truth are standard normal (seeds fixed, 1 in 1,000 limits)."""
     motion, sensor = MotionModel(), SensorModel(range_rate=0.05)

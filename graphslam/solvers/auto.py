@@ -1,0 +1,124 @@
+"""``initialize="auto"``: run from several starts, compare the ends, and never end above the given values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import GraphError
+from ..graph import Graph
+from .iteration import Run, factorized
+from .starting import AUTO, starting_state
+
+DAMPED = "levenberg-marquardt"
+#: graphs of at most so many nodes are always run from a second start: that takes milliseconds
+SMALL = 100
+#: J per degree of freedom beyond which an end is doubtful and compared with another start's
+DOUBTFUL = 3.0
+#: ends whose costs differ by less than this part are one minimum
+SAME = 1e-6
+
+
+@dataclass(frozen=True)
+class _End:
+    """The end of one run and its cost; infinite where it is no number."""
+
+    run: Run
+    cost: float
+
+
+def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
+    """The run with the lowest end among the starts of `AUTO`.
+
+    The search ends early where J per degree of freedom is plausible or two starts converge to the same cost; in small
+    graphs both must hold. An end above the given values never counts: where there is no other, damped steps from the given
+    values lower J itself (with state-dependent information a fixed point of the iteration may lie higher).
+
+    Args:
+        graph: what to solve.
+        run_from: runs a method from a state; with ``descend=True`` so that every step lowers J itself.
+        method: the first method to try from every start; the second is Levenberg-Marquardt.
+
+    Raises:
+        GraphError: the edges do not determine the nodes.
+    """
+    given = _finite(graph.cost(graph.initial))
+    ends: list[_End] = []
+    error: GraphError | None = None
+    for initialize in AUTO:
+        try:
+            start = starting_state(graph, initialize)
+        except GraphError:
+            continue  # these edges do not allow that start
+        # a start that only serves for comparison is worth one attempt
+        searches = (method,) if any(_allowed(end, given) and end.run.converged for end in ends) else (method, DAMPED)
+        for search in dict.fromkeys(searches):
+            try:
+                run = run_from(start, search)
+            except GraphError as failure:
+                error = failure
+                continue
+            run.reason += f" (started {initialize}, {search})"
+            ends.append(_End(run, _finite(graph.cost(run.state))))
+            if run.converged:
+                break
+        if _enough(graph, [end.cost for end in ends if end.run.converged and _allowed(end, given)]):
+            break
+    if error is not None and not any(end.run.converged for end in ends):
+        # undetermined nodes show at the given values, too; an iteration that strayed to a singular state does not
+        graph.linearize(graph.initial)
+        factorized(graph, graph.initial)
+        if not ends:
+            raise error
+    allowed = [end for end in ends if _allowed(end, given)]
+    if not any(end.run.converged for end in allowed):
+        run = run_from(graph.initial, DAMPED, descend=True)
+        run.reason += " (started given; J falls at every step, because all other ends are above the given values)"
+        if not graph.cost(run.state) <= given:
+            run.state, run.converged = graph.initial.copy(), False
+        allowed.append(_End(run, _finite(graph.cost(run.state))))
+    return _best(graph, allowed)
+
+
+def _allowed(end: _End, given: float) -> bool:
+    """Whether an end is not above the cost of the given values, but for rounding."""
+    return end.cost <= given * (1 + 1e-9)
+
+
+def _best(graph: Graph, ends: list[_End]) -> Run:
+    """The lowest end. One that has not converged must be lower than a converged one by more than `SAME`.
+
+    With state-dependent information only a fixed point is a solution, and J on the way to it may be lower.
+    """
+    converged = min((end for end in ends if end.run.converged), key=lambda end: end.cost, default=None)
+    lowest = min(ends, key=lambda end: end.cost)
+    if converged is not None and (graph.state_dependent_information or converged.cost <= lowest.cost * (1 + SAME)):
+        return converged.run
+    return lowest.run
+
+
+def _enough(graph: Graph, costs: list[float]) -> bool:
+    """Whether the costs of converged ends leave no reason to try another start."""
+    if not costs:
+        return False
+    plausible = min(costs) <= DOUBTFUL * _expected(graph)
+    agreed = sum(cost <= min(costs) * (1 + SAME) for cost in costs) > 1
+    return (plausible and agreed) if graph.num_nodes <= SMALL else (plausible or agreed)
+
+
+def _expected(graph: Graph) -> float:
+    """About what J is at the optimum if the noise models are right: its degrees of freedom.
+
+    With independent measurements of m numbers for p unknowns that is m - p. Pairs count every sighting of a landmark up to
+    K/2 times, and their J grows likewise.
+    """
+    rows = sum(family.numbers[0] for family in graph.families)
+    expected = sum(family.numbers[1] for family in graph.families)
+    unknown = 3 * (len(graph.steps) - 1) + graph.landmark_dimension * len(graph.landmark_ids)
+    return expected * max(1 - unknown / max(rows, 1), 1e-3)
+
+
+def _finite(cost: float) -> float:
+    return cost if np.isfinite(cost) else np.inf
