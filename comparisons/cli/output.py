@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Timer
 from typing import Any, Protocol
 
 import typer
@@ -113,11 +114,20 @@ class Output:
         if self.verbose:
             self._errors.print(line, style="dim", markup=False, soft_wrap=True)
 
-    def _announce_compilation(self) -> None:
+    @contextmanager
+    def _announce_compilation(self) -> Iterator[None]:
+        """Say that kernels are compiled, where they never were and the work takes a while: an error comes at once."""
         from ..kernels import compiled
 
+        text = "Compiling the numerical kernels. This happens once and takes about a minute."
+        timer = Timer(2.0, self.progress, [text])
+        timer.daemon = True
         if not compiled():
-            self.progress("Compiling the numerical kernels. This happens once and takes about a minute.")
+            timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
 
     def progress(self, line: str) -> None:
         """A line on standard error about work that takes a while; not with --quiet."""
@@ -135,11 +145,11 @@ class Output:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
         from rich.progress import TimeRemainingColumn as Remaining
 
-        self._announce_compilation()
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         hidden = self.quiet or not self._errors.is_terminal
         left = (TextColumn("remaining"), Remaining())
-        with Progress(*columns, *left, console=self._errors, transient=True, disable=hidden) as progress:
+        bar = Progress(*columns, *left, console=self._errors, transient=True, disable=hidden)
+        with self._announce_compilation(), bar as progress:
             task = progress.add_task(what, total=total)
 
             def advance(steps: int, doing: str = "", total: int | None = None) -> None:
