@@ -66,6 +66,8 @@ def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> 
         for name in OF_FILES:
             if getattr(options, name) is not None:
                 raise OptionError(f"{name} applies when a file is read, and {log.name!r} is a Log that has been read")
+    elif log is not None and not isinstance(log, (str, PathLike)):
+        raise OptionError(f"a log is a Log, or the path of its file or folder, not {type(log).__name__}: {log!r}")
     else:
         path = sample_log_path() if log is None else Path(log)
         keywords = {name: getattr(options, name) for name in OF_FILES}

@@ -90,6 +90,22 @@ def test_the_page_of_a_comparison_says_what_it_was_told(tmp_path):
         assert line in page
 
 
+def test_a_page_of_a_log_runs_it(tmp_path):
+    log = simulate(steps=10, seed=1)
+    comparisons.write_report(log, tmp_path / "page.html", estimators=["graph"], kernel="huber")
+    assert "kernel = &quot;huber&quot;" in (tmp_path / "page.html").read_text()
+    with pytest.raises(OptionError, match="takes no options"):
+        comparisons.write_report(comparisons.run(log, estimators=["graph"]), tmp_path / "page.html", kernel="huber")
+
+
+@pytest.mark.parametrize(
+    "call", [comparisons.run, comparisons.calibrate, comparisons.compare_solvers, comparisons.animate]
+)
+def test_something_else_in_place_of_a_log(call):
+    with pytest.raises(OptionError, match="path of its file or folder, not int: 3"):
+        call(3)
+
+
 def test_paths_may_be_text(tmp_path):
     save(simulate(steps=10, seed=1), tmp_path / "log.npz")
     assert len(comparisons.animate(str(tmp_path / "log.npz"), estimator="mcl", particles=10)) == 11

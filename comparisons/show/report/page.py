@@ -13,10 +13,10 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from graphslam import OptionError, SlamError
+from graphslam import Log, OptionError, SlamError
 from graphslam.files import write_whole
 
-from ...comparison import Comparison
+from ...comparison import Comparison, run
 from ...config import versions
 from ...saving import check_can_write, jsonable
 from ..placement import reference_of
@@ -59,13 +59,27 @@ def check_page(path: Path) -> None:
         raise OptionError("the interactive report needs the package plotly: pip install -e '.[report]' in the clone")
 
 
-def write_report(comparison: Comparison, path: str | PathLike[str]) -> None:
+def write_report(
+    comparison: Comparison | Log | str | PathLike[str] | None, path: str | PathLike[str], **options: Any
+) -> None:
     """Write the interactive report of a comparison, one HTML file that works offline, whole or not at all.
+
+    Args:
+        comparison: what `comparisons.run` has returned; or a log, its file, or None for the sample log, which is run first.
+        path: the HTML file.
+        options: of `comparisons.run`, where a log is run.
 
     Raises:
         FormatError, OptionError: see `check_page`.
+        SlamError: see `comparisons.run`.
     """
     check_page(Path(path))
+    if not isinstance(comparison, Comparison):
+        comparison = run(comparison, **options)
+    elif options:
+        raise OptionError(
+            f"the comparison has been run: it takes no options ({', '.join(options)}); give the log instead"
+        )
     text = page_of(comparison)
     with write_whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
