@@ -38,7 +38,7 @@ class Skipped:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table; None where a figure does not exist or cannot be known.
+    """One line of the table; None where a value does not exist or cannot be known.
 
     ``nees`` is the mean normalised error squared of the poses, 1 means consistent; see `EstimatorResult.nees`.
     """
@@ -83,7 +83,7 @@ class Comparison(Displayed):
     Attributes:
         log: what the estimators worked on.
         results: in the order of the estimators.
-        skipped: the estimators of the default list that cannot run on this log.
+        skipped: the estimators of the default list that cannot run on this log or would take too long, with the reason.
         source: the file or folder of the log, where there is one.
         options: of the run, noise models filled in.
         estimators: the names that were asked for; None for all.
@@ -175,7 +175,7 @@ class Comparison(Displayed):
     def save(
         self, directory: str | PathLike[str] | None = None, *, figures: Sequence[str] = OutputOptions().figures
     ) -> dict[str, Path]:
-        """Write everything into a folder, all or nothing.
+        """Write all files into a folder; if one fails, none is written.
 
         comparison.json (docs/json.md), the figure, trajectories NAME.tum and maps NAME-map.csv (see `exchange`), the
         graph as graph.g2o where pose-graph files can hold it, and the configuration as config.toml.
@@ -231,9 +231,8 @@ def run(
 
     Args:
         log: a log, the file or folder of one, or None for the sample log of the package.
-        estimators: names from `estimators.ESTIMATORS`; default: all. One that is named has to run. One of the default
-            list that cannot run on this log, or would take far too long, becomes a row with its reason; except
-            ``graph``: a comparison without it says nothing.
+        estimators: names from `estimators.ESTIMATORS`; default: all. If one that is named, or ``graph``, cannot run on this
+            log, an error is raised. Any other that cannot run, or would take too long, becomes a row with the reason.
         progress: called with (name, None) before each estimator and (name, outcome) after it.
         options: the fields of `options.RunOptions`: stride, noise, range_std, edges, kernel, particles, seed, ...
 

@@ -30,8 +30,8 @@ class Option:
     """One option, as the command line, files and Python see it. The metadata of its field may have these attributes.
 
     Attributes:
-        name: of the field.
-        kind: str, int, float, bool, Path, or for several values of a kind ``tuple``.
+        name: of the option; that of the field, except for some numbers of the noise models (``sensor_offset``).
+        kind: str, int, float, bool or Path; ``tuple`` for several values; `Points` for a list of points.
         each: the kind of a single value.
         default: where nothing is given; None where it depends on the log.
         help, unit: one sentence, and the unit of a number.

@@ -31,7 +31,9 @@ def estimate_map(
     kernel: Kernel | str | None = None,
     trust: ArrayLike | None = None,
 ) -> LandmarkMap:
-    """m_j = argmin over m of the sum of (m - y)' Omega (m - y), y = h^-1(x_t, z), Omega^-1 = R Q R', for each landmark.
+    """m_j = argmin over m of the sum of w (m - y)' Omega (m - y), y = h^-1(x_t, z), Omega^-1 = R Q R', for each landmark.
+
+    The weight w of a sighting is its trust times the weight of the kernel, 1 where there is neither.
 
     Headings are compared with that of the landmark itself, so the result does not depend on the order of the sightings.
 
@@ -39,13 +41,12 @@ def estimate_map(
         log: whose sightings are used; those without a landmark id are left out.
         poses: the trajectory (T+1, 3), or anything with such an attribute ``poses``. A `Solution` of this log also gives
             the defaults of sensor, kernel and trust: those of its graph.
-        sensor: the noise model; default: the log's, else the book's.
+        sensor: the noise model; default: that of the solution's graph, else the log's, else the book's.
         kernel: a robust kernel on each sighting, as in `Graph.from_log`; the map is then the robust mean.
         trust: (M,) a factor from 0 to 1 on the information of each sighting, such as `Solution.trust`; NaN counts as 1.
 
     Returns:
-        The map, with the covariance (sum of w Omega)^-1 of each landmark given the trajectory, w the trust times the
-        kernel's weight.
+        The map, with the covariance (sum of w Omega)^-1 of each landmark given the trajectory.
 
     Raises:
         OptionError: the poses or the trust do not fit the log, or there is no such kernel.

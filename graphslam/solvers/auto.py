@@ -1,4 +1,4 @@
-"""``initialize="auto"``: run from several starts, compare the ends, and never end above the given values."""
+"""``initialize="auto"``: solve from several starts, and return the best result, never one worse than the given values."""
 
 from __future__ import annotations
 
@@ -33,13 +33,15 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
     """The run with the lowest end among the starts of `AUTO`.
 
     The search ends early where J per degree of freedom is plausible or two starts converge to the same cost; in small
-    graphs both must hold. An end above the given values never counts: where there is no other, damped steps from the given
-    values lower J itself (with state-dependent information a fixed point of the iteration may lie higher).
+    graphs both must hold. An end with a higher cost than the given values never counts. If no run converges to a lower one,
+    Levenberg-Marquardt runs from the given values and accepts only steps that lower J itself. (With state-dependent
+    information a fixed point of the iteration may have a higher J.)
 
     Args:
         graph: what to solve.
         run_from: runs a method from a state; with ``descend=True`` so that every step lowers J itself.
-        method: the first method to try from every start; the second is Levenberg-Marquardt.
+        method: the method that is tried first from every start. Levenberg-Marquardt follows if it does not converge, unless
+            an earlier start has converged to an acceptable cost.
 
     Raises:
         GraphError: the edges do not determine the nodes.
@@ -67,7 +69,8 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
         if _enough(graph, [end.cost for end in ends if end.run.converged and _allowed(end, given)]):
             break
     if error is not None and not any(end.run.converged for end in ends):
-        # undetermined nodes show at the given values, too; an iteration that strayed to a singular state does not
+        # if nodes are undetermined, Omega is singular at the given values as well, and this raises; if only a later state
+        # was singular, it does not
         graph.linearize(graph.initial)
         factorized(graph, graph.initial)
         if not ends:

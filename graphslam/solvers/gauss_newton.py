@@ -17,7 +17,7 @@ def gauss_newton(graph: Graph, run: Run) -> None:
 
     Plain steps converge slowly where information, or a kernel's weights, are re-evaluated at every step; there the
     iterates are mixed (`AndersonMixing`). Where neither the lowest J nor the shortest step improves for `PATIENCE` steps,
-    the iteration oscillates: it goes on with damped steps from the best state (`levenberg_marquardt`).
+    the iteration oscillates, and continues with damped steps from the best state (`levenberg_marquardt`).
 
     Raises:
         GraphError: the edges do not determine the nodes.

@@ -37,17 +37,22 @@ def solve(
     Args:
         graph: what to solve.
         method: "gauss-newton", which continues with damped steps where it makes no progress, or "levenberg-marquardt",
-            which takes no step that raises J.
-        tolerance: the iteration has converged when the Euclidean norm of a whole correction is below this.
+            which accepts only steps that lower J. With state-dependent information J is compared with the information held
+            fixed, so that J itself may rise.
+        tolerance: the iteration has converged when the Euclidean norm of the correction of all nodes is below this, and
+            the correction is predicted to lower J by a negligible part only.
         max_iterations: the most steps to take.
         initialize: "given", the graph's own initial values; "dead-reckoning" along the motion edges; "rotation-first",
             headings by linear least squares and then positions; or "auto". "auto" starts landmark nodes from
             virtual-motion edges, and other graphs rotation-first where the edges allow it. Where that does not converge,
-            or ends above the cost of the given values or at an implausible J, and for small graphs always, it also tries
-            the other starts, and returns the solution with the lowest cost, which is never above that of the given values.
-        callback: called after each step with an `Iteration`; with "auto" at the end, with the steps of the run returned.
+            or ends above the cost of the given values or at an implausible J, and for small graphs always, it tries further
+            starts until a result is plausible or two agree. It returns the converged solution with the lowest cost, which
+            is never above that of the given values.
+        callback: called after each step with an `Iteration`; with "auto" only after the search, once for each step of the
+            run that is returned.
         cost_tolerance: the iteration has also converged when a step changes J, or is predicted to change it, by less
-            than this fraction; 0 for no such rule. (Steps of 1e-9 correspond to about 1e-16; 1e-6 is enough for a figure.)
+            than this fraction; 0 disables this rule. (A step norm of 1e-9 corresponds to a relative change of J of about
+            1e-16; 1e-6 is enough for a figure.)
 
     Whatever the tolerances, the iteration has also converged when the steps no longer become shorter and the predicted
     decrease of J is below its rounding error (1e-15 of J). `solvers.iteration` has all stop rules.
