@@ -10,9 +10,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from typer.testing import CliRunner, Result
 
@@ -376,6 +378,8 @@ def program(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "comparisons", *arguments],
         cwd=cwd, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        # a suite that runs in the background ignores Ctrl-C, and its children would, too
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
 
 
@@ -392,13 +396,25 @@ def test_the_program_as_a_process(log_file: Path, tmp_path: Path) -> None:
     assert err == "error: nowhere.txt: there is no such file\n"
 
 
+def wait_for_work(process: subprocess.Popen[str]) -> None:
+    """Wait until a local process has computed for four seconds, which is well after it has started."""
+    deadline = time.monotonic() + 60
+    while max((child.cpu_times().user for child in psutil.Process(process.pid).children()), default=0) < 4:
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+
+
 def test_ctrl_c(tmp_path: Path) -> None:
     # far more variants than a test can wait for
     weights = ",".join(str(k) for k in range(1, 2000))
     process = program("solvers", "--motion-weights", weights, "--json", "a.json", cwd=tmp_path)
-    time.sleep(4)
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=60)
+    try:
+        wait_for_work(process)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
     # where the signal hits an extension module that is just being imported, Python ends by the signal: 130 to a shell
     assert process.returncode in (130, -signal.SIGINT)
     assert (out, err) == ("", "interrupted\n")

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -325,11 +326,16 @@ def test_ctrl_c_keeps_what_is_finished(make: Callable[..., Study]) -> None:
     study = make(LONGER)
     # in a group of its own, so that Ctrl-C reaches all of its processes, as on a terminal
     process = subprocess.Popen(
-        command(study), env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0
-    )
+        command(study), env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0,
+        # a suite that runs in the background ignores Ctrl-C, and its children would, too
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
     wait_for_rows(process, study, 5)
     os.killpg(process.pid, signal.SIGINT)
-    stdout, stderr = process.communicate(timeout=60)
+    try:
+        stdout, stderr = process.communicate(timeout=60)
+    finally:
+        process.kill()
     kept = len(rows(study.database))
     assert 5 <= kept < 120
     assert (stdout.split(), stderr, process.returncode) == ([str(kept), "True"], "", 0)
