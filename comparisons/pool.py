@@ -20,7 +20,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from multiprocessing.context import SpawnContext, SpawnProcess
 from types import ModuleType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
 
@@ -55,7 +55,21 @@ class _Process(SpawnProcess):
 
 
 class _Context(SpawnContext):
+    """Keeps the locks of a pool until the pool is gone.
+
+    pebble drops them before it ends its processes, and one that is still starting would not find them: it would write a
+    traceback to standard error.
+    """
+
     Process = _Process
+
+    def __init__(self) -> None:
+        self._locks: list[Any] = []
+
+    def RLock(self) -> Any:
+        lock = super().RLock()
+        self._locks.append(lock)
+        return lock
 
 
 def default_jobs() -> int:
