@@ -12,10 +12,14 @@ Everything that a verb of ``slam-compare`` does is a function here, which return
 Modules are imported when a name is first used, so that ``slam-compare --help`` answers at once.
 """
 
+# ruff: noqa: F401
+
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from graphslam.lazy import lazy_names
 
 from . import display
 
@@ -34,50 +38,23 @@ if TYPE_CHECKING:
     from .studies.summary import summarise
     from .studies.sweep import sweep
 
-#: the public names, and the module that has each
-_HOMES = {
-    "Comparison": ".comparison",
-    "RunOptions": ".options",
-    "animate": ".show.films",
-    "calibrate": ".calibration",
-    "compare_backends": ".backends",
-    "compare_solvers": ".solvers",
-    "read_study": ".studies.plan",
-    "run": ".comparison",
-    "study_consistency": ".consistency",
-    "study_particles": ".particles",
-    "summarise": ".studies.summary",
-    "survey": ".datasets",
-    "sweep": ".studies.sweep",
-    "write_report": ".show.report",
+#: the public names, by the module that defines them
+_PUBLIC = {
+    "backends": "compare_backends",
+    "calibration": "calibrate",
+    "comparison": "Comparison run",
+    "consistency": "study_consistency",
+    "datasets": "survey",
+    "options": "RunOptions",
+    "particles": "study_particles",
+    "show.films": "animate",
+    "show.report": "write_report",
+    "solvers": "compare_solvers",
+    "studies.plan": "read_study",
+    "studies.summary": "summarise",
+    "studies.sweep": "sweep",
 }
-
-__all__ = [
-    "Comparison",
-    "RunOptions",
-    "animate",
-    "calibrate",
-    "compare_backends",
-    "compare_solvers",
-    "read_study",
-    "run",
-    "study_consistency",
-    "study_particles",
-    "summarise",
-    "survey",
-    "sweep",
-    "write_report",
-]
+__getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)
 
 # the package stands above results and presentation: results ask it for their presentation
 display.load_renderers.append(lambda: import_module(".show", __name__))
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name], __name__), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})

@@ -5,8 +5,9 @@ Names are imported at their first use. Kernels are compiled at their first call 
 """
 # ruff: noqa: F401
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from graphslam.lazy import lazy_names
 
 if TYPE_CHECKING:
     from .compilation import warm_up
@@ -29,15 +30,4 @@ _PUBLIC = {
     "resampling": "RESAMPLING_SCHEMES effective_sample_size",
     "state": "FilterResult LandmarkEstimate ParticleState",
 }
-_MODULE_OF = {name: module for module, names in _PUBLIC.items() for name in names.split()}
-__all__ = list(_MODULE_OF)
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f".{_MODULE_OF[name]}", __name__), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)

@@ -5,8 +5,9 @@ is loaded only by those who solve with it.
 """
 # ruff: noqa: F401
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from .lazy import lazy_names
 
 if TYPE_CHECKING:
     from . import edges, factors, formats, metrics, se2, textbook
@@ -45,20 +46,4 @@ _PUBLIC = {
     "sources.simulator": "MotionFaults SensorFaults simulate",
     "sources.worlds": "WORLDS World sample_log_path",
 }
-_MODULE_OF = {name: module for module, names in _PUBLIC.items() for name in names.split()}
-
-__all__ = list(_MODULE_OF)
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name at its first use (PEP 562)."""
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = _MODULE_OF[name]
-    value = getattr(import_module(f".{module}", __name__), name) if module else import_module(f".{name}", __name__)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)
