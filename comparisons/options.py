@@ -18,7 +18,7 @@ from typing import Any
 from fastslam.options import FilterOptions
 from graphslam.checks import option
 from graphslam.errors import OptionError
-from graphslam.models import MotionModel, SensorModel
+from graphslam.models import RESIDUALS, MotionModel, SensorModel
 from graphslam.sources.simulator import MotionFaults, SensorFaults
 from graphslam.sources.worlds import WORLDS, World
 
@@ -110,6 +110,10 @@ class GraphOptions(Options):
     initialize: str = option(
         "auto", "Where the iteration starts; auto tries several starts.",
         choices=("auto", "given", "dead-reckoning", "rotation-first"),
+    )  # fmt: skip
+    residual: str = option(
+        RESIDUALS[0], "Residual of landmark nodes: the sighting as a position in the robot's axes, or as range and bearing.",
+        choices=RESIDUALS,
     )  # fmt: skip
 
 

@@ -18,13 +18,12 @@ from .formats.pose_graph import read_pose_graph, write_g2o
 from .linear.information import BlockSystem
 from .log import Log
 from .mapping import LandmarkMap, estimate_map
-from .models import MotionModel, SensorModel
+from .models import RESIDUALS, MotionModel, SensorModel
 from .se2 import Array
 
 EDGES = ("virtual", "virtual+motion", "landmark+motion")
 FRAMES = ("world", "body")
 WEIGHTS = ("pairs", "tempered", "marginal")
-RESIDUALS = ("cartesian", "polar")
 
 
 def _none() -> np.ndarray:

@@ -7,7 +7,8 @@ to the residual of `edges.relative`, to first order: with J = de_virtual / de_re
     Omega_ab = J' (C_a + C_b)^-1 J,   J = R(-gamma_a) [I, R(theta_ab) (-T_b,y, T_b,x); 0, 1],  gamma_a = phi_a - psi_a.
 
 So both graphs have the same Omega where the sightings are free of noise, and optima that differ by second order of it
-elsewhere. Motion edges already are relative poses.
+elsewhere. Motion edges already are relative poses, and sightings of landmark nodes with the Cartesian residual relative
+poses or points; polar ones become these.
 
 A robust kernel becomes the weight w(r) that it gives each edge at a state, with r of the graph's own edge. At the
 optimum of the graph Omega and xi are the same with these weights as with the kernel, so the solution stays one.

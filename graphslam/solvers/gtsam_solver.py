@@ -133,7 +133,9 @@ def _factors_of(
             )
     elif isinstance(family, edges.PolarObservationEdges):
         for i, j, z, trust in _rows(family.first, family.second, family.sightings, family.trusted):
-            factor = factor_types.ObservationFactor(i, j, z, family.sensor, scale=trust, kernel=family.kernel)
+            factor = factor_types.ObservationFactor(
+                i, j, z, family.sensor, residual="polar", scale=trust, kernel=family.kernel
+            )
             yield factor.fastest()
     elif isinstance(family, edges.MarginalEdges) and family.kernel is not None:
         for i, j, z, trust in _rows(family.nodes, num_nodes + family.group, family.sightings, family.trusted):
