@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from .solvers.online import IncrementalSmoother, solve_online
     from .solvers.solve import Iteration, solve
     from .sources.simulator import MotionFaults, SensorFaults, simulate
+    from .sources.streams import Stream
+    from .sources.synchronize import synchronize
     from .sources.worlds import WORLDS, World, sample_log_path
 
 #: the public names, by the module that defines them; "" lists modules
@@ -44,6 +46,8 @@ _PUBLIC = {
     "solvers.online": "IncrementalSmoother solve_online",
     "solvers.solve": "Iteration solve",
     "sources.simulator": "MotionFaults SensorFaults simulate",
+    "sources.streams": "Stream",
+    "sources.synchronize": "synchronize",
     "sources.worlds": "WORLDS World sample_log_path",
 }
 __getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)
