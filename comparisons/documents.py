@@ -116,6 +116,7 @@ class RunDocument(Document):
     log: LogDocument
     estimators: Annotated[list[EstimatorDocument], about("in the order of the table")]
     files: Annotated[dict[str, str], about("the files written, by kind or name")]
+    notes: Annotated[list[str], about("files that could not be made, one sentence each")]
 
 
 class SimulateDocument(Document):
