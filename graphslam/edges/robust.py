@@ -9,8 +9,8 @@ distributed with d degrees of freedom. The expected slope of the pull w e is b O
 
     b = E[w r²] / d,   a = E[w² r²] / d,
 
-so the estimate has the covariance (b Omega)^-1 a Omega (b Omega)^-1 (the sandwich), that of least squares divided by the efficiency
-b²/a. The default width of every kernel is the one with `EFFICIENCY` for the dimension of its residuals:
+so the estimate has the covariance (b Omega)^-1 a Omega (b Omega)^-1 (the sandwich): that of least squares, divided by
+the efficiency b²/a. The default width of every kernel is the one with `EFFICIENCY` for the dimension of its residuals:
 
     d              1      2      3
     Huber          1.345  1.501  1.628

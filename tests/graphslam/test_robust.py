@@ -98,7 +98,7 @@ def test_the_default_width_follows_the_sightings(dimensions, book_log):
 
 def test_the_width_of_a_factor_follows_its_rows():
     for rows in (1, 2, 4):
-        factor = ResidualFactor([0], lambda x, rows=rows: np.zeros(rows), np.eye(rows), kernel=Huber())
+        factor = ResidualFactor([0], lambda _, rows=rows: np.zeros(rows), np.eye(rows), kernel=Huber())
         assert isinstance(factor.noiseModel(), gtsam.noiseModel.Robust)
         assert factor.description.arguments["kernel"] == Huber().of_dimension(rows)
 
