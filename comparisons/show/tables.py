@@ -43,6 +43,7 @@ RESULTS = {
     "Summary": ("study_tables.summary_tables", "study_figures.study_figure"),
     "Survey": ("study_tables.survey_tables", ""),
     "Calibration": ("study_tables.calibration_tables", ""),
+    "Import": ("log_tables.import_tables", ""),
 }
 
 
@@ -134,11 +135,11 @@ def comparison_tables(comparison: Comparison) -> Tables:
     if log.true_poses is not None and (where := log.truth_place):
         remarks.append(f"Errors are measured at the point that the ground truth is of, {where} of the robot's pose.")
     remarks += _exchanged(comparison)
-    remarks += [f"{entry.name} left out: {entry.reason}." for entry in comparison.skipped]
+    remarks += [f"{entry.name} {entry.outcome}: {entry.reason}." for entry in comparison.skipped]
     remarks += [f"{r.name} did not converge: {r.reason}." for r in comparison.results if r.converged is False]
     notes: dict[str, list[str]] = {note: [log.name] for note in log.notes}
     for result in comparison.results:
-        for note in result.notes:
+        for note in comparison.notes_of(result):
             notes.setdefault(note, []).append(result.name)
     remarks += [f"{', '.join(names)}: {note}." for note, names in notes.items()]
     return result_tables(comparison.table)[0], remarks

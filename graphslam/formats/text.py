@@ -11,7 +11,7 @@ from ..checks import first
 from ..errors import FormatError
 from ..files import read_text
 from ..se2 import Array
-from ..sources.synchronize import MOST_DISORDER, disorder
+from ..sources.streams import MOST_DISORDER, disorder
 
 
 def number(path: Path, line: int, what: str, word: str) -> float:
@@ -54,7 +54,7 @@ def read_columns(path: Path, columns: tuple[str, ...], *, times: bool = False) -
     Args:
         path: the file.
         columns: the names of the columns, for messages.
-        times: whether the first column is times, which may be out of order by at most `synchronize.MOST_DISORDER`.
+        times: whether the first column is times, which may be out of order by at most `streams.MOST_DISORDER`.
 
     Raises:
         FormatError: the file is not text, a line has other columns, or times run backwards by more; with the line.

@@ -202,8 +202,13 @@ def test_biases_are_noted_and_their_values_are_those_of_the_data(tmp_path):
     )  # fmt: skip
     log = simulate(seed=5, sensor_faults=faults, motion_faults=MotionFaults(velocity_bias_std=0))
     (note,) = log.notes
-    exact = SensorModel().h(log.true_poses[log.steps], np.array([log.true_landmarks[j] for j in log.landmarks.tolist()]))
-    assert f"(range x {log.sightings[0, 0] / exact[0, 0]:.3f}, bearing {log.sightings[0, 1] - exact[0, 1]:+.3f} rad)" in note
+    exact = SensorModel().h(
+        log.true_poses[log.steps], np.array([log.true_landmarks[j] for j in log.landmarks.tolist()])
+    )
+    assert (
+        f"(range x {log.sightings[0, 0] / exact[0, 0]:.3f}, bearing {log.sightings[0, 1] - exact[0, 1]:+.3f} rad)"
+        in note
+    )
     save(log, tmp_path / "log.npz")
     assert load(tmp_path / "log.npz").notes == log.notes
     assert simulate(seed=5, clean=True).notes == ()
