@@ -18,7 +18,7 @@ from typing import Any
 from fastslam.options import FilterOptions
 from graphslam.checks import option
 from graphslam.errors import OptionError
-from graphslam.models import MotionModel, SensorModel
+from graphslam.models import RESIDUALS, MotionModel, SensorModel
 from graphslam.sources.simulator import MotionFaults, SensorFaults
 from graphslam.sources.worlds import WORLDS, World
 from graphslam.tables.options import TableOptions
@@ -112,6 +112,10 @@ class GraphOptions(Options):
         "auto", "Where the iteration starts; auto tries several starts.",
         choices=("auto", "given", "dead-reckoning", "rotation-first"),
     )  # fmt: skip
+    residual: str = option(
+        RESIDUALS[0], "Residual of landmark nodes: the sighting as a position in the robot's axes, or as range and bearing.",
+        choices=RESIDUALS,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +139,7 @@ class EstimatorOptions(Options):
     """Which estimators run."""
 
     estimators: tuple[str, ...] | None = option(
-        None, "Estimators to run: dead-reckoning, textbook, graph, gtsam, isam2, mcl, fastslam1, fastslam2.",
+        None, "Estimators to run: dead-reckoning, textbook, graph, graph-marginal, gtsam, isam2, mcl, fastslam1, fastslam2.",
         metavar="NAME,...", default_text="all that can run on the log",
     )  # fmt: skip
 
@@ -346,7 +350,7 @@ class SummaryOptions(FigureOptions):
     )
     metric: str = option(
         "ate_m", "Metric of the figure.",
-        choices=("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m", "iterations", "seconds"),
+        choices=("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m", "cost_per_dof", "iterations", "seconds"),
     )  # fmt: skip
     csv: Path | None = option(None, "Write every run as CSV.", metavar="FILE", panel=OUTPUT)
     jsonl: Path | None = option(None, "Write every run as a line of JSON.", metavar="FILE", panel=OUTPUT)

@@ -23,6 +23,7 @@ from .option import options_of
 from .options import GraphOptions, SolverCheckOptions
 from .pool import results
 from .reading import prepare
+from .results import of_expected
 from .saving import jsonable
 
 #: what two solvers may differ by: any x, y [m] or heading [rad], and J relative to itself
@@ -64,7 +65,7 @@ class VariantResult:
         name: of the variant.
         pose_difference: the largest difference in any x, y [m] or heading [rad] (wrapped).
         cost_difference: |J - J_gtsam| / max(J, J_gtsam).
-        cost: J of the hand-written solver.
+        cost, cost_per_dof: J of the hand-written solver, and J per degree of freedom (`results.of_expected`).
         iterations, gtsam_iterations; seconds, gtsam_seconds; converged, gtsam_converged: of each.
         failure: the error of a solver that failed where the other did not; the figures are NaN or 0 then.
     """
@@ -80,6 +81,7 @@ class VariantResult:
     converged: bool
     gtsam_converged: bool
     failure: str | None = None
+    cost_per_dof: float | None = None
 
     @property
     def problem(self) -> str | None:
@@ -278,4 +280,5 @@ def compare_solutions(name: str, ours: Solution, theirs: Solution) -> VariantRes
         gtsam_seconds=theirs.seconds,
         converged=bool(ours.converged),
         gtsam_converged=bool(theirs.converged),
+        cost_per_dof=None if ours.graph is None else of_expected(ours.cost, ours.graph),
     )
