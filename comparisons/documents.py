@@ -393,13 +393,25 @@ class StreamDocument(Document):
     columns: Annotated[list[str], about("which column was taken for what, with its unit")]
 
 
+class TopicDocument(Document):
+    """A topic of a bag."""
+
+    name: Annotated[str, about("name of the topic")]
+    type: Annotated[str, about("type of its messages")]
+    count: Annotated[Count, about("number of messages")]
+    could_be: Annotated[Literal["odometry", "sightings", "truth", ""], about("what it could be; empty: of no use")]
+    chosen: Annotated[Literal["odometry", "sightings", "truth", ""], about("what it is read for; empty: it is not")]
+
+
 class ImportDocument(Document):
     """`slam-compare import`."""
 
     source: Annotated[str | None, about("the folder or bag; null where each table was named")]
+    topics: Annotated[list[TopicDocument], about("the topics of a bag")]
     streams: Annotated[list[StreamDocument], about("the tables or topics that were read")]
-    log: LogDocument
+    log: Annotated[LogDocument | None, about("the log; null where the topics make none")]
     file: Annotated[str | None, about("the log that was written; null where none was")]
+    reason: Annotated[str, about("why there is no log")]
 
 
 class CalibrateDocument(Document):
