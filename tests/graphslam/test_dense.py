@@ -27,9 +27,7 @@ def log() -> Log:
 
 def test_dead_reckoning_is_followed_exactly(log):
     path = dense_path(log, log.dead_reckoning())
-    np.testing.assert_allclose(
-        wrap(path.poses - MODEL.dead_reckoning([0, 0, 0], log.controls, log.dt)), 0, atol=1e-12
-    )
+    np.testing.assert_allclose(wrap(path.poses - MODEL.dead_reckoning([0, 0, 0], log.controls, log.dt)), 0, atol=1e-12)
     np.testing.assert_allclose(path.times, 5.0 + np.concatenate([[0], np.cumsum(log.dt)]))
     np.testing.assert_array_equal(path.rows, log.control_starts)
 
