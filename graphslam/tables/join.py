@@ -28,8 +28,8 @@ class Drive:
         odometry, sightings, truth: times in nanoseconds, rows in metres and radians.
         landmarks: the true map.
         sensor_offset: position of the sensor on the robot [m], None where nothing says it.
-        truth_offset: the point of the robot that the truth is of [m], as in `Log`; None for its pose.
         notes: about the whole drive, one sentence each.
+        truth_offset: the point of the robot that the truth is of [m], as in `Log`; None for its pose.
     """
 
     odometry: Timed
@@ -37,8 +37,8 @@ class Drive:
     truth: Timed | None = None
     landmarks: Mapping[int, Array] | None = None
     sensor_offset: tuple[float, ...] | None = None
-    truth_offset: tuple[float, ...] | None = None
     notes: tuple[str, ...] = ()
+    truth_offset: tuple[float, ...] | None = None
 
     @property
     def streams(self) -> dict[str, Timed]:
@@ -91,7 +91,7 @@ def read_drive(
         None if truth is None else truth_of(table_of(truth, "truth"), options),
         None if map is None else map_of(table_of(map, "map"), options),
         options.sensor_offset,
-        options.truth_offset,
+        truth_offset=options.truth_offset,
     )
 
 

@@ -99,7 +99,7 @@ def test_thinned_edges_keep_their_distances(log: Log, monkeypatch: pytest.Monkey
 
 
 def test_starts_where_the_better_minimum_is() -> None:
-    film = animate(edges="landmark+motion")
+    film = animate(edges="landmark+motion", residual="polar")
     assert film.frames[-1].cost == pytest.approx(373.174314, rel=1e-6)  # type: ignore[attr-defined]
     assert any("from dead reckoning J is 5432.99" in note and "not 373.174" in note for note in film.notes)
 
