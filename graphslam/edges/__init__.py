@@ -1,7 +1,7 @@
 """Edge families, which connect the nodes of a graph: one file for each kind, and the kernels that they share."""
 
 from .anchor import ANCHOR_INFORMATION, AnchorEdges
-from .base import EdgeFamily, Linearization, Relations
+from .base import ConstantEdges, EdgeFamily, Linearization, Relations
 from .marginal import MarginalEdges
 from .motion import motion_edges
 from .observation import ObservationEdges
@@ -12,6 +12,7 @@ from .virtual_motion import VirtualMotionEdges
 __all__ = [
     "ANCHOR_INFORMATION",
     "AnchorEdges",
+    "ConstantEdges",
     "EdgeFamily",
     "LandmarkSightings",
     "Linearization",

@@ -12,11 +12,12 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 from numba import njit
 
+from ..errors import GraphError
 from ..linear.information import BlockSystem
 from ..models import SensorModel
 from ..se2 import Array, wrap
 from . import kernels
-from .base import Linearization, PairEdges, Relations
+from .base import ConstantEdges, Linearization, PairEdges, Relations
 from .robust import Kernel, loss, weight
 from .sightings import SightingEdges
 
@@ -47,6 +48,9 @@ class ObservationEdges(PairEdges, SightingEdges):
         by_landmark[:, :, :d] = self.sensor.H(x, m)
         information = np.linalg.inv(self.sensor.Q(self.sightings)) * self.trusted[:, None, None]
         return Linearization(residuals, information, (self.first, self.second), (self.sensor.H_pose(x, m), by_landmark))
+
+    def constant(self, state: Array) -> ConstantEdges:
+        raise GraphError("the residual h(x, m) - z of landmark nodes in range and bearing is not a rigid motion")
 
     def headings(self) -> Relations | None:
         if not self.oriented:
