@@ -15,9 +15,11 @@ import numpy as np
 import fastslam
 import graphslam
 from graphslam import Graph, GraphError, Log, OptionError, SensorModel, Solution
+from graphslam.checks import suggestion
 from graphslam.se2 import wrap
 
-from .option import options_of, suggestion
+from .failures import noted
+from .option import options_of
 from .options import GraphOptions, RunOptions
 from .results import EstimatorResult
 
@@ -282,18 +284,22 @@ def check_estimators(names: Any) -> tuple[str, ...]:
 
 def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -> EstimatorResult:
     used = {name: getattr(options, name) for name in _GRAPH} | {"edges": options.edges or default_edges(log)}
-    return EstimatorResult(**_shared(solution), name=name, options=used, origin=solution)
-
-
-def _shared(origin: object) -> dict[str, Any]:
-    """The fields of an `EstimatorResult` that its origin has under the same names."""
-    return {f.name: getattr(origin, f.name) for f in fields(EstimatorResult) if hasattr(origin, f.name)}
+    # the fields that both have under the same names
+    shared = {f.name for f in fields(EstimatorResult)} & {f.name for f in fields(Solution)}
+    values = {field: getattr(solution, field) for field in shared}
+    notes = list(solution.notes)
+    with noted(notes, "the covariances of the map are not known"):
+        values["landmark_covariances"] = solution.landmark_covariances
+    return EstimatorResult(**values | {"name": name, "options": used, "origin": solution, "notes": tuple(notes)})
 
 
 def _with_map(source: Log, sensor: SensorModel | None, poses: Any, **rest: Any) -> EstimatorResult:
     """A result whose map is computed from the poses, the same way for every estimator that has no map of its own."""
     poses = np.array(poses, dtype=float)
     poses[:, 2] = wrap(poses[:, 2])
-    landmarks = graphslam.estimate_map(source, poses, sensor=sensor)
     rest.setdefault("estimated", np.ones(len(poses), dtype=bool))
-    return EstimatorResult(poses=poses, landmarks=dict(landmarks), landmark_covariances=landmarks.covariances, **rest)
+    notes = list(rest.pop("notes", ()))
+    with noted(notes, "the map is not known"):
+        landmarks = graphslam.estimate_map(source, poses, sensor=sensor)
+        rest |= {"landmarks": dict(landmarks), "landmark_covariances": landmarks.covariances}
+    return EstimatorResult(poses=poses, notes=tuple(notes), **rest)

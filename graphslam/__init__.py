@@ -27,7 +27,10 @@ if TYPE_CHECKING:
     from .solvers.online import IncrementalSmoother, solve_online
     from .solvers.solve import Iteration, solve
     from .sources.simulator import MotionFaults, SensorFaults, simulate
+    from .sources.streams import Stream
+    from .sources.synchronize import synchronize
     from .sources.worlds import WORLDS, World, sample_log_path
+    from .tables import TableOptions
 
 #: the public names, by the module that defines them; "" lists modules
 _PUBLIC = {
@@ -48,6 +51,9 @@ _PUBLIC = {
     "solvers.online": "IncrementalSmoother solve_online",
     "solvers.solve": "Iteration solve",
     "sources.simulator": "MotionFaults SensorFaults simulate",
+    "sources.streams": "Stream",
+    "sources.synchronize": "synchronize",
     "sources.worlds": "WORLDS World sample_log_path",
+    "tables": "TableOptions",
 }
 __getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)

@@ -39,6 +39,7 @@ RESULTS = {
     "Summary": ("study_tables.summary_tables", "study_figures.study_figure"),
     "Survey": ("study_tables.survey_tables", ""),
     "Calibration": ("study_tables.calibration_tables", ""),
+    "Import": ("log_tables.import_tables", ""),
 }
 
 
@@ -123,11 +124,11 @@ def comparison_tables(comparison: Comparison) -> Tables:
         remarks.append("The log has no true poses, so no error can be measured.")
     elif (covered := int(log.covered.sum())) < log.num_poses:
         remarks.append(f"The errors are those of the {covered} of {log.num_poses} poses that the ground truth covers.")
-    remarks += [f"{entry.name} left out: {entry.reason}." for entry in comparison.skipped]
+    remarks += [f"{entry.name} {entry.outcome}: {entry.reason}." for entry in comparison.skipped]
     remarks += [f"{r.name} did not converge: {r.reason}." for r in comparison.results if r.converged is False]
     notes: dict[str, list[str]] = {note: [log.name] for note in log.notes}
     for result in comparison.results:
-        for note in result.notes:
+        for note in comparison.notes_of(result):
             notes.setdefault(note, []).append(result.name)
     remarks += [f"{', '.join(names)}: {note}." for note, names in notes.items()]
     return result_tables(comparison.table)[0], remarks

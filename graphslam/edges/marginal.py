@@ -65,7 +65,7 @@ class MarginalEdges(LandmarkSightings):
 
     def constant(self, state: Array) -> ConstantEdges:
         """The sightings one by one, as edges to landmark nodes: the marginal cost is the minimum over these nodes."""
-        self._check_constant()
+        self._check_constant(self.frame)
         place, means = self._place, self.landmarks(state, state)
         covariance = self.sensor.landmark_covariance(np.zeros((self.count, 3)), self.sightings)
         information = np.linalg.inv(covariance) * self.trusted[:, None, None]

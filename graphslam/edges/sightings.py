@@ -62,6 +62,13 @@ class SightingEdges(EdgeFamily):
         """The kernel's code and width, and the trust (M,)."""
         return *code_and_width(self.kernel), self.trusted
 
+    def _check_constant(self, frame: str) -> None:
+        """Raise `GraphError` unless the information of the sightings is constant: in the body frame, without a kernel."""
+        if frame == "world":
+            raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
+        if self.kernel is not None:
+            raise GraphError(f"the robust kernel {self.kernel.name} changes the weights with the state")
+
     @property
     def _noise(self) -> tuple[tuple[float, float, float, float], tuple[float, float]]:
         """The variances of the range (by l², and constant), of phi and of psi, and the sensor's place on the robot."""
@@ -139,13 +146,6 @@ class LandmarkSightings(SightingEdges):
     def _place(self) -> Array:
         """The landmark (M, 2 or 3) that each sighting measures, in the frame of the pose."""
         return self.sensor.h_inverse(np.zeros((len(self.nodes), 3)), self.sightings)
-
-    def _check_constant(self) -> None:
-        """Raise `GraphError` unless the information of the sightings is constant in the body frame."""
-        if self.frame == "world":
-            raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
-        if self.kernel is not None:
-            raise GraphError(f"the robust kernel {self.kernel.name} changes the weights with the state")
 
     def _prepared(self, state: Array, reference: Array, mode: int) -> tuple[Array, Array, Array, Array]:
         """y (M, 3), lever (M, 2), gamma (M,) and C (M, 6) of the sightings; see `prepare`."""

@@ -111,7 +111,7 @@ class VirtualMotionEdges(LandmarkSightings):
                 "without psi the information of virtual-motion edges depends on the state; use weight='marginal' or "
                 "edges='landmark+motion'"
             )
-        self._check_constant()
+        self._check_constant(self.frame)
         a, b, group = self.pairs()
         factor = self.group_weights[group] * self.trusted[a] * self.trusted[b]
         place, own = self._place, self.covariances(state)

@@ -32,7 +32,8 @@ from ..log import UNIDENTIFIED, Log
 from ..models import MotionModel, SensorModel
 from ..reading import ReadOptions
 from ..se2 import Array
-from ..sources.synchronize import Stream, synchronize
+from ..sources.streams import Stream
+from ..sources.synchronize import synchronize
 from .base import NO_SIGHTING, Format, errors_name, member, optional_member
 from .mat import Shape, has_variables, numbers, read_mat
 

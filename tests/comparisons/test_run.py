@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from comparisons import estimators
-from comparisons.comparison import Comparison, Skipped, run
+from comparisons.attempt import Skipped
+from comparisons.comparison import Comparison, run
 from comparisons.estimators import Estimator
 from comparisons.options import RunOptions
 from comparisons.results import EstimatorResult
-from graphslam import GraphError, Log, OptionError, simulate
+from comparisons.show.tables import as_text
+from graphslam import FormatError, GraphError, Log, OptionError, simulate
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
 
@@ -51,7 +53,7 @@ def test_all_estimators_run_on_a_full_log(comparison: Comparison, log: Log) -> N
 
 def test_json_is_what_the_design_says(comparison: Comparison, log: Log) -> None:
     payload = json.loads(json.dumps(comparison.to_json({"figure": Path("f.png")}), allow_nan=False))
-    assert set(payload) == {"log", "estimators", "files"}
+    assert set(payload) == {"log", "estimators", "files", "notes"}
     assert payload["files"] == {"figure": "f.png"}
     assert payload["log"]["poses"] == log.num_poses
     for entry, result in zip(payload["estimators"], comparison.results):
@@ -141,13 +143,45 @@ def test_warnings_for_programmers_stay_warnings(log: Log, monkeypatch: pytest.Mo
         assert run(log, estimators=["old"])["old"].notes == ()
 
 
-def test_bugs_are_not_swallowed(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_estimator_that_fails_is_a_row_and_the_others_go_on(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(log: Log, _: RunOptions) -> EstimatorResult:
-        raise ZeroDivisionError
+        raise np.linalg.LinAlgError("Singular matrix")
 
     registered(monkeypatch, "broken", broken)
-    with pytest.raises(ZeroDivisionError):
-        run(log)
+    outcome = run(log, estimators=["broken", "graph"])
+    assert outcome.table["broken"].skipped == "LinAlgError: Singular matrix"
+    assert "broken failed: LinAlgError: Singular matrix." in as_text(outcome)
+    entry = next(entry for entry in outcome.to_json()["estimators"] if entry["name"] == "broken")
+    assert entry["reason"] == "LinAlgError: Singular matrix"
+    # where nothing else is left, the error itself
+    with pytest.raises(np.linalg.LinAlgError):
+        run(log, estimators=["broken"])
+
+
+def test_covariances_that_fail_are_a_note(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    def singular(*_: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("graphslam.solution.Uncertainty", singular)
+    outcome = run(log, estimators=["dead-reckoning", "graph"], edges="landmark+motion")
+    assert outcome.metrics["graph"].ate_m is not None
+    assert outcome["graph"].landmark_covariances == {}
+    assert outcome.nees["graph"] is None
+    entry = outcome.to_json()["estimators"][1]
+    assert entry["notes"] == [
+        "the covariances of the map are not known: LinAlgError: Singular matrix",
+        "the covariances are not known: LinAlgError: Singular matrix",
+    ]
+
+
+def test_a_map_that_fails_is_a_note(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("graphslam.estimate_map", fails)
+    outcome = run(log, estimators=["dead-reckoning"])
+    assert outcome["dead-reckoning"].landmarks == {}
+    assert outcome["dead-reckoning"].notes == ("the map is not known: LinAlgError: Singular matrix",)
 
 
 def test_progress_tells_of_begin_and_end(log: Log) -> None:
@@ -190,16 +224,43 @@ def test_save_makes_a_folder_of_its_own(
     assert Path("results/latest").resolve() == folder.resolve()
 
 
-def test_nothing_is_left_when_the_figure_fails(
+def test_a_figure_that_fails_is_a_note(comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise ValueError("an axis is infinite")
+
+    monkeypatch.setattr("comparisons.comparison.Comparison.save_figure", fails)
+    files = comparison.save(tmp_path / "out")
+    assert "figure" not in files
+    assert {"json", "config", "graph.tum", "graph.g2o"} <= files.keys()
+    expected = ["there is no figure: ValueError: an axis is infinite"]
+    assert json.loads(files["json"].read_text())["notes"] == files.notes == expected
+
+
+def test_an_export_that_fails_is_a_note(
+    comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object, **__: object) -> str:
+        raise ValueError("too large")
+
+    monkeypatch.setattr("comparisons.exchange.relative_graph", fails)
+    monkeypatch.setattr("comparisons.exchange.map_text", fails)
+    files = comparison.save(tmp_path / "out", figures=())
+    assert "graph.tum" in files
+    assert "there is no graph.g2o: ValueError: too large" in files.notes
+    assert "there is no graph-map.csv: ValueError: too large" in files.notes
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {path.name for path in files.values()}
+
+
+def test_nothing_is_left_where_the_folder_cannot_be_written(
     comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fails(*_: object) -> None:
-        raise MemoryError
+        raise FormatError("comparison.png", None, "cannot be written: disk full")
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("comparisons.comparison.Comparison.save_figure", fails)
     for directory in (None, tmp_path / "out"):
-        with pytest.raises(MemoryError):
+        with pytest.raises(FormatError):
             comparison.save(directory)
     assert [p.name for p in tmp_path.iterdir()] == ["results"]
     assert list((tmp_path / "results").iterdir()) == []

@@ -11,8 +11,9 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
+from comparisons.attempt import Skipped
 from comparisons.backends import BackendComparison, BackendRow
-from comparisons.comparison import Comparison, ResultTable, Row, Skipped
+from comparisons.comparison import Comparison, ResultTable, Row
 from comparisons.consistency import Consistency, ConsistencyStudy
 from comparisons.datasets import DATA_SETS, Found, Survey
 from comparisons.particles import ParticleRun, ParticleStudy

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphslam import Graph, GraphError, MotionModel, OptionError, certify, load, sample_log_path, simulate, solve
+from graphslam import Graph, MotionModel, OptionError, certify, load, sample_log_path, simulate, solve
 from graphslam.certificate.proof import _Problem
 from graphslam.edges import AnchorEdges, RelativePointEdges, RelativePoseEdges
 from graphslam.linear.hermitian import analyze_hermitian, factorize
@@ -184,8 +184,16 @@ def test_what_stands_outside_is_named(sample, frame, weight, dimensions, kernel,
     assert np.isnan(proof.lower_bound) and np.isnan(proof.relative_gap)
 
 
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_landmark_nodes_are_proven_like_the_marginal_edges(sample, dimensions):
+    nodes = solve(Graph.from_log(sample, edges="landmark+motion", dimensions=dimensions))
+    eliminated = solve(Graph.from_log(sample, edges="virtual+motion", weight="marginal", dimensions=dimensions))
+    assert nodes.certificate.status == eliminated.certificate.status == "global"
+    assert nodes.certificate.lower_bound == pytest.approx(eliminated.certificate.lower_bound, rel=1e-9)
+
+
 def test_range_and_bearing_of_landmark_nodes_stand_outside(sample):
-    graph = Graph.from_log(sample, edges="landmark+motion")
+    graph = Graph.from_log(sample, edges="landmark+motion", residual="polar")
     proof = certify(graph, graph.initial)
     assert proof.status == "not applicable" and "h(x, m) - z" in proof.reason
 
@@ -307,5 +315,3 @@ def test_poses_of_a_trajectory_and_wrong_shapes(sample):
     assert certify(graph, solution) is solution.certificate
     with pytest.raises(OptionError, match="must have shape"):
         certify(graph, np.zeros((3, 3)))
-    with pytest.raises(GraphError):
-        graph.families[0].__class__.__mro__[1].constant(graph.families[0], solution.state)

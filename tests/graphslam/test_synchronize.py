@@ -5,7 +5,8 @@ import pytest
 
 from graphslam import LogError, MotionModel, OptionError
 from graphslam.formats import ReadOptions
-from graphslam.sources.synchronize import Stream, divide, synchronize, truth_at
+from graphslam.sources.streams import Stream, divide, truth_at
+from graphslam.sources.synchronize import synchronize
 
 DRIVE = Stream(np.arange(0.0, 10.01, 0.5), np.column_stack([np.linspace(0.5, 1.5, 21), np.linspace(-1, 1, 21)]))
 
