@@ -43,7 +43,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
         legend: dict[str, Any] = {}
         _draw_map(left, comparison, legend)
         (_draw_convergence if comparison.log.true_poses is None else _draw_errors)(right, comparison)
-        columns = min(6, -(-len(legend) // 2))
+        columns = min(4, -(-len(legend) // 2))
         figure.legend(list(legend.values()), list(legend), loc="outside lower center", ncols=columns)
     return figure
 
@@ -61,7 +61,7 @@ def _draw_map(axes: Axes, comparison: Comparison, legend: dict[str, Any]) -> Non
         placement = placement_of(log, result.poses, result.estimated)
         poses = np.where(result.estimated[:, None], compose(placement, result.poses), np.nan)
         axes.plot(poses[:, 0], poses[:, 1], **style_of(result.name, len(poses)))
-        legend[result.name] = Line2D([], [], **style_of(result.name))
+        legend[_label(result)] = Line2D([], [], **style_of(result.name))
         (core if result is reference else rest).append(poses[result.estimated, :2])
         if result is reference:
             _draw_sightings(axes, log, poses)
@@ -82,6 +82,16 @@ def _draw_map(axes: Axes, comparison: Comparison, legend: dict[str, Any]) -> Non
     set_limits(axes, np.concatenate(core), rest)
     how = "" if truth is None else ", aligned to the ground truth"
     axes.set(xlabel="x [m]", ylabel="y [m]", title=f"(a) {log.name}: paths and map{how}")
+
+
+def _label(result: EstimatorResult) -> str:
+    """The name of an estimator in the legend, with what distinguishes the two weightings of a graph."""
+    options = result.options
+    if result.name == "graph-marginal":
+        return f"{result.name} (each sighting once)"
+    if result.name != "graph" or str(options.get("edges", "landmark")).startswith("landmark"):
+        return result.name
+    return f"{result.name} ({options['weight']})"
 
 
 def _draw_sightings(axes: Axes, log: Log, poses: Array) -> None:

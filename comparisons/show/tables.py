@@ -26,8 +26,12 @@ if TYPE_CHECKING:
 
 #: tables, and the sentences below them
 Tables = tuple[list[Table], list[str]]
+#: how rows are marked whose time is that of callbacks
+PYTHON_FACTORS = "Python"
 #: the width of text that is not written to a terminal
 WIDTH = 140
+#: J per degree of freedom above this, or below its inverse, says that the noise models do not fit
+DOUBTFUL = 2.0
 #: class of results -> the functions that make its tables and its figure, empty where it has none
 RESULTS = {
     "ResultTable": ("tables.result_tables", ""),
@@ -103,19 +107,20 @@ def _plain(cell: object) -> str:
 def result_tables(results: ResultTable) -> Tables:
     """The rows of a comparison, one per estimator; the NEES only where the truth is known."""
     metrics = {"ate_m": "ATE\n[m]", "rpe_m": "RPE\n[m]", "rpe_rad": "RPE\n[rad]", "landmark_rmse_m": "map\n[m]"}
-    if any(row.nees is not None for row in results):
-        metrics["nees"] = "NEES"
-    table = LeanTable(results.title, ["estimator"], ["converged,\niterations", "time", "cost J", *metrics.values()])
+    known = any(row.nees is not None for row in results)
+    headings = ["converged,\niterations", "time", "cost J", "J per\ndof", *metrics.values(), *["NEES"] * known]
+    table = LeanTable(results.title, ["estimator"], headings)
     for row in results:
         values = (number(getattr(row, metric)) for metric in metrics)
         converged = yes_no(row.converged, f", {row.iterations}")
-        table.add_row(row.name, converged, seconds(row.seconds), number(row.cost), *values)
+        costs = number(row.cost, 2), number(row.cost_per_dof, 2)
+        table.add_row(row.name, converged, seconds(row.seconds), *costs, *values, *[number(row.nees, 2)] * known)
     return [table], []
 
 
 def comparison_tables(comparison: Comparison) -> Tables:
     """The table of the results, with agreement, skipped estimators, and notes of the log and the estimators."""
-    log, remarks = comparison.log, []
+    log, remarks = comparison.log, _noise_remarks(comparison)
     if any(value is not None for value in comparison.nees.values()):
         remarks.append("NEES: 1 means consistent covariances, above 1 overconfident ones.")
     if (difference := comparison.difference("graph", "gtsam")) is not None:
@@ -134,15 +139,35 @@ def comparison_tables(comparison: Comparison) -> Tables:
     return result_tables(comparison.table)[0], remarks
 
 
+def _noise_remarks(comparison: Comparison) -> list[str]:
+    """Which noise models were used, and what J per degree of freedom says about them."""
+    names = {"book": "the book's", "log": "published with the log", "given": "as given"}
+    sources = {name: names[source] for name, source in comparison.noise_source.items()}
+    same = len(set(sources.values())) == 1
+    which = sources["motion"] if same else ", ".join(f"{name} {source}" for name, source in sources.items())
+    remarks = [f"Noise models: {which}."]
+    solved = [result for result in comparison.results if result.cost_per_dof is not None and result.name != "textbook"]
+    if solved:
+        first, ratio = solved[0].name, solved[0].cost_per_dof or 0.0
+        verdict = ""
+        if ratio > DOUBTFUL:
+            verdict = f" {first} has {number(ratio, 1)}: the noise is too small, or sightings are wrong."
+        elif ratio < 1 / DOUBTFUL:
+            verdict = f" {first} has {number(ratio, 2)}: the noise is too large."
+        remarks.append(f"J per dof (degree of freedom): about 1 means that the noise models fit.{verdict}")
+    return remarks
+
+
 def solver_tables(comparison: SolverComparison) -> Tables:
     """A row per variant; below, what disagrees and what was left out, reason by reason."""
-    headings = ("poses\ndiffer by", "costs\ndiffer by", "iterations\n/ gtsam", "time", "time of\ngtsam", "agree")
+    headings = ("poses\ndiffer", "costs\ndiffer", "J per\ndof", "steps /\ngtsam", "time", "time of\ngtsam", "agree")
     table = LeanTable("hand-written solver against GTSAM", ["variant"], headings)
     for variant in comparison.variants:
         table.add_row(
             variant.name,
             f"{variant.pose_difference:.1e}",
             f"{variant.cost_difference:.1e}",
+            number(variant.cost_per_dof, 2),
             f"{variant.iterations} / {variant.gtsam_iterations}",
             seconds(variant.seconds),
             seconds(variant.gtsam_seconds),
@@ -155,6 +180,8 @@ def solver_tables(comparison: SolverComparison) -> Tables:
     for reason, names in reasons.items():
         which = names[0] if len(names) == 1 else f"{len(names)} variants ({names[0]}, ...)"
         remarks.append(f"{which} left out: {reason}.")
+    if any(variant.cost_per_dof is not None for variant in comparison.variants):
+        remarks.append("J per dof (degree of freedom): about 1 means that the noise models fit.")
     return [table], remarks
 
 
@@ -162,15 +189,16 @@ def backend_tables(comparison: BackendComparison) -> Tables:
     """A row per file and solver; below, the mean ratios of the times and the runs that did not reach the best chi2."""
     table = LeanTable(
         "pose graphs: chi2 by one evaluator, time from the initial values until the stop rule holds",
-        ["file", "solver"], ["chi2", "best", "iterations", "time", "ours /\ntheirs"],
+        ["file", "solver"], ["chi2", "chi2\n/ dof", "best", "steps", "time", "ours /\ntheirs"],
     )  # fmt: skip
     ours, previous, remarks = "graphslam", None, []
     for row in comparison.rows:
         ratio = comparison.ratio(row)
         table.add_row(
             Path(row.file).name if row.file != previous else "",
-            row.backend,
+            row.backend if row.native else f"{row.backend} ({PYTHON_FACTORS})",
             number(row.chi2, 6),
+            number(row.chi2_per_dof, 2),
             yes_no(comparison.reached(row)),
             str(row.iterations),
             seconds(row.seconds),
@@ -180,6 +208,16 @@ def backend_tables(comparison: BackendComparison) -> Tables:
     for name in dict.fromkeys(row.backend for row in comparison.rows if row.backend != ours):
         if (mean := comparison.geometric_mean(name)) is not None:
             remarks.append(f"graphslam takes 1/{1 / mean:.1f} of the time of {name} (geometric mean).")
+    called = dict.fromkeys(row.backend for row in comparison.rows if not row.native)
+    if called:
+        remarks.append(
+            f"{' and '.join(called)} ({PYTHON_FACTORS}): GTSAM has no factor of its own for the points of a pose graph. "
+            "Python evaluates them, which takes most of the time, so these rows are in no mean."
+        )
+    if any(row.chi2_per_dof is not None for row in comparison.rows):
+        remarks.append(
+            "chi2 / dof: per degree of freedom; about 1 means that the information in the file fits the errors."
+        )
     for row in comparison.rows:
         if not comparison.reached(row):
             remarks.append(f"{Path(row.file).name}: {row.backend} did not reach the best chi2: {row.reason}.")

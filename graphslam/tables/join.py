@@ -148,13 +148,13 @@ def about_ids(sightings: Timed) -> tuple[str, ...]:
     names, counts = np.unique(ids, return_counts=True)
     if len(ids) > 1 and len(names) == 1:
         return (
-            f"{sightings.table.source}: all {len(ids)} sightings are of one landmark, {names[0]}; is the column of ids "
-            "another one?",
+            f"{sightings.table.source}: all {len(ids)} sightings are of one landmark, {names[0]}; perhaps another column "
+            "holds the ids",
         )
     if len(ids) > 20 and np.mean(counts) < 1.5:
         return (
-            f"{sightings.table.source}: {len(ids)} sightings are of {len(names)} landmarks, nearly each is seen once; is "
-            "the column of ids a running number?",
+            f"{sightings.table.source}: {len(ids)} sightings are of {len(names)} landmarks, nearly each is seen "
+            "once; perhaps the ids are a running number",
         )
     order = np.lexsort((ids, sightings.times))
     ranges = sightings.rows[order, 0]
@@ -163,6 +163,6 @@ def about_ids(sightings: Timed) -> tuple[str, ...]:
         k = int(np.argmax(twice))
         return (
             f"{sightings.table.source}: landmark {ids[order][k]} is seen twice at one time, {ranges[k]:.2f} and "
-            f"{ranges[k + 1]:.2f} m away ({np.sum(twice)} such pairs); do several objects have one id?",
+            f"{ranges[k + 1]:.2f} m away ({np.sum(twice)} such pairs); perhaps several objects have one id",
         )
     return ()

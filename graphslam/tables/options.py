@@ -52,8 +52,8 @@ class TableOptions:
         metavar="TABLE=SECONDS,...",
     )  # fmt: skip
     axes: str = option(
-        "forward-left", "Directions of x and y of Cartesian sightings",
-        choices=("forward-left", "forward-right", "right-forward", "left-forward"),
+        "forward-left", "Directions of x and y of Cartesian sightings; optical is x right, z forward",
+        choices=("forward-left", "forward-right", "right-forward", "left-forward", "optical"),
     )  # fmt: skip
     centre: str = option(
         "sensor", "Where range and bearing, or x and y, of sightings are measured from", choices=("sensor", "robot")

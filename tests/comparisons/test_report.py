@@ -113,7 +113,7 @@ def test_the_table_and_the_configuration_are_there(html: str, comparison: Compar
         if row.ate_m is not None:
             assert f"{row.ate_m:.3f}" in text
         if row.nees is not None:
-            assert f"{row.nees:.3f}" in text
+            assert f"{row.nees:.2f}" in text
     assert comparison.config in text
     assert "particles = 20" in comparison.config
     for package in ("numpy 2", "gtsam", "plotly.js", "Python 3"):

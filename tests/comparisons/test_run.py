@@ -14,7 +14,7 @@ from comparisons.estimators import Estimator
 from comparisons.options import RunOptions
 from comparisons.results import EstimatorResult
 from comparisons.show.tables import as_text
-from graphslam import FormatError, GraphError, Log, OptionError, simulate
+from graphslam import FormatError, GraphError, Log, OptionError, SensorModel, simulate
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
 
@@ -51,9 +51,33 @@ def test_all_estimators_run_on_a_full_log(comparison: Comparison, log: Log) -> N
     assert comparison.difference() < 1e-6  # type: ignore[operator]
 
 
+def test_the_table_says_whether_the_noise_fits(log: Log) -> None:
+    few = ["dead-reckoning", "graph"]
+    plain = run(log, estimators=few)
+    assert plain.noise_source == {"motion": "book", "sensor": "book"}
+    text = as_text(plain)
+    assert "Noise models: the book's." in text
+    assert "J per dof (degree of freedom): about 1 means that the noise models fit.\n" in text
+    # a tenth of the true noise of the sensor
+    small = run(log, estimators=few, range_rate=0.014, bearing_std=0.005, orientation_std=0.005)
+    ratio = small.table["graph"].cost_per_dof
+    assert ratio is not None and ratio > 10
+    assert small.table["dead-reckoning"].cost_per_dof is None
+    text = as_text(small)
+    assert "Noise models: motion the book's, sensor as given." in text
+    assert f"graph has {ratio:.1f}: the noise is too small, or sightings are wrong." in text
+    large = run(log.replace(sensor=SensorModel(range_rate=1.4, bearing_std=0.5, orientation_std=0.5)), estimators=few)
+    assert large.noise_source["sensor"] == "log"
+    assert "the noise is too large" in as_text(large)
+    payload = small.to_json()
+    assert payload["noise"]["motion"]["source"] == "book"
+    assert payload["noise"]["sensor"]["model"]["range_rate"] == 0.014
+    assert payload["estimators"][1]["cost_per_dof"] == ratio
+
+
 def test_json_is_what_the_design_says(comparison: Comparison, log: Log) -> None:
     payload = json.loads(json.dumps(comparison.to_json({"figure": Path("f.png")}), allow_nan=False))
-    assert set(payload) == {"log", "estimators", "files", "notes"}
+    assert set(payload) == {"log", "noise", "estimators", "files", "notes"}
     assert payload["files"] == {"figure": "f.png"}
     assert payload["log"]["poses"] == log.num_poses
     for entry, result in zip(payload["estimators"], comparison.results):
