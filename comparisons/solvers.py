@@ -216,9 +216,11 @@ def _solve_both(variant: Variant, log: Log, models: dict[str, Any]) -> VariantRe
         ours, our_error = _attempt(solve, graph)
     theirs, their_error = _attempt(solve_with_gtsam, graph)
     if ours is not None and theirs is not None:
-        if variant.plain:
-            return compare_solutions(variant.name, ours, theirs)
-        return _compare_robust(variant.name, graph, ours, theirs)
+        compare = compare_solutions if variant.plain else partial(_compare_robust, graph=graph)
+        outcome = compare(variant.name, ours=ours, theirs=theirs)
+        if isinstance(outcome, VariantResult):
+            outcome = replace(outcome, cost_per_dof=of_expected(ours.cost, graph))
+        return outcome
     if ours is None and theirs is None:
         return SkippedVariant(variant.name, str(our_error))
     # that one solver finds the graph underdetermined and the other does not is a difference, not a reason to skip
@@ -280,5 +282,4 @@ def compare_solutions(name: str, ours: Solution, theirs: Solution) -> VariantRes
         gtsam_seconds=theirs.seconds,
         converged=bool(ours.converged),
         gtsam_converged=bool(theirs.converged),
-        cost_per_dof=None if ours.graph is None else of_expected(ours.cost, ours.graph),
     )
