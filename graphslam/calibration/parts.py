@@ -24,6 +24,8 @@ OF_SENSOR = tuple(f.name for f in fields(SensorModel) if f.name != "offset")
 
 #: the least epsilon [m², rad²] that a calibrated model has, because A M A' has only rank 2
 LEAST_EPSILON = 1e-9
+#: the least variances of calibrated models: noise that is smaller counts as this, (0.01 mm)² or (0.01 mrad)²
+LEAST = {"epsilon": LEAST_EPSILON, "range_std": 1e-10, "bearing_std": 1e-10, "orientation_std": 1e-10}
 
 #: the model without noise, and one whose variances, 1e-18, vanish beside 1
 _STILL = MotionModel(**dict.fromkeys(OF_MOTION, 0.0), epsilon=LEAST_EPSILON)
