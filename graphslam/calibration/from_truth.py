@@ -99,7 +99,8 @@ def sensor_noise(
     z = log.sightings[counted]
     seen = sensor.h(truth[log.steps[counted]], np.array([place[:n] for place in places]))
     lines, parts = np.column_stack([seen[:, 0], np.ones(len(z))]), sensor_parts(seen)
-    line, fit, options = np.array([1.0, 0.0]), None, {"degrees": degrees, "least": LEAST}
+    line, fit = np.array([1.0, 0.0]), None
+    options: dict[str, Any] = {"degrees": degrees, "least": LEAST}
     e = z - seen
     e[:, 1:] = wrap(e[:, 1:])
     for _ in range(100):

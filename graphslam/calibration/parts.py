@@ -39,7 +39,8 @@ def motion_parts(log: Log) -> dict[str, Array]:
     identity, parts = np.eye(3), {}
     for name in OF_MOTION:
         alone = replace(_STILL, **{name: 1.0})
-        parts[name] = alone.accumulate(log.controls, log.dt, log.control_starts)[1] - LEAST_EPSILON * identity
+        covariances = alone.accumulate(log.controls, log.dt, log.control_starts, recorded_dt=log.recorded_dt)[1]
+        parts[name] = covariances - LEAST_EPSILON * identity
     parts["epsilon"] = np.broadcast_to(identity, (log.num_poses - 1, 3, 3)).copy()
     return parts
 

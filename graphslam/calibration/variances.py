@@ -238,7 +238,7 @@ class _Likelihood:
         if not bounds:
             return self.named(errors), {}
         return self.named(errors), {
-            self.names[p]: self._bound(p, q, DROP / share**2) for p in np.flatnonzero(near_zero)
+            name: self._bound(p, q, DROP / share**2) for p, name in enumerate(self.names) if near_zero[p]
         }
 
     def _bound(self, p: int, q: Array, drop: float) -> float:

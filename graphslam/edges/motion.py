@@ -25,6 +25,7 @@ def motion_edges(
     *,
     starts: np.ndarray | None = None,
     control_variances: Array | None = None,
+    recorded_dt: Array | None = None,
     frame: str = "body",
     scale: float = 1.0,
 ) -> RelativePoseEdges:
@@ -37,11 +38,12 @@ def motion_edges(
         motion: gives f, F, A, M and epsilon.
         starts: (T+1,) the first control of each motion, as `Log.control_starts`; default: one control a motion.
         control_variances: (S, 2) more noise of single controls, as `Log.control_variances`.
+        recorded_dt: (S,) [s] the durations of the recorded controls, as `Log.recorded_dt`.
         frame: "world" or "body".
         scale: lambda, multiplies the information of all motion edges (the book adds each edge lambda times).
     """
     starts = np.arange(len(controls) + 1) if starts is None else starts
-    measured, covariances = motion.accumulate(controls, dt, starts, control_variances)
+    measured, covariances = motion.accumulate(controls, dt, starts, control_variances, recorded_dt)
     information = scale * np.linalg.inv(covariances)
     # A M A' is symmetric; its computed inverse should not be less so
     information = (information + np.swapaxes(information, 1, 2)) / 2
