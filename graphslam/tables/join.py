@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from ..checks import suggestion
+from ..checks import checked_offset, suggestion
 from ..errors import LogError, OptionError
 from ..models import SensorModel
 from ..reading import ReadOptions
@@ -27,6 +27,7 @@ class Drive:
         landmarks: the true map.
         sensor_offset: position of the sensor on the robot [m], None where nothing says it.
         notes: about the whole drive, one sentence each.
+        truth_offset: the point of the robot that the truth is of [m], as in `Log`; None for its pose.
     """
 
     odometry: Timed
@@ -35,6 +36,7 @@ class Drive:
     landmarks: Mapping[int, Array] | None = None
     sensor_offset: tuple[float, ...] | None = None
     notes: tuple[str, ...] = ()
+    truth_offset: tuple[float, ...] | None = None
 
     @property
     def streams(self) -> dict[str, Timed]:
@@ -63,6 +65,7 @@ class Drive:
             self.sightings.ids,
             options=reading,
             truth=joined.get("truth"),
+            truth_offset=(0.0, 0.0) if self.truth_offset is None else checked_offset("truth_offset", self.truth_offset),
             true_landmarks=self.landmarks,
             origin=origin / 1e9,
             name=name,
@@ -86,6 +89,7 @@ def read_drive(
         None if truth is None else truth_of(table_of(truth, "truth"), options),
         None if map is None else map_of(table_of(map, "map"), options),
         options.sensor_offset,
+        truth_offset=options.truth_offset,
     )
 
 
