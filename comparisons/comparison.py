@@ -13,6 +13,7 @@ import numpy as np
 
 from graphslam import GraphError, Log, MotionModel, OptionError, SensorModel, SlamError
 from graphslam.metrics import Metrics, evaluate
+from graphslam.plausibility import Finding, plausibility
 from graphslam.se2 import wrap
 
 from .attempt import Skipped, attempts
@@ -106,7 +107,11 @@ class Comparison(Displayed):
     def noise_source(self) -> dict[str, str]:
         """Where each noise model comes from: "book" for the defaults, "log" for one published with the log, or "given"."""
         return {
-            name: "book" if used == MODELS[name]() else "log" if used == getattr(self.log, name) else "given"
+            name: "book"
+            if _noise(used) == _noise(MODELS[name]())
+            else "log"
+            if used == getattr(self.log, name)
+            else "given"
             for name, used in self.models.items()
         }
 
@@ -186,7 +191,13 @@ class Comparison(Displayed):
             estimators=[by_name[row.name] for row in self.table],
             files={kind: str(path) for kind, path in (files or {}).items()},
             notes=getattr(files, "notes", []),
+            warnings=[finding.message for finding in self.findings],
         )
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is probably wrong with the log, see `graphslam.plausibility`."""
+        return plausibility(self.log)
 
     @property
     def config(self) -> str:
@@ -348,3 +359,8 @@ def describe(log: Log, source: Path | None = None) -> dict[str, Any]:
         controls=None if log.controls is None else len(log.controls),
         poses_covered=int(np.count_nonzero(log.covered)),
     )
+
+
+def _noise(model: MotionModel | SensorModel) -> dict[str, Any]:
+    """The noise of a model: not where the sensor is, which is known of a robot whose noise is not."""
+    return {name: value for name, value in vars(model).items() if name != "offset"}
