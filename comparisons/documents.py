@@ -183,7 +183,7 @@ class SolversDocument(Document):
     """`slam-compare solvers`."""
 
     variants: Annotated[list[VariantDocument], about("the graphs that were solved")]
-    skipped: Annotated[list[ReasonDocument], about("the graphs that the log does not determine")]
+    skipped: Annotated[list[ReasonDocument], about("the graphs that the log does not determine, or that took too long")]
 
 
 class BackendDocument(Document):
@@ -245,6 +245,7 @@ class ParticlesDocument(Document):
     log: Annotated[str, about("name of the log")]
     runs: Annotated[list[ParticleRunDocument], about("every run")]
     bands: Annotated[list[ParticleBandDocument], about("quartiles over the seeds")]
+    notes: Annotated[list[str], about("runs that were stopped at the time limit, one sentence each")]
 
 
 class ConsistencyEstimatorDocument(Document):
