@@ -10,13 +10,14 @@ from ..graph import Graph
 from ..se2 import Array
 from ..transform import coarse, filled, without_landmarks
 from .gauss_newton import gauss_newton
+from .growing import grown
 from .iteration import Run
 from .start import dead_reckoning, place_landmarks, rotation_first
 
 #: the choices of the option ``initialize``
-INITIALIZE = ("given", "dead-reckoning", "rotation-first", "auto")
-#: the starts that "auto" tries, in this order
-AUTO = ("virtual-motion", "rotation-first", "given")
+INITIALIZE = ("given", "dead-reckoning", "rotation-first", "grow", "auto")
+#: the starts that "auto" tries, in this order; the last two take longer than all others together
+AUTO = ("virtual-motion", "rotation-first", "given", "grow", "grow finely")
 #: longer trajectories are first solved for every eighth pose, recursively
 LONG, EVERY = 5_000, 8
 
@@ -37,6 +38,7 @@ def starting_state(graph: Graph, initialize: str) -> Array:
         "dead-reckoning": dead_reckoning,
         "rotation-first": rotation_first,
         "virtual-motion": virtual_motion_first,
+        "grow": grown,
     }
     for choice in AUTO if initialize == "auto" else ():
         with suppress(GraphError):
