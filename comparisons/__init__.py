@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from .comparison import Comparison, run
     from .consistency import study_consistency
     from .datasets import survey
+    from .importing import import_log
     from .options import RunOptions
     from .particles import study_particles
     from .show.films import animate
@@ -45,6 +46,7 @@ _PUBLIC = {
     "comparison": "Comparison run",
     "consistency": "study_consistency",
     "datasets": "survey",
+    "importing": "import_log",
     "options": "RunOptions",
     "particles": "study_particles",
     "show.films": "animate",

@@ -356,6 +356,27 @@ class AnimateDocument(Document):
     poses: Annotated[list[Pose], about("the trajectory in the last frame")]
 
 
+class StreamDocument(Document):
+    """A table or topic that was read."""
+
+    kind: Annotated[Literal["odometry", "sightings", "truth"], about("what it holds")]
+    source: Annotated[str, about("its file or topic")]
+    rows: Annotated[Count, about("number of rows")]
+    begin: Annotated[float, about("first time of its clock [s]")]
+    end: Annotated[float, about("last time of its clock [s]")]
+    rate: Annotated[float | None, about("different times per second")]
+    columns: Annotated[list[str], about("which column was taken for what, with its unit")]
+
+
+class ImportDocument(Document):
+    """`slam-compare import`."""
+
+    source: Annotated[str | None, about("the folder or bag; null where each table was named")]
+    streams: Annotated[list[StreamDocument], about("the tables or topics that were read")]
+    log: LogDocument
+    file: Annotated[str | None, about("the log that was written; null where none was")]
+
+
 class CalibrateDocument(Document):
     """`slam-compare calibrate`."""
 
@@ -383,4 +404,5 @@ DOCUMENTS: dict[str, type[Document]] = {
     "sweep": SweepDocument,
     "animate": AnimateDocument,
     "calibrate": CalibrateDocument,
+    "import": ImportDocument,
 }

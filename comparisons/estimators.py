@@ -15,10 +15,11 @@ import numpy as np
 import fastslam
 import graphslam
 from graphslam import Graph, GraphError, Log, OptionError, SensorModel, Solution
+from graphslam.checks import suggestion
 from graphslam.se2 import wrap
 
 from .failures import noted
-from .option import options_of, suggestion
+from .option import options_of
 from .options import GraphOptions, RunOptions
 from .results import EstimatorResult
 

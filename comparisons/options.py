@@ -18,9 +18,10 @@ from typing import Any
 from fastslam.options import FilterOptions
 from graphslam.checks import option
 from graphslam.errors import OptionError
-from graphslam.models import MotionModel, SensorModel
+from graphslam.models import RESIDUALS, MotionModel, SensorModel
 from graphslam.sources.simulator import MotionFaults, SensorFaults
 from graphslam.sources.worlds import WORLDS, World
+from graphslam.tables.options import TableOptions
 
 from .option import Options
 
@@ -110,6 +111,10 @@ class GraphOptions(Options):
     initialize: str = option(
         "auto", "Where the iteration starts; auto tries several starts.",
         choices=("auto", "given", "dead-reckoning", "rotation-first"),
+    )  # fmt: skip
+    residual: str = option(
+        RESIDUALS[0], "Residual of landmark nodes: the sighting as a position in the robot's axes, or as range and bearing.",
+        choices=RESIDUALS,
     )  # fmt: skip
 
 
@@ -270,6 +275,28 @@ class CalibrationOptions(ReadingOptions):
     gaussian: bool = option(
         False, "Count every residual fully, those of wrong sightings too; the default is Student's t distribution."
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions(Options):
+    """Where the tables or topics of a drive are, and how `importing.import_log` reads them."""
+
+    panel = "Tables and topics"
+    components = {"tables": (TableOptions, "Units, clocks, columns and axes")}
+    odometry: str | None = option(
+        None, "Table or topic of the odometry.", metavar="FILE|TOPIC", default_text="found by name and type"
+    )
+    sightings: str | None = option(None, "Table or topic of the sightings.", metavar="FILE|TOPIC")
+    truth: str | None = option(None, "Table or topic of the true poses.", metavar="FILE|TOPIC")
+    map: str | None = option(None, "Table of the true landmarks.", metavar="FILE")
+    recipe: Path | None = option(
+        None, "TOML file with these options, files, topics and columns; see docs/own_robot.md.", metavar="FILE",
+        default_text="import.toml in the folder",
+    )  # fmt: skip
+    keep_every: float | None = option(
+        None, "Also keep a pose at least once in this time, even where nothing was seen.", unit="s", positive=True,
+        default_text="poses only where something was seen", panel=OUTPUT,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

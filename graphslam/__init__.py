@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from .sources.streams import Stream
     from .sources.synchronize import synchronize
     from .sources.worlds import WORLDS, World, sample_log_path
+    from .tables import TableOptions
 
 #: the public names, by the module that defines them; "" lists modules
 _PUBLIC = {
@@ -49,5 +50,6 @@ _PUBLIC = {
     "sources.streams": "Stream",
     "sources.synchronize": "synchronize",
     "sources.worlds": "WORLDS World sample_log_path",
+    "tables": "TableOptions",
 }
 __getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Collection
 from dataclasses import field
 from numbers import Integral, Real
@@ -70,3 +71,9 @@ def listed(noun: str, numbers: list[int], most: int = 8) -> str:
     if len(numbers) > most:
         return f"{noun}s {', '.join(map(str, numbers[:most]))} and {len(numbers) - most} more"
     return f"{noun}s {', '.join(map(str, numbers[:-1]))} and {numbers[-1]}"
+
+
+def suggestion(word: object, known: Collection[str]) -> str:
+    """The end of a message about an unknown word: the known word that is spelled like it, if there is one."""
+    matches = difflib.get_close_matches(str(word), list(known), n=1)
+    return f"; did you mean {matches[0]!r}?" if matches else ""

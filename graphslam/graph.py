@@ -18,7 +18,7 @@ from .formats.pose_graph import read_pose_graph, write_g2o
 from .linear.information import BlockSystem
 from .log import Log
 from .mapping import LandmarkMap, estimate_map
-from .models import MotionModel, SensorModel
+from .models import RESIDUALS, MotionModel, SensorModel
 from .se2 import Array
 
 EDGES = ("virtual", "virtual+motion", "landmark+motion")
@@ -81,6 +81,7 @@ class Graph:
         motion_weight: float = 1.0,
         kernel: Kernel | str | None = None,
         dimensions: int | None = None,
+        residual: str = "cartesian",
     ) -> Graph:
         """The graph of a log: an anchor at the first node, edges from the sightings, and motion edges where asked for.
 
@@ -97,6 +98,8 @@ class Graph:
             kernel: against wrong sightings: `Huber`, `Cauchy`, `GemanMcClure` or their names, or None. It acts on every pair
                 of "pairs" and "tempered", and on every sighting otherwise. See also `solve_gnc`.
             dimensions: 3: require orientation psi; 2: ignore it; default: use psi where the log has it.
+            residual: of landmark nodes: "cartesian" (the sighting as a position in the robot's axes, the landmark's heading
+                with it) or "polar" (range and bearing, h(x, m) - z, whose cost has false minima).
 
         Raises:
             GraphError: the log lacks what the options need, or the edges cannot determine the poses; the message names
@@ -106,12 +109,13 @@ class Graph:
         check_choice("edges", edges, EDGES)
         check_choice("frame", frame, FRAMES)
         check_choice("weight", weight, WEIGHTS)
+        check_choice("residual", residual, RESIDUALS)
         check_positive(motion_weight=motion_weight)
         log = _with_dimensions(log, dimensions)
         motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
         parts = parts_of_log(
             log, motion=motion, sensor=sensor, edges=edges, frame=frame, weight=weight, scale=motion_weight,
-            kernel=kernel_of(kernel),
+            kernel=kernel_of(kernel), residual=residual,
         )  # fmt: skip
         if edges.startswith("landmark") and weight != WEIGHTS[0]:
             note = f"weight={weight!r} has no effect: with landmark nodes each sighting counts once"

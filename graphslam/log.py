@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike
 from .checks import check_positive, first
 from .errors import LogError, OptionError
 from .models import MotionModel, SensorModel
+from .reading import UNIDENTIFIED
 from .se2 import Array, wrap
-
-#: the id of a landmark that the sensor could not identify
-UNIDENTIFIED = int(np.iinfo(np.int64).min)
+from .tables import TableOptions, parts_of_tables
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,6 +89,40 @@ class Log:
                 if isinstance(array, np.ndarray):
                     array.flags.writeable = False
             object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_tables(
+        cls,
+        odometry: Any,
+        sightings: Any,
+        *,
+        truth: Any = None,
+        map: Any = None,
+        name: str = "log",
+        keep_every: float | None = None,
+        options: TableOptions | None = None,
+        **changes: Any,
+    ) -> Log:
+        """The log of tables that each have their own times, for example of CSV files of your own robot.
+
+        A table is the path of a file (CSV, TSV, text, Parquet), a data frame of pandas or the like, a mapping of columns,
+        or an array. Columns are recognised by common names; without names their order is the one given here.
+
+        Args:
+            odometry: t, nu, omega; or t, x, y, theta, whose differences become controls.
+            sightings: t, id, range, bearing[, orientation]; or, by name only, t, id, x, y in the axes of the sensor.
+            truth: t, x, y, theta; or the columns of TUM, t, x, y, z, qx, qy, qz, qw; or t, x, y.
+            map: id, x, y[, theta].
+            name: of the log.
+            keep_every: the greatest time between poses [s]; default: poses only where something was seen.
+            options, changes: units, clocks and axes: a `graphslam.tables.TableOptions`, or its fields, for example
+                ``angles="degrees"``, ``time={"odometry": "ms"}``, ``columns={"sightings": {"range": "dist"}}``.
+
+        Raises:
+            LogError: a table lacks a column or has an impossible value; the message names file and line.
+            OptionError: an option is impossible.
+        """
+        return cls(**parts_of_tables(odometry, sightings, truth, map, name, keep_every, options, **changes))
 
     def _checked_controls(self) -> dict[str, Any]:
         """dt, controls, control_starts and control_variances, checked and complete."""

@@ -227,6 +227,10 @@ def _broadcast(pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> tuple[Arra
     return np.broadcast_to(pose, (*shape, 3)), np.broadcast_to(control, (*shape, 2)), np.broadcast_to(dt, shape)
 
 
+#: how a sighting of a landmark node is compared: as a position in the robot's axes, or as range and bearing
+RESIDUALS = ("cartesian", "polar")
+
+
 @dataclass(frozen=True, kw_only=True)
 class SensorModel(NoiseModel):
     """A sensor that measures range l [m], bearing phi [rad] and perhaps orientation psi [rad] of identified landmarks.

@@ -39,6 +39,7 @@ RESULTS = {
     "Summary": ("study_tables.summary_tables", "study_figures.study_figure"),
     "Survey": ("study_tables.survey_tables", ""),
     "Calibration": ("study_tables.calibration_tables", ""),
+    "Import": ("log_tables.import_tables", ""),
 }
 
 

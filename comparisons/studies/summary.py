@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from graphslam import OptionError
+from graphslam.checks import suggestion
 
 from ..display import Displayed
-from ..option import suggestion
 from .bootstrap import Median, median_of
 from .database import StudyDatabase
 from .outcome import DONE, TIMEOUT

@@ -2,9 +2,11 @@
 
 from .anchor import ANCHOR_INFORMATION, AnchorEdges
 from .base import EdgeFamily, Linearization, Relations
+from .cartesian import CartesianObservationEdges
 from .marginal import MarginalEdges
 from .motion import motion_edges
 from .observation import ObservationEdges
+from .polar import PolarObservationEdges
 from .relative import RelativePointEdges, RelativePoseEdges
 from .sightings import LandmarkSightings, SightingEdges
 from .virtual_motion import VirtualMotionEdges
@@ -12,11 +14,13 @@ from .virtual_motion import VirtualMotionEdges
 __all__ = [
     "ANCHOR_INFORMATION",
     "AnchorEdges",
+    "CartesianObservationEdges",
     "EdgeFamily",
     "LandmarkSightings",
     "Linearization",
     "MarginalEdges",
     "ObservationEdges",
+    "PolarObservationEdges",
     "RelativePointEdges",
     "RelativePoseEdges",
     "Relations",

@@ -126,9 +126,16 @@ def _factors_of(
     elif isinstance(family, edges.RelativePointEdges):
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
             yield factor_types.RelativePointFactor(i, j, z, information)
-    elif isinstance(family, edges.ObservationEdges):
+    elif isinstance(family, edges.CartesianObservationEdges):
         for i, j, z, trust in _rows(family.first, family.second, family.sightings, family.trusted):
-            factor = factor_types.ObservationFactor(i, j, z, family.sensor, scale=trust, kernel=family.kernel)
+            yield factor_types.InverseObservationFactor(
+                i, j, z, family.sensor, frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel
+            )
+    elif isinstance(family, edges.PolarObservationEdges):
+        for i, j, z, trust in _rows(family.first, family.second, family.sightings, family.trusted):
+            factor = factor_types.ObservationFactor(
+                i, j, z, family.sensor, residual="polar", scale=trust, kernel=family.kernel
+            )
             yield factor.fastest()
     elif isinstance(family, edges.MarginalEdges) and family.kernel is not None:
         for i, j, z, trust in _rows(family.nodes, num_nodes + family.group, family.sightings, family.trusted):

@@ -52,7 +52,7 @@ def test_graph_is_what_the_library_solves(log: Log) -> None:
     np.testing.assert_array_equal(result.poses, expected.poses)
     assert (result.cost, result.iterations) == (expected.cost, expected.iterations)
     recorded = {"edges": "virtual+motion", "frame": "world", "weight": "tempered", "motion_weight": 3.0}
-    assert result.options == recorded | {"initialize": "auto", "kernel": "none"}
+    assert result.options == recorded | {"initialize": "auto", "kernel": "none", "residual": "cartesian"}
     given = ESTIMATORS["graph"].run(log, replace(options, initialize="given"))
     np.testing.assert_array_equal(given.poses, solve(make_graph(log, options), initialize="given").poses)
 

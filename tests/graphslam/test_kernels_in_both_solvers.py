@@ -14,7 +14,7 @@ from graphslam.solvers.solve import starting_state
 KERNELS = [None, Huber(), Cauchy(), GemanMcClure(3.0)]
 VARIANTS = [
     *product(["virtual+motion"], ["pairs", "tempered", "marginal"], ["body", "world"], [3, 2], KERNELS),
-    *product(["landmark+motion"], ["pairs"], ["body", "world"], [3, 2], KERNELS),
+    *product(["landmark+motion"], ["cartesian", "polar"], ["body", "world"], [3, 2], KERNELS),
 ]
 
 
@@ -35,8 +35,9 @@ def name(variant):
 
 @pytest.mark.parametrize("variant", VARIANTS, ids=name)
 def test_both_solvers_agree(variant, log):
-    edges, weight, frame, dimensions, kernel = variant
-    options = {"edges": edges, "weight": weight, "frame": frame, "dimensions": dimensions}
+    edges, kind, frame, dimensions, kernel = variant
+    options = {"edges": edges, "frame": frame, "dimensions": dimensions}
+    options["weight" if edges.startswith("virtual") else "residual"] = kind
     graph = Graph.from_log(log, **options, kernel=kernel)
     start = starting_state(graph, "auto")
     if isinstance(kernel, Cauchy | GemanMcClure):

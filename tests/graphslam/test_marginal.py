@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from graphslam import Graph, SensorModel, simulate, solve
-from graphslam.edges import MarginalEdges, ObservationEdges, VirtualMotionEdges
+from graphslam.edges import MarginalEdges, PolarObservationEdges, VirtualMotionEdges
 from graphslam.edges.robust import Cauchy, GemanMcClure, Huber
 from graphslam.factors import LandmarkFactor
 from graphslam.linear.information import BlockSystem
@@ -108,7 +108,7 @@ def test_without_noise_it_is_the_landmark_nodes_of_the_sensor(seed):
         edges, poses = random_edges(rng, "body", d, trust=False, noise=0.0)
         system = BlockSystem.from_cliques(6, [edges.cliques()])
         edges.accumulate(poses, poses, system)
-        nodes = ObservationEdges(edges.nodes, 6 + edges.group, edges.sightings, sensor)
+        nodes = PolarObservationEdges(edges.nodes, 6 + edges.group, edges.sightings, sensor)
         state = np.concatenate([poses, edges.landmarks(poses, poses)])
         whole = BlockSystem.from_cliques(9, [nodes.cliques()])
         nodes.accumulate(state, state, whole)
