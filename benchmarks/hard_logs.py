@@ -5,7 +5,8 @@
 A robot wanders through a square of 20 x 20 m with 13 to 36 landmarks, for 217 to 720 steps. Its sensor measures range and
 bearing. Five noise levels take turns; the models that the estimators use have the noise of the level. "Truth" is the end
 that is reached from the true poses and landmarks, by Gauss-Newton or by damped steps, whichever is lower. An end counts as
-missed if its J is above that by more than 1e-6 of it. With ``--before``, a JSON file of an earlier run, the times are compared.
+missed if its J is above that by more than 1e-6 of it. With ``--before``, a JSON file of an earlier run, the times
+are compared.
 """
 
 from __future__ import annotations
@@ -115,7 +116,8 @@ def main() -> None:
         rows.append(row(number, {"edges": arguments.edges}, arguments.repeat))
         r = rows[-1]
         if not r["converged"] or r["cost"] > r["optimum"] * (1 + MISSED):
-            print(f"log {number:3} x{r['level']:<4g} J {r['cost']:12.6g} truth {r['optimum']:12.6g}  {r['reason']}", flush=True)
+            costs = f"J {r['cost']:12.6g} truth {r['optimum']:12.6g}"
+            print(f"log {number:3} x{r['level']:<4g} {costs}  {r['reason']}", flush=True)
     for level in LEVELS:
         each = [r for r in rows if r["level"] == level]
         missed = sum(r["cost"] > r["optimum"] * (1 + MISSED) for r in each)
@@ -126,7 +128,8 @@ def main() -> None:
             f"noise x{level:<4g} {len(each)} logs: {missed} missed, {unconverged} not converged, {below} below the end "
             f"from the truth, median {time * 1e3:.1f} ms"
         )
-    print(f"median time of all logs {statistics.median(r['seconds'] for r in rows) * 1e3:.1f} ms, in all {sum(r['seconds'] for r in rows):.1f} s")
+    seconds = [r["seconds"] for r in rows]
+    print(f"all logs: median {statistics.median(seconds) * 1e3:.1f} ms, in all {sum(seconds):.1f} s")
     if arguments.before is not None:
         before = {r["number"]: r for r in json.loads(arguments.before.read_text(encoding="utf-8"))}
         ratios = [r["seconds"] / before[r["number"]]["seconds"] for r in rows if r["number"] in before]

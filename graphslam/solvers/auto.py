@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +10,9 @@ import numpy as np
 from ..edges import SightingEdges
 from ..errors import GraphError
 from ..graph import Graph
+from ..se2 import Array
 from .iteration import Run, factorized
-from .starting import AUTO, starting_state
+from .starting import AUTO, GROWING, starting_state
 
 DAMPED = "levenberg-marquardt"
 #: graphs of at most so many nodes are always run from a second start: that takes milliseconds
@@ -27,10 +28,11 @@ SAME = 1e-6
 
 @dataclass(frozen=True)
 class End:
-    """The end of one run and its cost; infinite where it is no number."""
+    """The end of one run, its cost, infinite where it is no number, and the method that led to it."""
 
     run: Run
     cost: float
+    method: str
 
 
 def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
@@ -52,11 +54,7 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
     given = _finite(graph.cost(graph.initial))
     ends: list[End] = []
     error: GraphError | None = None
-    for initialize in AUTO:
-        try:
-            start = starting_state(graph, initialize)
-        except GraphError:
-            continue  # these edges do not allow that start
+    for initialize, start in _starts(graph):
         # a start that only serves for comparison is worth one attempt
         searches = (method,) if any(_allowed(end, given) and end.run.converged for end in ends) else (method, DAMPED)
         for search in dict.fromkeys(searches):
@@ -66,7 +64,7 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
                 error = failure
                 continue
             run.reason += f" (started {initialize}, {search})"
-            ends.append(End(run, _finite(graph.cost(run.state))))
+            ends.append(End(run, _finite(graph.cost(run.state)), search))
             if run.converged:
                 break
         if enough(graph, [end for end in ends if end.run.converged and _allowed(end, given)]):
@@ -84,8 +82,28 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
         run.reason += " (started given; J falls at every step, because all other ends are above the given values)"
         if not graph.cost(run.state) <= given:
             run.state, run.converged = graph.initial.copy(), False
-        allowed.append(End(run, _finite(graph.cost(run.state))))
+        allowed.append(End(run, _finite(graph.cost(run.state)), DAMPED))
     return _best(graph, allowed)
+
+
+def _starts(graph: Graph) -> Iterator[tuple[str, Array]]:
+    """The starts that the edges allow, one after the other: their names and states (n, 3).
+
+    Where sightings are noisy, the starts that look at all poses at once often lead to the same wrong minimum, so that
+    growing the graph comes second. In small graphs the others are much faster and come first. Graphs from files have no
+    need of growing.
+    """
+    names, growing = [*AUTO], [*GROWING] if _sighted(graph) else []
+    if graph.num_nodes <= SMALL:
+        names, growing = names + growing, []
+    while names:
+        name = names.pop(0)
+        try:
+            state = starting_state(graph, name)
+        except GraphError:
+            continue
+        yield name, state
+        names, growing = growing + names, []
 
 
 def _allowed(end: End, given: float) -> bool:
@@ -109,18 +127,23 @@ def enough(graph: Graph, ends: list[End]) -> bool:
     """Whether converged ends leave no reason to try another start.
 
     The lowest end is plausible if its J per degree of freedom is, and if it was reached in few steps. It is confirmed if
-    another start has led to it. One of the two is enough, and small graphs need both.
+    another start has led to it, or two others where ends differ. One of the two is enough, and small graphs need both.
     """
     if not ends:
         return False
     lowest = min(ends, key=lambda end: end.cost)
-    confirmed = sum(end.cost <= lowest.cost * (1 + SAME) for end in ends) > 1
-    sighted = any(isinstance(family, SightingEdges) for family in graph.families)
+    same = sum(end.cost <= lowest.cost * (1 + SAME) for end in ends)
+    confirmed = same > (1 if same == len(ends) else 2)
+    sighted = _sighted(graph)
     plausible = lowest.cost <= (DOUBTFUL_SIGHTINGS if sighted else DOUBTFUL) * _expected(graph)
-    # re-weighted edges take more steps in any case
-    if sighted and not graph.reweighted and not graph.state_dependent_information:
+    # re-weighted edges and damped steps take more steps in any case
+    if sighted and lowest.method != DAMPED and not graph.reweighted and not graph.state_dependent_information:
         plausible = plausible and len(lowest.run.step_norms) <= SLOW
     return (plausible and confirmed) if graph.num_nodes <= SMALL else (plausible or confirmed)
+
+
+def _sighted(graph: Graph) -> bool:
+    return any(isinstance(family, SightingEdges) for family in graph.families)
 
 
 def _expected(graph: Graph) -> float:

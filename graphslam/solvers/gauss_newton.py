@@ -33,10 +33,11 @@ def gauss_newton(graph: Graph, run: Run) -> None:
     """
     run.reason = f"max_iterations = {run.max_iterations} reached"
     best, damped_from = _undamped(graph, run, plain=PLAIN), len(run.step_norms)
-    while best is not None and len(run.step_norms) < run.max_iterations:
+    while best is not None:
         run.state = best
-        goes_on = levenberg_marquardt(graph, run, most=DAMPED_STEPS)
-        best = _undamped(graph, run, plain=0) if goes_on else None
+        if len(run.step_norms) == run.max_iterations or not levenberg_marquardt(graph, run, most=DAMPED_STEPS):
+            break
+        best = _undamped(graph, run, plain=0)
     if len(run.step_norms) > damped_from:
         run.reason += f", with damped steps from step {damped_from + 1} on because plain ones oscillated"
 
@@ -44,7 +45,8 @@ def gauss_newton(graph: Graph, run: Run) -> None:
 def _undamped(graph: Graph, run: Run, plain: int) -> Array | None:
     """Steps until ``run`` stops, or makes no progress: then the best state (n, 3), otherwise None.
 
-    The iterates are mixed after ``plain`` steps.
+    The iterates are mixed after ``plain`` steps. Without plain steps, a run that takes all its iterations also ends at the
+    best state.
     """
     mixed_from = 0 if graph.state_dependent_information or graph.reweighted else plain
     run.mixing = None
@@ -76,4 +78,4 @@ def _undamped(graph: Graph, run: Run, plain: int) -> Array | None:
         # After such a short step Omega hardly changes: the next step, which only confirms the end, uses the same factor.
         if predicted > CONFIRMED * run.cost_tolerance * cost:
             factor = None
-    return None
+    return None if plain else best

@@ -19,12 +19,10 @@ from .gauss_newton import gauss_newton
 from .iteration import Run
 from .start import odometry
 
-#: poses that are added at a time
-POSES = 10
 #: beyond this number of poses, more are added at a time in proportion, so that the time grows little faster than them
-MANY = 1000
+MANY = 300
 #: the most steps of Gauss-Newton after each addition
-STEPS = 3
+STEPS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +33,7 @@ class _Tree:
     offsets: Array
 
 
-def grown(graph: Graph, poses: int = POSES) -> Array:
+def grown(graph: Graph, poses: int) -> Array:
     """A state (n, 3) from solving the first poses, then ``poses`` more, until all are there.
 
     Raises:
