@@ -37,14 +37,20 @@ class Estimator:
         run: the function; raises `graphslam.SlamError` where it cannot run on this log. The options have noise models.
         uses: the names of the graph and filter options that it uses.
         seconds_per_iteration: a forecast for estimators that are slow on large logs, or None.
+        repeats: why another estimator gives the same result with these options, or None.
     """
 
     run: Callable[[Log, RunOptions], EstimatorResult]
     uses: tuple[str, ...] = ()
     seconds_per_iteration: Callable[[Log], float] | None = None
+    repeats: Callable[[Log, RunOptions], str | None] = lambda _log, _options: None
+
+    def reason_to_omit(self, log: Log, options: RunOptions) -> str | None:
+        """Why the estimator should be left out unless asked for by name, or None."""
+        return self.too_slow(log) or self.repeats(log, options)
 
     def too_slow(self, log: Log) -> str | None:
-        """Why the estimator should be left out unless asked for by name, or None."""
+        """Why the estimator would take too long on a log, or None."""
         if self.seconds_per_iteration is None or (seconds := self.seconds_per_iteration(log)) <= PATIENCE:
             return None
         return f"it would take about {seconds:.0f} s per iteration on this log; name it in --estimators to run it"
@@ -124,9 +130,25 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 
 def graph_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """The hand-written solver on the log's graph."""
+    return _by_hand("graph", log, options)
+
+
+def graph_marginal(log: Log, options: RunOptions) -> EstimatorResult:
+    """The same with each sighting counted once, where pairs count it up to K/2 times: landmarks are eliminated exactly."""
+    return _by_hand("graph-marginal", log, replace(options, weight="marginal"))
+
+
+def _counted_once(log: Log, options: RunOptions) -> str | None:
+    """Why the graph counts each sighting once in any case, or None."""
+    if (options.edges or default_edges(log)).startswith("landmark"):
+        return "the landmarks of graph are nodes, which already counts each sighting once"
+    return "graph has marginal weights already" if options.weight == "marginal" else None
+
+
+def _by_hand(name: str, log: Log, options: RunOptions) -> EstimatorResult:
     graph = make_graph(log, options)
     solver = graphslam.solve_gnc if options.kernel == "gnc" else graphslam.solve
-    return _of_solution("graph", log, options, solver(graph, initialize=options.initialize))
+    return _of_solution(name, log, options, solver(graph, initialize=options.initialize))
 
 
 def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
@@ -159,7 +181,7 @@ def online_keywords(log: Log, options: RunOptions) -> dict[str, Any]:
 def _no_gnc(options: RunOptions) -> None:
     if options.kernel == "gnc":
         raise GraphError(
-            "only the estimator graph has graduated non-convexity: choose a robust kernel, such as --kernel cauchy"
+            "only graph and graph-marginal have graduated non-convexity: choose a robust kernel, such as --kernel cauchy"
         )
 
 
@@ -256,6 +278,9 @@ ESTIMATORS: dict[str, Estimator] = {
     "dead-reckoning": Estimator(dead_reckoning),
     "textbook": Estimator(textbook_estimator, ("edges",), _textbook_seconds),
     "graph": Estimator(graph_estimator, _GRAPH),
+    "graph-marginal": Estimator(
+        graph_marginal, tuple(name for name in _GRAPH if name != "weight"), repeats=_counted_once
+    ),
     "gtsam": Estimator(gtsam_estimator, _GRAPH, _gtsam_seconds),
     "isam2": Estimator(isam2, tuple(name for name in _GRAPH if name != "initialize"), _isam2_seconds),
     "mcl": Estimator(mcl, _LOCALISATION),

@@ -195,6 +195,22 @@ class Graph:
         reference = state if reference is None else reference
         return sum(family.cost(state, reference) for family in self.families)
 
+    @property
+    def degrees_of_freedom(self) -> int:
+        """The independent numbers that the edges measure, minus the unknowns: not above zero where nothing is checked."""
+        rows = sum(family.numbers[0] for family in self.families)
+        return rows - 3 * (len(self.steps) - 1) - self.landmark_dimension * len(self.landmark_ids)
+
+    @property
+    def expected_cost(self) -> float:
+        """About what J is at the optimum if the noise models are right: its degrees of freedom.
+
+        Pairs count every sighting of a landmark up to K/2 times, and their J grows likewise.
+        """
+        rows = sum(family.numbers[0] for family in self.families)
+        expected = sum(family.numbers[1] for family in self.families)
+        return expected * max(self.degrees_of_freedom / max(rows, 1), 1e-3)
+
     def linearize(self, state: Array, reference: Array | None = None) -> tuple[BlockSystem, float]:
         """Omega and xi at a state (n, 3), written into `system`, and the cost J."""
         reference = state if reference is None else reference

@@ -32,7 +32,7 @@ from numba import njit
 from ..linear.information import BlockSystem
 from ..se2 import Array, perpendicular
 from . import kernels
-from .base import Linearization, linearization
+from .base import ConstantEdges, Linearization, linearization
 from .robust import loss, weight, weight_slope
 from .sightings import WORLD, LandmarkSightings
 
@@ -62,6 +62,16 @@ class MarginalEdges(LandmarkSightings):
         d = self.sightings.shape[1]
         information = (W * factor[:, None])[:, _SYMMETRIC][:, :d, :d]
         return linearization((self.nodes,), e, information, (self._effective(lever, e),))
+
+    def constant(self, state: Array) -> ConstantEdges:
+        """The sightings one by one, as edges to landmark nodes: the marginal cost is the minimum over these nodes."""
+        self._check_constant(self.frame)
+        place, means = self._place, self.landmarks(state, state)
+        covariance = self.sensor.landmark_covariance(np.zeros((self.count, 3)), self.sightings)
+        information = np.linalg.inv(covariance) * self.trusted[:, None, None]
+        turn, start = place[:, 2] if self.oriented else None, place[:, :2]
+        second = len(state) + self.group
+        return ConstantEdges(self.nodes, second, start, np.zeros_like(start), turn, information, means)
 
     def landmarks(self, state: Array, reference: Array) -> Array:
         """m̂ (G, 3) of each landmark, the third column zero without psi."""

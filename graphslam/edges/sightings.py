@@ -14,6 +14,7 @@ from typing import TypeVar
 import numpy as np
 from numba import njit
 
+from ..errors import GraphError
 from ..linear.information import BlockSystem
 from ..models import SensorModel
 from ..se2 import Array, perpendicular
@@ -60,6 +61,13 @@ class SightingEdges(EdgeFamily):
     def _robust(self) -> tuple[int, float, Array]:
         """The kernel's code and width, and the trust (M,)."""
         return *code_and_width(self.kernel), self.trusted
+
+    def _check_constant(self, frame: str) -> None:
+        """Raise `GraphError` unless the information of the sightings is constant: in the body frame, without a kernel."""
+        if frame == "world":
+            raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
+        if self.kernel is not None:
+            raise GraphError(f"the robust kernel {self.kernel.name} changes the weights with the state")
 
     @property
     def _noise(self) -> tuple[tuple[float, float, float, float], tuple[float, float]]:
@@ -133,6 +141,11 @@ class LandmarkSightings(SightingEdges):
         """Sightings of a landmark that follow each other from different nodes, first and second, and their nodes."""
         a = np.flatnonzero((self.group[1:] == self.group[:-1]) & (self.nodes[1:] != self.nodes[:-1]))
         return a, a + 1, self.nodes[a], self.nodes[a + 1]
+
+    @cached_property
+    def _place(self) -> Array:
+        """The landmark (M, 2 or 3) that each sighting measures, in the frame of the pose."""
+        return self.sensor.h_inverse(np.zeros((len(self.nodes), 3)), self.sightings)
 
     def _prepared(self, state: Array, reference: Array, mode: int) -> tuple[Array, Array, Array, Array]:
         """y (M, 3), lever (M, 2), gamma (M,) and C (M, 6) of the sightings; see `prepare`."""

@@ -35,10 +35,11 @@ from itertools import pairwise
 import numpy as np
 from numba import njit
 
+from ..errors import GraphError
 from ..linear.information import BlockSystem
-from ..se2 import Array, perpendicular, wrap
+from ..se2 import Array, perpendicular, turn_matrix, wrap
 from . import kernels
-from .base import Linearization, linearization
+from .base import ConstantEdges, Linearization, linearization
 from .robust import loss, weight
 from .sightings import BODY, BODY_WITHOUT_PSI, WORLD, LandmarkSightings
 
@@ -103,6 +104,24 @@ class VirtualMotionEdges(LandmarkSightings):
             u = u + perpendicular(residuals[:, :2])
             angle = y[a, 2] if self.oriented else (state - reference)[self.nodes[a], 2]
         return linearization((self.nodes[a], self.nodes[b]), residuals, information, (u, lever[b]), angle)
+
+    def constant(self, state: Array) -> ConstantEdges:
+        if not self.oriented:
+            raise GraphError(
+                "without psi the information of virtual-motion edges depends on the state; use weight='marginal' or "
+                "edges='landmark+motion'"
+            )
+        self._check_constant(self.frame)
+        a, b, group = self.pairs()
+        factor = self.group_weights[group] * self.trusted[a] * self.trusted[b]
+        place, own = self._place, self.covariances(state)
+        # from the axes of the landmark to those of the first pose, in which the landmark faces phi - psi
+        turn = turn_matrix(place[a, 2])
+        information = turn @ np.linalg.inv(own[a] + own[b]) @ np.swapaxes(turn, 1, 2) * factor[:, None, None]
+        facing = place[:, 2]
+        return ConstantEdges(
+            self.nodes[a], self.nodes[b], place[a, :2], place[b, :2], facing[a] - facing[b], information
+        )
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
         mode = WORLD if self.frame == "world" else BODY if self.oriented else BODY_WITHOUT_PSI

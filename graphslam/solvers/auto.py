@@ -135,7 +135,7 @@ def enough(graph: Graph, ends: list[End]) -> bool:
     same = sum(end.cost <= lowest.cost * (1 + SAME) for end in ends)
     confirmed = same > (1 if same == len(ends) else 2)
     sighted = _sighted(graph)
-    plausible = lowest.cost <= (DOUBTFUL_SIGHTINGS if sighted else DOUBTFUL) * _expected(graph)
+    plausible = lowest.cost <= (DOUBTFUL_SIGHTINGS if sighted else DOUBTFUL) * graph.expected_cost
     # re-weighted edges and damped steps take more steps in any case
     if sighted and lowest.method != DAMPED and not graph.reweighted and not graph.state_dependent_information:
         plausible = plausible and len(lowest.run.step_norms) <= SLOW
@@ -144,18 +144,6 @@ def enough(graph: Graph, ends: list[End]) -> bool:
 
 def _sighted(graph: Graph) -> bool:
     return any(isinstance(family, SightingEdges) for family in graph.families)
-
-
-def _expected(graph: Graph) -> float:
-    """About what J is at the optimum if the noise models are right: its degrees of freedom.
-
-    With independent measurements of m numbers for p unknowns that is m - p. Pairs count every sighting of a landmark up to
-    K/2 times, and their J grows likewise.
-    """
-    rows = sum(family.numbers[0] for family in graph.families)
-    expected = sum(family.numbers[1] for family in graph.families)
-    unknown = 3 * (len(graph.steps) - 1) + graph.landmark_dimension * len(graph.landmark_ids)
-    return expected * max(1 - unknown / max(rows, 1), 1e-3)
 
 
 def _finite(cost: float) -> float:
