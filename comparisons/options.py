@@ -114,7 +114,7 @@ class GraphOptions(Options):
     )  # fmt: skip
     initialize: str = option(
         "auto", "Where the iteration starts; auto tries several starts.",
-        choices=("auto", "given", "dead-reckoning", "rotation-first"),
+        choices=("auto", "given", "dead-reckoning", "rotation-first", "grow"),
     )  # fmt: skip
     residual: str = option(
         RESIDUALS[0], "Residual of landmark nodes: the sighting as a position in the robot's axes, or as range and bearing.",
@@ -212,7 +212,7 @@ class BackendOptions(Options):
         default_text="all that are installed",
     )  # fmt: skip
     initialize: str = option(
-        "auto", "Where graphslam starts.", choices=("auto", "given", "dead-reckoning", "rotation-first")
+        "auto", "Where graphslam starts.", choices=("auto", "given", "dead-reckoning", "rotation-first", "grow")
     )
     same_start: bool = option(False, "All solvers start from the rotation-first state, not from the file's values.")
     repeat: int = option(5, "The time is the median of this many runs.", minimum=1)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from ..certificate import GLOBAL, prove
 from ..edges import SightingEdges
 from ..errors import GraphError
 from ..graph import Graph
@@ -28,11 +30,30 @@ SAME = 1e-6
 
 @dataclass(frozen=True)
 class End:
-    """The end of one run, its cost, infinite where it is no number, and the method that led to it."""
+    """The end of one run by a method."""
 
+    graph: Graph
     run: Run
-    cost: float
     method: str
+
+    @cached_property
+    def cost(self) -> float:
+        """J, infinite where it is no number."""
+        return _finite(self.graph.cost(self.run.state))
+
+    @cached_property
+    def plausible(self) -> bool:
+        """Whether J per degree of freedom is as the noise models promise, and a graph of sightings took few steps."""
+        sighted = _sighted(self.graph)
+        limit = (DOUBTFUL_SIGHTINGS if sighted else DOUBTFUL) * self.graph.expected_cost
+        # re-weighted edges and damped steps take more steps in any case
+        quick = not sighted or self.method == DAMPED or self.graph.reweighted or self.graph.state_dependent_information
+        return self.cost <= limit and (quick or len(self.run.step_norms) <= SLOW)
+
+    @cached_property
+    def proven(self) -> bool:
+        """Whether no state has a lower cost."""
+        return prove(self.graph, self.run.state).status == GLOBAL
 
 
 def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
@@ -64,10 +85,10 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
                 error = failure
                 continue
             run.reason += f" (started {initialize}, {search})"
-            ends.append(End(run, _finite(graph.cost(run.state)), search))
+            ends.append(End(graph, run, search))
             if run.converged:
                 break
-        if enough(graph, [end for end in ends if end.run.converged and _allowed(end, given)]):
+        if enough([end for end in ends if end.run.converged and _allowed(end, given)]):
             break
     if error is not None and not any(end.run.converged for end in ends):
         # if nodes are undetermined, Omega is singular at the given values as well, and this raises; if only a later state
@@ -82,7 +103,7 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
         run.reason += " (started given; J falls at every step, because all other ends are above the given values)"
         if not graph.cost(run.state) <= given:
             run.state, run.converged = graph.initial.copy(), False
-        allowed.append(End(run, _finite(graph.cost(run.state)), DAMPED))
+        allowed.append(End(graph, run, DAMPED))
     return _best(graph, allowed)
 
 
@@ -123,23 +144,19 @@ def _best(graph: Graph, ends: list[End]) -> Run:
     return lowest.run
 
 
-def enough(graph: Graph, ends: list[End]) -> bool:
-    """Whether converged ends leave no reason to try another start.
+def enough(ends: list[End]) -> bool:
+    """Whether converged ends of a graph leave no reason to try another start.
 
-    The lowest end is plausible if its J per degree of freedom is, and if it was reached in few steps. It is confirmed if
-    another start has led to it, or two others where ends differ. One of the two is enough, and small graphs need both.
+    The lowest end is confirmed if another start has led to it, or two others where ends differ. It is enough that it is
+    plausible or confirmed, in small graphs both, or that it is proven to be a global minimum.
     """
     if not ends:
         return False
     lowest = min(ends, key=lambda end: end.cost)
     same = sum(end.cost <= lowest.cost * (1 + SAME) for end in ends)
     confirmed = same > (1 if same == len(ends) else 2)
-    sighted = _sighted(graph)
-    plausible = lowest.cost <= (DOUBTFUL_SIGHTINGS if sighted else DOUBTFUL) * graph.expected_cost
-    # re-weighted edges and damped steps take more steps in any case
-    if sighted and lowest.method != DAMPED and not graph.reweighted and not graph.state_dependent_information:
-        plausible = plausible and len(lowest.run.step_norms) <= SLOW
-    return (plausible and confirmed) if graph.num_nodes <= SMALL else (plausible or confirmed)
+    small = lowest.graph.num_nodes <= SMALL
+    return (lowest.plausible and confirmed if small else lowest.plausible or confirmed) or lowest.proven
 
 
 def _sighted(graph: Graph) -> bool:

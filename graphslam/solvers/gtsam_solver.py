@@ -1,7 +1,7 @@
 """The same graph solved by GTSAM: the factor types of this package, and GTSAM's Levenberg-Marquardt.
 
-The two solvers share the noise models, the initial state and Anderson acceleration; residuals, Jacobians and linear solvers
-are separate.
+The two solvers share the noise models, the initial states, the choice among ends and Anderson acceleration; residuals,
+Jacobians and linear solvers are separate.
 """
 
 from __future__ import annotations
