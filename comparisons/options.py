@@ -139,8 +139,18 @@ class RunOptions(GraphOptions, LogOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EstimatorOptions(Options):
-    """Which estimators run."""
+class LimitOptions(Options):
+    """How long one piece of work may take."""
+
+    time_limit: float | None = option(
+        None, "Stop an estimator, solver variant or filter that takes longer, and go on without it. The work is then done in "
+        "processes of its own.", unit="s", positive=True, default_text="none",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimatorOptions(LimitOptions):
+    """Which estimators run, and for how long."""
 
     estimators: tuple[str, ...] | None = option(
         None, "Estimators to run: dead-reckoning, textbook, graph, graph-marginal, gtsam, isam2, mcl, fastslam1, fastslam2.",
@@ -187,7 +197,7 @@ class JobsOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SolverCheckOptions(JobsOptions, LogOptions):
+class SolverCheckOptions(LimitOptions, JobsOptions, LogOptions):
     """Which variants `solvers.compare_solvers` solves by hand and with GTSAM."""
 
     motion_weights: tuple[float, ...] = option(
@@ -223,7 +233,7 @@ class BackendOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ParticleStudyOptions(JobsOptions, LogOptions):
+class ParticleStudyOptions(LimitOptions, JobsOptions, LogOptions):
     """How `particles.study_particles` varies the number of particles."""
 
     components = LogOptions.components | {"filter": (FilterOptions, FILTER)}
