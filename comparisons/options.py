@@ -338,7 +338,8 @@ class SimulationOptions(Options):
         faults = {
             n: self.components[n][0](**f) for n in ("motion_faults", "sensor_faults") if (f := self.of_component(n))
         }
-        if not world.clean and any(self.of_component(name) for name in MODELS):
+        noise_given = {name for model in MODELS for name in self.of_component(model)} - {*SensorModel.GEOMETRY}
+        if not world.clean and noise_given:
             raise OptionError(
                 "the noise models have an effect in clean worlds only: add --clean, or set faults instead"
             )
