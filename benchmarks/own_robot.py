@@ -100,9 +100,7 @@ def measure(path: Path) -> None:
     seconds, cpu = time.perf_counter() - begin, time.process_time() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     print(f"{path.name}: {log!r}")
-    print(
-        f"  {seconds:.2f} s ({cpu:.2f} s of one core), peak memory {peak / 1e6:.2f} GB (of which {before / 1e6:.2f} GB before)"
-    )
+    print(f"  {seconds:.2f} s ({cpu:.2f} s of one core), peak {peak / 1e6:.2f} GB (before: {before / 1e6:.2f} GB)")
 
 
 def main() -> None:
