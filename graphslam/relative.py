@@ -25,7 +25,7 @@ from .edges import (
     AnchorEdges,
     CartesianObservationEdges,
     EdgeFamily,
-    ObservationEdges,
+    PolarObservationEdges,
     RelativePointEdges,
     RelativePoseEdges,
     SightingEdges,
@@ -65,12 +65,10 @@ def relative_graph(graph: Graph, *, state: Array | None = None) -> Graph:
 def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
     if isinstance(family, VirtualMotionEdges) and family.oriented:
         return _weighted(_of_pairs(family), family, state)
-    if isinstance(family, ObservationEdges):
-        # a polar residual becomes the Cartesian one
-        seen = CartesianObservationEdges(
-            family.first, family.second, family.sightings, family.sensor, kernel=family.kernel, trust=family.trust
-        )
-        return _weighted(seen.relative, family, state)
+    if isinstance(family, PolarObservationEdges):
+        return _weighted(family.cartesian.relative, family, state)
+    if isinstance(family, CartesianObservationEdges):
+        return replace(_weighted(family.relative, family, state), frame="body")
     if isinstance(family, RelativePoseEdges):
         return replace(family, frame="body")
     if isinstance(family, (AnchorEdges, RelativePointEdges)):
