@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from graphslam import GraphError, Log, OptionError
+from graphslam import GraphError, Log, MotionModel, OptionError, SensorModel
 from graphslam.metrics import Metrics, evaluate
 from graphslam.se2 import wrap
 
@@ -22,7 +22,7 @@ from .documents import EstimatorDocument, LogDocument, RunDocument, document
 from .estimators import ESTIMATORS, check_estimators, make_graph
 from .exchange import texts, write_pose_graph
 from .failures import noted
-from .options import OutputOptions, RunOptions
+from .options import MODELS, OutputOptions, RunOptions
 from .reading import prepare
 from .results import EstimatorResult
 from .saving import SavedFiles, fill_results, new_directory, write_json
@@ -32,6 +32,7 @@ from .saving import SavedFiles, fill_results, new_directory, write_json
 class Row:
     """One line of the table; None where a value does not exist or cannot be known.
 
+    ``cost_per_dof`` is J per degree of freedom, about 1 where the noise models fit; see `results.of_expected`.
     ``nees`` is the mean normalised error squared of the poses, 1 means consistent; see `EstimatorResult.nees`.
     """
 
@@ -46,6 +47,7 @@ class Row:
     landmark_rmse_m: float | None = None
     nees: float | None = None
     skipped: str | None = None
+    cost_per_dof: float | None = None
 
 
 @dataclass(frozen=True)
@@ -92,19 +94,33 @@ class Comparison(Displayed):
     def __repr__(self) -> str:
         return f"Comparison({self.log.name!r}: {', '.join(result.name for result in self.results)})"
 
+    @property
+    def models(self) -> dict[str, MotionModel | SensorModel]:
+        """The noise models, {"motion", "sensor"}."""
+        motion, sensor = self.options.models(self.log.motion, self.log.sensor)
+        return {"motion": motion, "sensor": sensor}
+
+    @property
+    def noise_source(self) -> dict[str, str]:
+        """Where each noise model comes from: "book" for the defaults, "log" for one published with the log, or "given"."""
+        return {
+            name: "book" if used == MODELS[name]() else "log" if used == getattr(self.log, name) else "given"
+            for name, used in self.models.items()
+        }
+
     @cached_property
     def metrics(self) -> dict[str, Metrics]:
         """The metrics of every result against the ground truth, by name."""
         truth, landmarks = self.log.true_poses, self.log.true_landmarks
         return {
-            r.name: evaluate(truth, landmarks, r.poses, r.landmarks, mask=r.estimated, named=r.named)
+            r.name: evaluate(truth, landmarks, self.log.at_truth(r.poses), r.landmarks, mask=r.estimated, named=r.named)
             for r in self.results
         }
 
     @cached_property
     def nees(self) -> dict[str, float | None]:
         """The mean NEES of every result, by name; None where truth or covariances are not known."""
-        return {result.name: result.nees(self.log.true_poses) for result in self.results}
+        return {result.name: result.nees(self.log.robot_truth) for result in self.results}
 
     def __getitem__(self, name: str) -> EstimatorResult:
         """The result of an estimator.
@@ -164,6 +180,7 @@ class Comparison(Displayed):
         return document(
             RunDocument,
             log=describe(self.log, self.source),
+            noise={n: {"source": self.noise_source[n], "model": asdict(model)} for n, model in self.models.items()},
             estimators=[by_name[row.name] for row in self.table],
             files={kind: str(path) for kind, path in (files or {}).items()},
             notes=getattr(files, "notes", []),
@@ -237,7 +254,7 @@ def run(
     Args:
         log: a log, the file or folder of one, or None for the sample log of the package.
         estimators: names from `estimators.ESTIMATORS`; default: all. One that fails becomes a row with the reason, as does
-            one that is not named and would take too long.
+            one that is not named and would take too long or repeat another.
         progress: called with (name, None) before each estimator and (name, outcome) after it.
         options: the fields of `options.RunOptions`: stride, noise, range_std, edges, kernel, particles, seed, ...
 
@@ -272,7 +289,7 @@ def compare(
         if progress is not None:
             progress(name, None)
         outcome: EstimatorResult | Skipped
-        if names is None and (reason := ESTIMATORS[name].too_slow(data)) is not None:
+        if names is None and (reason := ESTIMATORS[name].reason_to_omit(data, options)) is not None:
             outcome = Skipped(name, reason)
         else:
             outcome = attempt(name, data, options)

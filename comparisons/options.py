@@ -43,6 +43,10 @@ class ReadingOptions(Options):
         None, "Also keep a pose at least once in this time, even where nothing was seen.", unit="s", positive=True,
         default_text="poses only where something was seen",
     )  # fmt: skip
+    truth_offset: tuple[float, ...] | None = option(
+        None, "Point of the robot that the ground truth is of, such as a GPS antenna: forward, left.", unit="m",
+        default_text="as the reader says",
+    )  # fmt: skip
     stride: int = option(1, "Keep every N-th pose and the sightings from it.", minimum=1, metavar="N")
     max_range: float | None = option(None, "Leave out sightings from farther away.", unit="m", positive=True)
     dimensions: int | None = option(
@@ -139,7 +143,7 @@ class EstimatorOptions(Options):
     """Which estimators run."""
 
     estimators: tuple[str, ...] | None = option(
-        None, "Estimators to run: dead-reckoning, textbook, graph, gtsam, isam2, mcl, fastslam1, fastslam2.",
+        None, "Estimators to run: dead-reckoning, textbook, graph, graph-marginal, gtsam, isam2, mcl, fastslam1, fastslam2.",
         metavar="NAME,...", default_text="all that can run on the log",
     )  # fmt: skip
 
@@ -350,7 +354,7 @@ class SummaryOptions(FigureOptions):
     )
     metric: str = option(
         "ate_m", "Metric of the figure.",
-        choices=("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m", "iterations", "seconds"),
+        choices=("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m", "cost_per_dof", "iterations", "seconds"),
     )  # fmt: skip
     csv: Path | None = option(None, "Write every run as CSV.", metavar="FILE", panel=OUTPUT)
     jsonl: Path | None = option(None, "Write every run as a line of JSON.", metavar="FILE", panel=OUTPUT)

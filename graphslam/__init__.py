@@ -12,6 +12,8 @@ from .lazy import lazy_names
 if TYPE_CHECKING:
     from . import edges, factors, formats, metrics, se2, textbook
     from .calibration import Calibration, calibrate
+    from .certificate import Certificate
+    from .certify import certify
     from .edges.robust import Cauchy, GemanMcClure, Huber
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
     from .formats import load, save
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "": "edges factors formats metrics se2 textbook",
     "calibration": "Calibration calibrate",
+    "certificate": "Certificate",
+    "certify": "certify",
     "edges.robust": "Cauchy GemanMcClure Huber",
     "errors": "FactorError FormatError GraphError LogError OptionError SlamError",
     "formats": "load save",

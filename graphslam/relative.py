@@ -25,6 +25,7 @@ from .edges import (
     AnchorEdges,
     CartesianObservationEdges,
     EdgeFamily,
+    ObservationEdges,
     PolarObservationEdges,
     RelativePointEdges,
     RelativePoseEdges,
@@ -65,10 +66,11 @@ def relative_graph(graph: Graph, *, state: Array | None = None) -> Graph:
 def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
     if isinstance(family, VirtualMotionEdges) and family.oriented:
         return _weighted(_of_pairs(family), family, state)
-    if isinstance(family, PolarObservationEdges):
-        return _weighted(family.cartesian.relative, family, state)
-    if isinstance(family, CartesianObservationEdges):
-        return replace(_weighted(family.relative, family, state), frame="body")
+    if isinstance(family, ObservationEdges):
+        # a polar residual becomes the Cartesian one
+        seen = family.cartesian if isinstance(family, PolarObservationEdges) else family
+        assert isinstance(seen, CartesianObservationEdges)
+        return _weighted(replace(seen.relative, frame="body"), family, state)
     if isinstance(family, RelativePoseEdges):
         return replace(family, frame="body")
     if isinstance(family, (AnchorEdges, RelativePointEdges)):
@@ -85,8 +87,7 @@ def _weighted(edges: _Relative, family: SightingEdges, state: Array) -> _Relativ
     """The edges with the weights that the kernel of the family they come from has at a state."""
     if family.kernel is None:
         return edges
-    weights = family.kernel.weight(family.linearize(state, state).mahalanobis)
-    return replace(edges, information=edges.information * weights[:, None, None])
+    return replace(edges, information=edges.information * family.kernel_weights(state)[:, None, None])
 
 
 def _of_pairs(family: VirtualMotionEdges) -> RelativePoseEdges:

@@ -31,7 +31,7 @@ def import_(
 
     Columns and topics are recognised by their names and types; without OUT the choice is only listed.
     """
-    from graphslam import save
+    from graphslam import LogError, save
 
     from ..importing import imported
     from ..saving import check_can_write
@@ -41,6 +41,8 @@ def import_(
         check_can_write(out)
     found = imported(source, options)
     output.show(found)
+    if found.log is None:
+        raise LogError(found.reason)
     if out is None:
         target = Path(f"{found.log.name}.npz")
         output.hint(f"Nothing was written. Next: {command('import', source, target, options=options)}")

@@ -1,7 +1,7 @@
 """Edge families, which connect the nodes of a graph: one file for each kind, and the kernels that they share."""
 
 from .anchor import ANCHOR_INFORMATION, AnchorEdges
-from .base import EdgeFamily, Linearization, Relations
+from .base import ConstantEdges, EdgeFamily, Linearization, Relations
 from .cartesian import CartesianObservationEdges
 from .marginal import MarginalEdges
 from .motion import motion_edges
@@ -15,6 +15,7 @@ __all__ = [
     "ANCHOR_INFORMATION",
     "AnchorEdges",
     "CartesianObservationEdges",
+    "ConstantEdges",
     "EdgeFamily",
     "LandmarkSightings",
     "Linearization",

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..linear.information import BlockSystem
 from ..se2 import Array
-from .base import Linearization
+from .base import ConstantEdges, Linearization
 from .observation import ObservationEdges
 from .relative import RelativePointEdges, RelativePoseEdges, accumulate
 from .robust import code_and_width
@@ -51,6 +51,10 @@ class CartesianObservationEdges(ObservationEdges):
 
     def linearize(self, state: Array, reference: Array) -> Linearization:
         return self.relative.linearize(state, reference)
+
+    def constant(self, state: Array) -> ConstantEdges:
+        self._check_constant(self.frame)
+        return self.relative.constant(state)
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
         return accumulate(self.relative, state, reference, *code_and_width(self.kernel), self._targets(system))

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from ..errors import GraphError
 from ..linear.information import BlockSystem
 from ..se2 import Array, wrap
 from . import kernels
-from .base import Linearization
+from .base import ConstantEdges, Linearization
 from .cartesian import CartesianObservationEdges
 from .observation import ObservationEdges
 from .robust import loss, weight
@@ -40,6 +41,9 @@ class PolarObservationEdges(ObservationEdges):
         by_landmark[:, :, :d] = self.sensor.H(x, m)
         information = np.linalg.inv(self.sensor.Q(self.sightings)) * self.trusted[:, None, None]
         return Linearization(residuals, information, (self.first, self.second), (self.sensor.H_pose(x, m), by_landmark))
+
+    def constant(self, state: Array) -> ConstantEdges:
+        raise GraphError("the residual h(x, m) - z of landmark nodes has no such form; use residual='cartesian'")
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
         return _accumulate(

@@ -20,10 +20,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
+from ..errors import GraphError
 from ..linear.information import BlockSystem
 from ..se2 import Array, perpendicular, rotation, turn_matrix, wrap
 from . import kernels
-from .base import Linearization, PairEdges, Relations, linearization
+from .base import ConstantEdges, Linearization, PairEdges, Relations, linearization
 from .robust import SQUARES, loss, weight
 
 
@@ -58,6 +59,12 @@ class _RelativeEdges(PairEdges):
         turn = turn_matrix(reference[self.first, 2])[:, :d, :d]
         information = turn @ self.information @ np.swapaxes(turn, 1, 2)
         return linearization(ends, residuals, information, (perpendicular(reached), still))
+
+    def constant(self, state: Array) -> ConstantEdges:
+        if self.frame == "world":
+            raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
+        d_a, turn = self.measured[:, :2], self.measured[:, 2] if self.measured.shape[1] == 3 else None
+        return ConstantEdges(self.first, self.second, d_a, np.zeros_like(d_a), turn, self.information)
 
     def positions(self, state: Array) -> Relations | None:
         return Relations(self.first, self.second, *_turned(state, self.first, self.measured, self.information))

@@ -74,10 +74,12 @@ class RelativeEdgesFactor(Factor):
             root[edge, :d, :d] = np.linalg.cholesky(positive_definite(omega[edge, :d, :d], d)).T
         frozen = numbers("at", at, (len(i),)) if world else np.zeros(len(i))
         edge_kernel = kernel_of(edge_kernel)
-        code, width = code_and_width(edge_kernel)
+        # a kernel without a width takes that of the dimension
+        of_rows = {d: code_and_width(edge_kernel and edge_kernel.of_dimension(d)) for d in (2, 3)}
+        code, widths = of_rows[3][0], np.array([of_rows[d][1] for d in rows.tolist()])
         robust = np.ones(len(i), dtype=bool) if robust is None else np.array(robust, dtype=bool)
         starts = np.concatenate([[0], np.cumsum(rows)])
-        edges = (i, j, starts, z, root, frozen, world, np.where(robust, code, 0), width)
+        edges = (i, j, starts, z, root, frozen, world, np.where(robust, code, 0), widths)
 
         def stacked(nodes: tuple[Coordinates, ...]) -> Array:
             at = np.zeros((len(nodes), 3))
@@ -119,7 +121,7 @@ def _edge(k, x, i, j, z, frozen, world):
 
 
 @njit(cache=True, error_model="numpy")
-def _residuals(x, i, j, starts, z, root, frozen, world, codes, width):
+def _residuals(x, i, j, starts, z, root, frozen, world, codes, widths):
     """Whitened residuals (rows,), those of an edge with a kernel scaled so that their squares sum to its loss."""
     out = np.empty(starts[-1])
     for k in range(len(i)):
@@ -133,12 +135,12 @@ def _residuals(x, i, j, starts, z, root, frozen, world, codes, width):
             out[start + r] = value
             squares += value * value
         if codes[k] and squares > 0:
-            out[start : start + rows] *= np.sqrt(loss(codes[k], width, squares) / squares)
+            out[start : start + rows] *= np.sqrt(loss(codes[k], widths[k], squares) / squares)
     return out
 
 
 @njit(cache=True, error_model="numpy")
-def _linearized(x, poses, i, j, starts, z, root, frozen, world, codes, width):
+def _linearized(x, poses, i, j, starts, z, root, frozen, world, codes, widths):
     """Whitened residuals (rows,) and Jacobians (keys, 3, rows), each key's by its own axes; a kernel as a weight."""
     out, jacobians = np.empty(starts[-1]), np.zeros((len(x), 3, starts[-1]))
     by_first, by_second = np.zeros((3, 3)), np.zeros((3, 3))
@@ -162,7 +164,7 @@ def _linearized(x, poses, i, j, starts, z, root, frozen, world, codes, width):
                 value += root[k, r, v] * e[v]
             out[start + r] = value
             squares += value * value
-        factor = np.sqrt(weight(codes[k], width, squares)) if codes[k] else 1.0
+        factor = np.sqrt(weight(codes[k], widths[k], squares)) if codes[k] else 1.0
         for r in range(rows):
             out[start + r] *= factor
             for column in range(3):

@@ -6,7 +6,7 @@ optimiser. Therefore edges that share nodes share factors where that leaves the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import TypeVar
@@ -17,6 +17,7 @@ import numpy as np
 from .. import edges
 from .. import factors as factor_types
 from ..checks import check_choice
+from ..edges.robust import Kernel
 from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array
@@ -43,65 +44,70 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
     check_choice("factors", factors, FACTORS)
     reference = graph.initial if reference is None else reference
     made = gtsam.NonlinearFactorGraph()
-    families = list(graph.families)
-    if factors == "fastest":
-        joined, families = _joined(graph, reference)
-        for factor in joined:
-            made.add(factor)
+    joined, families = _joined(graph, reference) if factors == "fastest" else ([], graph.families)
     for family in families:
         for factor in _factors_of(family, reference, graph.num_nodes, factors):
             made.add(factor)
+    for factor in joined:
+        made.add(factor)
     for node in graph.fixed.tolist():
         made.add(gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node])))
     return made
 
 
-def _joined(graph: Graph, reference: Array) -> tuple[list[gtsam.NonlinearFactor], list[edges.EdgeFamily]]:
+def _joined(graph: Graph, reference: Array) -> tuple[list[gtsam.NonlinearFactor], Sequence[edges.EdgeFamily]]:
     """One factor for the motions of `TOGETHER` poses and what they see, and the families of all other edges.
 
     Edges between poses that do not follow each other stay alone: in one factor they would connect all its poses with all
     their other ends, and so fill the factorisation.
     """
-    poses, factors = len(graph.steps), []
-    kernel = next(
-        (f.kernel for f in graph.families if isinstance(f, edges.CartesianObservationEdges) and f.kernel), None
-    )
+    poses = len(graph.steps)
+    seen = [family for family in graph.families if isinstance(family, edges.CartesianObservationEdges)]
+    # a factor has one kernel for its edges; so does every graph of a log
+    kernel = next((family.kernel for family in seen if family.kernel is not None), None)
     rest: list[edges.EdgeFamily] = []
     parts: dict[str, list[_Part]] = {}
     for family in graph.families:
-        sighted = isinstance(family, edges.CartesianObservationEdges) and family.kernel in (None, kernel)
-        relative = family.relative if sighted else family
+        relative, robust = family, False
+        if isinstance(family, edges.CartesianObservationEdges) and family.kernel in (None, kernel):
+            relative, robust = family.relative, family.kernel is not None
         if not isinstance(relative, (edges.RelativePoseEdges, edges.RelativePointEdges)):
             rest.append(family)
             continue
         near = (relative.first < poses) & ((relative.second == relative.first + 1) | (relative.second >= poses))
         if not near.all():
             rest.append(_chosen(relative, ~near))
-        robust = np.full(near.sum(), sighted and family.kernel is not None)
-        parts.setdefault(relative.frame, []).append((_chosen(relative, near), robust))
+        if near.any():
+            parts.setdefault(relative.frame, []).append((_chosen(relative, near), np.full(int(near.sum()), robust)))
+    made: list[gtsam.NonlinearFactor] = []
     for frame, members in parts.items():
-        first, second, robust = (
-            np.concatenate(columns) for columns in zip(*((f.first, f.second, robust) for f, robust in members))
-        )
-        measured, information = np.zeros((len(first), 3)), np.tile(np.eye(3), (len(first), 1, 1))
-        start = 0
-        for f, _ in members:
-            end, d = start + f.count, f.measured.shape[1]
-            measured[start:end, :d], information[start:end, :d, :d] = f.measured, f.information
-            start = end
-        group = first // TOGETHER
-        order = np.argsort(group, kind="stable")
-        for rows in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
-            keys, places = np.unique(np.concatenate([first[rows], second[rows]]), return_inverse=True)
-            i, j = places.reshape(2, -1)
-            points = 0 if graph.landmark_dimension == 3 else int(np.sum(keys >= poses))
-            factors.append(
-                factor_types.RelativeEdgesFactor(
-                    keys.tolist(), i, j, measured[rows], information[rows], points=points, frame=frame,
-                    at=reference[first[rows], 2], edge_kernel=kernel, robust=robust[rows],
-                )
-            )  # fmt: skip
-    return factors, rest
+        made += _stacked(members, graph, reference, frame, kernel)
+    return made, rest
+
+
+def _stacked(
+    parts: list[_Part], graph: Graph, reference: Array, frame: str, kernel: Kernel | None
+) -> Iterator[factor_types.RelativeEdgesFactor]:
+    """The edges of several families, those from `TOGETHER` consecutive poses in one factor each."""
+    first, second, robust = (
+        np.concatenate(column) for column in zip(*((f.first, f.second, robust) for f, robust in parts))
+    )
+    measured, information = np.zeros((len(first), 3)), np.tile(np.eye(3), (len(first), 1, 1))
+    start = 0
+    for f, _ in parts:
+        end, d = start + f.count, f.measured.shape[1]
+        measured[start:end, :d], information[start:end, :d, :d] = f.measured, f.information
+        start = end
+    group = first // TOGETHER
+    order = np.argsort(group, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
+        keys, places = np.unique(np.concatenate([first[rows], second[rows]]), return_inverse=True)
+        i, j = places.reshape(2, -1)
+        points = 0 if graph.landmark_dimension == 3 else int(np.sum(keys >= len(graph.steps)))
+        yield factor_types.RelativeEdgesFactor(
+            keys.tolist(), i, j, measured[rows], information[rows], points=points, frame=frame,
+            at=reference[first[rows], 2], edge_kernel=kernel, robust=robust[rows],
+        )  # fmt: skip
 
 
 def _chosen(family: _Relative, rows: np.ndarray) -> _Relative:
@@ -145,12 +151,14 @@ def _factors_of(
         yield from _landmark_factors(family, reference, "tempered" if family.tempered else "pairs")
     elif isinstance(family, edges.VirtualMotionEdges):
         a, b, group = family.pairs()
-        scales = family.group_weights[group] * family.trusted[a] * family.trusted[b]
+        tempering = family.group_weights[group]
+        scales = tempering * family.trusted[a] * family.trusted[b]
         z, nodes = family.sightings, family.nodes
-        for i, j, z_1, z_2, scale in _rows(nodes[a], nodes[b], z[a], z[b], scales):
+        for i, j, z_1, z_2, scale, factor in _rows(nodes[a], nodes[b], z[a], z[b], scales, tempering):
             yield factor_types.VirtualMotionFactor(
                 i, j, z_1, z_2, family.sensor,
-                frame=family.frame, at=(reference[i], reference[j]), scale=scale, kernel=family.kernel,
+                frame=family.frame, at=(reference[i], reference[j]), scale=scale,
+                kernel=family.kernel and family.kernel.scaled(factor),
             )  # fmt: skip
     else:
         raise GraphError(f"no gtsam factor is known for {type(family).__name__}")

@@ -24,6 +24,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     ),
     "x": ("x", "pos_x", "px", "position_x", "tx", "rel_x", "translation_x"),
     "y": ("y", "pos_y", "py", "position_y", "ty", "rel_y", "translation_y"),
+    "z": ("z", "pos_z", "pz", "position_z", "tz", "rel_z", "translation_z"),
     "theta": ("theta", "heading", "yaw", "th", "angle", "orientation", "phi"),
     "qx": ("qx", "q_x", "orientation_x", "rotation_x"),
     "qy": ("qy", "q_y", "orientation_y", "rotation_y"),
@@ -52,8 +53,8 @@ _UNITS = {
 _KINDS = {"time": ("s", "ms", "us", "ns"), "length": ("m", "cm", "mm"), "angle": ("radians", "degrees")}
 #: what each column measures
 MEASURES = {
-    "t": "time", "nu": "length", "x": "length", "y": "length", "range": "length", "omega": "angle", "theta": "angle",
-    "bearing": "angle", "orientation": "angle",
+    "t": "time", "nu": "length", "x": "length", "y": "length", "z": "length", "range": "length",
+    "omega": "angle", "theta": "angle", "bearing": "angle", "orientation": "angle",
 }  # fmt: skip
 
 

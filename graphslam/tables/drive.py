@@ -24,7 +24,7 @@ from .times import nanoseconds
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
     "odometry": ("t", "nanosec", "nu", "omega", *_POSE),
-    "sightings": ("t", "nanosec", "id", "range", "bearing", "orientation", "x", "y"),
+    "sightings": ("t", "nanosec", "id", "range", "bearing", "orientation", "x", "y", "z"),
     "truth": ("t", "nanosec", *_POSE),
     "map": ("id", "x", "y", "theta"),
 }
@@ -236,7 +236,8 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     # before range and bearing: columns in another order show first here
     ids, notes = _ids(reader)
     if reader.has("x", "y") and not reader.has("range"):
-        rows = _polar(reader.numbers("x", "y"), options.axes)
+        third = ("x", "z") if options.axes == "optical" else ("x", "y")
+        rows = _polar(reader.numbers(*third), options.axes)
     else:
         reader.need("range", "bearing", instead=", and none for x and y instead of range and bearing")
         rows = reader.numbers("range", "bearing")
@@ -268,6 +269,7 @@ def _polar(places: Array, axes: str) -> Array:
     x, y = places.T
     forward, left = {
         "forward-left": (x, y), "forward-right": (x, -y), "right-forward": (y, -x), "left-forward": (y, x),
+        "optical": (y, -x),
     }[axes]  # fmt: skip
     return np.column_stack([np.hypot(forward, left), np.arctan2(left, forward)])
 

@@ -52,8 +52,8 @@ class TableOptions:
         metavar="TABLE=SECONDS,...",
     )  # fmt: skip
     axes: str = option(
-        "forward-left", "Directions of x and y of Cartesian sightings",
-        choices=("forward-left", "forward-right", "right-forward", "left-forward"),
+        "forward-left", "Directions of x and y of Cartesian sightings; optical is x right, z forward",
+        choices=("forward-left", "forward-right", "right-forward", "left-forward", "optical"),
     )  # fmt: skip
     centre: str = option(
         "sensor", "Where range and bearing, or x and y, of sightings are measured from", choices=("sensor", "robot")
@@ -64,6 +64,10 @@ class TableOptions:
     )  # fmt: skip
     sensor_offset: tuple[float, ...] | None = option(
         None, "Position of the sensor on the robot: forward, left", "m", default_text="0,0, or as the bag says",
+        metavar="FORWARD,LEFT",
+    )  # fmt: skip
+    truth_offset: tuple[float, ...] | None = option(
+        None, "Point of the robot that the truth is of, such as a GPS antenna: forward, left", "m", default_text="0,0",
         metavar="FORWARD,LEFT",
     )  # fmt: skip
     sensor_yaw: float | None = option(

@@ -13,8 +13,9 @@ from comparisons.comparison import Comparison, run
 from comparisons.estimators import Estimator
 from comparisons.options import RunOptions
 from comparisons.results import EstimatorResult
+from comparisons.show.report.page import page_of
 from comparisons.show.tables import as_text
-from graphslam import FormatError, GraphError, Log, OptionError, simulate
+from graphslam import FormatError, GraphError, Log, OptionError, SensorModel, simulate
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
 
@@ -51,9 +52,33 @@ def test_all_estimators_run_on_a_full_log(comparison: Comparison, log: Log) -> N
     assert comparison.difference() < 1e-6  # type: ignore[operator]
 
 
+def test_the_table_says_whether_the_noise_fits(log: Log) -> None:
+    few = ["dead-reckoning", "graph"]
+    plain = run(log, estimators=few)
+    assert plain.noise_source == {"motion": "book", "sensor": "book"}
+    text = as_text(plain)
+    assert "Noise models: the book's." in text
+    assert "J per dof (degree of freedom): about 1 means that the noise models fit.\n" in text
+    # a tenth of the true noise of the sensor
+    small = run(log, estimators=few, range_rate=0.014, bearing_std=0.005, orientation_std=0.005)
+    ratio = small.table["graph"].cost_per_dof
+    assert ratio is not None and ratio > 10
+    assert small.table["dead-reckoning"].cost_per_dof is None
+    text = as_text(small)
+    assert "Noise models: motion the book's, sensor as given." in text
+    assert f"graph has {ratio:.1f}: the noise is too small, or sightings are wrong." in text
+    large = run(log.replace(sensor=SensorModel(range_rate=1.4, bearing_std=0.5, orientation_std=0.5)), estimators=few)
+    assert large.noise_source["sensor"] == "log"
+    assert "the noise is too large" in as_text(large)
+    payload = small.to_json()
+    assert payload["noise"]["motion"]["source"] == "book"
+    assert payload["noise"]["sensor"]["model"]["range_rate"] == 0.014
+    assert payload["estimators"][1]["cost_per_dof"] == ratio
+
+
 def test_json_is_what_the_design_says(comparison: Comparison, log: Log) -> None:
     payload = json.loads(json.dumps(comparison.to_json({"figure": Path("f.png")}), allow_nan=False))
-    assert set(payload) == {"log", "estimators", "files", "notes"}
+    assert set(payload) == {"log", "noise", "estimators", "files", "notes"}
     assert payload["files"] == {"figure": "f.png"}
     assert payload["log"]["poses"] == log.num_poses
     for entry, result in zip(payload["estimators"], comparison.results):
@@ -64,10 +89,23 @@ def test_json_is_what_the_design_says(comparison: Comparison, log: Log) -> None:
 
 
 def test_without_truth_the_errors_are_null(log: Log) -> None:
+    bare = run(log.replace(true_poses=None, true_landmarks=None), estimators=["graph"])
+    (entry,) = bare.to_json()["estimators"]
+    assert [entry[k] for k in ("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m", "landmark_errors_m")] == [None] * 5
+    assert entry["converged"] is True
+
+
+def test_without_true_poses_the_map_still_has_its_errors(log: Log) -> None:
     bare = run(log.replace(true_poses=None), estimators=["graph"])
     (entry,) = bare.to_json()["estimators"]
-    assert [entry[k] for k in ("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m")] == [None] * 4
-    assert entry["converged"] is True
+    assert entry["ate_m"] is None and entry["aligned_by"] == "landmarks"
+    errors = np.array(list(entry["landmark_errors_m"].values()))
+    assert set(entry["landmark_errors_m"]) == set(entry["landmarks"])
+    assert entry["landmark_rmse_m"] == pytest.approx(np.sqrt(np.mean(errors**2)))
+    assert "aligned to the true landmarks" in str(bare)
+    assert bare.figure().axes[0].get_title(loc="left").endswith("aligned to the true landmarks")
+    assert "aligned to the true landmarks" in page_of(bare)
+    assert "Error of each landmark" in page_of(bare)
 
 
 def test_poses_outside_the_graph_do_not_count(log: Log) -> None:
@@ -104,7 +142,7 @@ def test_without_the_graph_there_is_no_comparison(log: Log) -> None:
 
 def test_slow_ones_run_only_when_named(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     registered(
-        monkeypatch, "slow", lambda log, _: made_up("slow", log.initial_poses), seconds_per_iteration=lambda _: 9.0
+        monkeypatch, "slow", lambda log, _: made_up("slow", log.initial_poses), seconds_per_iteration=lambda *_: 9.0
     )
     outcome = run(log, particles=50)
     assert outcome.skipped == (Skipped("slow", outcome.skipped[0].reason),)

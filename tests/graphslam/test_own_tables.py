@@ -348,15 +348,15 @@ def test_what_is_stated_is_not_refused(drive):
     [
         (
             text("t,id,range,bearing", [(t, 3, r, b) for t, _, r, b in SEEN]),
-            "all 7 sightings are of one landmark, 3; is the column of ids another one",
+            "all 7 sightings are of one landmark, 3; perhaps another column holds the ids",
         ),
         (
             text("t,id,range,bearing", [(0.1 * k, k, 2.0, 0.1) for k in range(30)]),
-            "30 sightings are of 30 landmarks, nearly each is seen once; is the column of ids a running number",
+            "30 sightings are of 30 landmarks, nearly each is seen once; perhaps the ids are a running number",
         ),
         (
             text("t,id,range,bearing", [*SEEN, (12.0, 5, 4.9, 0.1)]),
-            r"landmark 5 is seen twice at one time, 2.20 and 4.90 m away (1 such pairs); do several objects have one id",
+            r"landmark 5 is seen twice at one time, 2.20 and 4.90 m away (1 such pairs); perhaps several objects have one id",
         ),
         (text("t,range,bearing", [(t, r, b) for t, _, r, b in SEEN]), "no column for id, so no landmark is identified"),
     ],
@@ -423,3 +423,12 @@ def test_a_recipe_is_checked(tmp_path):
     path.write_text("sensor_offset = [1]\n")
     with pytest.raises(FormatError, match="import.toml:1: sensor_offset should be a list of two numbers"):
         read_recipe(path)
+
+
+def test_the_truth_may_be_of_an_antenna(drive):
+    folder = drive(truth=text("t,x,y,theta", [(t, 2.0 + t, 1.0, 0.0) for t in (0.0, 0.4, 0.8, 1.2)]))
+    tables = [folder / f"{name}.csv" for name in ("odometry", "sightings")]
+    log = Log.from_tables(*tables, truth=folder / "truth.csv", truth_offset=(2.0, 1.0))
+    assert log.truth_offset == (2.0, 1.0)
+    np.testing.assert_allclose(log.true_poses[0, :2], [2.2, 1.0], atol=1e-9)
+    np.testing.assert_allclose(log.initial_poses[0], [0.2, 0.0, 0.0], atol=1e-9)
