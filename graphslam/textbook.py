@@ -20,6 +20,7 @@ from .checks import check_choice
 from .errors import GraphError, OptionError
 from .log import Log
 from .models import MotionModel, SensorModel
+from .precision import check_log
 from .se2 import Array
 
 #: slides 9.1.1 and 9.2: information of the anchor; they take an infinite one, the book's program 1e6 I
@@ -111,6 +112,7 @@ def solve(
     if with_motion and log.controls is None:
         raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")
 
+    check_log(log, motion, sensor)
     sightings = _by_landmark(log)
     pairs = [
         (t1, z1[:d], t2, z2[:d])
@@ -132,21 +134,26 @@ def solve(
         Omega, xi, J = np.zeros((3 * len(steps), 3 * len(steps))), np.zeros(3 * len(steps)), 0.0
         # the anchor: in Omega only, as in the book
         Omega[:3, :3] += OMEGA_0
-        for t1, z1, t2, z2 in pairs:
-            e, Omega_e, B1, B2 = virtual_motion_edge(x[t1], z1, x[t2], z2, sensor)
-            _add(Omega, xi, row[t1], row[t2], e, Omega_e, B1, B2)
-            J += float(e @ Omega_e @ e)
-        if with_motion:
-            assert log.controls is not None and log.dt is not None
-            for t, (u, dt) in enumerate(zip(log.controls, log.dt.tolist()), start=1):
-                e, Omega_e, B1, B2 = motion_edge(x[t - 1], x[t], u, dt, motion)
-                for _ in range(motion_copies):
-                    _add(Omega, xi, row[t - 1], row[t], e, Omega_e, B1, B2)
-                    J += float(e @ Omega_e @ e)
         try:
+            for t1, z1, t2, z2 in pairs:
+                e, Omega_e, B1, B2 = virtual_motion_edge(x[t1], z1, x[t2], z2, sensor)
+                _add(Omega, xi, row[t1], row[t2], e, Omega_e, B1, B2)
+                J += float(e @ Omega_e @ e)
+            if with_motion:
+                assert log.controls is not None and log.dt is not None
+                for t, (u, dt) in enumerate(zip(log.controls, log.dt.tolist()), start=1):
+                    e, Omega_e, B1, B2 = motion_edge(x[t - 1], x[t], u, dt, motion)
+                    for _ in range(motion_copies):
+                        _add(Omega, xi, row[t - 1], row[t], e, Omega_e, B1, B2)
+                        J += float(e @ Omega_e @ e)
             Delta = np.linalg.solve(Omega, xi)
         except np.linalg.LinAlgError:
-            raise GraphError("Omega is singular: the edges do not determine every pose; add motion edges") from None
+            raise GraphError(
+                "Omega or the covariance of an edge is singular: the edges do not determine every pose (add motion edges), "
+                "or the noise is too small"
+            ) from None
+        if not np.isfinite(Delta).all():
+            raise GraphError(f"the iteration diverged: the step after {len(step_norms)} iterations is not finite")
         for t in steps:
             x[t] += Delta[row[t] : row[t] + 3]
         costs.append(J)
@@ -156,7 +163,7 @@ def solve(
     last = f"the last step norm is {step_norms[-1]:.1e}" if step_norms else "no step was taken"
     reason = f"{last}; the threshold is {threshold:g}"
     if drifts:
-        reason += f", and the steps become no shorter: the graph drifts, because the anchor is not in xi"
+        reason += ", and the steps become no shorter: the graph drifts, because the anchor is not in xi"
     elif not converged:
         reason += f", and max_iterations = {max_iterations} is reached"
     landmarks = {j: solve_map([(x[t], z[:d]) for t, z in seen], sensor) for j, seen in sightings.items()}
