@@ -28,11 +28,8 @@ def check_log(log: Log, motion: MotionModel | None, sensor: SensorModel) -> None
     those of bearing and orientation: their sum in other axes would lose the smaller one.
     """
     for model in (motion, sensor):
-        for name, value in () if model is None else asdict(model).items():
-            # a small noise of the motion, or epsilon, is judged by the inverse of its covariance
-            least = SMALLEST if model is sensor and name != "offset" else 0.0
-            for number in np.atleast_1d(value).tolist():
-                check_size(f"{name} of the noise model", number, least=least if number else 0.0)
+        if model is not None:
+            check_model(model)
     check_size(f"the initial poses of {log.name}", log.initial_poses)
     ranges = log.sightings[:, 0]
     check_size(f"the ranges of {log.name}", ranges, least=SMALLEST)
@@ -49,6 +46,15 @@ def check_log(log: Log, motion: MotionModel | None, sensor: SensorModel) -> None
             f"orientation_std, {sensor.orientation_std:.2g} rad, is too small beside bearing_std, "
             f"{sensor.bearing_std:.2g} rad, for double precision; their ratio may be {PART**0.5:.0e} at least"
         )
+
+
+def check_model(model: MotionModel | SensorModel) -> None:
+    """Raise `GraphError` where numbers of a noise model are too large or too small."""
+    for name, value in asdict(model).items():
+        # a small noise of the motion, or epsilon, is judged by the inverse of its covariance
+        least = SMALLEST if isinstance(model, SensorModel) and name != "offset" else 0.0
+        for number in np.atleast_1d(value).tolist():
+            check_size(f"{name} of the noise model", number, least=least if number else 0.0)
 
 
 def check_size(what: str, numbers: object, *, least: float = 0.0, most: float = LARGEST) -> None:
