@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -12,34 +11,29 @@ from typing import Any, overload
 
 import numpy as np
 
-from graphslam import GraphError, Log, SlamError
+from graphslam import GraphError, Log, MotionModel, OptionError, SensorModel, SlamError
 from graphslam.metrics import Metrics, evaluate
+from graphslam.plausibility import Finding, plausibility
 from graphslam.se2 import wrap
 
+from .attempt import Skipped, attempts
 from .config import config_text
 from .display import Displayed
 from .documents import EstimatorDocument, LogDocument, RunDocument, document
-from .estimators import ESTIMATORS, check_estimators
+from .estimators import ESTIMATORS, check_estimators, make_graph
 from .exchange import texts, write_pose_graph
-from .kernels import warm_up
-from .options import OutputOptions, RunOptions
+from .failures import noted
+from .options import MODELS, LimitOptions, OutputOptions, RunOptions
 from .reading import prepare
 from .results import EstimatorResult
-from .saving import fill_results, new_directory, write_json
-
-
-@dataclass(frozen=True)
-class Skipped:
-    """An estimator that did not run on this log, and why."""
-
-    name: str
-    reason: str
+from .saving import SavedFiles, fill_results, new_directory, write_json
 
 
 @dataclass(frozen=True)
 class Row:
     """One line of the table; None where a value does not exist or cannot be known.
 
+    ``cost_per_dof`` is J per degree of freedom, about 1 where the noise models fit; see `results.of_expected`.
     ``nees`` is the mean normalised error squared of the poses, 1 means consistent; see `EstimatorResult.nees`.
     """
 
@@ -54,6 +48,7 @@ class Row:
     landmark_rmse_m: float | None = None
     nees: float | None = None
     skipped: str | None = None
+    cost_per_dof: float | None = None
 
 
 @dataclass(frozen=True)
@@ -83,10 +78,12 @@ class Comparison(Displayed):
     Attributes:
         log: what the estimators worked on.
         results: in the order of the estimators.
-        skipped: the estimators of the default list that cannot run on this log or would take too long, with the reason.
+        skipped: the estimators that failed, and those of the default list that cannot run on this log or would take too
+            long, with the reason.
         source: the file or folder of the log, where there is one.
         options: of the run, noise models filled in.
         estimators: the names that were asked for; None for all.
+        time_limit: of each estimator [s]; None for none.
     """
 
     log: Log
@@ -95,23 +92,42 @@ class Comparison(Displayed):
     source: Path | None = None
     options: RunOptions = field(default_factory=RunOptions)
     estimators: tuple[str, ...] | None = None
+    time_limit: float | None = None
 
     def __repr__(self) -> str:
         return f"Comparison({self.log.name!r}: {', '.join(result.name for result in self.results)})"
+
+    @property
+    def models(self) -> dict[str, MotionModel | SensorModel]:
+        """The noise models, {"motion", "sensor"}."""
+        motion, sensor = self.options.models(self.log.motion, self.log.sensor)
+        return {"motion": motion, "sensor": sensor}
+
+    @property
+    def noise_source(self) -> dict[str, str]:
+        """Where each noise model comes from: "book" for the defaults, "log" for one published with the log, or "given"."""
+        return {
+            name: "book"
+            if _noise(used) == _noise(MODELS[name]())
+            else "log"
+            if used == getattr(self.log, name)
+            else "given"
+            for name, used in self.models.items()
+        }
 
     @cached_property
     def metrics(self) -> dict[str, Metrics]:
         """The metrics of every result against the ground truth, by name."""
         truth, landmarks = self.log.true_poses, self.log.true_landmarks
         return {
-            r.name: evaluate(truth, landmarks, r.poses, r.landmarks, mask=r.estimated, named=r.named)
+            r.name: evaluate(truth, landmarks, self.log.at_truth(r.poses), r.landmarks, mask=r.estimated, named=r.named)
             for r in self.results
         }
 
     @cached_property
     def nees(self) -> dict[str, float | None]:
         """The mean NEES of every result, by name; None where truth or covariances are not known."""
-        return {result.name: result.nees(self.log.true_poses) for result in self.results}
+        return {result.name: result.nees(self.log.robot_truth) for result in self.results}
 
     def __getitem__(self, name: str) -> EstimatorResult:
         """The result of an estimator.
@@ -150,32 +166,50 @@ class Comparison(Displayed):
         off[:, 2] = wrap(off[:, 2])
         return float(np.max(np.abs(off)))
 
+    def notes_of(self, result: EstimatorResult) -> tuple[str, ...]:
+        """The notes of a result, with the reason where its NEES is not known because its covariances are not."""
+        failure = result.covariance_failure if self.log.true_poses is not None else None
+        return result.notes if failure is None else (*result.notes, failure)
+
     def to_json(self, files: Mapping[str, Path] | None = None) -> dict[str, Any]:
         """The comparison as plain data; what cannot be known is None, and a skipped estimator has only a reason.
 
         Args:
-            files: what was saved, {"figure": path, ...}.
+            files: what was saved, {"figure": path, ...}; the notes of `SavedFiles` become those of the document.
         """
         by_name = {
-            r.name: document(EstimatorDocument, r, self.metrics[r.name], nees=self.nees[r.name]) for r in self.results
-        }
+            r.name: document(
+                EstimatorDocument, r, self.metrics[r.name], nees=self.nees[r.name], notes=self.notes_of(r)
+            )
+            for r in self.results
+        }  # fmt: skip
         by_name |= {entry.name: _SKIPPED | {"name": entry.name, "reason": entry.reason} for entry in self.skipped}
         return document(
             RunDocument,
             log=describe(self.log, self.source),
+            noise={n: {"source": self.noise_source[n], "model": asdict(model)} for n, model in self.models.items()},
             estimators=[by_name[row.name] for row in self.table],
             files={kind: str(path) for kind, path in (files or {}).items()},
+            notes=getattr(files, "notes", []),
+            warnings=[finding.message for finding in self.findings],
         )
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is probably wrong with the log, see `graphslam.plausibility`."""
+        return plausibility(self.log)
 
     @property
     def config(self) -> str:
         """The configuration of this run as TOML; ``slam-compare run --config`` repeats the run from it."""
-        return config_text(self.source, self.estimators, self.options)
+        return config_text(self.source, self.estimators, self.options, time_limit=self.time_limit)
 
     def save(
         self, directory: str | PathLike[str] | None = None, *, figures: Sequence[str] = OutputOptions().figures
-    ) -> dict[str, Path]:
-        """Write all files into a folder; if one fails, none is written.
+    ) -> SavedFiles:
+        """Write all files into a folder, or none where the folder cannot be written.
+
+        A file that cannot be made for another reason, such as the figure, is left out with a note.
 
         comparison.json (docs/json.md), the figure, trajectories NAME.tum and maps NAME-map.csv (see `exchange`), the
         graph as graph.g2o where pose-graph files can hold it, and the configuration as config.toml.
@@ -187,7 +221,7 @@ class Comparison(Displayed):
 
         Returns:
             {"json": path, "figure": path, "config": path, ...}: "figure" in the first format, "figure_pdf" and so on in
-            the others, and the other files by their names.
+            the others, and the other files by their names; its ``notes`` say what is missing, and why.
 
         Raises:
             OptionError: a format is unknown.
@@ -196,20 +230,21 @@ class Comparison(Displayed):
         figures = OutputOptions.of(figures=figures).figures
         timed = directory is None
         directory = new_directory() if directory is None else Path(directory)
-        names = {"json": "comparison.json"}
-        names |= {f"figure_{kind}" if i else "figure": f"comparison.{kind}" for i, kind in enumerate(figures)}
-        names["config"] = "config.toml"
-        contents = dict(texts(self)) | {"config.toml": self.config}
+        files = SavedFiles({"json": directory / "comparison.json"})
+        pictures = {f"figure_{kind}" if i else "figure": f"comparison.{kind}" for i, kind in enumerate(figures)}
         with fill_results(directory, new=timed) as folder:
-            for name, text in contents.items():
-                (folder / name).write_text(text, encoding="utf-8")
-            names |= {name: name for name in contents if name != "config.toml"}
-            if write_pose_graph(self, folder / "graph.g2o") is None:
-                names["graph.g2o"] = "graph.g2o"
-            files = {kind: directory / name for kind, name in names.items()}
-            if figures:
-                self.save_figure([folder / f"comparison.{kind}" for kind in figures])
-            write_json(self.to_json(files), folder / names["json"])
+            with noted(files.notes, "there is no figure"):
+                if pictures:
+                    self.save_figure([folder / name for name in pictures.values()])
+                files |= {kind: directory / name for kind, name in pictures.items()}
+            for name, text in (("config.toml", lambda: self.config), *texts(self)):
+                with noted(files.notes, f"there is no {name}"):
+                    (folder / name).write_text(text(), encoding="utf-8")
+                    files["config" if name == "config.toml" else name] = directory / name
+            with noted(files.notes, "there is no graph.g2o"):
+                if write_pose_graph(self, folder / "graph.g2o") is None:
+                    files["graph.g2o"] = directory / "graph.g2o"
+            write_json(self.to_json(files), folder / files["json"].name)
         return files
 
 
@@ -224,6 +259,7 @@ def run(
     log: Log | str | PathLike[str] | None = None,
     *,
     estimators: Sequence[str] | str | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
     **options: Any,
 ) -> Comparison:
@@ -231,17 +267,20 @@ def run(
 
     Args:
         log: a log, the file or folder of one, or None for the sample log of the package.
-        estimators: names from `estimators.ESTIMATORS`; default: all. If one that is named, or ``graph``, cannot run on this
-            log, an error is raised. Any other that cannot run, or would take too long, becomes a row with the reason.
+        estimators: names from `estimators.ESTIMATORS`; default: all. One that fails becomes a row with the reason, as does
+            one that is not named and would take too long or repeat another.
+        time_limit: of each estimator [s], without compiling. One that takes longer is stopped and becomes a row with the
+            reason. The estimators then run in a process of their own.
         progress: called with (name, None) before each estimator and (name, outcome) after it.
         options: the fields of `options.RunOptions`: stride, noise, range_std, edges, kernel, particles, seed, ...
 
     Raises:
         FormatError: a file cannot be read.
-        OptionError: an option or estimator is unknown or impossible.
-        SlamError: a named estimator, or ``graph``, cannot run on this log.
+        OptionError: an option or estimator is unknown or impossible, or a named estimator cannot run on such a log.
+        GraphError: the log does not determine the graph of ``graph``.
+        SlamError: no estimator has a result.
     """
-    return compare(log, RunOptions.of(**options), estimators=estimators, progress=progress)
+    return compare(log, RunOptions.of(**options), estimators=estimators, time_limit=time_limit, progress=progress)
 
 
 def compare(
@@ -249,53 +288,54 @@ def compare(
     options: RunOptions,
     *,
     estimators: Sequence[str] | str | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
     """The same as `run`, with the options as one object."""
     names = None if estimators is None else check_estimators(estimators)
+    time_limit = LimitOptions.of(time_limit=time_limit).time_limit
     data, source, options = prepare(log, options)
     if len(data.steps) == 0:
         within = "" if options.max_range is None else f" within max_range = {options.max_range:g} m"
         raise GraphError(f"{data.name} has no sightings at all{within}, so there is nothing to estimate from")
+    if names is None or "graph" in names:
+        # a graph that the log cannot make is refused before anything has run
+        _check_graph(data, options)
     results: list[EstimatorResult] = []
     skipped: list[Skipped] = []
-    for name in names or ESTIMATORS:
-        if progress is not None:
-            progress(name, None)
-        outcome = _run_one(name, data, options, must_run=names is not None or name == "graph")
-        if isinstance(outcome, Skipped):
-            skipped.append(outcome)
-        else:
-            results.append(outcome)
-        if progress is not None:
-            progress(name, outcome)
-    return Comparison(data, tuple(results), tuple(skipped), source, options, names)
+    with attempts(names or tuple(ESTIMATORS), time_limit) as attempt:
+        for name in names or ESTIMATORS:
+            if progress is not None:
+                progress(name, None)
+            outcome: EstimatorResult | Skipped
+            if names is None and (reason := ESTIMATORS[name].reason_to_omit(data, options)) is not None:
+                outcome = Skipped(name, reason)
+            else:
+                outcome = attempt(name, data, options)
+            if isinstance(outcome, Skipped):
+                if names is not None and isinstance(outcome.error, OptionError):
+                    raise outcome.error
+                skipped.append(outcome)
+            else:
+                results.append(outcome)
+            if progress is not None:
+                progress(name, outcome)
+    if not results:
+        first = skipped[0]
+        if isinstance(first.error, SlamError):
+            raise first.error
+        raise SlamError(f"no estimator has a result; {first.name} {first.outcome}: {first.reason}") from first.error
+    return Comparison(data, tuple(results), tuple(skipped), source, options, names, time_limit)
 
 
-def _run_one(name: str, log: Log, options: RunOptions, *, must_run: bool) -> EstimatorResult | Skipped:
-    estimator = ESTIMATORS[name]
-    if not must_run and (reason := estimator.too_slow(log)) is not None:
-        return Skipped(name, reason)
-    warm_up(name)
+def _check_graph(log: Log, options: RunOptions) -> None:
+    """Raise `SlamError` where the log cannot make the graph; whatever else fails is the failure of one estimator."""
     try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            result = estimator.run(log, options)
-    except SlamError as error:
-        if must_run:
-            raise
-        return Skipped(name, str(error))
-    return _with_warnings(result, caught)
-
-
-def _with_warnings(result: EstimatorResult, caught: Sequence[warnings.WarningMessage]) -> EstimatorResult:
-    """The result with the warnings of its estimator as notes; warnings meant for programmers are raised again."""
-    ours = [w for w in caught if issubclass(w.category, (UserWarning, RuntimeWarning))]
-    for warning in caught:
-        if warning not in ours:
-            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-    texts = dict.fromkeys(str(warning.message) for warning in ours)
-    return replace(result, notes=(*result.notes, *texts)) if texts else result
+        make_graph(log, options)
+    except SlamError:
+        raise
+    except Exception:  # it comes again, and becomes the reason of the row
+        pass
 
 
 def _row(result: EstimatorResult, metrics: Metrics, nees: float | None) -> Row:
@@ -319,3 +359,8 @@ def describe(log: Log, source: Path | None = None) -> dict[str, Any]:
         controls=None if log.controls is None else len(log.controls),
         poses_covered=int(np.count_nonzero(log.covered)),
     )
+
+
+def _noise(model: MotionModel | SensorModel) -> dict[str, Any]:
+    """The noise of a model: not where the sensor is, which is known of a robot whose noise is not."""
+    return {name: value for name, value in vars(model).items() if name != "offset"}

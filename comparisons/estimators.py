@@ -15,9 +15,11 @@ import numpy as np
 import fastslam
 import graphslam
 from graphslam import Graph, GraphError, Log, OptionError, SensorModel, Solution
+from graphslam.checks import suggestion
 from graphslam.se2 import wrap
 
-from .option import options_of, suggestion
+from .failures import noted
+from .option import options_of
 from .options import GraphOptions, RunOptions
 from .results import EstimatorResult
 
@@ -33,14 +35,20 @@ class Estimator:
         run: the function; raises `graphslam.SlamError` where it cannot run on this log. The options have noise models.
         uses: the names of the graph and filter options that it uses.
         seconds_per_iteration: a forecast for estimators that are slow on large logs, or None.
+        repeats: why another estimator gives the same result with these options, or None.
     """
 
     run: Callable[[Log, RunOptions], EstimatorResult]
     uses: tuple[str, ...] = ()
     seconds_per_iteration: Callable[[Log], float] | None = None
+    repeats: Callable[[Log, RunOptions], str | None] = lambda _log, _options: None
+
+    def reason_to_omit(self, log: Log, options: RunOptions) -> str | None:
+        """Why the estimator should be left out unless asked for by name, or None."""
+        return self.too_slow(log) or self.repeats(log, options)
 
     def too_slow(self, log: Log) -> str | None:
-        """Why the estimator should be left out unless asked for by name, or None."""
+        """Why the estimator would take too long on a log, or None."""
         if self.seconds_per_iteration is None or (seconds := self.seconds_per_iteration(log)) <= PATIENCE:
             return None
         return f"it would take about {seconds:.0f} s per iteration on this log; name it in --estimators to run it"
@@ -118,9 +126,25 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 
 def graph_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """The hand-written solver on the log's graph."""
+    return _by_hand("graph", log, options)
+
+
+def graph_marginal(log: Log, options: RunOptions) -> EstimatorResult:
+    """The same with each sighting counted once, where pairs count it up to K/2 times: landmarks are eliminated exactly."""
+    return _by_hand("graph-marginal", log, replace(options, weight="marginal"))
+
+
+def _counted_once(log: Log, options: RunOptions) -> str | None:
+    """Why the graph counts each sighting once in any case, or None."""
+    if (options.edges or default_edges(log)).startswith("landmark"):
+        return "the landmarks of graph are nodes, which already counts each sighting once"
+    return "graph has marginal weights already" if options.weight == "marginal" else None
+
+
+def _by_hand(name: str, log: Log, options: RunOptions) -> EstimatorResult:
     graph = make_graph(log, options)
     solver = graphslam.solve_gnc if options.kernel == "gnc" else graphslam.solve
-    return _of_solution("graph", log, options, solver(graph, initialize=options.initialize))
+    return _of_solution(name, log, options, solver(graph, initialize=options.initialize))
 
 
 def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
@@ -153,7 +177,7 @@ def online_keywords(log: Log, options: RunOptions) -> dict[str, Any]:
 def _no_gnc(options: RunOptions) -> None:
     if options.kernel == "gnc":
         raise GraphError(
-            "only the estimator graph has graduated non-convexity: choose a robust kernel, such as --kernel cauchy"
+            "only graph and graph-marginal have graduated non-convexity: choose a robust kernel, such as --kernel cauchy"
         )
 
 
@@ -250,6 +274,9 @@ ESTIMATORS: dict[str, Estimator] = {
     "dead-reckoning": Estimator(dead_reckoning),
     "textbook": Estimator(textbook_estimator, ("edges",), _textbook_seconds),
     "graph": Estimator(graph_estimator, _GRAPH),
+    "graph-marginal": Estimator(
+        graph_marginal, tuple(name for name in _GRAPH if name != "weight"), repeats=_counted_once
+    ),
     "gtsam": Estimator(gtsam_estimator, _GRAPH, _gtsam_seconds),
     "isam2": Estimator(isam2, tuple(name for name in _GRAPH if name != "initialize"), _isam2_seconds),
     "mcl": Estimator(mcl, _LOCALISATION),
@@ -278,18 +305,22 @@ def check_estimators(names: Any) -> tuple[str, ...]:
 
 def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -> EstimatorResult:
     used = {name: getattr(options, name) for name in _GRAPH} | {"edges": options.edges or default_edges(log)}
-    return EstimatorResult(**_shared(solution), name=name, options=used, origin=solution)
-
-
-def _shared(origin: object) -> dict[str, Any]:
-    """The fields of an `EstimatorResult` that its origin has under the same names."""
-    return {f.name: getattr(origin, f.name) for f in fields(EstimatorResult) if hasattr(origin, f.name)}
+    # the fields that both have under the same names
+    shared = {f.name for f in fields(EstimatorResult)} & {f.name for f in fields(Solution)}
+    values = {field: getattr(solution, field) for field in shared}
+    notes = list(solution.notes)
+    with noted(notes, "the covariances of the map are not known"):
+        values["landmark_covariances"] = solution.landmark_covariances
+    return EstimatorResult(**values | {"name": name, "options": used, "origin": solution, "notes": tuple(notes)})
 
 
 def _with_map(source: Log, sensor: SensorModel | None, poses: Any, **rest: Any) -> EstimatorResult:
     """A result whose map is computed from the poses, the same way for every estimator that has no map of its own."""
     poses = np.array(poses, dtype=float)
     poses[:, 2] = wrap(poses[:, 2])
-    landmarks = graphslam.estimate_map(source, poses, sensor=sensor)
     rest.setdefault("estimated", np.ones(len(poses), dtype=bool))
-    return EstimatorResult(poses=poses, landmarks=dict(landmarks), landmark_covariances=landmarks.covariances, **rest)
+    notes = list(rest.pop("notes", ()))
+    with noted(notes, "the map is not known"):
+        landmarks = graphslam.estimate_map(source, poses, sensor=sensor)
+        rest |= {"landmarks": dict(landmarks), "landmark_covariances": landmarks.covariances}
+    return EstimatorResult(poses=poses, notes=tuple(notes), **rest)

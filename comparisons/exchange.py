@@ -9,7 +9,8 @@ Maps are tables with commas. Reading a file gives exactly the same numbers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,10 +34,12 @@ def times_of(log: Log) -> Array:
     return np.arange(log.num_poses, dtype=float) if log.times is None else log.times
 
 
-def tum_text(times: Array, poses: Array) -> str:
-    """Poses (n, 3) at times (n,) as TUM text. An unknown heading (NaN) is written as 0, and said at the top."""
+def tum_text(times: Array, poses: Array, note: str = "") -> str:
+    """Poses (n, 3) at times (n,) as TUM text. An unknown heading (NaN) is written as 0, and said at the top, as is a note."""
     heading = wrap(poses[:, 2])
     lines = ["# timestamp x y z qx qy qz qw"]
+    if note:
+        lines.append(f"# {note}")
     if np.isnan(heading).any():
         lines.append("# headings are unknown and written as 0")
         heading = np.nan_to_num(heading, nan=0.0)
@@ -63,18 +66,23 @@ def map_text(landmarks: Mapping[int, Array], covariances: Mapping[int, Array]) -
     return "\n".join(lines) + "\n"
 
 
-def texts(comparison: Comparison) -> Iterator[tuple[str, str]]:
-    """(file name, contents) of every trajectory and map: NAME.tum with the estimated poses, NAME-map.csv, and the truth's."""
+def texts(comparison: Comparison) -> Iterator[tuple[str, Callable[[], str]]]:
+    """Every trajectory and map: the name of its file, and the function that makes its text.
+
+    They are NAME.tum with the estimated poses and NAME-map.csv of each estimator, and those of the ground truth.
+    """
     log = comparison.log
     times = times_of(log)
     if log.true_poses is not None:
-        yield "truth.tum", tum_text(times[log.covered], log.true_poses[log.covered])
+        where = log.truth_place
+        note = f"positions of the point {where} of the robot's pose, which the other files hold" if where else ""
+        yield "truth.tum", partial(tum_text, times[log.covered], log.true_poses[log.covered], note)
     if log.true_landmarks:
-        yield "truth-map.csv", map_text(log.true_landmarks, {})
+        yield "truth-map.csv", partial(map_text, log.true_landmarks, {})
     for result in comparison.results:
-        yield f"{result.name}.tum", tum_text(times[result.estimated], result.poses[result.estimated])
+        yield f"{result.name}.tum", partial(tum_text, times[result.estimated], result.poses[result.estimated])
         if result.landmarks:
-            yield f"{result.name}-map.csv", map_text(result.landmarks, result.landmark_covariances)
+            yield f"{result.name}-map.csv", partial(map_text, result.landmarks, result.landmark_covariances)
 
 
 def write_pose_graph(comparison: Comparison, path: Path) -> str | None:

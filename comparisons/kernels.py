@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 import graphslam
-from graphslam import MotionModel, SensorModel, SlamError, simulate
+from graphslam import MotionModel, SensorModel, simulate
 
 from .estimators import ESTIMATORS
 from .options import RunOptions
@@ -73,7 +73,7 @@ def warm_up(estimator: str) -> None:
     """
     for orientation in (True, False):
         log = simulate(steps=6, orientation=orientation)
-        with suppress(SlamError), warnings.catch_warnings():
+        with suppress(Exception), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             ESTIMATORS[estimator].run(log, RunOptions.of(particles=2, motion=MotionModel(), sensor=SensorModel()))
 

@@ -5,16 +5,16 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
+from graphslam.checks import suggestion
 from graphslam.errors import OptionError
 
 #: fields of components that have another name among the options
@@ -234,9 +234,3 @@ def _option(f: Any, hint: Any, panel: str) -> Option:
         kind = each = Points
     default = f.default if f.default_factory is MISSING else f.default_factory()
     return Option(name=f.name, field=f.name, kind=kind, each=each, default=default, **{"panel": panel, **f.metadata})
-
-
-def suggestion(word: object, known: Collection[str]) -> str:
-    """The end of a message about an unknown word: the known word that is spelled like it, if there is one."""
-    matches = difflib.get_close_matches(str(word), list(known), n=1)
-    return f"; did you mean {matches[0]!r}?" if matches else ""

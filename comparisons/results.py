@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from fastslam.state import FilterResult
-from graphslam import Graph, Log, MotionModel, SlamError, Solution
+from graphslam import Graph, Log, MotionModel, Solution
 from graphslam.se2 import Array, compose, inverse, rotation, wrap
 from graphslam.textbook import TextbookSolution
 from graphslam.uncertainty import Uncertainty
+
+from .failures import sentence
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,6 +68,11 @@ class EstimatorResult:
         cost = "" if self.cost is None else f", J = {self.cost:.6g}"
         return f"EstimatorResult({self.name}: {len(self.poses)} poses, {len(self.landmarks)} landmarks{cost})"
 
+    @property
+    def cost_per_dof(self) -> float | None:
+        """J per degree of freedom, with J of pairs divided by the times that they count a sighting; see `of_expected`."""
+        return None if self.graph is None or self.cost is None else of_expected(self.cost, self.graph)
+
     @cached_property
     def pose_covariances(self) -> Array | None:
         """The covariances (T+1, 3, 3) of the poses in world axes, NaN where a pose is not estimated.
@@ -78,14 +85,26 @@ class EstimatorResult:
             return dead_reckoning_covariances(self.log, self.motion)
         if self.graph is None or self.state is None:
             return None
+        return None if isinstance(self._of_graph, str) else self._of_graph
+
+    @property
+    def covariance_failure(self) -> str | None:
+        """Why the covariances of the graph's poses cannot be computed, one sentence; None where they can."""
+        if self.graph is None or self.state is None:
+            return None
+        return self._of_graph if isinstance(self._of_graph, str) else None
+
+    @cached_property
+    def _of_graph(self) -> Array | str:
+        """The covariances (T+1, 3, 3) of the poses of the graph, or why they cannot be computed."""
+        assert self.graph is not None and self.state is not None
+        covariances = np.full((len(self.poses), 3, 3), np.nan)
         try:
             if isinstance(self.origin, Solution):
                 return self.origin.covariances()
-            blocks = Uncertainty(self.graph, self.state).diagonal[: len(self.graph.steps)]
-        except SlamError:
-            return None
-        covariances = np.full((len(self.poses), 3, 3), np.nan)
-        covariances[self.graph.steps] = blocks
+            covariances[self.graph.steps] = Uncertainty(self.graph, self.state).diagonal[: len(self.graph.steps)]
+        except Exception as error:
+            return f"the covariances are not known: {sentence(error)}"
         return covariances
 
     def nees(self, truth: Array | None) -> float | None:
@@ -116,6 +135,15 @@ class EstimatorResult:
         except np.linalg.LinAlgError:
             return None
         return float(np.mean(np.einsum("ti,ti->t", error[known], weighted)) / 3)
+
+
+def of_expected(cost: float, graph: Graph) -> float | None:
+    """J at the end over what it would be if the noise models were right, `Graph.expected_cost`.
+
+    It is about 1 where they are, above 1 where the noise is larger or sightings are wrong, and below 1 where the noise is
+    smaller. None where the graph has no more measurements than unknowns.
+    """
+    return cost / graph.expected_cost if graph.degrees_of_freedom > 0 else None
 
 
 def dead_reckoning_covariances(log: Log, motion: MotionModel | None = None) -> Array:

@@ -136,6 +136,18 @@ def point_latest(directory: Path) -> None:
         spare.unlink()
 
 
+class SavedFiles(dict[str, Path]):
+    """The files that were written, by kind or name.
+
+    Attributes:
+        notes: which files could not be made, and why, one sentence each.
+    """
+
+    def __init__(self, files: Mapping[str, Path]) -> None:
+        super().__init__(files)
+        self.notes: list[str] = []
+
+
 @contextmanager
 def fill_results(directory: Path, *, new: bool) -> Iterator[Path]:
     """Fill a results folder whole or not at all; files of an earlier run in it, which its JSON lists, are removed.

@@ -22,6 +22,8 @@ from . import association_kernels as kernels
 from .blocks import unpack
 from .genealogy import Genealogy
 from .kalman import LOG_2PI
+from .motions import ControlMotion, GaussianMotion
+from .proposal import NO_MOTION
 from .threads import Threads
 
 #: evidence (sightings minus misses) from which on a landmark is confirmed and part of the map
@@ -71,10 +73,13 @@ class AnonymousLandmarks:
         return list(self._slices)
 
     def scan(
-        self, belief: Array, poses: Array, drawn: bool, key: np.uint64, sightings: Array, q: Array, step: int,
-        log_likelihood: Array,
+        self, belief: Array, poses: Array, sightings: Array, q: Array, step: int, log_likelihood: Array,
+        motion: ControlMotion | GaussianMotion | None = None, exact: bool = True,
     ) -> None:  # fmt: skip
-        """Process a scan of sightings (K, n) with variances (K, n); see `association_kernels.associate`."""
+        """Process a scan of sightings (K, n) with variances (K, n); see `association_kernels.associate`.
+
+        Without a motion the poses are those of 1.0. With the motion they are drawn, with exact weights or linearised ones.
+        """
         count, n = len(sightings), self.coordinates
         least, most, widest = self._limits
         ranges, bearings = sightings[:, 0], np.abs(sightings[:, 1])
@@ -84,13 +89,17 @@ class AnonymousLandmarks:
         rows[:n], rows[3 : 3 + n] = sightings.T, q.T
         log_new = -0.5 * (self._gate + np.log(q).sum(axis=1) + n * LOG_2PI)
 
+        if motion is None:
+            draw = False, poses, NO_MOTION, np.uint64(0)
+        else:
+            draw = exact, motion.poses, motion.weighted() if exact else NO_MOTION, motion.key
         self._make_room(count + 1)
         near = self._near(belief)
         candidates = self._current(near)
         fresh = [self._free.pop() for _ in range(count)]
         self._pool[fresh, kernels.EVIDENCE] = 0.0
         self._threads.run(
-            kernels.associate, belief, poses, drawn, key, self._pool, candidates, np.array(fresh), rows,
+            kernels.associate, belief, poses, motion is None, *draw, self._pool, candidates, np.array(fresh), rows,
             float(n == 3), log_new, self._gate, step, PERMANENT, log_likelihood,
         )  # fmt: skip
         level = self._genealogy.level()

@@ -14,6 +14,7 @@ from numba import njit
 
 from graphslam.se2 import Array
 
+from . import proposal
 from .blocks import Nine, get_nine, get_three, put_nine
 from .fast_math import INLINED, OPTIONS, atan2, wrap_angle
 from .kalman import draw_pose, initial_landmark, update_landmark, update_pose
@@ -27,7 +28,8 @@ LAST_STEP = 10
 
 @njit(**OPTIONS)
 def associate(
-    lo: int, hi: int, belief: Array, poses: Array, drawn: bool, key: np.uint64, pool: Array, candidates: np.ndarray,
+    lo: int, hi: int, belief: Array, poses: Array, drawn: bool, exact: bool, starts: Array, motion: proposal.Motion,
+    key: np.uint64, pool: Array, candidates: np.ndarray,
     fresh: np.ndarray, sightings: Array, third: float, log_new: Array, gate: float, step: int, kept: float,
     log_likelihood: Array,
 ) -> None:  # fmt: skip
@@ -36,6 +38,7 @@ def associate(
     Args:
         belief: Gaussians (9, N) of the poses; the covariance is zero in 1.0.
         poses: (3, N); where ``drawn`` is False the poses of 2.0 are drawn here, with the random numbers of ``key``.
+        exact: whether the weights of 2.0 are exact, for the motion from ``starts`` (3, N); see `proposal`.
         candidates: pool indices of the landmarks that may be in view; ``fresh``: (K,) free indices for new landmarks.
         sightings: rows l, phi, psi and their variances; without psi rows 2 and 5 are 0 and 1.
         third: 1 with psi, 0 without.
@@ -84,8 +87,13 @@ def associate(
                 log_likelihood[i] += won[k]
             else:
                 value, x = update_pose(x, get_nine(pool[candidates[chosen[k]]], 0, i), z, variances, third)
-                log_likelihood[i] += value
-        if not drawn:
+                if not exact:
+                    log_likelihood[i] += value
+        if exact:
+            pose, ratio = proposal.draw_weighted(get_three(starts, 0, i), x, proposal.five_normals(key, i), motion)
+            poses[0, i], poses[1, i], poses[2, i] = pose
+            log_likelihood[i] += ratio
+        elif not drawn:
             n0, n1, n2 = three_normals(key, i)
             poses[0, i], poses[1, i], poses[2, i] = draw_pose(x, n0, n1, n2)
         pose = get_three(poses, 0, i)
@@ -98,7 +106,9 @@ def associate(
                 rows[EVIDENCE, i] = 1.0
             else:
                 rows = pool[candidates[chosen[k]]]
-                _, landmark = update_landmark(get_nine(rows, 0, i), pose, z, variances, third)
+                value, landmark = update_landmark(get_nine(rows, 0, i), pose, z, variances, third)
+                if exact:
+                    log_likelihood[i] += value
                 rows[EVIDENCE, i] = min(rows[EVIDENCE, i] + 1, kept)
             put_nine(rows, 0, i, landmark)
             rows[LAST_STEP, i] = step

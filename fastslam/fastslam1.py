@@ -94,7 +94,7 @@ class FastSLAM1(ParticleFilter):
         log_likelihood, belief = np.zeros(self.particles), np.zeros((9, self.particles))
         belief[:3] = self._poses
         # the poses are not written here, but the kernel is compiled for writable ones
-        maps.scan(belief, belief[:3], True, np.uint64(0), sightings, q, self._step, log_likelihood)
+        maps.scan(belief, belief[:3], sightings, q, self._step, log_likelihood)
         return log_likelihood
 
     def _end_step(self) -> None:

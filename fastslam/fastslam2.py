@@ -10,10 +10,12 @@ import numpy as np
 
 from graphslam.se2 import Array
 
-from . import landmark_kernels, motions
+from . import landmark_kernels
 from .anonymous_maps import AnonymousLandmarks
 from .fastslam1 import FastSLAM1
 from .identified_maps import IdentifiedLandmarks
+from .motions import draw
+from .proposal import draw_all as draw_weighted
 
 
 class FastSLAM2(FastSLAM1):
@@ -21,9 +23,12 @@ class FastSLAM2(FastSLAM1):
 
     At a step with sightings of known landmarks each particle takes the motion as a Gaussian with mean f(x_{t-1}, u_t)
     and covariance P = A M A' + epsilon I, and corrects it by one sighting after the other as a Kalman filter:
-    V = H_x P H_x' + H_m S H_m' + Q, K = P H_x' V^-1. The weight is multiplied by each likelihood under the prediction,
-    N(z; h(x, m), V). Then the pose is drawn from the result, and the landmarks are updated from that pose as in 1.0. Steps
-    without sightings of known landmarks move as in 1.0, without linearisation.
+    V = H_x P H_x' + H_m S H_m' + Q, K = P H_x' V^-1. The pose is drawn from the result q, and the landmarks are updated
+    from that pose as in 1.0. Steps without sightings of known landmarks move as in 1.0, without linearisation.
+
+    With the proposal_weight "exact" the weight is multiplied by p(x) / q(x) and by the likelihoods of 1.0 at the drawn
+    pose x, so 1.0 and 2.0 have the same posterior (`proposal`). With "linearised", as in the lectures and the original, it
+    is multiplied by the likelihoods under the prediction, N(z; h(x, m), V), which is biased where h or f is not linear.
 
     A landmark seen several times in one step enters the proposal once, with its first sighting. The other sightings use
     the drawn pose and are weighed with the V of 1.0, as are all sightings where nothing moved (the first step, dt = 0).
@@ -42,18 +47,24 @@ class FastSLAM2(FastSLAM1):
                 leading.setdefault(j, k)
         if self._motion is None or not leading:
             return super()._weigh_identified(maps, ids, sightings, q)
+        motion, exact = self._motion, self.options.proposal_weight == "exact"
         log_likelihood, unused = np.zeros(self.particles), np.zeros(self.particles)
+        # a leading sighting is weighed once: under the prediction, or exactly at the drawn pose
+        predicted, leaders = (unused, log_likelihood) if exact else (log_likelihood, unused)
         belief, poses = np.empty((9, self.particles)), np.empty_like(self._poses)
-        proposal = [self._motion.predict(belief)]
+        proposal = [motion.predict(belief)]
         for j, k in leading.items():
-            proposal.append((landmark_kernels.correct, (belief, *maps.read(j), sightings[k], q[k], log_likelihood)))
-        proposal.append((motions.draw, (belief, self._motion.key, poses)))
+            proposal.append((landmark_kernels.correct, (belief, *maps.read(j), sightings[k], q[k], predicted)))
+        if exact:
+            arguments = motion.poses, belief, motion.key, motion.weighted(), poses, log_likelihood
+            proposal.append((draw_weighted, arguments))
+        else:
+            proposal.append((draw, (belief, motion.key, poses)))
         for k, j in enumerate(ids.tolist()):
             if j not in maps:
                 maps.initialize(j, poses, sightings[k], q[k])
                 continue
-            # leading sightings are weighed by the proposal
-            maps.update(j, poses, sightings[k], q[k], unused if leading.get(j) == k else log_likelihood)
+            maps.update(j, poses, sightings[k], q[k], leaders if leading.get(j) == k else log_likelihood)
         maps.finish(before=proposal)
         self._set_poses(poses)
         return log_likelihood
@@ -65,6 +76,7 @@ class FastSLAM2(FastSLAM1):
         belief, poses = np.empty((9, self.particles)), np.empty_like(self._poses)
         predict, arguments = self._motion.predict(belief)
         self._threads.run(predict, *arguments)
-        maps.scan(belief, poses, False, self._motion.key, sightings, q, self._step, log_likelihood)
+        exact = self.options.proposal_weight == "exact"
+        maps.scan(belief, poses, sightings, q, self._step, log_likelihood, self._motion, exact)
         self._set_poses(poses)
         return log_likelihood

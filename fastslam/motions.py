@@ -17,6 +17,7 @@ from graphslam.errors import OptionError
 from graphslam.models import SensorModel
 from graphslam.se2 import Array, transform
 
+from . import proposal
 from .blocks import BLOCK, Three, copy_in, copy_out, get_nine
 from .fast_math import OPTIONS, sincos, wrap_angle
 from .kalman import draw_pose
@@ -47,8 +48,12 @@ class ControlMotion(NamedTuple):
 
     def predict(self, belief: Array) -> Job:
         """Return the job that writes the predicted poses as Gaussians (9, N)."""
-        chord = chord_gaussian(self.nu, self.omega, self.nu_std**2, self.omega_std**2, self.dt)
-        return predict, (self.poses, *chord, self.epsilon, belief)
+        gaussian = chord_gaussian(self.nu, self.omega, self.nu_std**2, self.omega_std**2, self.dt)
+        return predict, (self.poses, *gaussian, self.epsilon, belief)
+
+    def weighted(self) -> proposal.Motion:
+        """Return what a draw with its exact weight needs of the motion."""
+        return proposal.Motion(*proposal.control_motion(*self[2:], *chord(self.nu, self.omega, self.dt)))
 
 
 class GaussianMotion(NamedTuple):
@@ -68,6 +73,12 @@ class GaussianMotion(NamedTuple):
         """Return the job that writes the predicted poses as Gaussians (9, N)."""
         covariance = tuple(self.covariance[np.triu_indices(3)].tolist())
         return predict, (self.poses, 0.0, tuple(self.mean.tolist()), covariance, 0.0, belief)
+
+    def weighted(self) -> proposal.Motion:
+        """Return what a draw with its exact weight needs of the motion."""
+        covariance = tuple(self.covariance[np.triu_indices(3)].tolist())
+        mean = tuple(self.mean.tolist())
+        return proposal.Motion._make((0.0, mean, *proposal.whiten(covariance), *proposal.NO_CONTROL))
 
 
 def check_motion(step: int, way: float, turn: float) -> None:
@@ -144,12 +155,11 @@ def draw_by_gaussian(
 
 
 @njit(**OPTIONS)
-def chord_gaussian(
-    nu: float, omega: float, nu_var: float, omega_var: float, dt: float
-) -> tuple[float, Three, tuple[float, ...]]:
-    """Return the motion of a noisy control as a Gaussian in the axes of its chord, which lies at omega dt / 2.
+def chord(nu: float, omega: float, dt: float) -> tuple[float, Three, tuple[float, float, float, float]]:
+    """Return the motion of a control in the axes of its chord, which lies at omega dt / 2.
 
-    The result is that angle, the mean (chord, 0, turn) and the upper triangle of A M A', for `predict`.
+    The result is that angle, the motion (chord, 0, turn), and the entries of A = df/du that are not zero: nu moves along
+    the chord; omega moves along and across it, and turns.
     """
     a = omega * dt / 2
     sine, cosine = sincos(a)
@@ -161,13 +171,19 @@ def chord_gaussian(
     else:
         slope = (cosine - sine / a) / a
     sinc = sine / a if a != 0.0 else 1.0
-    # A = df/du: nu moves along the chord, omega moves along and across it and turns
-    by_nu, chord = dt * sinc, nu * dt * sinc
-    along, across = nu * dt * dt / 2 * slope, nu * dt * dt / 2 * sinc
-    p_aa = by_nu * by_nu * nu_var + along * along * omega_var
-    p_ac, p_cc = along * across * omega_var, across * across * omega_var
-    p_at, p_ct, p_tt = along * dt * omega_var, across * dt * omega_var, dt * dt * omega_var
-    return a, (chord, 0.0, 2 * a), (p_aa, p_ac, p_at, p_cc, p_ct, p_tt)
+    return a, (nu * dt * sinc, 0.0, 2 * a), (dt * sinc, nu * dt * dt / 2 * slope, nu * dt * dt / 2 * sinc, dt)
+
+
+@njit(**OPTIONS)
+def chord_gaussian(
+    nu: float, omega: float, nu_var: float, omega_var: float, dt: float
+) -> tuple[float, Three, tuple[float, ...]]:
+    """Return the angle and the motion of `chord`, and the upper triangle of A M A', for `predict`."""
+    angle, mean, (by_nu, along, across, turn) = chord(nu, omega, dt)
+    return angle, mean, (
+        by_nu * by_nu * nu_var + along * along * omega_var, along * across * omega_var, along * turn * omega_var,
+        across * across * omega_var, across * turn * omega_var, turn * turn * omega_var,
+    )  # fmt: skip
 
 
 @njit(**OPTIONS)

@@ -20,6 +20,9 @@ ASSOCIATIONS = ("known", "maximum-likelihood")
 #: the names of the resampling schemes, see `fastslam.resampling`
 RESAMPLING = ("systematic", "stratified", "residual", "multinomial")
 
+#: how FastSLAM 2.0 weighs its particles: with the density of its proposal, or as if h and f were linear
+PROPOSAL_WEIGHTS = ("exact", "linearised")
+
 
 @dataclass(frozen=True, kw_only=True)
 class FilterOptions:
@@ -50,6 +53,14 @@ class FilterOptions:
         default=1e-6, metadata={"help": "Probability that a sighting of a known landmark is taken for a new one."}
     )
 
+    proposal_weight: str = field(
+        default="exact",
+        metadata={
+            "help": "Weight of FastSLAM 2.0: exact corrects its linearised proposal, linearised is that of the lectures.",
+            "choices": PROPOSAL_WEIGHTS,
+        },
+    )
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "particles", whole("particles", self.particles))
         if self.particles < 1:
@@ -57,6 +68,7 @@ class FilterOptions:
         if not isinstance(self.seed, np.random.Generator) and whole("seed", self.seed) < 0:
             raise OptionError(f"seed must be a whole number, not below 0, not {self.seed}")
         check_choice("resampling", self.resampling, RESAMPLING)
+        check_choice("proposal_weight", self.proposal_weight, PROPOSAL_WEIGHTS)
         check_choice("association", self.association, ASSOCIATIONS)
         if not 0 <= finite("ess_threshold", self.ess_threshold, "a number between 0 and 1", [()]) <= 1:
             raise OptionError(

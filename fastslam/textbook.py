@@ -185,6 +185,29 @@ def draw_pose(belief: Gaussian, noise: Array) -> Array:
     return wrap_heading(belief.mean + np.linalg.cholesky(belief.covariance) @ noise)
 
 
+def draw_weighted(
+    pose: Array, belief: Gaussian, control: ArrayLike, dt: float, motion: MotionModel, noise: Array
+) -> tuple[Array, float]:
+    """FastSLAM 2.0: draw the pose from its corrected Gaussian q, and return also log p(x) - log q(x).
+
+    x* ~ q = N(mean, P+), and p(x*) = N(x*; f(x_{t-1}, u_t), P). In the linear model x* - f = A c + e, with the noise
+    c ~ N(0, I) of the control, A = df/du M^(1/2) and e ~ N(0, epsilon I). The noise is drawn given x*, c ~ N(A' P^-1 (x* -
+    f), I - A' P^-1 A), and put into the motion itself, x = f(x_{t-1}, u_t + M^(1/2) c) + e: then the weight is exact also
+    for this x. ``noise``: three standard normal numbers for x*, two for c.
+    """
+    predicted, spread = predict_pose(pose, control, dt, motion), np.sqrt(np.diag(motion.M(control, dt)))
+    drawn = draw_pose(belief, noise[:3])
+    d = drawn - predicted.mean
+    d[2] = wrap(d[2])
+    # the three numbers of the noise have the density of x* under q, but for the determinant
+    ratio = log_density(d, predicted.covariance) - log_density(noise[:3], np.eye(3))
+    ratio += np.log(np.linalg.det(np.linalg.cholesky(belief.covariance)))
+    A = motion.A(pose, control, dt) * spread
+    gain = A.T @ np.linalg.inv(predicted.covariance)
+    c = gain @ d + np.linalg.cholesky(np.eye(2) - gain @ A) @ noise[3:]
+    return wrap_heading(motion.f(pose, np.asarray(control) + spread * c, dt) + d - A @ c), float(ratio)
+
+
 def proposal_update(
     particles: list[Particle],
     control: ArrayLike,
@@ -194,13 +217,15 @@ def proposal_update(
     motion: MotionModel,
     sensor: SensorModel,
     rng: np.random.Generator,
+    weight: str = "exact",
 ) -> bool:
     """FastSLAM 2.0, one whole step: each particle corrects its motion, draws its pose and updates its map from there.
 
-    The first sighting of each known landmark corrects the motion, one after the other; the weight is multiplied by
-    their likelihoods under the prediction. Further sightings of a landmark in the step are weighed as in 1.0, from the
-    drawn pose. A step without known landmarks is that of 1.0. The weights then sum to 1. Returns whether any sighting
-    was weighed.
+    The first sighting of each known landmark corrects the motion, one after the other. The weight "exact" is multiplied
+    by p(x) / q(x) and by the likelihoods from the drawn pose, as in 1.0. The weight "linearised", that of the lectures, is
+    multiplied by their likelihoods under the prediction. Further sightings of a landmark in the step are weighed as in
+    1.0, from the drawn pose. A step without known landmarks is that of 1.0. The weights then sum to 1. Returns whether
+    any sighting was weighed.
     """
     sighted = list(zip(ids, sightings, strict=True))
     before = [particle.log_weight for particle in particles]
@@ -212,8 +237,15 @@ def proposal_update(
             for k in sorted(leading):
                 j, z = sighted[k]
                 belief, likelihood = correct_pose(belief, particle.map[j], z, sensor)
-                particle.log_weight += likelihood
-            particle.path.append(draw_pose(belief, noise[:3]))
+                if weight == "linearised":
+                    particle.log_weight += likelihood
+            if weight == "linearised":
+                particle.path.append(draw_pose(belief, noise[:3]))
+            else:
+                leading = set()
+                drawn, ratio = draw_weighted(particle.pose, belief, control, dt, motion, noise)
+                particle.path.append(drawn)
+                particle.log_weight += ratio
         else:
             particle.path.append(sample_motion(particle.pose, control, dt, motion, noise))
         weighed |= weigh_and_map(particle, sighted, sensor, leading)
@@ -327,8 +359,9 @@ def fastslam2(
     motion: MotionModel | None = None,
     sensor: SensorModel | None = None,
     ess_threshold: float = 1.0,
+    proposal_weight: str = "exact",
 ) -> Iterator[list[Particle]]:
-    """Run FastSLAM 2.0 over a log, as `fastslam1`.
+    """Run FastSLAM 2.0 over a log, as `fastslam1`; proposal_weight: "exact" or "linearised", see `proposal_update`.
 
     Raises:
         LogError: the log has no controls, several controls in a step, or a sensor at an offset.
@@ -339,6 +372,6 @@ def fastslam2(
         if u is None:
             weighed = observation_update(current, ids, sightings, sensor)
         else:
-            weighed = proposal_update(current, u, dt, ids, sightings, motion, sensor, rng)
+            weighed = proposal_update(current, u, dt, ids, sightings, motion, sensor, rng, proposal_weight)
         current = resample_if_due(current, weighed, ess_threshold, rng)
         yield current

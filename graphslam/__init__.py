@@ -12,6 +12,8 @@ from .lazy import lazy_names
 if TYPE_CHECKING:
     from . import edges, factors, formats, metrics, se2, textbook
     from .calibration import Calibration, calibrate
+    from .certificate import Certificate
+    from .certify import certify
     from .edges.robust import Cauchy, GemanMcClure, Huber
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
     from .formats import load, save
@@ -25,12 +27,17 @@ if TYPE_CHECKING:
     from .solvers.online import IncrementalSmoother, solve_online
     from .solvers.solve import Iteration, solve
     from .sources.simulator import MotionFaults, SensorFaults, simulate
+    from .sources.streams import Stream
+    from .sources.synchronize import synchronize
     from .sources.worlds import WORLDS, World, sample_log_path
+    from .tables import TableOptions
 
 #: the public names, by the module that defines them; "" lists modules
 _PUBLIC = {
     "": "edges factors formats metrics se2 textbook",
     "calibration": "Calibration calibrate",
+    "certificate": "Certificate",
+    "certify": "certify",
     "edges.robust": "Cauchy GemanMcClure Huber",
     "errors": "FactorError FormatError GraphError LogError OptionError SlamError",
     "formats": "load save",
@@ -44,6 +51,9 @@ _PUBLIC = {
     "solvers.online": "IncrementalSmoother solve_online",
     "solvers.solve": "Iteration solve",
     "sources.simulator": "MotionFaults SensorFaults simulate",
+    "sources.streams": "Stream",
+    "sources.synchronize": "synchronize",
     "sources.worlds": "WORLDS World sample_log_path",
+    "tables": "TableOptions",
 }
 __getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)

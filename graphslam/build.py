@@ -15,10 +15,11 @@ from .checks import listed
 from .edges import (
     ANCHOR_INFORMATION,
     AnchorEdges,
+    CartesianObservationEdges,
     EdgeFamily,
     LandmarkSightings,
     MarginalEdges,
-    ObservationEdges,
+    PolarObservationEdges,
     RelativePointEdges,
     RelativePoseEdges,
     VirtualMotionEdges,
@@ -43,6 +44,7 @@ def parts_of_log(
     weight: str,
     scale: float,
     kernel: Kernel | None,
+    residual: str,
 ) -> dict[str, Any]:
     """The parts of the graph of a log; arguments and errors as in `Graph.from_log`, ``scale`` for the motion edges."""
     with_motion = edges.endswith("+motion")
@@ -54,7 +56,11 @@ def parts_of_log(
         steps = np.arange(log.num_poses)
         ids = log.landmark_ids
         nodes = log.num_poses + np.searchsorted(ids, log.landmarks)
-        sighted = ObservationEdges(log.steps, nodes, log.sightings, sensor, kernel=kernel)
+        seen = (log.steps, nodes, log.sightings, sensor)
+        if residual == "polar":
+            sighted = PolarObservationEdges(*seen, kernel=kernel)
+        else:
+            sighted = CartesianObservationEdges(*seen, kernel=kernel, frame=frame)
         d = log.sightings.shape[1]
         landmarks = np.zeros((len(ids), 3))
         landmarks[:, :d] = list(estimate_map(log, log.initial_poses, sensor=sensor).values())

@@ -14,7 +14,8 @@ from .output import Advance, Output
 from .verb import LogFile, command
 
 if TYPE_CHECKING:
-    from ..comparison import Comparison, Progress, Skipped
+    from ..attempt import Skipped
+    from ..comparison import Comparison, Progress
     from ..options import AnimationOptions, EstimatorOptions, OutputOptions, RunOptions
     from ..results import EstimatorResult
 
@@ -24,6 +25,7 @@ def run(
 ) -> None:
     """Run all estimators on one log: a table, a figure and the results as JSON."""
     from ..exchange import reason_without_graph
+    from ..failures import noted
     from ..saving import RESULTS, check_can_make
 
     check_can_make(RESULTS if saving.out is None else saving.out)
@@ -35,14 +37,17 @@ def run(
     files = outcome.save(saving.out, figures=saving.figures)
     output.show(outcome)
     if saving.html is not None:
-        _write_page(output, outcome, saving.html)
-        files |= {"html": saving.html}
+        with noted(files.notes, "there is no interactive report"):
+            _write_page(output, outcome, saving.html)
+            files |= {"html": saving.html}
+    output.say(*(f"{note[0].upper()}{note[1:]}." for note in files.notes))
     output.json(outcome.to_json(files))
     folder = files["json"].parent
     named = [p.name for kind, p in files.items() if not kind.endswith((".tum", ".csv", ".g2o")) and kind != "html"]
     named += ["trajectories (*.tum)", "maps (*-map.csv)", *(["graph.g2o"] if "graph.g2o" in files else [])]
     output.hint(f"Wrote {', '.join(named)} into {folder}{os.sep}")
-    output.hint(f"Repeat this run:     {command('run', '--config', files['config'])}")
+    if "config" in files:
+        output.hint(f"Repeat this run:     {command('run', '--config', files['config'])}")
     plotly = (
         "" if find_spec("plotly") else "The interactive report needs plotly: pip install -e '.[report]' in the clone."
     )
@@ -130,7 +135,13 @@ def _compared(output: Output, log: Path | None, chosen: EstimatorOptions, option
     from ..estimators import ESTIMATORS
 
     with output.bar("estimators", len(chosen.estimators or ESTIMATORS)) as advance:
-        return compare(log, options, estimators=chosen.estimators, progress=_progress(output, advance))
+        return compare(
+            log,
+            options,
+            estimators=chosen.estimators,
+            time_limit=chosen.time_limit,
+            progress=_progress(output, advance),
+        )
 
 
 def _progress(output: Output, advance: Advance) -> Progress:

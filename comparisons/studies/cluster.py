@@ -22,8 +22,8 @@ from pebble import ProcessPool
 from graphslam import OptionError, SlamError
 
 from ..estimators import ESTIMATORS
+from ..failures import sentence
 from ..pool import process_pool
-from .execute import sentence
 from .outcome import ERROR, Outcome
 from .places import Place, in_pool, pool_outcome
 from .plan import Run

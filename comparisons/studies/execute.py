@@ -10,9 +10,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from graphslam import Log, LogError, SlamError
+from graphslam import Log, LogError
 
 from ..comparison import compare
+from ..failures import sentence
 from ..option import options_of
 from ..options import NoiseOptions, ReadingOptions, RunOptions
 from ..reading import read_log, sha256_of
@@ -29,12 +30,6 @@ def execute(run: Run) -> Outcome:
     except Exception as error:
         outcome = {"status": ERROR, "error": sentence(error)}
     return Outcome(key=run.key, total_seconds=time.perf_counter() - begin, **outcome)
-
-
-def sentence(error: BaseException) -> str:
-    """An exception in one line: those meant for the user as they are, all others with their type."""
-    text = " ".join(str(error).split())
-    return text if isinstance(error, SlamError) else f"{type(error).__name__}: {text}"
 
 
 @lru_cache(maxsize=4)

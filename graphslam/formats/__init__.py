@@ -16,12 +16,13 @@ from ..errors import FormatError, OptionError
 from ..files import check_file, check_path
 from ..log import Log
 from ..reading import ReadOptions
-from . import huang, lnpr, lost_in_the_woods, mrclam, npz, victoria_park
+from . import bag, huang, lnpr, lost_in_the_woods, mrclam, npz, tables, victoria_park
 from .base import Format
 from .mat import is_mat
 
 FORMATS: dict[str, Format] = {
-    module.FORMAT.name: module.FORMAT for module in (npz, lnpr, mrclam, huang, lost_in_the_woods, victoria_park)
+    module.FORMAT.name: module.FORMAT
+    for module in (npz, lnpr, mrclam, huang, lost_in_the_woods, victoria_park, bag, tables)
 }
 
 

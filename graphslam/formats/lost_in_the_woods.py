@@ -31,7 +31,7 @@ from ..errors import FormatError
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..reading import ReadOptions
-from ..sources.synchronize import BRIDGED_GAP, bridging, check_gaps, gap_note
+from ..sources.streams import BRIDGED_GAP, bridging, check_gaps, gap_note
 from .base import NO_SIGHTING, Format, errors_name, member
 from .mat import Shape, has_variables, read_mat
 

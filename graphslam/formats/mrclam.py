@@ -31,7 +31,8 @@ from ..errors import FormatError, OptionError
 from ..log import Log
 from ..reading import ReadOptions
 from ..se2 import Array
-from ..sources.synchronize import Stream, synchronize
+from ..sources.streams import Stream
+from ..sources.synchronize import synchronize
 from .base import NO_SIGHTING, Format, errors_name, member, optional_member
 from .text import line_of, read_columns
 

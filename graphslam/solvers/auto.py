@@ -106,21 +106,9 @@ def _enough(graph: Graph, costs: list[float]) -> bool:
     """Whether the costs of converged ends leave no reason to try another start."""
     if not costs:
         return False
-    plausible = min(costs) <= DOUBTFUL * _expected(graph)
+    plausible = min(costs) <= DOUBTFUL * graph.expected_cost
     agreed = sum(cost <= min(costs) * (1 + SAME) for cost in costs) > 1
     return (plausible and agreed) if graph.num_nodes <= SMALL else (plausible or agreed)
-
-
-def _expected(graph: Graph) -> float:
-    """About what J is at the optimum if the noise models are right: its degrees of freedom.
-
-    With independent measurements of m numbers for p unknowns that is m - p. Pairs count every sighting of a landmark up to
-    K/2 times, and their J grows likewise.
-    """
-    rows = sum(family.numbers[0] for family in graph.families)
-    expected = sum(family.numbers[1] for family in graph.families)
-    unknown = 3 * (len(graph.steps) - 1) + graph.landmark_dimension * len(graph.landmark_ids)
-    return expected * max(1 - unknown / max(rows, 1), 1e-3)
 
 
 def _finite(cost: float) -> float:

@@ -126,9 +126,16 @@ def _factors_of(
     elif isinstance(family, edges.RelativePointEdges):
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
             yield factor_types.RelativePointFactor(i, j, z, information)
-    elif isinstance(family, edges.ObservationEdges):
+    elif isinstance(family, edges.CartesianObservationEdges):
         for i, j, z, trust in _rows(family.first, family.second, family.sightings, family.trusted):
-            factor = factor_types.ObservationFactor(i, j, z, family.sensor, scale=trust, kernel=family.kernel)
+            yield factor_types.InverseObservationFactor(
+                i, j, z, family.sensor, frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel
+            )
+    elif isinstance(family, edges.PolarObservationEdges):
+        for i, j, z, trust in _rows(family.first, family.second, family.sightings, family.trusted):
+            factor = factor_types.ObservationFactor(
+                i, j, z, family.sensor, residual="polar", scale=trust, kernel=family.kernel
+            )
             yield factor.fastest()
     elif isinstance(family, edges.MarginalEdges) and family.kernel is not None:
         for i, j, z, trust in _rows(family.nodes, num_nodes + family.group, family.sightings, family.trusted):
@@ -141,12 +148,14 @@ def _factors_of(
         yield from _landmark_factors(family, reference, "tempered" if family.tempered else "pairs")
     elif isinstance(family, edges.VirtualMotionEdges):
         a, b, group = family.pairs()
-        scales = family.group_weights[group] * family.trusted[a] * family.trusted[b]
+        tempering = family.group_weights[group]
+        scales = tempering * family.trusted[a] * family.trusted[b]
         z, nodes = family.sightings, family.nodes
-        for i, j, z_1, z_2, scale in _rows(nodes[a], nodes[b], z[a], z[b], scales):
+        for i, j, z_1, z_2, scale, factor in _rows(nodes[a], nodes[b], z[a], z[b], scales, tempering):
             yield factor_types.VirtualMotionFactor(
                 i, j, z_1, z_2, family.sensor,
-                frame=family.frame, at=(reference[i], reference[j]), scale=scale, kernel=family.kernel,
+                frame=family.frame, at=(reference[i], reference[j]), scale=scale,
+                kernel=family.kernel and family.kernel.scaled(factor),
             )  # fmt: skip
     else:
         raise GraphError(f"no gtsam factor is known for {type(family).__name__}")

@@ -276,7 +276,7 @@ def test_options_reach_the_estimators(invoke: Invoke, log_file: Path) -> None:
     ]
     graph, fastslam = json.loads(invoke(*command).stdout)["estimators"]
     expected = {"edges": "virtual+motion", "frame": "world", "weight": "tempered", "motion_weight": 3.0}
-    assert graph["options"] == expected | {"initialize": "given", "kernel": "cauchy"}
+    assert graph["options"] == expected | {"initialize": "given", "kernel": "cauchy", "residual": "cartesian"}
     expected = {"particles": 20, "seed": 5, "resampling": "systematic", "association": "known"}
     assert fastslam["options"].items() >= expected.items()
     noisy = json.loads(invoke("run", log_file, *QUICK, "--range-rate", "0.5", "--json", "-").stdout)["estimators"][1]
@@ -298,13 +298,31 @@ def test_the_sample_log_is_the_default(invoke: Invoke) -> None:
     assert "slam-compare report report.html" in result.stdout
 
 
+def test_a_figure_and_a_page_that_fail_are_notes(
+    invoke: Invoke, log_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("plotly", reason="needs the extra 'report'")
+
+    def breaks(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("comparisons.comparison.Comparison.figure", breaks)
+    monkeypatch.setattr("comparisons.show.report.page.page_of", breaks)
+    result = invoke("run", log_file, *QUICK, "--out", "here", "--html", "page.html", "--json", "out.json")
+    assert result.exit_code == 0
+    assert "There is no figure: ZeroDivisionError." in result.stdout
+    expected = ["there is no figure: ZeroDivisionError", "there is no interactive report: ZeroDivisionError"]
+    assert json.loads((tmp_path / "out.json").read_text())["notes"] == expected
+    assert not (tmp_path / "page.html").exists()
+
+
 def test_nothing_is_left_behind_when_a_run_breaks(
     invoke: Invoke, log_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def breaks(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("comparisons.comparison.Comparison.figure", breaks)
+    monkeypatch.setattr("comparisons.comparison.write_json", breaks)
     result = invoke("run", log_file, *QUICK, "--out", "here")
     assert isinstance(result.exception, ZeroDivisionError)
     assert [p.name for p in tmp_path.iterdir()] == ["log.npz"]

@@ -115,3 +115,31 @@ def test_the_grown_graphs_posterior(kind: type[ParticleFilter], seed: int, last:
             ratios.append(np.sqrt(np.diag(mixture[j].covariance) / np.diag(C)))
         assert np.abs(np.concatenate(errors)).max() < 0.3
         assert np.abs(np.concatenate(ratios) - 1).max() < 0.25
+
+
+def test_the_exact_weight_makes_1_and_2_agree() -> None:
+    """Two landmarks, three motions at the book's noise: means within 0.03 standard deviations; linearised they are not."""
+    motion, sensor, rng = MotionModel(), SensorModel(), np.random.default_rng(0)
+    marks, u, dt = np.array([[2.9, 1.2], [1.8, -1.9]]), np.array([0.3, 0.25]), 3.0
+    poses = motion.dead_reckoning(np.zeros(3), np.tile(u, (3, 1)), dt)
+    steps, ids = np.repeat(np.arange(4), 2), np.tile([0, 1], 4)
+    exact = sensor.h(poses[steps], marks[ids])
+    sightings = exact + np.sqrt(np.diagonal(sensor.Q(exact), axis1=1, axis2=2)) * rng.standard_normal(exact.shape)
+    log = Log(dt=np.full(3, dt), controls=np.tile(u, (3, 1)), steps=steps, landmarks=ids, sightings=sightings)
+
+    def mean(kind: type[ParticleFilter], **options: str) -> tuple[np.ndarray, np.ndarray]:
+        means, variances = [], []
+        for seed in range(6):
+            slam = kind(log, particles=60_000, seed=seed, **options)
+            slam.run()
+            mixture = slam.state.mixture_map()
+            means.append(np.concatenate([slam.state.mean_pose, mixture[0].mean, mixture[1].mean]))
+            covariances = [slam.state.pose_covariance, mixture[0].covariance, mixture[1].covariance]
+            variances.append(np.concatenate([np.diag(C) for C in covariances]))
+        return np.mean(means, axis=0), np.sqrt(np.mean(variances, axis=0))
+
+    reference, std = mean(FastSLAM1)
+    error = np.abs(mean(FastSLAM2)[0] - reference) / std
+    linearised = np.abs(mean(FastSLAM2, proposal_weight="linearised")[0] - reference) / std
+    assert error.max() < 0.03
+    assert linearised.max() > 0.05

@@ -1,0 +1,92 @@
+"""One estimator of a comparison: whatever goes wrong in it becomes a `Skipped`, and the other estimators go on.
+
+With a time limit it runs in a process of the `pool`. Neither a compiled kernel nor GTSAM can be interrupted in this process.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+from pebble import ProcessExpired, ProcessPool
+
+from graphslam import Log, OptionError, SlamError
+
+from .estimators import ESTIMATORS
+from .failures import sentence
+from .kernels import warm_up
+from .options import RunOptions
+from .pool import how_it_ended, processes, too_long
+from .results import EstimatorResult
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """An estimator without a result on this log, and why; ``error`` is what it raised, if it began to run."""
+
+    name: str
+    reason: str
+    error: Exception | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def outcome(self) -> str:
+        """'left out' where it cannot run on this log, or 'failed' where something unforeseen happened."""
+        return "left out" if self.error is None or isinstance(self.error, SlamError) else "failed"
+
+
+def attempt(name: str, log: Log, options: RunOptions) -> EstimatorResult | Skipped:
+    """The result of an estimator with its warnings as notes, or the sentence of its error."""
+    warm_up(name)
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            result = ESTIMATORS[name].run(log, options)
+    except Exception as error:
+        return Skipped(name, sentence(error), error)
+    return _with_warnings(result, caught)
+
+
+#: makes the outcome of an estimator, given its name, the log and the options
+Attempt = Callable[[str, Log, RunOptions], EstimatorResult | Skipped]
+
+
+@contextmanager
+def attempts(names: Sequence[str], limit: float | None) -> Iterator[Attempt]:
+    """`attempt`, or the same with a limit of the time of each estimator [s]."""
+    if limit is None:
+        yield attempt
+        return
+    with processes(1, names) as pool:
+        yield partial(_within, pool, limit)
+
+
+def _within(pool: ProcessPool, limit: float, name: str, log: Log, options: RunOptions) -> EstimatorResult | Skipped:
+    try:
+        outcome: EstimatorResult | Skipped = pool.schedule(_elsewhere, (name, log, options), timeout=limit).result()
+    except TimeoutError:
+        return Skipped(name, too_long(limit))
+    except ProcessExpired as error:
+        return Skipped(name, how_it_ended(error), RuntimeError(how_it_ended(error)))
+    return outcome
+
+
+def _elsewhere(name: str, log: Log, options: RunOptions) -> EstimatorResult | Skipped:
+    """`attempt` in a process, whose errors must be of classes that can be sent."""
+    outcome = attempt(name, log, options)
+    if isinstance(outcome, Skipped) and outcome.error is not None:
+        kind = next((k for k in (OptionError, SlamError) if isinstance(outcome.error, k)), RuntimeError)
+        outcome = replace(outcome, error=kind(outcome.reason))
+    return outcome
+
+
+def _with_warnings(result: EstimatorResult, caught: Sequence[warnings.WarningMessage]) -> EstimatorResult:
+    """The result with the warnings of its estimator as notes; warnings meant for programmers are raised again."""
+    ours = [w for w in caught if issubclass(w.category, (UserWarning, RuntimeWarning))]
+    for warning in caught:
+        if warning not in ours:
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+    texts = dict.fromkeys(str(warning.message) for warning in ours)
+    return replace(result, notes=(*result.notes, *texts)) if texts else result

@@ -1,0 +1,31 @@
+"""A part of a result that fails becomes a sentence, and the other parts go on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from graphslam import FormatError, SlamError
+
+
+def sentence(error: BaseException) -> str:
+    """An exception in one line: those meant for the user as they are, all others with their type."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, SlamError) else f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+@contextmanager
+def noted(notes: list[str], failed: str) -> Iterator[None]:
+    """Let the block fail, and add "FAILED: the error in one sentence" to the notes.
+
+    A file or folder that cannot be written is no failure of a part: it ends the work.
+
+    Raises:
+        FormatError, OSError: the place of the results cannot be written.
+    """
+    try:
+        yield
+    except (FormatError, OSError):
+        raise
+    except Exception as error:
+        notes.append(f"{failed}: {sentence(error)}")

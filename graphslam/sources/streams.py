@@ -1,0 +1,216 @@
+"""Odometry, sightings and ground truth with separate times, brought together as the arguments of one `Log`.
+
+There are poses only where something was seen. Between them nothing is rounded to a grid: a control holds from its own
+time to that of the next, an event in between divides it, and the pieces stay in the log (`Log.control_starts`), so that
+motions and their covariances are accumulated exactly.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..checks import first
+from ..errors import LogError
+from ..models import MotionModel
+from ..reading import ReadOptions
+from ..se2 import Array, interpolate, mounted
+
+#: odometry that is silent for longer [s] is bridged with additional noise, or refused
+BRIDGED_GAP, LONGEST_GAP = 2.0, 30.0
+
+#: rows that are out of order by at most this time [s] are sorted; more is another drive, or another clock
+MOST_DISORDER = 1.0
+
+#: truth is interpolated between samples that are at most this far apart [s]
+TRUTH_GAP = 0.5
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Rows of numbers with their times: ``times`` (N,) [s] and ``rows`` (N, ...)."""
+
+    times: Array
+    rows: Array
+
+    def __len__(self) -> int:
+        """The number of rows."""
+        return len(self.times)
+
+
+def parts_of_streams(
+    odometry: Stream,
+    sightings: Stream,
+    landmarks: np.ndarray,
+    *,
+    options: ReadOptions | None = None,
+    truth: Stream | None = None,
+    truth_offset: tuple[float, float] = (0.0, 0.0),
+    true_landmarks: Mapping[int, ArrayLike] | None = None,
+    start: ArrayLike | None = None,
+    origin: float = 0.0,
+    name: str = "log",
+    notes: tuple[str, ...] = (),
+    **models: Any,
+) -> dict[str, Any]:
+    """The arguments of the `Log` that `synchronize` returns; its arguments and errors are the same."""
+    remarks = list(notes)
+    odometry = _in_order("odometry", odometry, remarks)[0]
+    sightings, order = _in_order("sightings", sightings, remarks)
+    landmarks = np.asarray(landmarks)[order]
+    if truth is not None:
+        truth = _in_order("truth", truth, remarks)[0]
+    if len(odometry) < 2:
+        raise LogError(f"the odometry has {len(odometry)} rows, but motion takes two")
+    inside = (sightings.times >= odometry.times[0]) & (sightings.times <= odometry.times[-1])
+    if not inside.any():
+        raise LogError("no landmark is seen while there is odometry, so the log would have no pose")
+    if not inside.all():
+        remarks.append(f"{np.sum(~inside)} of {len(inside)} sightings are from before or after the odometry: left out")
+    seen = sightings.times[inside]
+    times = np.unique(seen)
+    if options is not None and options.keep_every is not None:
+        times = _filled(times, options.keep_every)
+    controls, dt, starts, variances, gaps = divide(odometry, times)
+    if gaps:
+        remarks.append(gap_note(gaps))
+        warnings.warn(f"{name}: {remarks[-1]}", UserWarning, stacklevel=4)
+    true_poses = None if truth is None else truth_at(times, truth)
+    if true_poses is not None:
+        covered = np.isfinite(true_poses[:, 0])
+        if not covered.any():
+            true_poses = None
+            remarks.append("the truth covers no pose")
+        elif not covered.all():
+            remarks.append(f"the truth covers {covered.sum()} of {len(covered)} poses")
+    if start is None:
+        start = np.zeros(3)
+        if true_poses is not None and not np.isnan(true_poses[0]).any():
+            start = mounted(true_poses[0], (-truth_offset[0], -truth_offset[1]))
+    return dict(
+        dt=dt,
+        controls=controls,
+        control_starts=starts,
+        control_variances=variances,
+        steps=np.searchsorted(times, seen),
+        landmarks=landmarks[inside],
+        sightings=sightings.rows[inside],
+        initial_poses=MotionModel().dead_reckoning(start, controls, dt)[starts],
+        true_poses=true_poses,
+        truth_offset=truth_offset,
+        true_landmarks=None if true_landmarks is None else dict(true_landmarks),
+        start_time=origin + float(times[0]),
+        name=name,
+        notes=tuple(remarks),
+        **models,
+    )
+
+
+def disorder(times: Array) -> Array:
+    """How far each time (N,) runs behind the latest one before it [s]; 0 where the times are in order."""
+    return np.maximum.accumulate(times) - times if len(times) else times
+
+
+def _in_order(what: str, stream: Stream, remarks: list[str]) -> tuple[Stream, np.ndarray]:
+    """The rows sorted by time, with a remark where that changes anything, and the row of each in the order given."""
+    behind = disorder(stream.times)
+    if (k := first(behind > MOST_DISORDER)) is not None:
+        raise LogError(
+            f"the times of the {what} run backwards in row {k + 1}: {stream.times[k]:.3f} s comes {behind[k]:.3f} s too late"
+        )
+    order = np.argsort(stream.times, kind="stable")
+    if moved := np.count_nonzero(behind):
+        rows = "row of the {} runs" if moved == 1 else "rows of the {} run"
+        remarks.append(f"{moved} {rows.format(what)} backwards, by at most {behind.max():.3g} s: sorted by time")
+    return Stream(stream.times[order], stream.rows[order]), order
+
+
+def divide(odometry: Stream, times: Array) -> tuple[Array, Array, np.ndarray, Array | None, list[float]]:
+    """The pieces of the controls between poses at ``times`` (T+1,), which increase and lie within those of the odometry.
+
+    Returns:
+        controls (S, 2), dt (S,), control_starts (T+1,), control_variances (S, 2) or None, and the bridged gaps [s].
+
+    Raises:
+        LogError: a gap is longer than `LONGEST_GAP`.
+    """
+    within = (odometry.times > times[0]) & (odometry.times < times[-1])
+    cuts = np.union1d(odometry.times[within], times)
+    # of several rows with one time the last holds
+    row = np.searchsorted(odometry.times, cuts[:-1], side="right") - 1
+    following = np.minimum(row + 1, len(odometry) - 1)
+    silence = odometry.times[following] - odometry.times[row]
+    check_gaps(silence, odometry.times[row])
+    lasting = np.diff(cuts)
+    bridged = silence > BRIDGED_GAP
+    gaps = silence[bridged][np.unique(row[bridged], return_index=True)[1]].tolist()
+    variances = bridging(odometry.rows, silence, lasting) if gaps else None
+    return odometry.rows[row], lasting, np.searchsorted(cuts, times), variances, gaps
+
+
+def check_gaps(silence: Array, after: Array) -> None:
+    """Raise `LogError` where the odometry is silent for too long; ``silence`` (N,) follows the times ``after`` (N,) [s]."""
+    if (k := first(silence > LONGEST_GAP)) is not None:
+        raise LogError(
+            f"the odometry is silent for {silence[k]:.1f} s after t = {after[k]:.3f} s, longer than {LONGEST_GAP:g} s: "
+            "cut the log there"
+        )
+
+
+def bridging(controls: Array, silence: Array, lasting: Array) -> Array:
+    """The variances (S, 2) of control pieces that last ``lasting`` (S,) within a silence of ``silence`` (S,) seconds.
+
+    One unknown control holds throughout a silence, so the motion has an error of variance V silence², where V is the
+    variance of all controls. Pieces are independent in a log, and each adds V_piece lasting². With V_piece = V silence /
+    lasting their sum is the same, however many poses are in the gap. Zero where there is no gap.
+    """
+    grown = np.where(silence > BRIDGED_GAP, silence / lasting, 0.0)
+    return grown[:, None] * np.var(controls, axis=0)
+
+
+def gap_note(gaps: list[float]) -> str:
+    """The note about bridged gaps [s]."""
+    if len(gaps) == 1:
+        what = f"1 gap of {gaps[0]:.1f} s"
+    else:
+        what = f"{len(gaps)} gaps of {min(gaps):.1f} to {max(gaps):.1f} s"
+    return f"{what} in the odometry: bridged by the last control, with noise as large as the spread of all controls"
+
+
+def truth_at(times: Array, truth: Stream) -> Array:
+    """The true poses (T+1, 3) at ``times``, interpolated between samples at most `TRUTH_GAP` apart, NaN elsewhere.
+
+    Positions without headings, (G, 2), become rows (x, y, NaN).
+    """
+    poses = np.full((len(times), 3), np.nan)
+    if len(truth) < 2:
+        return poses
+    # samples with the same time count once
+    at, first = np.unique(truth.times, return_index=True)
+    rows = truth.rows[first]
+    after = np.clip(np.searchsorted(at, times, side="right"), 1, len(at) - 1)
+    before = after - 1
+    apart = at[after] - at[before]
+    share = (times - at[before]) / apart
+    # a sample at exactly this time needs no neighbour
+    known = ((share >= 0) & (share <= 1) & (apart <= TRUTH_GAP)) | (share == 0) | (share == 1)
+    a, b, s = rows[before[known]], rows[after[known]], share[known]
+    if rows.shape[1] == 2:
+        poses[known, :2] = a + s[:, None] * (b - a)
+    else:
+        poses[known] = interpolate(a, b, s)
+    return poses
+
+
+def _filled(times: Array, most: float) -> Array:
+    """The times with others inserted, so that neighbours are at most ``most`` apart."""
+    pieces = np.maximum(1, np.ceil(np.diff(times) / most - 1e-9)).astype(int)
+    first = np.repeat(times[:-1], pieces)
+    part = np.arange(len(first)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    between = first + part * np.repeat(np.diff(times) / pieces, pieces)
+    return np.append(between, times[-1])
