@@ -165,7 +165,10 @@ def compare_solvers(
     solved: list[VariantResult] = []
     skipped: list[SkippedVariant] = []
     work = partial(_solve_both, log=data, models={"motion": given.motion, "sensor": given.sensor})
-    for outcome in results(work, variants(data, given), jobs=given.jobs):
+    for outcome in results(
+        work, variants(data, given), jobs=given.jobs, limit=given.time_limit,
+        instead=lambda variant, reason: SkippedVariant(variant.name, reason),
+    ):  # fmt: skip
         if isinstance(outcome, SkippedVariant):
             skipped.append(outcome)
         else:

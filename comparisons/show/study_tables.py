@@ -39,7 +39,7 @@ def particle_tables(study: ParticleStudy) -> Tables:
         values = (number(row[metric]) for metric in metrics)
         ancestors = number(row["ancestors"], 0)
         table.add_row(row["name"], str(row["particles"]), *values, ancestors, seconds(row["seconds"]))
-    return [table], []
+    return [table], [f"{note}." for note in study.notes]
 
 
 def consistency_tables(study: ConsistencyStudy) -> Tables:

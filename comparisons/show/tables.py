@@ -48,6 +48,7 @@ RESULTS = {
     "Survey": ("study_tables.survey_tables", ""),
     "Calibration": ("study_tables.calibration_tables", ""),
     "Import": ("log_tables.import_tables", ""),
+    "Overview": ("log_tables.overview_tables", "log_figures.overview_figure"),
 }
 
 
@@ -125,6 +126,7 @@ def result_tables(results: ResultTable) -> Tables:
 def comparison_tables(comparison: Comparison) -> Tables:
     """The table of the results, with agreement, skipped estimators, and notes of the log and the estimators."""
     log, remarks = comparison.log, _noise_remarks(comparison)
+    remarks += [f"WARNING: {finding.message}." for finding in comparison.findings]
     if any(value is not None for value in comparison.nees.values()):
         remarks.append("NEES: 1 means consistent covariances, above 1 overconfident ones.")
     if (difference := comparison.difference("graph", "gtsam")) is not None:
