@@ -49,15 +49,16 @@ def check_log(log: Log, motion: MotionModel | None, sensor: SensorModel) -> None
 
 
 def check_model(model: MotionModel | SensorModel) -> None:
-    """Raise `GraphError` where the noise of a model, or the offset of a sensor, is too large or too small."""
-    if isinstance(model, SensorModel):
-        check_size("the offset of the sensor", model.offset)
-        for name in ("range_rate", "range_std", "bearing_std", "orientation_std"):
-            check_size(f"{name} of the sensor", noise := getattr(model, name), least=SMALLEST if noise else 0.0)
-    else:
-        # a small noise, or epsilon, is judged by the inverse of its covariance
-        for name, value in asdict(model).items():
-            check_size(f"{name} of the motion", value)
+    """Raise `GraphError` where numbers of a noise model are too large or too small."""
+    # limits of sight may be infinite; the offset is a number of the equations
+    limits = [name for name in getattr(model, "GEOMETRY", ()) if name != "offset"]
+    for name, value in asdict(model).items():
+        if name in limits:
+            continue
+        # a small noise of the motion, or epsilon, is judged by the inverse of its covariance
+        least = SMALLEST if isinstance(model, SensorModel) and name != "offset" else 0.0
+        for number in np.atleast_1d(value).tolist():
+            check_size(f"{name} of the noise model", number, least=least if number else 0.0)
 
 
 def check_size(what: str, numbers: object, *, least: float = 0.0, most: float = LARGEST) -> None:

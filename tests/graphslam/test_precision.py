@@ -52,7 +52,7 @@ def test_the_map_names_what_is_too_extreme(book_log):
         estimate_map(book_log, book_log.initial_poses, sensor=SensorModel(bearing_std=1e-10))
     with pytest.raises(GraphError, match="orientation_std, 1e-10 rad, is too small beside bearing_std"):
         estimate_map(book_log, book_log.initial_poses, sensor=SensorModel(orientation_std=1e-10))
-    with pytest.raises(GraphError, match="range_rate of the sensor: 1e\\+30 is too large"):
+    with pytest.raises(GraphError, match="range_rate of the noise model: 1e\\+30 is too large"):
         estimate_map(book_log, book_log.initial_poses, sensor=SensorModel(range_rate=1e30))
 
 
