@@ -55,7 +55,11 @@ def split(source: str) -> dict[str, str]:
 def folder(path: Path) -> Path:
     """Return the folder with the results of a file with cells, which need not exist yet."""
     digest = hashlib.sha256(_version_of_the_packages() + path.read_bytes()).hexdigest()[:16]
-    return CACHE / f"{path.stem}-{digest}"
+    return CACHE / f"{_name(path)}-{digest}"
+
+
+def _name(path: Path) -> str:
+    return "-".join(path.relative_to(DOCS).with_suffix("").parts)
 
 
 @cache
@@ -82,7 +86,7 @@ def run(path: Path) -> dict[str, Cell]:
             )
             if done.returncode:
                 raise CellError(f"{path.relative_to(ROOT)}: {done.stderr.strip() or done.stdout.strip()}")
-            for old in CACHE.glob(f"{path.stem}-*"):
+            for old in CACHE.glob(f"{_name(path)}-{16 * '?'}"):
                 shutil.rmtree(old, ignore_errors=True)
             shutil.copytree(scratch, target)
     return {name: Cell(**cell) for name, cell in json.loads((target / "cells.json").read_text()).items()}

@@ -6,6 +6,7 @@ A page may have these lines, indented as the text around them:
     {{ cell NAME "alternative text" }}                     a cell's code, what it printed, and its figure
     {{ output NAME "alternative text" }}                   the same with the code folded
     {{ figure NAME "alternative text" }}                   only the figure, a slider if the cell drew several
+    {{ slides }}                                           where the site explains each formula of the lectures
 
 The cells are described in `cells`. The alternative text describes the figure for readers who do not see it.
 """
@@ -18,6 +19,7 @@ import re
 import shlex
 import shutil
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +29,11 @@ import cells
 import mathml
 from mkdocs.exceptions import PluginError
 
-_MARKER = re.compile(r"^([ \t]*)\{\{ (code|cell|output|figure) (.+?) \}\}$", re.MULTILINE)
+_MARKER = re.compile(r"^([ \t]*)\{\{ (code|cell|output|figure|slides)(?: (.+?))? \}\}$", re.MULTILINE)
 #: the words on the page, by language
 WORDS = {
-    "en": {"code": "Show the code", "result": "Result", "lines": "lines"},
-    "ja": {"code": "コードを表示", "result": "実行結果", "lines": "行"},
+    "en": {"code": "Show the code", "lines": "lines", "slides": "| Section | Explained in | Function | Test |"},
+    "ja": {"code": "コードを表示", "lines": "行", "slides": "| 節 | 説明 | 関数 | テスト |"},
 }
 
 
@@ -53,9 +55,11 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     source = cells.DOCS / re.sub(r"(\.ja)?\.md$", ".py", page.file.src_uri)
 
     def text(found: re.Match[str]) -> str:
-        indent, kind, arguments = found[1], found[2], shlex.split(found[3])
+        indent, kind, arguments = found[1], found[2], shlex.split(found[3] or "")
         if kind == "code":
             made = _code(*arguments, language=language)
+        elif kind == "slides":
+            made = _slides(Path(page.file.src_uri).parent, language)
         else:
             made = _cell(kind, source, arguments, page, language)
         return "\n".join(indent + line if line else line for line in made.splitlines())
@@ -98,6 +102,22 @@ def _code(path: str, *names: str, language: str) -> str:
         title = f"{path}, {WORDS[language]['lines']} {first}-{node.end_lineno}"
         made += [f'```python title="{title}"', *lines[first - 1 : node.end_lineno], "```", ""]
     return "\n".join(made)
+
+
+def _slides(folder: Path, language: str) -> str:
+    """Return the table of the lectures' formulas: section, heading of the page, function, test."""
+    rows = [WORDS[language]["slides"], "|---|---|---|---|"]
+    for slide in tomllib.loads((cells.DOCS / "_site" / "slides.toml").read_text())["slide"]:
+        page = slide["page"].replace(".md", ".ja.md") if language == "ja" else slide["page"]
+        text = (cells.DOCS / page).read_text()
+        heading = re.search(rf"^#+ (.*?) \{{#{slide['anchor']}\}}$", text, re.MULTILINE)
+        if not heading:
+            raise PageError(f"{page} has no heading with the id {slide['anchor']!r}, which slides.toml names")
+        title = re.match(r"# (.*)", text)
+        link = f"{Path(slide['page']).relative_to(folder).as_posix()}#{slide['anchor']}"
+        where = f"{title[1] if title else ''}: [{heading[1]}]({link})"
+        rows.append(f"| {slide['section']} | {where} | `{slide['function'].split()[-1]}` | `tests/{slide['test']}` |")
+    return "\n".join(rows)
 
 
 def _cell(kind: str, source: Path, arguments: list[str], page: Any, language: str) -> str:
