@@ -29,7 +29,9 @@ if TYPE_CHECKING:
     from .comparison import Comparison, run
     from .consistency import study_consistency
     from .datasets import survey
+    from .importing import import_log
     from .options import RunOptions
+    from .overview import inspect_log
     from .particles import study_particles
     from .show.films import animate
     from .show.report import write_report
@@ -45,6 +47,8 @@ _PUBLIC = {
     "comparison": "Comparison run",
     "consistency": "study_consistency",
     "datasets": "survey",
+    "importing": "import_log",
+    "overview": "inspect_log",
     "options": "RunOptions",
     "particles": "study_particles",
     "show.films": "animate",

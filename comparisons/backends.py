@@ -19,6 +19,7 @@ from .display import Displayed
 from .kernels import factorisation
 from .options import BackendOptions
 from .peers import PEERS, PeerRun
+from .results import of_expected
 from .saving import jsonable
 
 #: the names of the backends, ours first
@@ -40,6 +41,9 @@ class BackendRow:
         converged: whether its stop rule was met (for a local minimum, too: compare the chi2).
         reason: how it ended.
         trace: (seconds, chi2) after each iteration, for the figure; empty where a backend does not report them.
+        chi2_per_dof: chi2 per degree of freedom, about 1 where the information in the file fits the errors.
+        native: whether all factors are evaluated by the backend itself. False where GTSAM calls factors in Python, so that
+            the time is mostly that of the callbacks.
     """
 
     file: str
@@ -50,6 +54,8 @@ class BackendRow:
     converged: bool
     reason: str
     trace: tuple[tuple[float, float], ...] = field(default=(), repr=False)
+    chi2_per_dof: float | None = None
+    native: bool = True
 
 
 @dataclass(frozen=True)
@@ -74,8 +80,9 @@ class BackendComparison(Displayed):
         return ours.seconds / row.seconds
 
     def geometric_mean(self, backend: str) -> float | None:
-        """The geometric mean of `ratio` over all files on which both reached the best chi2."""
-        ratios = [ratio for r in self.rows if r.backend == backend and (ratio := self.ratio(r)) is not None]
+        """The geometric mean of `ratio` over the files on which both reached the best chi2; native rows only."""
+        rows = (r for r in self.rows if r.backend == backend and r.native)
+        ratios = [ratio for r in rows if (ratio := self.ratio(r)) is not None]
         return math.exp(statistics.fmean(map(math.log, ratios))) if ratios else None
 
     def to_json(self) -> dict[str, Any]:
@@ -164,4 +171,7 @@ def _row(file: str, name: str, graph: Graph, runs: Sequence[PeerRun]) -> Backend
     last = runs[-1]
     steps = max(len(last.costs) - 1, 1)
     trace = tuple((seconds * k / steps, cost) for k, cost in enumerate(last.costs))
-    return BackendRow(file, name, graph.cost(last.state), last.iterations, seconds, last.converged, last.reason, trace)
+    chi2 = graph.cost(last.state)
+    return BackendRow(
+        file, name, chi2, last.iterations, seconds, last.converged, last.reason, trace, of_expected(chi2, graph), last.native
+    )  # fmt: skip

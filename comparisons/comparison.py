@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -11,18 +11,19 @@ from typing import Any, overload
 
 import numpy as np
 
-from graphslam import GraphError, Log, OptionError
+from graphslam import GraphError, Log, MotionModel, OptionError, SensorModel, SlamError
 from graphslam.metrics import Metrics, evaluate
+from graphslam.plausibility import Finding, plausibility
 from graphslam.se2 import wrap
 
-from .attempt import Skipped, attempt
+from .attempt import Skipped, attempts
 from .config import config_text
 from .display import Displayed
 from .documents import EstimatorDocument, LogDocument, RunDocument, document
 from .estimators import ESTIMATORS, check_estimators, make_graph
 from .exchange import texts, write_pose_graph
 from .failures import noted
-from .options import OutputOptions, RunOptions
+from .options import MODELS, LimitOptions, OutputOptions, RunOptions
 from .reading import prepare
 from .results import EstimatorResult
 from .saving import SavedFiles, fill_results, new_directory, write_json
@@ -32,6 +33,7 @@ from .saving import SavedFiles, fill_results, new_directory, write_json
 class Row:
     """One line of the table; None where a value does not exist or cannot be known.
 
+    ``cost_per_dof`` is J per degree of freedom, about 1 where the noise models fit; see `results.of_expected`.
     ``nees`` is the mean normalised error squared of the poses, 1 means consistent; see `EstimatorResult.nees`.
     """
 
@@ -46,6 +48,7 @@ class Row:
     landmark_rmse_m: float | None = None
     nees: float | None = None
     skipped: str | None = None
+    cost_per_dof: float | None = None
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,7 @@ class Comparison(Displayed):
         source: the file or folder of the log, where there is one.
         options: of the run, noise models filled in.
         estimators: the names that were asked for; None for all.
+        time_limit: of each estimator [s]; None for none.
     """
 
     log: Log
@@ -88,23 +92,42 @@ class Comparison(Displayed):
     source: Path | None = None
     options: RunOptions = field(default_factory=RunOptions)
     estimators: tuple[str, ...] | None = None
+    time_limit: float | None = None
 
     def __repr__(self) -> str:
         return f"Comparison({self.log.name!r}: {', '.join(result.name for result in self.results)})"
+
+    @property
+    def models(self) -> dict[str, MotionModel | SensorModel]:
+        """The noise models, {"motion", "sensor"}."""
+        motion, sensor = self.options.models(self.log.motion, self.log.sensor)
+        return {"motion": motion, "sensor": sensor}
+
+    @property
+    def noise_source(self) -> dict[str, str]:
+        """Where each noise model comes from: "book" for the defaults, "log" for one published with the log, or "given"."""
+        return {
+            name: "book"
+            if _noise(used) == _noise(MODELS[name]())
+            else "log"
+            if used == getattr(self.log, name)
+            else "given"
+            for name, used in self.models.items()
+        }
 
     @cached_property
     def metrics(self) -> dict[str, Metrics]:
         """The metrics of every result against the ground truth, by name."""
         truth, landmarks = self.log.true_poses, self.log.true_landmarks
         return {
-            r.name: evaluate(truth, landmarks, r.poses, r.landmarks, mask=r.estimated, named=r.named)
+            r.name: evaluate(truth, landmarks, self.log.at_truth(r.poses), r.landmarks, mask=r.estimated, named=r.named)
             for r in self.results
         }
 
     @cached_property
     def nees(self) -> dict[str, float | None]:
         """The mean NEES of every result, by name; None where truth or covariances are not known."""
-        return {result.name: result.nees(self.log.true_poses) for result in self.results}
+        return {result.name: result.nees(self.log.robot_truth) for result in self.results}
 
     def __getitem__(self, name: str) -> EstimatorResult:
         """The result of an estimator.
@@ -164,15 +187,22 @@ class Comparison(Displayed):
         return document(
             RunDocument,
             log=describe(self.log, self.source),
+            noise={n: {"source": self.noise_source[n], "model": asdict(model)} for n, model in self.models.items()},
             estimators=[by_name[row.name] for row in self.table],
             files={kind: str(path) for kind, path in (files or {}).items()},
             notes=getattr(files, "notes", []),
+            warnings=[finding.message for finding in self.findings],
         )
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is probably wrong with the log, see `graphslam.plausibility`."""
+        return plausibility(self.log)
 
     @property
     def config(self) -> str:
         """The configuration of this run as TOML; ``slam-compare run --config`` repeats the run from it."""
-        return config_text(self.source, self.estimators, self.options)
+        return config_text(self.source, self.estimators, self.options, time_limit=self.time_limit)
 
     def save(
         self, directory: str | PathLike[str] | None = None, *, figures: Sequence[str] = OutputOptions().figures
@@ -229,6 +259,7 @@ def run(
     log: Log | str | PathLike[str] | None = None,
     *,
     estimators: Sequence[str] | str | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
     **options: Any,
 ) -> Comparison:
@@ -237,7 +268,9 @@ def run(
     Args:
         log: a log, the file or folder of one, or None for the sample log of the package.
         estimators: names from `estimators.ESTIMATORS`; default: all. One that fails becomes a row with the reason, as does
-            one that is not named and would take too long.
+            one that is not named and would take too long or repeat another.
+        time_limit: of each estimator [s], without compiling. One that takes longer is stopped and becomes a row with the
+            reason. The estimators then run in a process of their own.
         progress: called with (name, None) before each estimator and (name, outcome) after it.
         options: the fields of `options.RunOptions`: stride, noise, range_std, edges, kernel, particles, seed, ...
 
@@ -245,9 +278,9 @@ def run(
         FormatError: a file cannot be read.
         OptionError: an option or estimator is unknown or impossible, or a named estimator cannot run on such a log.
         GraphError: the log does not determine the graph of ``graph``.
-        Exception: no estimator has a result; the error is that of the first.
+        SlamError: no estimator has a result.
     """
-    return compare(log, RunOptions.of(**options), estimators=estimators, progress=progress)
+    return compare(log, RunOptions.of(**options), estimators=estimators, time_limit=time_limit, progress=progress)
 
 
 def compare(
@@ -255,38 +288,54 @@ def compare(
     options: RunOptions,
     *,
     estimators: Sequence[str] | str | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
     """The same as `run`, with the options as one object."""
     names = None if estimators is None else check_estimators(estimators)
+    time_limit = LimitOptions.of(time_limit=time_limit).time_limit
     data, source, options = prepare(log, options)
     if len(data.steps) == 0:
         within = "" if options.max_range is None else f" within max_range = {options.max_range:g} m"
         raise GraphError(f"{data.name} has no sightings at all{within}, so there is nothing to estimate from")
     if names is None or "graph" in names:
         # a graph that the log cannot make is refused before anything has run
-        make_graph(data, options)
+        _check_graph(data, options)
     results: list[EstimatorResult] = []
     skipped: list[Skipped] = []
-    for name in names or ESTIMATORS:
-        if progress is not None:
-            progress(name, None)
-        outcome: EstimatorResult | Skipped
-        if names is None and (reason := ESTIMATORS[name].too_slow(data)) is not None:
-            outcome = Skipped(name, reason)
-        else:
-            outcome = attempt(name, data, options)
-        if isinstance(outcome, Skipped):
-            if names is not None and isinstance(outcome.error, OptionError):
-                raise outcome.error
-            skipped.append(outcome)
-        else:
-            results.append(outcome)
-        if progress is not None:
-            progress(name, outcome)
+    with attempts(names or tuple(ESTIMATORS), time_limit) as attempt:
+        for name in names or ESTIMATORS:
+            if progress is not None:
+                progress(name, None)
+            outcome: EstimatorResult | Skipped
+            if names is None and (reason := ESTIMATORS[name].reason_to_omit(data, options)) is not None:
+                outcome = Skipped(name, reason)
+            else:
+                outcome = attempt(name, data, options)
+            if isinstance(outcome, Skipped):
+                if names is not None and isinstance(outcome.error, OptionError):
+                    raise outcome.error
+                skipped.append(outcome)
+            else:
+                results.append(outcome)
+            if progress is not None:
+                progress(name, outcome)
     if not results:
-        raise next(entry.error for entry in skipped if entry.error is not None)
-    return Comparison(data, tuple(results), tuple(skipped), source, options, names)
+        first = skipped[0]
+        if isinstance(first.error, SlamError):
+            raise first.error
+        raise SlamError(f"no estimator has a result; {first.name} {first.outcome}: {first.reason}") from first.error
+    return Comparison(data, tuple(results), tuple(skipped), source, options, names, time_limit)
+
+
+def _check_graph(log: Log, options: RunOptions) -> None:
+    """Raise `SlamError` where the log cannot make the graph; whatever else fails is the failure of one estimator."""
+    try:
+        make_graph(log, options)
+    except SlamError:
+        raise
+    except Exception:  # it comes again, and becomes the reason of the row
+        pass
 
 
 def _row(result: EstimatorResult, metrics: Metrics, nees: float | None) -> Row:
@@ -310,3 +359,8 @@ def describe(log: Log, source: Path | None = None) -> dict[str, Any]:
         controls=None if log.controls is None else len(log.controls),
         poses_covered=int(np.count_nonzero(log.covered)),
     )
+
+
+def _noise(model: MotionModel | SensorModel) -> dict[str, Any]:
+    """The noise of a model: not where the sensor is and what it can see, which is known of robots whose noise is not."""
+    return {name: value for name, value in vars(model).items() if name not in getattr(model, "GEOMETRY", ())}

@@ -62,6 +62,11 @@ Covariance = Annotated[
     list[list[float]],
     msgspec.Meta(min_length=2, max_length=3, description="n rows of n numbers, n as long as the mean"),
 ]
+CostPerDof = Annotated[
+    float | None,
+    about("J per degree of freedom: about 1 where the noise models fit, more where they are too small or sightings are "
+          "wrong, less where they are too large; null where nothing is minimised"),
+]  # fmt: skip
 Band = Annotated[list[float], msgspec.Meta(min_length=2, max_length=2, description="lower and upper end")]
 Quartiles = Annotated[
     list[float], msgspec.Meta(min_length=3, max_length=3, description="25 %, 50 % and 75 % over the seeds")
@@ -81,6 +86,9 @@ class LogDocument(Document):
     controls: Annotated[Count | None, about("number of controls")]
     poses_covered: Annotated[Count, about("number of poses whose ground truth is known")]
     true_poses: Annotated[list[Pose] | None, about("the true trajectory")]
+    truth_offset: Annotated[
+        list[float], about("the point of the robot that `true_poses` are of: ahead and to the left of its pose [m]")
+    ]
     true_landmarks: Annotated[dict[Id, Position] | None, about("the true map, by id")]
     notes: Annotated[list[str], about("remarks of the reader")]
 
@@ -93,12 +101,20 @@ class EstimatorDocument(Document):
     iterations: Annotated[Count | None, about("number of iterations")]
     step_norms: Annotated[list[float | None] | None, about("norm of the correction of each iteration")]
     cost: Annotated[float | None, about("J at the end")]
+    cost_per_dof: CostPerDof
     seconds: Annotated[float | None, about("time of the estimation alone [s]")]
     ate_m: Annotated[float | None, about("absolute trajectory error [m]")]
     rpe_m: Annotated[float | None, about("relative pose error per step [m]")]
     rpe_rad: Annotated[float | None, about("relative pose error per step [rad]")]
     heading_rad: Annotated[float | None, about("error of the headings after alignment [rad]")]
-    landmark_rmse_m: Annotated[float | None, about("error of the map in the frame of the aligned trajectory [m]")]
+    landmark_rmse_m: Annotated[float | None, about("error of the map in the aligned frame [m]")]
+    landmark_errors_m: Annotated[
+        dict[Id, float] | None, about("error of each landmark in the aligned frame [m], by id")
+    ]
+    aligned_by: Annotated[
+        Literal["poses", "landmarks"] | None,
+        about("what the estimate is aligned to the ground truth by: landmarks where no true poses are known"),
+    ]
     nees: Annotated[float | None, about("mean NEES of the poses per degree of freedom; 1: consistent")]
     poses_counted: Annotated[Count | None, about("number of poses that the metrics are of")]
     poses: Annotated[list[Pose] | None, about("the trajectory, T + 1 poses")]
@@ -110,13 +126,25 @@ class EstimatorDocument(Document):
     notes: Annotated[list[str], about("remarks of the estimator")]
 
 
+class NoiseDocument(Document):
+    """A noise model of the run."""
+
+    source: Annotated[
+        Literal["book", "log", "given"],
+        about("book: the defaults, those of the book; log: published with the log; given: by options or a noise file"),
+    ]
+    model: Annotated[dict[str, Any], about("fields of `graphslam.MotionModel` or `graphslam.SensorModel`")]
+
+
 class RunDocument(Document):
     """`slam-compare run` and `report`, comparison.json."""
 
     log: LogDocument
+    noise: Annotated[dict[str, NoiseDocument], about("the noise models `motion` and `sensor` of all estimators")]
     estimators: Annotated[list[EstimatorDocument], about("in the order of the table")]
     files: Annotated[dict[str, str], about("the files written, by kind or name")]
     notes: Annotated[list[str], about("files that could not be made, one sentence each")]
+    warnings: Annotated[list[str], about("what is probably wrong with the log, with the likely cause")]
 
 
 class SimulateDocument(Document):
@@ -133,6 +161,7 @@ class VariantDocument(Document):
     pose_difference: Annotated[float | None, about("largest difference in any x, y [m] or heading [rad]")]
     cost_difference: Annotated[float | None, about("relative difference of J")]
     cost: Annotated[float | None, about("J of the hand-written solver")]
+    cost_per_dof: CostPerDof
     iterations: Annotated[Count, about("of the hand-written solver")]
     gtsam_iterations: Annotated[Count, about("of GTSAM")]
     seconds: Annotated[float | None, about("of the hand-written solver [s]")]
@@ -154,7 +183,7 @@ class SolversDocument(Document):
     """`slam-compare solvers`."""
 
     variants: Annotated[list[VariantDocument], about("the graphs that were solved")]
-    skipped: Annotated[list[ReasonDocument], about("the graphs that the log does not determine")]
+    skipped: Annotated[list[ReasonDocument], about("the graphs that the log does not determine, or that took too long")]
 
 
 class BackendDocument(Document):
@@ -163,10 +192,14 @@ class BackendDocument(Document):
     file: Annotated[str, about("the pose graph")]
     backend: Annotated[str, about("graphslam, gtsam-lm, gtsam-gn, g2o-gn or g2o-lm")]
     chi2: Annotated[float | None, about("at the end, by one evaluator for all; null where the solver failed")]
+    chi2_per_dof: Annotated[
+        float | None, about("chi2 per degree of freedom: about 1 where the file's information fits")
+    ]
     iterations: Annotated[Count, about("number of iterations")]
     seconds: Annotated[float | None, about("from the initial values to the stop rule [s], median")]
     converged: Annotated[bool, about("whether it met its stop rule")]
     reason: Annotated[str, about("why it ended")]
+    native: Annotated[bool, about("false where factors are evaluated in Python, so that the time is that of callbacks")]
     ratio: Annotated[float | None, about("time of graphslam over this time, where both reached the best chi2")]
 
 
@@ -174,7 +207,9 @@ class BackendsDocument(Document):
     """`slam-compare backends`."""
 
     rows: Annotated[list[BackendDocument], about("a row for each file and solver")]
-    geometric_means: Annotated[dict[str, float | None], about("geometric mean of `ratio` over the files, by solver")]
+    geometric_means: Annotated[
+        dict[str, float | None], about("geometric mean of `ratio` over the files, `native` rows only")
+    ]
 
 
 class ParticleRunDocument(Document):
@@ -210,6 +245,7 @@ class ParticlesDocument(Document):
     log: Annotated[str, about("name of the log")]
     runs: Annotated[list[ParticleRunDocument], about("every run")]
     bands: Annotated[list[ParticleBandDocument], about("quartiles over the seeds")]
+    notes: Annotated[list[str], about("runs that were stopped at the time limit, one sentence each")]
 
 
 class ConsistencyEstimatorDocument(Document):
@@ -289,6 +325,7 @@ class MedianFiguresDocument(Document):
     rpe_m: MedianDocument | None
     rpe_rad: MedianDocument | None
     landmark_rmse_m: MedianDocument | None
+    cost_per_dof: MedianDocument | None
     iterations: MedianDocument | None
     seconds: MedianDocument | None
 
@@ -356,6 +393,88 @@ class AnimateDocument(Document):
     poses: Annotated[list[Pose], about("the trajectory in the last frame")]
 
 
+class StreamDocument(Document):
+    """A table or topic that was read."""
+
+    kind: Annotated[Literal["odometry", "sightings", "truth"], about("what it holds")]
+    source: Annotated[str, about("its file or topic")]
+    rows: Annotated[Count, about("number of rows")]
+    begin: Annotated[float, about("first time of its clock [s]")]
+    end: Annotated[float, about("last time of its clock [s]")]
+    rate: Annotated[float | None, about("different times per second")]
+    columns: Annotated[list[str], about("which column was taken for what, with its unit")]
+
+
+class TopicDocument(Document):
+    """A topic of a bag."""
+
+    name: Annotated[str, about("name of the topic")]
+    type: Annotated[str, about("type of its messages")]
+    count: Annotated[Count, about("number of messages")]
+    could_be: Annotated[Literal["odometry", "sightings", "truth", ""], about("what it could be; empty: of no use")]
+    chosen: Annotated[Literal["odometry", "sightings", "truth", ""], about("what it is read for; empty: it is not")]
+
+
+class ImportDocument(Document):
+    """`slam-compare import`."""
+
+    source: Annotated[str | None, about("the folder or bag; null where each table was named")]
+    topics: Annotated[list[TopicDocument], about("the topics of a bag")]
+    streams: Annotated[list[StreamDocument], about("the tables or topics that were read")]
+    log: Annotated[LogDocument | None, about("the log; null where the topics make none")]
+    file: Annotated[str | None, about("the log that was written; null where none was")]
+    reason: Annotated[str, about("why there is no log")]
+    warnings: Annotated[list[str], about("what is probably wrong with the log, with the likely cause")]
+
+
+class FindingDocument(Document):
+    """Something in a log that is probably a mistake."""
+
+    check: Annotated[str, about("short name of the check")]
+    message: Annotated[str, about("one sentence with the likely cause")]
+
+
+class RateDocument(Document):
+    """The times of the poses, controls or sightings of a log, in seconds since its first pose."""
+
+    name: Annotated[Literal["poses", "controls", "sightings"], about("what is counted")]
+    count: Annotated[Count, about("their number")]
+    rate: Annotated[float | None, about("different times per second, the median")]
+    longest_gap: Annotated[float | None, about("longest time between two [s]")]
+    gap_at: Annotated[float | None, about("when it begins [s]")]
+
+
+class SeenDocument(Document):
+    """The sightings of one landmark."""
+
+    id: Annotated[int, about("id of the landmark")]
+    count: Annotated[Count, about("number of sightings")]
+    first: Annotated[float, about("time of the first one since the first pose [s]")]
+    last: Annotated[float, about("time of the last one [s]")]
+    range: Annotated[float, about("median range [m]")]
+
+
+class HistogramDocument(Document):
+    """How often values lie in each interval."""
+
+    edges: Annotated[list[float], about("limits of the intervals, one more than counts")]
+    counts: Annotated[list[Count], about("number of values in each interval")]
+
+
+class ShowDocument(Document):
+    """`slam-compare show`."""
+
+    log: LogDocument
+    seconds: Annotated[float | None, about("from the first pose to the last [s]")]
+    distance: Annotated[float | None, about("distance driven according to the odometry [m]")]
+    turned: Annotated[float | None, about("sum of all turns [rad]")]
+    rates: Annotated[list[RateDocument], about("of poses, controls and sightings")]
+    landmarks: Annotated[list[SeenDocument], about("by number of sightings")]
+    ranges: Annotated[HistogramDocument, about("of the sightings [m]")]
+    bearings: Annotated[HistogramDocument, about("of the sightings [rad]")]
+    warnings: Annotated[list[FindingDocument], about("what is probably wrong, with the likely cause")]
+
+
 class CalibrateDocument(Document):
     """`slam-compare calibrate`."""
 
@@ -383,4 +502,6 @@ DOCUMENTS: dict[str, type[Document]] = {
     "sweep": SweepDocument,
     "animate": AnimateDocument,
     "calibrate": CalibrateDocument,
+    "import": ImportDocument,
+    "show": ShowDocument,
 }

@@ -5,20 +5,20 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
+from graphslam.checks import suggestion
 from graphslam.errors import OptionError
 
-#: fields of components that have another name among the options
-_RENAMED = {"offset": "sensor_offset"}
+#: fields of components that have another name among the options: (component, field) -> option
+_RENAMED = {("sensor", name): f"sensor_{name}" for name in ("offset", "min_range", "max_range", "field_of_view")}
 
 
 class Points:
@@ -215,7 +215,7 @@ def _options_of(group: Any) -> dict[str, Option]:
     options = {f.name: _option(f, hints[f.name], _panel(group, f.name)) for f in fields(group) if "help" in f.metadata}
     for component, (kind, panel) in getattr(group, "components", {}).items():
         for each in options_of(kind).values():
-            name = _RENAMED.get(each.name, each.name)
+            name = _RENAMED.get((component, each.name), each.name)
             if name not in options and name not in group.hidden:
                 options[name] = replace(each, name=name, model=component, panel=panel)
     return options
@@ -234,9 +234,3 @@ def _option(f: Any, hint: Any, panel: str) -> Option:
         kind = each = Points
     default = f.default if f.default_factory is MISSING else f.default_factory()
     return Option(name=f.name, field=f.name, kind=kind, each=each, default=default, **{"panel": panel, **f.metadata})
-
-
-def suggestion(word: object, known: Collection[str]) -> str:
-    """The end of a message about an unknown word: the known word that is spelled like it, if there is one."""
-    matches = difflib.get_close_matches(str(word), list(known), n=1)
-    return f"; did you mean {matches[0]!r}?" if matches else ""

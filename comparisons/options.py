@@ -18,9 +18,10 @@ from typing import Any
 from fastslam.options import FilterOptions
 from graphslam.checks import option
 from graphslam.errors import OptionError
-from graphslam.models import MotionModel, SensorModel
+from graphslam.models import RESIDUALS, MotionModel, SensorModel
 from graphslam.sources.simulator import MotionFaults, SensorFaults
 from graphslam.sources.worlds import WORLDS, World
+from graphslam.tables.options import TableOptions
 
 from .option import Options
 
@@ -41,6 +42,10 @@ class ReadingOptions(Options):
     keep_every: float | None = option(
         None, "Also keep a pose at least once in this time, even where nothing was seen.", unit="s", positive=True,
         default_text="poses only where something was seen",
+    )  # fmt: skip
+    truth_offset: tuple[float, ...] | None = option(
+        None, "Point of the robot that the ground truth is of, such as a GPS antenna: forward, left.", unit="m",
+        default_text="as the reader says",
     )  # fmt: skip
     stride: int = option(1, "Keep every N-th pose and the sightings from it.", minimum=1, metavar="N")
     max_range: float | None = option(None, "Leave out sightings from farther away.", unit="m", positive=True)
@@ -109,7 +114,11 @@ class GraphOptions(Options):
     )  # fmt: skip
     initialize: str = option(
         "auto", "Where the iteration starts; auto tries several starts.",
-        choices=("auto", "given", "dead-reckoning", "rotation-first"),
+        choices=("auto", "given", "dead-reckoning", "rotation-first", "grow"),
+    )  # fmt: skip
+    residual: str = option(
+        RESIDUALS[0], "Residual of landmark nodes: the sighting as a position in the robot's axes, or as range and bearing.",
+        choices=RESIDUALS,
     )  # fmt: skip
 
 
@@ -130,11 +139,21 @@ class RunOptions(GraphOptions, LogOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EstimatorOptions(Options):
-    """Which estimators run."""
+class LimitOptions(Options):
+    """How long one piece of work may take."""
+
+    time_limit: float | None = option(
+        None, "Stop an estimator, solver variant or filter that takes longer, and go on without it. The work is then done in "
+        "processes of its own.", unit="s", positive=True, default_text="none",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimatorOptions(LimitOptions):
+    """Which estimators run, and for how long."""
 
     estimators: tuple[str, ...] | None = option(
-        None, "Estimators to run: dead-reckoning, textbook, graph, gtsam, isam2, mcl, fastslam1, fastslam2.",
+        None, "Estimators to run: dead-reckoning, textbook, graph, graph-marginal, gtsam, isam2, mcl, fastslam1, fastslam2.",
         metavar="NAME,...", default_text="all that can run on the log",
     )  # fmt: skip
 
@@ -147,6 +166,10 @@ class OutputOptions(Options):
     out: Path | None = option(None, "Folder for the results.", metavar="DIR", default_text="results/<time>")
     figures: tuple[str, ...] = option(("png", "pdf"), "Formats of the figure.", choices=("png", "pdf", "svg"))
     html: Path | None = option(None, "Also write the interactive report, one HTML file.", metavar="FILE")
+    mcap: Path | None = option(
+        None, "Also write poses and maps as MCAP with messages of ROS 2, for Foxglove and RViz.", metavar="FILE"
+    )
+    rerun: Path | None = option(None, "Also write poses and maps as a recording of Rerun (.rrd).", metavar="FILE")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +201,7 @@ class JobsOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SolverCheckOptions(JobsOptions, LogOptions):
+class SolverCheckOptions(LimitOptions, JobsOptions, LogOptions):
     """Which variants `solvers.compare_solvers` solves by hand and with GTSAM."""
 
     motion_weights: tuple[float, ...] = option(
@@ -203,7 +226,7 @@ class BackendOptions(Options):
         default_text="all that are installed",
     )  # fmt: skip
     initialize: str = option(
-        "auto", "Where graphslam starts.", choices=("auto", "given", "dead-reckoning", "rotation-first")
+        "auto", "Where graphslam starts.", choices=("auto", "given", "dead-reckoning", "rotation-first", "grow")
     )
     same_start: bool = option(False, "All solvers start from the rotation-first state, not from the file's values.")
     repeat: int = option(5, "The time is the median of this many runs.", minimum=1)
@@ -214,7 +237,7 @@ class BackendOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ParticleStudyOptions(JobsOptions, LogOptions):
+class ParticleStudyOptions(LimitOptions, JobsOptions, LogOptions):
     """How `particles.study_particles` varies the number of particles."""
 
     components = LogOptions.components | {"filter": (FilterOptions, FILTER)}
@@ -273,6 +296,28 @@ class CalibrationOptions(ReadingOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ImportOptions(Options):
+    """Where the tables or topics of a drive are, and how `importing.import_log` reads them."""
+
+    panel = "Tables and topics"
+    components = {"tables": (TableOptions, "Units, clocks, columns and axes")}
+    odometry: str | None = option(
+        None, "Table or topic of the odometry.", metavar="FILE|TOPIC", default_text="found by name and type"
+    )
+    sightings: str | None = option(None, "Table or topic of the sightings.", metavar="FILE|TOPIC")
+    truth: str | None = option(None, "Table or topic of the true poses.", metavar="FILE|TOPIC")
+    map: str | None = option(None, "Table of the true landmarks.", metavar="FILE")
+    recipe: Path | None = option(
+        None, "TOML file with these options, files, topics and columns; see docs/own_robot.md.", metavar="FILE",
+        default_text="import.toml in the folder",
+    )  # fmt: skip
+    keep_every: float | None = option(
+        None, "Also keep a pose at least once in this time, even where nothing was seen.", unit="s", positive=True,
+        default_text="poses only where something was seen", panel=OUTPUT,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
 class SimulationOptions(Options):
     """A simulated log: a world, the faults of the robot, and the noise models of a clean world."""
 
@@ -297,7 +342,8 @@ class SimulationOptions(Options):
         faults = {
             n: self.components[n][0](**f) for n in ("motion_faults", "sensor_faults") if (f := self.of_component(n))
         }
-        if not world.clean and any(self.of_component(name) for name in MODELS):
+        noise_given = {name for model in MODELS for name in self.of_component(model)} - {*SensorModel.GEOMETRY}
+        if not world.clean and noise_given:
             raise OptionError(
                 "the noise models have an effect in clean worlds only: add --clean, or set faults instead"
             )
@@ -323,7 +369,7 @@ class SummaryOptions(FigureOptions):
     )
     metric: str = option(
         "ate_m", "Metric of the figure.",
-        choices=("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m", "iterations", "seconds"),
+        choices=("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m", "cost_per_dof", "iterations", "seconds"),
     )  # fmt: skip
     csv: Path | None = option(None, "Write every run as CSV.", metavar="FILE", panel=OUTPUT)
     jsonl: Path | None = option(None, "Write every run as a line of JSON.", metavar="FILE", panel=OUTPUT)

@@ -25,7 +25,10 @@ from graphslam.solvers.gtsam_solver import from_values, to_values
 
 @dataclass(frozen=True)
 class PeerRun:
-    """One optimisation: the state (n, 3) at the end, iterations, seconds, how it ended, chi2 before and after steps."""
+    """One optimisation: the state (n, 3) at the end, iterations, seconds, how it ended, chi2 before and after steps.
+
+    ``native`` is False where factors are evaluated in Python.
+    """
 
     state: Array
     iterations: int
@@ -33,6 +36,7 @@ class PeerRun:
     converged: bool
     reason: str
     costs: tuple[float, ...] = ()
+    native: bool = True
 
 
 #: a peer prepares a graph, before the time is measured, and returns a function that optimises it anew at each call
@@ -61,7 +65,6 @@ def native_gtsam_graph(graph: Graph) -> gtsam.NonlinearFactorGraph:
                 noise = gtsam.noiseModel.Gaussian.Information(omega)
                 factors.add(gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*z), noise))
         elif isinstance(family, RelativePointEdges):
-            # GTSAM has no native factor for a point measured in Cartesian coordinates
             for i, j, z, omega in zip(
                 family.first.tolist(), family.second.tolist(), family.measured, family.information
             ):
@@ -86,6 +89,8 @@ def gtsam_peer(damped: bool) -> Peer:
         parameters.setRelativeErrorTol(cost_tolerance)
         parameters.setAbsoluteErrorTol(0.0)
         kind: Any = gtsam.LevenbergMarquardtOptimizer if damped else gtsam.GaussNewtonOptimizer
+        # GTSAM has no factor of its own for a point in Cartesian coordinates
+        native = not any(isinstance(family, RelativePointEdges) for family in graph.families)
         costs = _gtsam_costs(kind(factors, values, parameters), graph, cost_tolerance, max_iterations)
 
         def run() -> PeerRun:
@@ -96,16 +101,17 @@ def gtsam_peer(damped: bool) -> Peer:
             except RuntimeError as error:
                 seconds = time.perf_counter() - begin
                 reason = f"gave up: {str(error).strip().splitlines()[0]}"
-                return PeerRun(graph.initial * np.nan, 0, seconds, False, reason)
+                return PeerRun(graph.initial * np.nan, 0, seconds, False, reason, native=native)
             seconds = time.perf_counter() - begin
             state, iterations = from_values(graph, end), int(optimizer.iterations())
             if iterations >= max_iterations:
-                return PeerRun(state, iterations, seconds, False, f"max_iterations = {max_iterations} reached", costs)
+                reason = f"max_iterations = {max_iterations} reached"
+                return PeerRun(state, iterations, seconds, False, reason, costs, native)
             moved = float(np.abs(state - graph.initial).max())
             if moved < 1e-12:
-                return PeerRun(state, iterations, seconds, False, "returned the initial values")
+                return PeerRun(state, iterations, seconds, False, "returned the initial values", native=native)
             reason = f"the cost changed by less than {cost_tolerance:g} of it"
-            return PeerRun(state, iterations, seconds, True, reason, costs)
+            return PeerRun(state, iterations, seconds, True, reason, costs, native)
 
         return run
 

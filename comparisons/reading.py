@@ -54,6 +54,9 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
         data = data.with_corrected_ranges(line["range_scale"], line["range_bias"])
     corrected: dict[str, Any] = {n: None if value == _NO_LINE[n] else value for n, value in line.items()}
     motion, sensor = options.models(motion, sensor)
+    if options.max_range is not None:
+        # what is farther away has been left out, so that the sensor does not see it
+        sensor = replace(sensor, max_range=min(sensor.max_range, options.max_range))
     others = {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)}
     return data, source, replace(options, motion=motion, sensor=sensor, noise=None, numbers=others, **corrected)
 
@@ -82,6 +85,8 @@ def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> 
             f"{data.name if isinstance(log, Log) else path}: the sightings have no orientation psi, but dimensions 3 "
             "requires it; use dimensions 2"
         )
+    if options.truth_offset is not None:
+        data = data.replace(truth_offset=options.truth_offset)
     if options.stride > 1:
         data = data.at_steps(np.arange(0, data.num_poses, options.stride))
     if options.max_range is not None:

@@ -68,6 +68,11 @@ class EstimatorResult:
         cost = "" if self.cost is None else f", J = {self.cost:.6g}"
         return f"EstimatorResult({self.name}: {len(self.poses)} poses, {len(self.landmarks)} landmarks{cost})"
 
+    @property
+    def cost_per_dof(self) -> float | None:
+        """J per degree of freedom, with J of pairs divided by the times that they count a sighting; see `of_expected`."""
+        return None if self.graph is None or self.cost is None else of_expected(self.cost, self.graph)
+
     @cached_property
     def pose_covariances(self) -> Array | None:
         """The covariances (T+1, 3, 3) of the poses in world axes, NaN where a pose is not estimated.
@@ -130,6 +135,15 @@ class EstimatorResult:
         except np.linalg.LinAlgError:
             return None
         return float(np.mean(np.einsum("ti,ti->t", error[known], weighted)) / 3)
+
+
+def of_expected(cost: float, graph: Graph) -> float | None:
+    """J at the end over what it would be if the noise models were right, `Graph.expected_cost`.
+
+    It is about 1 where they are, above 1 where the noise is larger or sightings are wrong, and below 1 where the noise is
+    smaller. None where the graph has no more measurements than unknowns.
+    """
+    return cost / graph.expected_cost if graph.degrees_of_freedom > 0 else None
 
 
 def dead_reckoning_covariances(log: Log, motion: MotionModel | None = None) -> Array:

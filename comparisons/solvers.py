@@ -23,6 +23,7 @@ from .option import options_of
 from .options import GraphOptions, SolverCheckOptions
 from .pool import results
 from .reading import prepare
+from .results import of_expected
 from .saving import jsonable
 
 #: what two solvers may differ by: any x, y [m] or heading [rad], and J relative to itself
@@ -64,7 +65,7 @@ class VariantResult:
         name: of the variant.
         pose_difference: the largest difference in any x, y [m] or heading [rad] (wrapped).
         cost_difference: |J - J_gtsam| / max(J, J_gtsam).
-        cost: J of the hand-written solver.
+        cost, cost_per_dof: J of the hand-written solver, and J per degree of freedom (`results.of_expected`).
         iterations, gtsam_iterations; seconds, gtsam_seconds; converged, gtsam_converged: of each.
         failure: the error of a solver that failed where the other did not; the figures are NaN or 0 then.
     """
@@ -80,6 +81,7 @@ class VariantResult:
     converged: bool
     gtsam_converged: bool
     failure: str | None = None
+    cost_per_dof: float | None = None
 
     @property
     def problem(self) -> str | None:
@@ -163,7 +165,10 @@ def compare_solvers(
     solved: list[VariantResult] = []
     skipped: list[SkippedVariant] = []
     work = partial(_solve_both, log=data, models={"motion": given.motion, "sensor": given.sensor})
-    for outcome in results(work, variants(data, given), jobs=given.jobs):
+    for outcome in results(
+        work, variants(data, given), jobs=given.jobs, limit=given.time_limit,
+        instead=lambda variant, reason: SkippedVariant(variant.name, reason),
+    ):  # fmt: skip
         if isinstance(outcome, SkippedVariant):
             skipped.append(outcome)
         else:
@@ -214,9 +219,11 @@ def _solve_both(variant: Variant, log: Log, models: dict[str, Any]) -> VariantRe
         ours, our_error = _attempt(solve, graph)
     theirs, their_error = _attempt(solve_with_gtsam, graph)
     if ours is not None and theirs is not None:
-        if variant.plain:
-            return compare_solutions(variant.name, ours, theirs)
-        return _compare_robust(variant.name, graph, ours, theirs)
+        compare = compare_solutions if variant.plain else partial(_compare_robust, graph=graph)
+        outcome = compare(variant.name, ours=ours, theirs=theirs)
+        if isinstance(outcome, VariantResult):
+            outcome = replace(outcome, cost_per_dof=of_expected(ours.cost, graph))
+        return outcome
     if ours is None and theirs is None:
         return SkippedVariant(variant.name, str(our_error))
     # that one solver finds the graph underdetermined and the other does not is a difference, not a reason to skip

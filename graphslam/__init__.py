@@ -12,6 +12,8 @@ from .lazy import lazy_names
 if TYPE_CHECKING:
     from . import edges, factors, formats, metrics, se2, textbook
     from .calibration import Calibration, calibrate
+    from .certificate import Certificate
+    from .certify import certify
     from .edges.robust import Cauchy, GemanMcClure, Huber
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
     from .formats import load, save
@@ -28,11 +30,14 @@ if TYPE_CHECKING:
     from .sources.streams import Stream
     from .sources.synchronize import synchronize
     from .sources.worlds import WORLDS, World, sample_log_path
+    from .tables import TableOptions
 
 #: the public names, by the module that defines them; "" lists modules
 _PUBLIC = {
     "": "edges factors formats metrics se2 textbook",
     "calibration": "Calibration calibrate",
+    "certificate": "Certificate",
+    "certify": "certify",
     "edges.robust": "Cauchy GemanMcClure Huber",
     "errors": "FactorError FormatError GraphError LogError OptionError SlamError",
     "formats": "load save",
@@ -49,5 +54,6 @@ _PUBLIC = {
     "sources.streams": "Stream",
     "sources.synchronize": "synchronize",
     "sources.worlds": "WORLDS World sample_log_path",
+    "tables": "TableOptions",
 }
 __getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)

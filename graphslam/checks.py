@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+import sys
 from collections.abc import Collection
 from dataclasses import field
 from numbers import Integral, Real
@@ -30,14 +32,14 @@ def option(default: Any, help: str, unit: str = "", **more: Any) -> Any:
 
 def check_choice(name: str, value: str, allowed: Collection[str]) -> None:
     """Raise `OptionError` unless ``value`` is one of ``allowed``."""
-    if value not in allowed:
+    if not isinstance(value, str) or value not in allowed:
         raise OptionError(f"{name} must be one of {', '.join(allowed)}, not {value!r}")
 
 
 def check_positive(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is a positive finite number."""
     for name, value in values.items():
-        if not isinstance(value, Real) or not 0 < value < float("inf"):
+        if not isinstance(value, Real) or not 0 < value <= sys.float_info.max:
             raise OptionError(f"{name} must be a positive number, not {value!r}")
 
 
@@ -57,6 +59,23 @@ def check_count(**values: int) -> None:
             raise OptionError(f"{name} must not be negative, but is {value}")
 
 
+def checked_offset(name: str, value: Any) -> tuple[float, float]:
+    """A place on the robot, (ahead, left) [m]; a single number is the distance ahead.
+
+    Raises:
+        OptionError: it is neither, or not finite.
+    """
+    try:
+        offset = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        offset = np.empty(0)
+    if offset.size == 1:
+        offset = np.array([offset.item(), 0.0])
+    if offset.shape != (2,) or not np.all(np.isfinite(offset)):
+        raise OptionError(f"{name} must be (ahead, to the left) in m, or one number ahead, not {value!r}")
+    return float(offset[0]), float(offset[1])
+
+
 def first(wrong: ArrayLike) -> int | None:
     """The first index at which a condition (N,) holds, or None where it never does."""
     wrong = np.asarray(wrong, dtype=bool)
@@ -70,3 +89,9 @@ def listed(noun: str, numbers: list[int], most: int = 8) -> str:
     if len(numbers) > most:
         return f"{noun}s {', '.join(map(str, numbers[:most]))} and {len(numbers) - most} more"
     return f"{noun}s {', '.join(map(str, numbers[:-1]))} and {numbers[-1]}"
+
+
+def suggestion(word: object, known: Collection[str]) -> str:
+    """The end of a message about an unknown word: the known word that is spelled like it, if there is one."""
+    matches = difflib.get_close_matches(str(word), list(known), n=1)
+    return f"; did you mean {matches[0]!r}?" if matches else ""

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from .checks import check_positive, option
 
+#: the id of a landmark that the sensor could not identify
+UNIDENTIFIED = -(2**63)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:

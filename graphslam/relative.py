@@ -7,7 +7,8 @@ to the residual of `edges.relative`, to first order: with J = de_virtual / de_re
     Omega_ab = J' (C_a + C_b)^-1 J,   J = R(-gamma_a) [I, R(theta_ab) (-T_b,y, T_b,x); 0, 1],  gamma_a = phi_a - psi_a.
 
 So both graphs have the same Omega where the sightings are free of noise, and optima that differ by second order of it
-elsewhere. Motion edges already are relative poses.
+elsewhere. Motion edges already are relative poses, and sightings of landmark nodes with the Cartesian residual relative
+poses or points; polar ones become these.
 
 A robust kernel becomes the weight w(r) that it gives each edge at a state, with r of the graph's own edge. At the
 optimum of the graph Omega and xi are the same with these weights as with the kernel, so the solution stays one.
@@ -22,8 +23,10 @@ import numpy as np
 
 from .edges import (
     AnchorEdges,
+    CartesianObservationEdges,
     EdgeFamily,
     ObservationEdges,
+    PolarObservationEdges,
     RelativePointEdges,
     RelativePoseEdges,
     SightingEdges,
@@ -64,7 +67,10 @@ def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
     if isinstance(family, VirtualMotionEdges) and family.oriented:
         return _weighted(_of_pairs(family), family, state)
     if isinstance(family, ObservationEdges):
-        return _weighted(_of_sightings(family), family, state)
+        # a polar residual becomes the Cartesian one
+        seen = family.cartesian if isinstance(family, PolarObservationEdges) else family
+        assert isinstance(seen, CartesianObservationEdges)
+        return _weighted(replace(seen.relative, frame="body"), family, state)
     if isinstance(family, RelativePoseEdges):
         return replace(family, frame="body")
     if isinstance(family, (AnchorEdges, RelativePointEdges)):
@@ -81,8 +87,7 @@ def _weighted(edges: _Relative, family: SightingEdges, state: Array) -> _Relativ
     """The edges with the weights that the kernel of the family they come from has at a state."""
     if family.kernel is None:
         return edges
-    weights = family.kernel.weight(family.linearize(state, state).mahalanobis)
-    return replace(edges, information=edges.information * weights[:, None, None])
+    return replace(edges, information=edges.information * family.kernel_weights(state)[:, None, None])
 
 
 def _of_pairs(family: VirtualMotionEdges) -> RelativePoseEdges:
@@ -98,15 +103,6 @@ def _of_pairs(family: VirtualMotionEdges) -> RelativePoseEdges:
     J = turn_matrix(-landmark[a, 2]) @ J
     information = np.swapaxes(J, 1, 2) @ np.linalg.inv(own[a] + own[b]) @ J * factor[:, None, None]
     return RelativePoseEdges(family.nodes[a], family.nodes[b], measured, _symmetric(information))
-
-
-def _of_sightings(family: ObservationEdges) -> RelativePoseEdges | RelativePointEdges:
-    at_zero = np.zeros((family.count, 3))
-    measured = family.sensor.h_inverse(at_zero, family.sightings)
-    covariance = family.sensor.landmark_covariance(at_zero, family.sightings)
-    information = _symmetric(np.linalg.inv(covariance)) * family.trusted[:, None, None]
-    edges = RelativePoseEdges if family.oriented else RelativePointEdges
-    return edges(family.first, family.second, measured, information)
 
 
 def _symmetric(matrices: Array) -> Array:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Integral
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .certificate import GLOBAL, NOT_PROVEN, Certificate, prove
 from .errors import OptionError
 from .graph import Graph
 from .mapping import LandmarkMap
@@ -68,8 +69,21 @@ class Solution:
             f"{len(self.poses)} poses, {len(self.landmarks)} landmarks, {self.seconds:.3g} s>"
         )
 
+    @cached_property
+    def certificate(self) -> Certificate:
+        """Whether the solution is proven to be the global minimum of J, and how far below J any state may lie at most.
+
+        Computed at the first use. The status of a run that has not converged is "not proven", also where the bound is tight.
+        """
+        certificate = prove(self._solved_graph, self.state)
+        if certificate.status == GLOBAL and not self.converged:
+            return replace(certificate, status=NOT_PROVEN, reason=f"the solver has not converged: {self.reason}")
+        return certificate
+
     def covariance(self, id: int) -> Array:
         """The covariance (3, 3) of a pose in world axes (x, y, theta): a diagonal block of Omega^-1.
+
+        With a robust kernel it is the covariance of the robust estimate; see `Graph.information`.
 
         Args:
             id: of the pose: its step for the graph of a log, its number in the file for a pose graph.

@@ -14,11 +14,11 @@ from typing import Annotated
 import typer
 
 from .checks import backends, solvers
+from .imports import import_, show
 from .logs import calibrate, datasets, simulate
-from .output import INTERRUPTED
 from .run import animate, report, run
 from .studies import consistency, particles, study, sweep
-from .verb import add_verb, list_verb
+from .verb import add_verb, list_verb, name_of
 
 
 def _version(asked: bool) -> None:
@@ -53,6 +53,17 @@ VERBS: dict[Callable[..., None], tuple[str, ...]] = {
         "slam-compare report report.html",
         "slam-compare report LOG report.html --estimators graph,fastslam1",
         "slam-compare report report.html --config results/latest/config.toml",
+    ),
+    import_: (
+        "slam-compare import folder drive.npz",
+        "slam-compare import --odometry wheels.csv --sightings tags.csv --angles degrees drive.npz",
+        "slam-compare import drive.mcap",
+        "slam-compare import drive.mcap drive.npz --odometry /odom --sightings /tags",
+    ),
+    show: (
+        "slam-compare show",
+        "slam-compare show drive.npz --figure drive.png",
+        "slam-compare show folder --json -",
     ),
     solvers: (
         "slam-compare solvers",
@@ -119,7 +130,7 @@ def make_app(complete: Collection[str] | None = None) -> typer.Typer:
     )
     app.callback(epilog="Examples:\n\n  slam-compare run\n\n  slam-compare run LOG --estimators graph,fastslam1")(_app)
     for verb, examples in VERBS.items():
-        if complete is None or verb.__name__ in complete:
+        if complete is None or name_of(verb) in complete:
             add_verb(app, verb, *examples)
         else:
             list_verb(app, verb)
@@ -134,11 +145,7 @@ def __getattr__(name: str) -> typer.Typer:
 
 
 def main() -> None:
-    """Entry point of ``slam-compare``."""
-    try:
-        # only the verb that is called needs its options; completion in a shell needs those of all
-        words = None if "_SLAM_COMPARE_COMPLETE" in os.environ else sys.argv[1:]
-        make_app(words)(prog_name="slam-compare")
-    except KeyboardInterrupt:
-        # before a verb began, or while modules were being imported
-        sys.exit(INTERRUPTED)
+    """The command line on the words of ``sys.argv``."""
+    # only the verb that is called needs its options; completion in a shell needs those of all
+    words = None if "_SLAM_COMPARE_COMPLETE" in os.environ else sys.argv[1:]
+    make_app(words)(prog_name="slam-compare")

@@ -35,7 +35,7 @@ def simulate(
 
     check_can_write(out)
     log = graphslam.simulate(**options.keywords_of_simulate(), name=out.stem)
-    graphslam.save(log if truth else log.replace(true_poses=None, true_landmarks=None), out, format=format)
+    graphslam.save(log if truth else log.replace(true_poses=None, true_landmarks=None, notes=()), out, format=format)
     sizes = f"{log.num_poses} poses, {len(log.steps)} sightings of {len(log.landmark_ids)} landmarks"
     output.say(f"Wrote {out}: {sizes}.")
     output.hint(f"Next: {command('run', out)}")
@@ -85,9 +85,12 @@ def datasets(
 ) -> None:
     """List the known data sets, where they are published and how they must be laid out; find and check local copies."""
     from graphslam import OptionError
+    from graphslam.files import check_path
 
     from ..datasets import survey
 
+    if folder is not None:
+        check_path(folder)
     if folder is not None and not folder.is_dir():
         raise OptionError(f"--folder {folder}: there is no such folder")
     with output.bar("data sets") as advance:

@@ -78,7 +78,12 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
     command.__doc__ = function.__doc__
     # blank lines between, because neighbouring lines are joined
     epilog = "\n\n".join(["Examples:", *(f"  {line}" for line in examples)])
-    app.command(function.__name__, epilog=epilog)(command)
+    app.command(name_of(function), epilog=epilog)(command)
+
+
+def name_of(function: Callable[..., None]) -> str:
+    """The name of a verb; that of a function may need an underscore at its end, because Python reserves the word."""
+    return function.__name__.rstrip("_")
 
 
 def list_verb(app: typer.Typer, function: Callable[..., None]) -> None:
@@ -88,7 +93,7 @@ def list_verb(app: typer.Typer, function: Callable[..., None]) -> None:
         pass
 
     listed.__doc__ = function.__doc__
-    app.command(function.__name__)(listed)
+    app.command(name_of(function))(listed)
 
 
 def _parameter(option: Option) -> inspect.Parameter:

@@ -16,6 +16,7 @@ from graphslam import OptionError
 
 from .canvas import WIDTH, paper_figure
 from .style import colour_of, style_of
+from .tables import PYTHON_FACTORS
 
 if TYPE_CHECKING:
     from ..backends import BackendComparison, BackendRow
@@ -93,12 +94,15 @@ def backends_figure(comparison: BackendComparison) -> Figure:
         for panel, file in zip(panels, files):
             best = comparison.best(file)
             for row in (row for row in comparison.rows if row.file == file and len(row.trace) > 1):
-                (handles[row.backend],) = panel.plot(*_curve(row, best), **style_of(row.backend))
+                label = row.backend if row.native else f"{row.backend} ({PYTHON_FACTORS})"
+                look = style_of(row.backend) | ({} if row.native else {"alpha": 0.5, "markerfacecolor": "none"})
+                (handles[label],) = panel.plot(*_curve(row, best), **look)
             panel.set(xscale="log", yscale="log", title=Path(file).name, xlabel="time [s]")
         for panel in panels[::3]:
             panel.set_ylabel("relative excess of chi2 over the best")
         if handles:
-            figure.legend(handles.values(), handles, loc="outside lower center", ncols=len(handles))
+            columns = min(len(handles), 1 + min(len(files), 3))
+            figure.legend(handles.values(), handles, loc="outside lower center", ncols=columns)
     return figure
 
 

@@ -39,7 +39,7 @@ def particle_tables(study: ParticleStudy) -> Tables:
         values = (number(row[metric]) for metric in metrics)
         ancestors = number(row["ancestors"], 0)
         table.add_row(row["name"], str(row["particles"]), *values, ancestors, seconds(row["seconds"]))
-    return [table], []
+    return [table], [f"{note}." for note in study.notes]
 
 
 def consistency_tables(study: ConsistencyStudy) -> Tables:
@@ -72,15 +72,16 @@ def summary_tables(summary: Summary) -> Tables:
     """Medians with their intervals, then the differences from the baseline, and the errors with their counts."""
     table = LeanTable(
         f"{summary.done} of {summary.planned} runs: medians with 95 % bootstrap intervals", ["log", "method"],
-        ["runs", "failed", "converged", "time", *_METRICS.values()],
+        ["runs", "failed", "converged", "time", *_METRICS.values(), "J per\ndof"],
     )  # fmt: skip
     for line in summary.methods:
         failed = line.failed + line.timeouts
-        time = line.figures["seconds"]
+        time, ratio = line.figures["seconds"], line.figures["cost_per_dof"]
         _add(
             table, line.log, line.method, str(line.runs), Text(str(failed), style="bold red" if failed else ""),
             NOTHING if line.converged is None else f"{line.converged:.0%}",
             seconds(None if time is None else time.median), *_intervals(line.figures),
+            number(None if ratio is None else ratio.median, 2),
         )  # fmt: skip
     tables: list[Table] = [table]
     if summary.differences:
@@ -95,6 +96,8 @@ def summary_tables(summary: Summary) -> Tables:
         _add(tables[-1], gap.log, gap.method, str(pairs), lower, *_intervals(gap.figures, "+"))
     errors = list(summary.errors.items())
     remarks = [f"{count} x {error}" for error, count in errors[:_MOST_ERRORS]]
+    if any(line.figures["cost_per_dof"] is not None for line in summary.methods):
+        remarks.append("J per dof (degree of freedom): about 1 means that the noise models fit.")
     if len(errors) > _MOST_ERRORS:
         remarks.append(f"... and {len(errors) - _MOST_ERRORS} other errors; --csv and --json list all of them.")
     return tables, remarks

@@ -13,11 +13,15 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from graphslam.metrics import exchanged
+
 from .cells import NOTHING, LeanTable, number, seconds, yes_no
+from .placement import placement_of_result
 
 if TYPE_CHECKING:
     from ..backends import BackendComparison
@@ -26,8 +30,12 @@ if TYPE_CHECKING:
 
 #: tables, and the sentences below them
 Tables = tuple[list[Table], list[str]]
+#: how rows are marked whose time is that of callbacks
+PYTHON_FACTORS = "Python"
 #: the width of text that is not written to a terminal
 WIDTH = 140
+#: J per degree of freedom above this, or below its inverse, says that the noise models do not fit
+DOUBTFUL = 2.0
 #: class of results -> the functions that make its tables and its figure, empty where it has none
 RESULTS = {
     "ResultTable": ("tables.result_tables", ""),
@@ -39,6 +47,8 @@ RESULTS = {
     "Summary": ("study_tables.summary_tables", "study_figures.study_figure"),
     "Survey": ("study_tables.survey_tables", ""),
     "Calibration": ("study_tables.calibration_tables", ""),
+    "Import": ("log_tables.import_tables", ""),
+    "Overview": ("log_tables.overview_tables", "log_figures.overview_figure"),
 }
 
 
@@ -102,27 +112,36 @@ def _plain(cell: object) -> str:
 def result_tables(results: ResultTable) -> Tables:
     """The rows of a comparison, one per estimator; the NEES only where the truth is known."""
     metrics = {"ate_m": "ATE\n[m]", "rpe_m": "RPE\n[m]", "rpe_rad": "RPE\n[rad]", "landmark_rmse_m": "map\n[m]"}
-    if any(row.nees is not None for row in results):
-        metrics["nees"] = "NEES"
-    table = LeanTable(results.title, ["estimator"], ["converged,\niterations", "time", "cost J", *metrics.values()])
+    known = any(row.nees is not None for row in results)
+    headings = ["converged,\niterations", "time", "cost J", "J per\ndof", *metrics.values(), *["NEES"] * known]
+    table = LeanTable(results.title, ["estimator"], headings)
     for row in results:
         values = (number(getattr(row, metric)) for metric in metrics)
         converged = yes_no(row.converged, f", {row.iterations}")
-        table.add_row(row.name, converged, seconds(row.seconds), number(row.cost), *values)
+        costs = number(row.cost, 2), number(row.cost_per_dof, 2)
+        table.add_row(row.name, converged, seconds(row.seconds), *costs, *values, *[number(row.nees, 2)] * known)
     return [table], []
 
 
 def comparison_tables(comparison: Comparison) -> Tables:
     """The table of the results, with agreement, skipped estimators, and notes of the log and the estimators."""
-    log, remarks = comparison.log, []
+    log, remarks = comparison.log, _noise_remarks(comparison)
+    remarks += [f"WARNING: {finding.message}." for finding in comparison.findings]
     if any(value is not None for value in comparison.nees.values()):
         remarks.append("NEES: 1 means consistent covariances, above 1 overconfident ones.")
     if (difference := comparison.difference("graph", "gtsam")) is not None:
         remarks.append(f"graph and gtsam differ by at most {difference:.1e} in any x, y [m] or heading [rad].")
-    if log.true_poses is None:
+    if log.true_poses is None and any(metrics.aligned_by for metrics in comparison.metrics.values()):
+        remarks.append(
+            "The log has no true poses: the maps are aligned to the true landmarks, and only maps have an error."
+        )
+    elif log.true_poses is None:
         remarks.append("The log has no true poses, so no error can be measured.")
     elif (covered := int(log.covered.sum())) < log.num_poses:
         remarks.append(f"The errors are those of the {covered} of {log.num_poses} poses that the ground truth covers.")
+    if log.true_poses is not None and (where := log.truth_place):
+        remarks.append(f"Errors are measured at the point that the ground truth is of, {where} of the robot's pose.")
+    remarks += _exchanged(comparison)
     remarks += [f"{entry.name} {entry.outcome}: {entry.reason}." for entry in comparison.skipped]
     remarks += [f"{r.name} did not converge: {r.reason}." for r in comparison.results if r.converged is False]
     notes: dict[str, list[str]] = {note: [log.name] for note in log.notes}
@@ -133,15 +152,64 @@ def comparison_tables(comparison: Comparison) -> Tables:
     return result_tables(comparison.table)[0], remarks
 
 
+def landmark_table(comparison: Comparison) -> Table | None:
+    """The error of each landmark in the map of each estimator, largest first; None where no error is known."""
+    errors = {name: m.landmark_errors_m for name, m in comparison.metrics.items() if m.landmark_errors_m}
+    if not errors:
+        return None
+    first = errors.get("graph") or next(iter(errors.values()))
+    title = "Error of each landmark after the alignment [m], largest first"
+    table = LeanTable(title, ["landmark"], ["sightings", *errors])
+    ids, counts = np.unique(comparison.log.landmarks, return_counts=True)
+    seen = dict(zip(ids.tolist(), counts.tolist()))
+    for j in sorted(set().union(*errors.values()), key=lambda j: (-first.get(j, -1.0), j)):
+        table.add_row(str(j), str(seen.get(j, NOTHING)), *(number(of.get(j)) for of in errors.values()))
+    return table
+
+
+def _exchanged(comparison: Comparison) -> list[str]:
+    """A sentence for each two landmarks of the first map that may have each other's id."""
+    log = comparison.log
+    for result in comparison.results:
+        if log.true_landmarks and result.named and result.landmarks and result.name != "dead-reckoning":
+            placement = placement_of_result(log, result)
+            return [
+                f"{result.name}: landmarks {a} and {b} lie where the ground truth has the other one; have their ids been "
+                "exchanged?"
+                for a, b in exchanged(log.true_landmarks, result.landmarks, placement)
+            ]
+    return []
+
+
+def _noise_remarks(comparison: Comparison) -> list[str]:
+    """Which noise models were used, and what J per degree of freedom says about them."""
+    names = {"book": "the book's", "log": "published with the log", "given": "as given"}
+    sources = {name: names[source] for name, source in comparison.noise_source.items()}
+    same = len(set(sources.values())) == 1
+    which = sources["motion"] if same else ", ".join(f"{name} {source}" for name, source in sources.items())
+    remarks = [f"Noise models: {which}."]
+    solved = [result for result in comparison.results if result.cost_per_dof is not None and result.name != "textbook"]
+    if solved:
+        first, ratio = solved[0].name, solved[0].cost_per_dof or 0.0
+        verdict = ""
+        if ratio > DOUBTFUL:
+            verdict = f" {first} has {number(ratio, 1)}: the noise is too small, or sightings are wrong."
+        elif ratio < 1 / DOUBTFUL:
+            verdict = f" {first} has {number(ratio, 2)}: the noise is too large."
+        remarks.append(f"J per dof (degree of freedom): about 1 means that the noise models fit.{verdict}")
+    return remarks
+
+
 def solver_tables(comparison: SolverComparison) -> Tables:
     """A row per variant; below, what disagrees and what was left out, reason by reason."""
-    headings = ("poses\ndiffer by", "costs\ndiffer by", "iterations\n/ gtsam", "time", "time of\ngtsam", "agree")
+    headings = ("poses\ndiffer", "costs\ndiffer", "J per\ndof", "steps /\ngtsam", "time", "time of\ngtsam", "agree")
     table = LeanTable("hand-written solver against GTSAM", ["variant"], headings)
     for variant in comparison.variants:
         table.add_row(
             variant.name,
             f"{variant.pose_difference:.1e}",
             f"{variant.cost_difference:.1e}",
+            number(variant.cost_per_dof, 2),
             f"{variant.iterations} / {variant.gtsam_iterations}",
             seconds(variant.seconds),
             seconds(variant.gtsam_seconds),
@@ -154,6 +222,8 @@ def solver_tables(comparison: SolverComparison) -> Tables:
     for reason, names in reasons.items():
         which = names[0] if len(names) == 1 else f"{len(names)} variants ({names[0]}, ...)"
         remarks.append(f"{which} left out: {reason}.")
+    if any(variant.cost_per_dof is not None for variant in comparison.variants):
+        remarks.append("J per dof (degree of freedom): about 1 means that the noise models fit.")
     return [table], remarks
 
 
@@ -161,15 +231,16 @@ def backend_tables(comparison: BackendComparison) -> Tables:
     """A row per file and solver; below, the mean ratios of the times and the runs that did not reach the best chi2."""
     table = LeanTable(
         "pose graphs: chi2 by one evaluator, time from the initial values until the stop rule holds",
-        ["file", "solver"], ["chi2", "best", "iterations", "time", "ours /\ntheirs"],
+        ["file", "solver"], ["chi2", "chi2\n/ dof", "best", "steps", "time", "ours /\ntheirs"],
     )  # fmt: skip
     ours, previous, remarks = "graphslam", None, []
     for row in comparison.rows:
         ratio = comparison.ratio(row)
         table.add_row(
             Path(row.file).name if row.file != previous else "",
-            row.backend,
+            row.backend if row.native else f"{row.backend} ({PYTHON_FACTORS})",
             number(row.chi2, 6),
+            number(row.chi2_per_dof, 2),
             yes_no(comparison.reached(row)),
             str(row.iterations),
             seconds(row.seconds),
@@ -179,6 +250,16 @@ def backend_tables(comparison: BackendComparison) -> Tables:
     for name in dict.fromkeys(row.backend for row in comparison.rows if row.backend != ours):
         if (mean := comparison.geometric_mean(name)) is not None:
             remarks.append(f"graphslam takes 1/{1 / mean:.1f} of the time of {name} (geometric mean).")
+    called = dict.fromkeys(row.backend for row in comparison.rows if not row.native)
+    if called:
+        remarks.append(
+            f"{' and '.join(called)} ({PYTHON_FACTORS}): GTSAM has no factor of its own for the points of a pose graph. "
+            "Python evaluates them, which takes most of the time, so these rows are in no mean."
+        )
+    if any(row.chi2_per_dof is not None for row in comparison.rows):
+        remarks.append(
+            "chi2 / dof: per degree of freedom; about 1 means that the information in the file fits the errors."
+        )
     for row in comparison.rows:
         if not comparison.reached(row):
             remarks.append(f"{Path(row.file).name}: {row.backend} did not reach the best chi2: {row.reason}.")

@@ -27,7 +27,7 @@ from .plan import Run, Study
 
 #: "SLAM" in ASCII, in the head of the file: the place where SQLite keeps the application of a database
 APPLICATION = 0x534C414D
-VERSION = 1
+VERSION = 2
 
 _TYPES = {"int | None": "INTEGER", "bool | None": "INTEGER", "float | None": "REAL"}
 _FIGURES = [(f.name, _TYPES.get(str(f.type), "TEXT")) for f in fields(Outcome) if f.name != "key"]
@@ -98,7 +98,11 @@ class StudyDatabase:
         (version,) = self._connection.execute("PRAGMA user_version").fetchone()
         if application != APPLICATION:
             raise FormatError(self.path, None, "this SQLite file is no study of slam-compare; name another one")
-        if version != VERSION:
+        if version == 1:
+            # version 2 has one more figure, which is not known of the rows of version 1
+            self._connection.execute("ALTER TABLE runs ADD COLUMN cost_per_dof REAL")
+            self._connection.execute(f"PRAGMA user_version = {VERSION}")
+        elif version != VERSION:
             raise FormatError(self.path, None, f"a study of version {version}; this program reads version {VERSION}")
 
     def plan(self, study: Study) -> None:

@@ -19,7 +19,7 @@ class Outcome:
         key: of the run, see `plan.Run.key`.
         status: `DONE`, `ERROR` or `TIMEOUT`.
         error: one sentence where the status is not `DONE`.
-        converged, iterations, cost: as in `comparisons.comparison.Row`.
+        converged, iterations, cost, cost_per_dof: as in `comparisons.comparison.Row`.
         ate_m, rpe_m, rpe_rad, landmark_rmse_m: errors against the ground truth, see `graphslam.metrics`.
         seconds: the estimation alone.
         total_seconds: the whole run, with reading the log, setting up and computing the errors.
@@ -34,6 +34,7 @@ class Outcome:
     converged: bool | None = None
     iterations: int | None = None
     cost: float | None = None
+    cost_per_dof: float | None = None
     ate_m: float | None = None
     rpe_m: float | None = None
     rpe_rad: float | None = None

@@ -11,12 +11,13 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from os import PathLike
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from graphslam import OptionError
+from graphslam.checks import suggestion
 
 from ..display import Displayed
-from ..option import suggestion
 from .bootstrap import Median, median_of
 from .database import StudyDatabase
 from .outcome import DONE, TIMEOUT
@@ -27,6 +28,7 @@ METRICS = {
     "rpe_m": "RPE [m]",
     "rpe_rad": "RPE [rad]",
     "landmark_rmse_m": "map RMSE [m]",
+    "cost_per_dof": "J per degree of freedom",
     "iterations": "iterations",
     "seconds": "time [s]",
 }
@@ -59,6 +61,8 @@ class MethodSummary:
 @dataclass(frozen=True)
 class PairedDifference:
     """A method against the baseline, on the same log with the same seed: method minus baseline.
+
+    On a file a deterministic method gives the same result for every seed: there it is one measurement, not one per seed.
 
     Attributes:
         log, method, baseline: which.
@@ -146,24 +150,57 @@ def _method(log: str, name: str, rows: Sequence[Row]) -> MethodSummary:
         failed=len(rows) - status[DONE] - status[TIMEOUT],
         timeouts=status[TIMEOUT],
         converged=sum(converged) / len(converged) if converged else None,
-        figures={metric: _median([(row[metric], row) for row in rows], log) for metric in METRICS},
+        figures={metric: _median([(row[metric], _unit(row, log)) for row in _measured(rows)]) for metric in METRICS},
     )
 
 
 def _difference(log: str, name: str, baseline: str, rows: Sequence[Row], base: Sequence[Row]) -> PairedDifference:
-    partners = {(row["log"], row["seed"]): row for row in base}
+    partners: dict[str, list[Row]] = {}
+    for row in _measured(base):
+        partners.setdefault(row["log"], []).append(row)
+    pairs = [
+        (row, other)
+        for row in _measured(rows)
+        for other in partners.get(row["log"], [])
+        if row["seed"] == other["seed"] or None in (row["seed"], other["seed"])
+    ]
     figures, lower = {}, {}
     for metric in METRICS:
-        pairs = [(row, partners.get((row["log"], row["seed"]), {}).get(metric)) for row in rows]
-        gaps = [(row[metric] - other, row) for row, other in pairs if None not in (row[metric], other)]
-        figures[metric] = _median(gaps, log)
+        gaps = [
+            (row[metric] - other[metric], _unit(other if row["seed"] is None else row, log))
+            for row, other in pairs
+            if None not in (row[metric], other[metric])
+        ]
+        figures[metric] = _median(gaps)
         lower[metric] = sum(gap < 0 for gap, _ in gaps)
     return PairedDifference(log, name, baseline, figures, lower)
 
 
-def _median(values: Sequence[tuple[float | None, Row]], log: str) -> Median | None:
-    """The median of the values that are known, each with the row that it is of."""
-    known = [(value, _unit(row, log)) for value, row in values if value is not None]
+def _measured(rows: Sequence[Row]) -> list[Row]:
+    """The rows of a method, with repeats as one: a deterministic estimator has equal poses for all seeds on a file.
+
+    Such a row has the median of the times, and no seed: it belongs to every seed.
+    """
+    groups: dict[Hashable, list[Row]] = {}
+    for row in rows:
+        repeatable = "file" in row["source"] and row["status"] == DONE and row["poses_sha256"] is not None
+        groups.setdefault((row["log"], row["poses_sha256"] if repeatable else row["key"]), []).append(row)
+    return [
+        group[0]
+        if len(group) == 1
+        else {**group[0], "seed": None, "seconds": _middle([row["seconds"] for row in group])}
+        for group in groups.values()
+    ]
+
+
+def _middle(times: Sequence[float | None]) -> float | None:
+    known = [time for time in times if time is not None]
+    return median(known) if known else None
+
+
+def _median(values: Sequence[tuple[float | None, Hashable]]) -> Median | None:
+    """The median of the values that are known, each with the unit that it belongs to."""
+    known = [(value, unit) for value, unit in values if value is not None]
     return median_of([value for value, _ in known], [unit for _, unit in known])
 
 

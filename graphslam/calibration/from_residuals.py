@@ -121,7 +121,7 @@ def noise_from_residuals(
     Raises:
         GraphError: the log has no controls, or its graph is not determined.
     """
-    graph = Graph.from_log(log, motion=motion, sensor=sensor, edges="landmark+motion", kernel="huber")
+    graph = Graph.from_log(log, motion=motion, sensor=sensor, edges="landmark+motion", kernel="huber", residual="polar")
     anchor, seen, driven = graph.families
     assert isinstance(seen, ObservationEdges) and isinstance(driven, RelativePoseEdges)
     regular = ordinary(log)

@@ -1,10 +1,12 @@
 """Edge families, which connect the nodes of a graph: one file for each kind, and the kernels that they share."""
 
 from .anchor import ANCHOR_INFORMATION, AnchorEdges
-from .base import EdgeFamily, Linearization, Relations
+from .base import ConstantEdges, EdgeFamily, Linearization, Relations
+from .cartesian import CartesianObservationEdges
 from .marginal import MarginalEdges
 from .motion import motion_edges
 from .observation import ObservationEdges
+from .polar import PolarObservationEdges
 from .relative import RelativePointEdges, RelativePoseEdges
 from .sightings import LandmarkSightings, SightingEdges
 from .virtual_motion import VirtualMotionEdges
@@ -12,11 +14,14 @@ from .virtual_motion import VirtualMotionEdges
 __all__ = [
     "ANCHOR_INFORMATION",
     "AnchorEdges",
+    "CartesianObservationEdges",
+    "ConstantEdges",
     "EdgeFamily",
     "LandmarkSightings",
     "Linearization",
     "MarginalEdges",
     "ObservationEdges",
+    "PolarObservationEdges",
     "RelativePointEdges",
     "RelativePoseEdges",
     "Relations",

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..linear.information import BlockSystem
 from ..se2 import Array, wrap
-from .base import EdgeFamily, Linearization
+from .base import ConstantEdges, EdgeFamily, Linearization
 
 #: the lectures' Omega_0 = 1e6 I
 ANCHOR_INFORMATION = 1e6 * np.eye(3)
@@ -34,6 +34,11 @@ class AnchorEdges(EdgeFamily):
         residuals[:, 2] = wrap(residuals[:, 2])
         jacobians = np.broadcast_to(np.eye(3), (self.count, 3, 3))
         return Linearization(residuals, self.information, (self.nodes,), (jacobians,))
+
+    def constant(self, state: Array) -> ConstantEdges:
+        # a relative pose measured from the origin of the world
+        ends = np.full(self.count, -1), self.nodes
+        return ConstantEdges(*ends, self.values[:, :2], np.zeros((self.count, 2)), self.values[:, 2], self.information)
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
         edges = self.linearize(state, reference)

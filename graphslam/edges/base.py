@@ -8,10 +8,11 @@ every step, a damped search keeps it fixed during a step so that the function it
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..errors import GraphError
 from ..linear.information import BlockSystem
 from ..se2 import Array, turn_matrix
 
@@ -80,6 +81,30 @@ class Relations:
     information: Array
 
 
+@dataclass(frozen=True)
+class ConstantEdges:
+    """Edges whose information is constant in the axes of their first node a, as the certificate needs them.
+
+        e_xy = R(theta_a)' (p_b + R(theta_b) d_b - p_a) - d_a,    e_theta = wrap(theta_b - theta_a - turn)
+
+    Attributes:
+        first, second: (E,) the nodes a and b; a is -1 for an edge from the origin of the world. Numbers beyond the nodes of
+            the graph are those of ``landmarks``.
+        start, end: (E, 2) d_a and d_b.
+        turn: (E,), or None for edges without a heading row.
+        information: (E, 3, 3), or (E, 2, 2) without a heading row.
+        landmarks: (K, 3) values of further nodes, over which the cost of the family is the minimum.
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    start: Array
+    end: Array
+    turn: Array | None
+    information: Array
+    landmarks: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+
 class EdgeFamily(ABC):
     """Edges of one kind. All of them write e' Omega e into the cost, B' Omega B into Omega and -B' Omega e into xi."""
 
@@ -97,6 +122,14 @@ class EdgeFamily(ABC):
     def state_dependent_information(self) -> bool:
         """Whether Omega_e depends on the reference state."""
         return False
+
+    @property
+    def information_per_weight(self) -> float:
+        """The information that an edge contributes to the estimate, over the information that it has in Omega.
+
+        1 without a robust kernel; see `robust.Kernel.information_per_weight`.
+        """
+        return 1.0
 
     @abstractmethod
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
@@ -116,6 +149,14 @@ class EdgeFamily(ABC):
     def cost(self, state: Array, reference: Array) -> float:
         """The sum of e' Omega e."""
         return self.accumulate(state, reference, None)
+
+    def constant(self, state: Array) -> ConstantEdges:
+        """The edges in the form that `graphslam.certificate` needs, at a state (n, 3).
+
+        Raises:
+            GraphError: their information depends on the state, or their residual has another form.
+        """
+        raise GraphError(f"{type(self).__name__} have no form with constant information")
 
     def headings(self) -> Relations | None:
         """The relative headings that the edges measure; None where they measure none."""

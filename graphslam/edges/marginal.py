@@ -30,9 +30,10 @@ import numpy as np
 from numba import njit
 
 from ..linear.information import BlockSystem
+from ..precision import inverses
 from ..se2 import Array, perpendicular
 from . import kernels
-from .base import Linearization, linearization
+from .base import ConstantEdges, Linearization, linearization
 from .robust import loss, weight, weight_slope
 from .sightings import WORLD, LandmarkSightings
 
@@ -63,6 +64,16 @@ class MarginalEdges(LandmarkSightings):
         information = (W * factor[:, None])[:, _SYMMETRIC][:, :d, :d]
         return linearization((self.nodes,), e, information, (self._effective(lever, e),))
 
+    def constant(self, state: Array) -> ConstantEdges:
+        """The sightings one by one, as edges to landmark nodes: the marginal cost is the minimum over these nodes."""
+        self._check_constant(self.frame)
+        place, means = self._place, self.landmarks(state, state)
+        covariance = self.sensor.landmark_covariance(np.zeros((self.count, 3)), self.sightings)
+        information = np.linalg.inv(covariance) * self.trusted[:, None, None]
+        turn, start = place[:, 2] if self.oriented else None, place[:, :2]
+        second = len(state) + self.group
+        return ConstantEdges(self.nodes, second, start, np.zeros_like(start), turn, information, means)
+
     def landmarks(self, state: Array, reference: Array) -> Array:
         """m̂ (G, 3) of each landmark, the third column zero without psi."""
         return self._around_means(state, reference)[4]
@@ -73,14 +84,18 @@ class MarginalEdges(LandmarkSightings):
         return np.einsum("mi,mij,mj->m", e, W[:, _SYMMETRIC], e)
 
     def map(self, poses: Array) -> tuple[Array, Array]:
-        """m̂ (G, d) of each landmark, and its covariance given the poses (G, d, d): (sum of w Omega)^-1.
+        """m̂ (G, d) of each landmark, and its covariance given the poses (G, d, d): (s sum of w Omega)^-1.
 
-        w is the trust times the weight that the kernel gives the sighting at m̂.
+        w is the trust times the weight that the kernel gives the sighting at m̂, and s is `information_per_weight`.
+
+        Raises:
+            GraphError: the sum is singular to double precision.
         """
         _, W, factor, _, means, _ = self._around_means(poses, poses)
         d = self.sightings.shape[1]
         information = np.add.reduceat(W * factor[:, None], self.starts[:-1], axis=0)[:, _SYMMETRIC][:, :d, :d]
-        return means[:, :d], np.linalg.inv(information)
+        remedy = "the sightings of this landmark do not determine it; change the noise of the sensor"
+        return means[:, :d], inverses(self.information_per_weight * information, "landmark", remedy)
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
         e, W, factor, lever, _, total = self._around_means(state, reference)

@@ -20,10 +20,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
+from ..errors import GraphError
 from ..linear.information import BlockSystem
 from ..se2 import Array, perpendicular, rotation, turn_matrix, wrap
 from . import kernels
-from .base import Linearization, PairEdges, Relations, linearization
+from .base import ConstantEdges, Linearization, PairEdges, Relations, linearization
+from .robust import SQUARES, loss, weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,13 +60,17 @@ class _RelativeEdges(PairEdges):
         information = turn @ self.information @ np.swapaxes(turn, 1, 2)
         return linearization(ends, residuals, information, (perpendicular(reached), still))
 
+    def constant(self, state: Array) -> ConstantEdges:
+        if self.frame == "world":
+            raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
+        d_a, turn = self.measured[:, :2], self.measured[:, 2] if self.measured.shape[1] == 3 else None
+        return ConstantEdges(self.first, self.second, d_a, np.zeros_like(d_a), turn, self.information)
+
     def positions(self, state: Array) -> Relations | None:
         return Relations(self.first, self.second, *_turned(state, self.first, self.measured, self.information))
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
-        add = _add_poses if self.measured.shape[1] == 3 else _add_points
-        edges = (self.first, self.second, self.measured, self.information)
-        return add(state, reference, *edges, self.frame == "world", *self._targets(system))
+        return accumulate(self, state, reference, SQUARES, 1.0, self._targets(system))
 
 
 class RelativePoseEdges(_RelativeEdges):
@@ -79,6 +85,15 @@ class RelativePointEdges(_RelativeEdges):
 
     A landmark without heading uses the first two coordinates of its node; `Graph.linearize` holds the third.
     """
+
+
+def accumulate(
+    edges: _RelativeEdges, state: Array, reference: Array, kernel: int, width: float, targets: tuple[np.ndarray, ...]
+) -> float:
+    """As `EdgeFamily.accumulate`, with a robust kernel on every edge: its code and width, see `edges.robust`."""
+    add = _add_poses if edges.measured.shape[1] == 3 else _add_points
+    parts = (edges.first, edges.second, edges.measured, edges.information)
+    return add(state, reference, *parts, edges.frame == "world", kernel, width, *targets)
 
 
 @njit(cache=True, error_model="numpy")
@@ -101,8 +116,9 @@ def _compiled(rows: int) -> Callable[..., float]:
     # rotated measurement (world: information held still) or of the offset itself (body: information turns along).
     @njit(cache=True, error_model="numpy")
     def accumulate(  # type: ignore[no-untyped-def]
-        state, reference, first, second, measured, information, world, at_first, at_second, at_pair, values, xi
-    ):
+        state, reference, first, second, measured, information, world, kernel, width,
+        at_first, at_second, at_pair, values, xi,
+    ):  # fmt: skip
         total = 0.0
         for k in range(len(first)):
             i, j, z, omega = first[k], second[k], measured[k], information[k]
@@ -121,7 +137,13 @@ def _compiled(rows: int) -> Callable[..., float]:
             W = kernels.turned(c, s, (omega[0, 0], omega[0, 1], omega[1, 1], w02, w12, w22))
             e = (dx - rx, dy - ry, et)
             g = kernels.product(W, e)
-            total += kernels.dot(g, e)
+            squares = kernels.dot(g, e)
+            if not kernel:
+                total += squares
+            else:
+                total += loss(kernel, width, squares)
+                W = kernels.scaled(weight(kernel, width, squares), W)
+                g = kernels.product(W, e)
             if len(values):
                 slots = (at_first[k], at_second[k], at_pair[k])
                 if rows == 3:

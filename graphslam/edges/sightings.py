@@ -14,6 +14,7 @@ from typing import TypeVar
 import numpy as np
 from numba import njit
 
+from ..errors import GraphError
 from ..linear.information import BlockSystem
 from ..models import SensorModel
 from ..se2 import Array, perpendicular
@@ -33,7 +34,8 @@ NO_TRUST = 1e-9
 class SightingEdges(EdgeFamily):
     """Edges that come from sightings (M, 2 or 3) by a sensor.
 
-    ``kernel`` is the robust kernel of every edge, or None for plain squares. ``trust`` (M,) is a factor from 0 to 1 on
+    ``kernel`` is the robust kernel of every edge, or None for plain squares; its default width is that for the dimension
+    of a sighting. ``trust`` (M,) is a factor from 0 to 1 on
     the information of each sighting, or None for 1; graduated non-convexity sets it. 0 counts as `NO_TRUST`.
     """
 
@@ -41,6 +43,10 @@ class SightingEdges(EdgeFamily):
     sensor: SensorModel
     kernel: Kernel | None
     trust: Array | None
+
+    def __post_init__(self) -> None:
+        if self.kernel is not None:
+            object.__setattr__(self, "kernel", self.kernel.of_dimension(self.sightings.shape[1]))
 
     def with_trust(self: Self, trust: Array | None) -> Self:
         """The same edges with another factor (M,) on the information of each sighting."""
@@ -56,10 +62,26 @@ class SightingEdges(EdgeFamily):
         """Whether the sightings measure psi."""
         return self.sightings.shape[1] == 3
 
+    def kernel_weights(self, state: Array) -> Array:
+        """The weight (E,) that the kernel gives each edge at a state, 1 without a kernel."""
+        squares = self.linearize(state, state).mahalanobis
+        return np.ones(len(squares)) if self.kernel is None else self.kernel.weight(squares)
+
+    @property
+    def information_per_weight(self) -> float:
+        return 1.0 if self.kernel is None else self.kernel.information_per_weight(self.sightings.shape[1])
+
     @cached_property
     def _robust(self) -> tuple[int, float, Array]:
         """The kernel's code and width, and the trust (M,)."""
         return *code_and_width(self.kernel), self.trusted
+
+    def _check_constant(self, frame: str) -> None:
+        """Raise `GraphError` unless the information of the sightings is constant: in the body frame, without a kernel."""
+        if frame == "world":
+            raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
+        if self.kernel is not None:
+            raise GraphError(f"the robust kernel {self.kernel.name} changes the weights with the state")
 
     @property
     def _noise(self) -> tuple[tuple[float, float, float, float], tuple[float, float]]:
@@ -133,6 +155,11 @@ class LandmarkSightings(SightingEdges):
         """Sightings of a landmark that follow each other from different nodes, first and second, and their nodes."""
         a = np.flatnonzero((self.group[1:] == self.group[:-1]) & (self.nodes[1:] != self.nodes[:-1]))
         return a, a + 1, self.nodes[a], self.nodes[a + 1]
+
+    @cached_property
+    def _place(self) -> Array:
+        """The landmark (M, 2 or 3) that each sighting measures, in the frame of the pose."""
+        return self.sensor.h_inverse(np.zeros((len(self.nodes), 3)), self.sightings)
 
     def _prepared(self, state: Array, reference: Array, mode: int) -> tuple[Array, Array, Array, Array]:
         """y (M, 3), lever (M, 2), gamma (M,) and C (M, 6) of the sightings; see `prepare`."""

@@ -35,10 +35,11 @@ from itertools import pairwise
 import numpy as np
 from numba import njit
 
+from ..errors import GraphError
 from ..linear.information import BlockSystem
-from ..se2 import Array, perpendicular, wrap
+from ..se2 import Array, perpendicular, turn_matrix, wrap
 from . import kernels
-from .base import Linearization, linearization
+from .base import ConstantEdges, Linearization, linearization
 from .robust import loss, weight
 from .sightings import BODY, BODY_WITHOUT_PSI, WORLD, LandmarkSightings
 
@@ -50,7 +51,8 @@ class VirtualMotionEdges(LandmarkSightings):
     Args:
         tempered: multiply every pair of a landmark by 2/K, K the number of its sightings (the sum of their trust).
 
-    The trust in an edge is the product of the trust in its two sightings.
+    The trust in an edge is the product of the trust in its two sightings. A kernel acts on the residual of a pair before
+    tempering: the pair costs 2/K times 2 rho(r), r² without the factor 2/K.
     """
 
     tempered: bool = field(default=False, kw_only=True)
@@ -104,12 +106,36 @@ class VirtualMotionEdges(LandmarkSightings):
             angle = y[a, 2] if self.oriented else (state - reference)[self.nodes[a], 2]
         return linearization((self.nodes[a], self.nodes[b]), residuals, information, (u, lever[b]), angle)
 
+    def constant(self, state: Array) -> ConstantEdges:
+        if not self.oriented:
+            raise GraphError(
+                "without psi the information of virtual-motion edges depends on the state; use weight='marginal' or "
+                "edges='landmark+motion'"
+            )
+        self._check_constant(self.frame)
+        a, b, group = self.pairs()
+        factor = self.group_weights[group] * self.trusted[a] * self.trusted[b]
+        place, own = self._place, self.covariances(state)
+        # from the axes of the landmark to those of the first pose, in which the landmark faces phi - psi
+        turn = turn_matrix(place[a, 2])
+        information = turn @ np.linalg.inv(own[a] + own[b]) @ np.swapaxes(turn, 1, 2) * factor[:, None, None]
+        facing = place[:, 2]
+        return ConstantEdges(
+            self.nodes[a], self.nodes[b], place[a, :2], place[b, :2], facing[a] - facing[b], information
+        )
+
     def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
         mode = WORLD if self.frame == "world" else BODY if self.oriented else BODY_WITHOUT_PSI
         return _accumulate(
             self.starts, self.nodes, *self._by_node, self.group_weights, *self._prepared(state, reference, mode),
             self.oriented, self.frame == "body", *self._robust, *self._targets(system),
         )  # fmt: skip
+
+    def kernel_weights(self, state: Array) -> Array:
+        if self.kernel is None:
+            return super().kernel_weights(state)
+        squares = self.linearize(state, state).mahalanobis / self.group_weights[self.pairs()[2]]
+        return self.kernel.weight(squares)
 
     @cached_property
     def group_weights(self) -> Array:
@@ -138,6 +164,8 @@ def _accumulate(  # type: ignore[no-untyped-def]
             b = order[k]
             g = groups[b]
             weight_b = weights[g] * trust[b]
+            # rho of s r² with the width c sqrt(s) is s times rho of r² with the width c
+            c = width * np.sqrt(weights[g])
             for a in range(starts[g], b):
                 i = nodes[a]
                 if i == j:
@@ -151,8 +179,8 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 if not kernel:
                     total += squares
                 else:
-                    total += loss(kernel, width, squares)
-                    W = kernels.scaled(weight(kernel, width, squares), W)
+                    total += loss(kernel, c, squares)
+                    W = kernels.scaled(weight(kernel, c, squares), W)
                     omega_e = kernels.product(W, e)
                 if adding:
                     ux, uy = lever[a, 0], lever[a, 1]

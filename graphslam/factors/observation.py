@@ -9,8 +9,10 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..checks import check_choice
 from ..errors import FactorError
-from ..models import SensorModel
+from ..models import RESIDUALS, SensorModel
+from ..se2 import Array
 from .arguments import (
     PoseLike,
     frozen_at,
@@ -25,20 +27,26 @@ from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, nois
 
 
 class ObservationFactor(Factor):
-    """A sighting of a landmark that is a node of its own: e = h(x, m) - z, information Q^-1.
+    """A sighting of a landmark that is a node of its own.
+
+    ``residual="cartesian"`` has the sighting as a position in the robot's axes, o + l (cos phi, sin phi) with o the sensor's
+    offset: e = R(theta)' (m - p) - o - l (cos phi, sin phi), and with psi also theta_m - theta - (phi - psi). Its
+    information is (L Q L')^-1, L = dh^-1/dz seen from a pose at the origin. This is an `InverseObservationFactor` with
+    ``frame="body"``. ``residual="polar"`` is e = h(x, m) - z with information Q^-1.
 
     Args:
         pose_key: of a `gtsam.Pose2`.
         landmark_key: of a `gtsam.Pose2` (with psi) or a `gtsam.Point2` (without).
         z: (l, phi, psi) or (l, phi) [m, rad, rad].
         sensor: gives Q, at the measured range; default: the book's.
+        residual: "cartesian" or "polar".
         scale: factor on the information.
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
         OptionError: an argument has an impossible value.
 
-    A landmark exactly at the sensor has no bearing: `FactorError` when the factor is evaluated there.
+    With the polar residual a landmark exactly at the sensor has no bearing: `FactorError` when it is evaluated there.
     """
 
     def __init__(
@@ -48,45 +56,29 @@ class ObservationFactor(Factor):
         z: ArrayLike,
         sensor: SensorModel | None = None,
         *,
+        residual: str = "cartesian",
         scale: float = 1.0,
         kernel: KernelLike = None,
     ) -> None:
         z, sensor = sighting("z", z), sensor_of(sensor)
-        oriented = len(z) == 3
-        length, bearing, orientation = (*z.tolist(), 0.0)[:3]
-        ahead, left = sensor.offset
-
-        def residual(x: Coordinates, m: Coordinates) -> Linearized:
-            ct, st = cos(x[2]), sin(x[2])
-            # from the pose to the sensor; turning the robot moves the sensor by (-uy, ux)
-            ux, uy = ct * ahead - st * left, st * ahead + ct * left
-            dx, dy = m[0] - x[0] - ux, m[1] - x[1] - uy
-            r, direction = hypot(dx, dy), atan2(dy, dx)
-            if r == 0:
-                raise FactorError("the landmark is exactly at the robot's sensor, where it has no bearing")
-            c, s, p, q = dx / r, dy / r, -dy / (r * r), dx / (r * r)
-            along, across = c * uy - s * ux, p * uy - q * ux
-            e = [r - length, wrapped(direction - x[2] - bearing)]
-            by_pose = [[-c, -s, along], [-p, -q, across - 1.0]]
-            if not oriented:
-                return e, (by_pose, [[c, s], [p, q]])
-            e.append(wrapped(direction - m[2] - orientation))
-            by_pose.append([-p, -q, across])
-            return e, (by_pose, [[c, s, 0.0], [p, q, 0.0], [p, q, -1.0]])
-
-        arguments = {"z": z, "sensor": sensor, "scale": scale, "kernel": kernel}
-        kinds = [POSE, POSE if oriented else POINT]
-        super().__init__([pose_key, landmark_key], kinds, residual, arguments, covariance=sensor.Q(z))
+        check_choice("residual", residual, RESIDUALS)
+        if residual == "polar":
+            evaluated, covariance = _polar(z, sensor), sensor.Q(z)
+        else:
+            evaluated, covariance = _seen(z, sensor), sensor.landmark_covariance(np.zeros(3), z)
+        arguments = {"z": z, "sensor": sensor, "residual": residual, "scale": scale, "kernel": kernel}
+        kinds = [POSE, POSE if len(z) == 3 else POINT]
+        super().__init__([pose_key, landmark_key], kinds, evaluated, arguments, covariance=covariance)
 
     def fastest(self) -> gtsam.NonlinearFactor:
         """GTSAM's own `gtsam.BearingRangeFactor2D` where that is exactly equal, else this factor.
 
-        It is equal without psi and with the sensor at the robot's pose. GTSAM can save and copy its own factor; `describe`
-        and `save_factors` do not know it.
+        It is equal with the polar residual, without psi, and with the sensor at the robot's pose. GTSAM can save and copy
+        its own factor; `describe` and `save_factors` do not know it.
         """
         arguments = self.description.arguments
         z, sensor = arguments["z"], arguments["sensor"]
-        if len(z) == 3 or not sensor.centred:
+        if arguments["residual"] != "polar" or len(z) == 3 or not sensor.centred:
             return self
         # GTSAM puts the bearing first
         noise = noise_model(arguments, covariance=sensor.Q(z)[::-1, ::-1])
@@ -97,8 +89,7 @@ class ObservationFactor(Factor):
 class InverseObservationFactor(Factor):
     """A sighting as a measurement of the landmark's place: e = m - h^-1(x, z), information (R Q R')^-1.
 
-    The same sighting as that of an `ObservationFactor`, with a residual in the plane and not in the sensor's
-    coordinates. It is linear in m. With ``frame="body"`` the residual is turned into the robot's axes, R(theta)' e, where
+    The residual is linear in m. With ``frame="body"`` the residual is turned into the robot's axes, R(theta)' e, where
     the information is constant, with psi or without; ``frame="world"`` keeps e in the world's axes and freezes the
     information at ``at``.
     When the landmarks are eliminated, these factors become the marginal edges (`LandmarkFactor` with
@@ -134,7 +125,7 @@ class InverseObservationFactor(Factor):
         frozen, kinds = frozen_at(at, needed=world), [POSE, POSE if len(z) == 3 else POINT]
         # in the robot's axes the covariance is that seen from a pose at the origin
         covariance = sensor.landmark_covariance(np.zeros(3) if frozen is None else frozen, z)
-        residual = _in_the_plane(*in_robot_frame(z, sensor), z[1] - z[2] if len(z) == 3 else None, world)
+        residual = _seen(z, sensor, world)
         arguments = {"z": z, "sensor": sensor, "frame": frame, "at": frozen, "scale": scale, "kernel": kernel}
         super().__init__([pose_key, landmark_key], kinds, residual, arguments, covariance=covariance)
 
@@ -165,6 +156,38 @@ class RelativePointFactor(Factor):
         arguments = {"measured": z, "information": omega, "kernel": kernel}
         residual = _in_the_plane(z[0], z[1])
         super().__init__([pose_key, landmark_key], [POSE, POINT], residual, arguments, information=omega)
+
+
+def _polar(z: Array, sensor: SensorModel) -> Callable[..., Linearized]:
+    """The residual h(x, m) - z."""
+    oriented = len(z) == 3
+    length, bearing, orientation = (*z.tolist(), 0.0)[:3]
+    ahead, left = sensor.offset
+
+    def residual(x: Coordinates, m: Coordinates) -> Linearized:
+        ct, st = cos(x[2]), sin(x[2])
+        # from the pose to the sensor; turning the robot moves the sensor by (-uy, ux)
+        ux, uy = ct * ahead - st * left, st * ahead + ct * left
+        dx, dy = m[0] - x[0] - ux, m[1] - x[1] - uy
+        r, direction = hypot(dx, dy), atan2(dy, dx)
+        if r == 0:
+            raise FactorError("the landmark is exactly at the robot's sensor, where it has no bearing")
+        c, s, p, q = dx / r, dy / r, -dy / (r * r), dx / (r * r)
+        along, across = c * uy - s * ux, p * uy - q * ux
+        e = [r - length, wrapped(direction - x[2] - bearing)]
+        by_pose = [[-c, -s, along], [-p, -q, across - 1.0]]
+        if not oriented:
+            return e, (by_pose, [[c, s], [p, q]])
+        e.append(wrapped(direction - m[2] - orientation))
+        by_pose.append([-p, -q, across])
+        return e, (by_pose, [[c, s, 0.0], [p, q, 0.0], [p, q, -1.0]])
+
+    return residual
+
+
+def _seen(z: Array, sensor: SensorModel, world: bool = False) -> Callable[..., Linearized]:
+    """The residual of a sighting in the plane: m - h^-1(x, z), or the same in the robot's axes."""
+    return _in_the_plane(*in_robot_frame(z, sensor), z[1] - z[2] if len(z) == 3 else None, world)
 
 
 def _in_the_plane(px: float, py: float, turn: float | None = None, world: bool = False) -> Callable[..., Linearized]:

@@ -13,15 +13,16 @@ from typing import Any
 
 from ..checks import check_choice
 from ..errors import FormatError, OptionError
-from ..files import check_file
+from ..files import check_file, check_path
 from ..log import Log
 from ..reading import ReadOptions
-from . import huang, lnpr, lost_in_the_woods, mrclam, npz, victoria_park
+from . import bag, huang, lnpr, lost_in_the_woods, mrclam, npz, tables, victoria_park
 from .base import Format
 from .mat import is_mat
 
 FORMATS: dict[str, Format] = {
-    module.FORMAT.name: module.FORMAT for module in (npz, lnpr, mrclam, huang, lost_in_the_woods, victoria_park)
+    module.FORMAT.name: module.FORMAT
+    for module in (npz, lnpr, mrclam, huang, lost_in_the_woods, victoria_park, bag, tables)
 }
 
 
@@ -42,6 +43,7 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
     path = Path(path)
     if format is not None:
         check_choice("format", format, FORMATS)
+    check_path(path)
     if not path.is_dir():
         check_file(path)
     chosen = FORMATS[format] if format is not None else _recognised(path)

@@ -1,10 +1,12 @@
 """The framework's own format: a NumPy ``.npz`` archive that holds everything a `Log` holds, without rounding.
 
 Arrays (absent = None): ``format`` ("graphslam-log-1"), ``dt`` (T,), ``controls`` (T, 2), ``steps`` (M,), ``landmarks``
-(M,), ``sightings`` (M, 2 or 3), ``initial_poses`` (T+1, 3), ``true_poses`` (T+1, 3), ``true_landmark_ids`` (L,),
-``true_landmark_poses`` (L, 3; a third column of NaN marks a landmark without heading), ``start_time``, and for logs
+(M,), ``sightings`` (M, 2 or 3), ``initial_poses`` (T+1, 3), ``true_poses`` (T+1, 3), ``truth_offset`` (2,;
+absent = at the robot's pose), ``true_landmark_ids`` (L,), ``true_landmark_poses`` (L, 3; a third column of NaN marks a
+landmark without heading), ``start_time``, and for logs
 with several controls per motion ``control_starts`` (T+1,) and ``control_variances`` (S, 2); ``motion`` and ``sensor``,
-the fields of the noise models in their order (the two of the offset last), where the log has such models. No pickles.
+the fields of the noise models in their order, where the log has such models; ``notes``
+(N,), texts. No pickles.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from .base import Format
 VERSION = "graphslam-log-1"
 _REQUIRED = ("steps", "landmarks", "sightings", "initial_poses")
 _MODELS: dict[str, type[MotionModel | SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
-_OPTIONAL = ("dt", "controls", "control_starts", "control_variances", "true_poses")
+_OPTIONAL = ("dt", "controls", "control_starts", "control_variances", "true_poses", "truth_offset")
 
 
 def _read(path: Path, _: ReadOptions) -> Log:
@@ -51,16 +53,20 @@ def _read(path: Path, _: ReadOptions) -> Log:
         models: dict[str, Any] = {}
         for name, model in _MODELS.items():
             if name in content:
-                names, values = [f.name for f in fields(model)], content[name].tolist()
-                if names[-1] == "offset":
-                    values[-2:] = [tuple(values[-2:])]
-                models[name] = model(**dict(zip(names, values, strict=True)))
+                numbers = iter(content[name].tolist())
+                # files of earlier versions lack the last fields
+                values: dict[str, Any] = {
+                    f.name: (next(numbers), next(numbers)) if f.name == "offset" else next(numbers, f.default)
+                    for f in fields(model)
+                }
+                models[name] = model(**values)
         return Log(
             **models,
             **{name: content[name] for name in _REQUIRED},
             **{name: content[name] for name in _OPTIONAL if name in content},
             true_landmarks=truth,
             start_time=float(content.get("start_time", 0.0)),
+            notes=tuple(map(str, content.get("notes", ()))),
             name=path.stem,
         )
     except (SlamError, TypeError, ValueError) as error:
@@ -70,14 +76,17 @@ def _read(path: Path, _: ReadOptions) -> Log:
 def _write(log: Log, path: Path) -> None:
     content = {name: getattr(log, name) for name in _REQUIRED}
     content |= {name: getattr(log, name) for name in _OPTIONAL if getattr(log, name) is not None}
+    if log.truth_offset == (0.0, 0.0):
+        del content["truth_offset"]
     if not log.composite:
         content.pop("control_starts", None)
-    # the two numbers of the sensor's offset follow the others
     content |= {name: np.hstack(astuple(model)) for name, model in vars(log).items() if name in _MODELS and model}
     if log.true_landmarks is not None:
         content["true_landmark_ids"] = np.array(list(log.true_landmarks), dtype=np.int64)
         poses = [np.append(m, np.nan)[:3] for m in log.true_landmarks.values()]
         content["true_landmark_poses"] = np.array(poses).reshape(-1, 3)
+    if log.notes:
+        content["notes"] = np.array(log.notes)
     with write_whole(path) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, format=VERSION, start_time=log.start_time, **content)
 

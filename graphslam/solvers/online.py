@@ -18,7 +18,7 @@ from ..factors.arguments import PoseLike, numbers, positive_definite
 from ..factors.landmark import WEIGHTS
 from ..graph import Graph
 from ..log import Log
-from ..models import MotionModel, SensorModel
+from ..models import RESIDUALS, MotionModel, SensorModel
 from ..se2 import Array, between, compose
 from ..solution import Solution, make_solution
 
@@ -43,6 +43,7 @@ class IncrementalSmoother:
         weight: of virtual-motion edges: "pairs", "tempered" or "marginal"; see `Graph.from_log`.
         motion_weight: lambda, the factor on the information of the motion edges.
         kernel: a robust kernel on the sightings of landmark nodes.
+        residual: of landmark nodes: "cartesian" or "polar"; see `Graph.from_log`.
         params: of ISAM2; default: relinearise what moves by more than 0.01 at every step. (GTSAM's own default, 0.1 at
             every tenth step, ends up to 0.05 m from the batch solution on the sample log.)
 
@@ -62,11 +63,13 @@ class IncrementalSmoother:
         weight: str = WEIGHTS[0],
         motion_weight: float = 1.0,
         kernel: Kernel | str | None = None,
+        residual: str = RESIDUALS[0],
         params: gtsam.ISAM2Params | None = None,
     ) -> None:
         check_choice("edges", edges, EDGES)
         check_choice("weight", weight, WEIGHTS)
-        self.kernel = kernel_of(kernel)
+        check_choice("residual", residual, RESIDUALS)
+        self.kernel, self.residual = kernel_of(kernel), residual
         if self.kernel is not None and edges.startswith("virtual"):
             raise OptionError("isam2 takes a kernel with edges='landmark+motion' only")
         self.motion, self.sensor = motion or MotionModel(), sensor or SensorModel()
@@ -130,7 +133,9 @@ class IncrementalSmoother:
                     self._nodes[landmark] = M(len(self._nodes))
                     y = self.sensor.h_inverse(self._latest, z)
                     self._values.insert(self._nodes[landmark], gtsam.Pose2(*y) if len(z) == 3 else gtsam.Point2(*y))
-                factor = ObservationFactor(pose, self._nodes[landmark], z, self.sensor, kernel=self.kernel)
+                factor = ObservationFactor(
+                    pose, self._nodes[landmark], z, self.sensor, residual=self.residual, kernel=self.kernel
+                )
                 self._factors.add(factor.fastest())
             keys, before = self._sightings.setdefault(landmark, ([], []))
             keys.append(pose)

@@ -4,6 +4,7 @@ import pytest
 
 from comparisons.backends import BACKENDS, BackendComparison, BackendRow, compare_backends
 from comparisons.peers import information_of_g2o, native_gtsam_graph
+from comparisons.show.tables import as_text
 from graphslam import Graph, GraphError, OptionError, solve
 
 TRIANGLE = """VERTEX_SE2 0 0 0 0
@@ -67,6 +68,25 @@ def test_ratios_count_only_runs_that_reached_the_best(triangle):
     assert two.geometric_mean("g2o-lm") == pytest.approx(1 / 16)
     assert not outcome.reached(rows[2])
     assert outcome.reached(row("x", math.nan, 1.0)) is False
+
+
+def test_python_callbacks_are_in_no_mean(triangle, tmp_path):
+    poses = tmp_path / "poses.g2o"
+    poses.write_text("".join(line for line in TRIANGLE.splitlines(keepends=True) if "XY" not in line))
+    outcome = compare_backends([triangle, poses], backends=["graphslam", "gtsam-lm"], repeat=1)
+    assert [r.native for r in outcome.rows] == [True, False, True, True]
+    # three poses, one fixed, and a landmark: 3 edges of 3 numbers and 2 of 2, for 8 unknowns
+    assert outcome.rows[0].chi2_per_dof == pytest.approx(outcome.rows[0].chi2 / (13 - 8))
+    rows = [BackendRow(f"{file}.g2o", "graphslam", 10.0, 3, 0.1, True, "") for file in "ab"]
+    rows.append(BackendRow("a.g2o", "gtsam-lm", 10.0, 3, 0.4, True, ""))
+    rows.append(BackendRow("b.g2o", "gtsam-lm", 10.0, 3, 100.0, True, "", native=False))
+    mixed = BackendComparison(tuple(rows))
+    assert mixed.geometric_mean("gtsam-lm") == pytest.approx(0.25)
+    text = as_text(mixed, 80)
+    assert "gtsam-lm (Python)" in text
+    assert "graphslam takes 1/4.0 of the time of gtsam-lm" in text
+    payload = mixed.to_json()
+    assert [entry["native"] for entry in payload["rows"]] == [True, True, True, False]
 
 
 def test_all_can_start_from_the_same_state(triangle):

@@ -52,9 +52,38 @@ def test_graph_is_what_the_library_solves(log: Log) -> None:
     np.testing.assert_array_equal(result.poses, expected.poses)
     assert (result.cost, result.iterations) == (expected.cost, expected.iterations)
     recorded = {"edges": "virtual+motion", "frame": "world", "weight": "tempered", "motion_weight": 3.0}
-    assert result.options == recorded | {"initialize": "auto", "kernel": "none"}
+    assert result.options == recorded | {"initialize": "auto", "kernel": "none", "residual": "cartesian"}
     given = ESTIMATORS["graph"].run(log, replace(options, initialize="given"))
     np.testing.assert_array_equal(given.poses, solve(make_graph(log, options), initialize="given").poses)
+
+
+def test_graph_marginal_counts_each_sighting_once(log: Log) -> None:
+    """The landmark eliminated exactly and the landmark as a node are two ways to one answer where the noise is small."""
+    part = {
+        "motion": MotionModel(nn=0.019, no=0.0001, on=0.013, oo=0.02, epsilon=1e-6),
+        "sensor": SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005),
+    }
+    precise = simulate(seed=2, steps=24, clean=True, **part)
+    once = ESTIMATORS["graph-marginal"].run(precise, replace(OPTIONS, **part))
+    nodes = ESTIMATORS["graph"].run(precise, replace(OPTIONS, **part, edges="landmark+motion"))
+    assert once.options["weight"] == "marginal"
+    np.testing.assert_allclose(once.poses, nodes.poses, atol=2e-3)
+    np.testing.assert_allclose(once.pose_covariances[5:], nodes.pose_covariances[5:], rtol=0.1)  # type: ignore[index]
+    # about 1 for all of them, although J of the pairs is several times that of the others
+    pairs = ESTIMATORS["graph"].run(precise, replace(OPTIONS, **part))
+    assert pairs.cost is not None and once.cost is not None
+    assert pairs.cost > 2 * once.cost
+    for result in (pairs, once, nodes):
+        assert result.cost_per_dof == pytest.approx(1.0, abs=0.3)
+
+
+def test_graph_marginal_is_left_out_where_it_repeats_the_graph(log: Log) -> None:
+    reason = ESTIMATORS["graph-marginal"].reason_to_omit
+    assert reason(log, OPTIONS) is None
+    assert "marginal weights" in str(reason(log, replace(OPTIONS, weight="marginal")))
+    assert "nodes" in str(reason(log.without_orientation(), OPTIONS))
+    outcome = compare(log.without_orientation(), OPTIONS)
+    assert "nodes" in str(outcome.table["graph-marginal"].skipped)
 
 
 def test_gtsam_solves_the_same_graph(log: Log) -> None:
@@ -65,7 +94,7 @@ def test_gtsam_solves_the_same_graph(log: Log) -> None:
 
 def test_textbook_is_the_books_program(log: Log) -> None:
     result = ESTIMATORS["textbook"].run(log, OPTIONS)
-    expected = textbook.solve(log, edges="virtual+motion", threshold=0.02)
+    expected = textbook.solve(log, edges="virtual+motion")
     np.testing.assert_allclose(result.step_norms, expected.step_norms)
     np.testing.assert_allclose(result.poses[:, :2], expected.poses[:, :2])
     assert ESTIMATORS["textbook"].run(log, replace(OPTIONS, edges="virtual")).options["threshold"] == 0.01
@@ -118,14 +147,17 @@ def test_pairs_are_counted() -> None:
 
 
 def test_slow_estimators_say_so(log: Log) -> None:
-    entry = Estimator(ESTIMATORS["graph"].run, seconds_per_iteration=lambda _: 30.0)
-    reason = entry.too_slow(log)
+    entry = Estimator(ESTIMATORS["graph"].run, seconds_per_iteration=lambda *_: 30.0)
+    reason = entry.too_slow(log, OPTIONS)
     assert reason is not None
     assert "30 s" in reason
-    assert all(estimator.too_slow(log) is None for estimator in ESTIMATORS.values())
+    assert all(estimator.too_slow(log, OPTIONS) is None for estimator in ESTIMATORS.values())
     crowded = log.replace(steps=np.full(2000, 3), landmarks=np.zeros(2000, int), sightings=np.ones((2000, 3)))
-    assert ESTIMATORS["gtsam"].too_slow(crowded)
-    assert ESTIMATORS["textbook"].too_slow(crowded)
+    assert ESTIMATORS["gtsam"].too_slow(crowded, OPTIONS)
+    assert ESTIMATORS["textbook"].too_slow(crowded, OPTIONS)
+    # one edge for each sighting of a landmark node, in place of one for each pair
+    assert not ESTIMATORS["gtsam"].too_slow(crowded, replace(OPTIONS, edges="landmark+motion"))
+    assert not ESTIMATORS["gtsam"].too_slow(crowded.without_orientation(), OPTIONS)
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import jsonschema
 import msgspec
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from comparisons.cli import app
 from comparisons.documents import DOCUMENTS, SimulateDocument, document
+from graphslam import load
 
 DOCS = Path(__file__).parents[2] / "docs"
 SCHEMA = json.loads((DOCS / "schema.json").read_text(encoding="utf-8"))
@@ -60,6 +62,19 @@ def test_every_verb_writes_what_the_schema_says(write):
     Path("study.toml").write_text(STUDY)
     valid("sweep", write("sweep", "study.toml", "--jobs", 0))
     valid("study", write("study", "study.sqlite"))
+
+
+def test_the_json_of_an_import(write, tmp_path):
+    np.savetxt("odometry.csv", [[0, 0.5, 0.1], [1, 0.5, 0.1], [2, 0.5, 0.1]], delimiter=",")
+    np.savetxt("sightings.csv", [[0.5, 3, 2.0, 0.1], [1.5, 3, 1.5, 0.2]], delimiter=",")
+    found = write("import", ".")
+    valid("import", found)
+    assert found["file"] is None and [stream["kind"] for stream in found["streams"]] == ["odometry", "sightings"]
+    found = write("import", "--odometry", "odometry.csv", "--sightings", "sightings.csv", "drive.npz")
+    valid("import", found)
+    valid("show", write("show", "drive.npz"))
+    assert found["file"] == "drive.npz" and found["source"] is None and found["streams"][1]["rows"] == 2
+    assert load("drive.npz").equals(load(tmp_path))
 
 
 def test_logs_that_know_less_are_valid_too(write):

@@ -10,11 +10,13 @@ import pytest
 from comparisons import estimators
 from comparisons.attempt import Skipped
 from comparisons.comparison import Comparison, run
+from comparisons.config import read_config
 from comparisons.estimators import Estimator
 from comparisons.options import RunOptions
 from comparisons.results import EstimatorResult
+from comparisons.show.report.page import page_of
 from comparisons.show.tables import as_text
-from graphslam import FormatError, GraphError, Log, OptionError, simulate
+from graphslam import FormatError, GraphError, Log, OptionError, SensorModel, SlamError, simulate
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
 
@@ -51,9 +53,33 @@ def test_all_estimators_run_on_a_full_log(comparison: Comparison, log: Log) -> N
     assert comparison.difference() < 1e-6  # type: ignore[operator]
 
 
+def test_the_table_says_whether_the_noise_fits(log: Log) -> None:
+    few = ["dead-reckoning", "graph"]
+    plain = run(log, estimators=few)
+    assert plain.noise_source == {"motion": "book", "sensor": "book"}
+    text = as_text(plain)
+    assert "Noise models: the book's." in text
+    assert "J per dof (degree of freedom): about 1 means that the noise models fit.\n" in text
+    # a tenth of the true noise of the sensor
+    small = run(log, estimators=few, range_rate=0.014, bearing_std=0.005, orientation_std=0.005)
+    ratio = small.table["graph"].cost_per_dof
+    assert ratio is not None and ratio > 10
+    assert small.table["dead-reckoning"].cost_per_dof is None
+    text = as_text(small)
+    assert "Noise models: motion the book's, sensor as given." in text
+    assert f"graph has {ratio:.1f}: the noise is too small, or sightings are wrong." in text
+    large = run(log.replace(sensor=SensorModel(range_rate=1.4, bearing_std=0.5, orientation_std=0.5)), estimators=few)
+    assert large.noise_source["sensor"] == "log"
+    assert "the noise is too large" in as_text(large)
+    payload = small.to_json()
+    assert payload["noise"]["motion"]["source"] == "book"
+    assert payload["noise"]["sensor"]["model"]["range_rate"] == 0.014
+    assert payload["estimators"][1]["cost_per_dof"] == ratio
+
+
 def test_json_is_what_the_design_says(comparison: Comparison, log: Log) -> None:
     payload = json.loads(json.dumps(comparison.to_json({"figure": Path("f.png")}), allow_nan=False))
-    assert set(payload) == {"log", "estimators", "files", "notes"}
+    assert set(payload) == {"log", "noise", "estimators", "files", "notes", "warnings"}
     assert payload["files"] == {"figure": "f.png"}
     assert payload["log"]["poses"] == log.num_poses
     for entry, result in zip(payload["estimators"], comparison.results):
@@ -64,10 +90,23 @@ def test_json_is_what_the_design_says(comparison: Comparison, log: Log) -> None:
 
 
 def test_without_truth_the_errors_are_null(log: Log) -> None:
+    bare = run(log.replace(true_poses=None, true_landmarks=None), estimators=["graph"])
+    (entry,) = bare.to_json()["estimators"]
+    assert [entry[k] for k in ("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m", "landmark_errors_m")] == [None] * 5
+    assert entry["converged"] is True
+
+
+def test_without_true_poses_the_map_still_has_its_errors(log: Log) -> None:
     bare = run(log.replace(true_poses=None), estimators=["graph"])
     (entry,) = bare.to_json()["estimators"]
-    assert [entry[k] for k in ("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m")] == [None] * 4
-    assert entry["converged"] is True
+    assert entry["ate_m"] is None and entry["aligned_by"] == "landmarks"
+    errors = np.array(list(entry["landmark_errors_m"].values()))
+    assert set(entry["landmark_errors_m"]) == set(entry["landmarks"])
+    assert entry["landmark_rmse_m"] == pytest.approx(np.sqrt(np.mean(errors**2)))
+    assert "aligned to the true landmarks" in str(bare)
+    assert bare.figure().axes[0].get_title(loc="left").endswith("aligned to the true landmarks")
+    assert "aligned to the true landmarks" in page_of(bare)
+    assert "Error of each landmark" in page_of(bare)
 
 
 def test_poses_outside_the_graph_do_not_count(log: Log) -> None:
@@ -104,7 +143,7 @@ def test_without_the_graph_there_is_no_comparison(log: Log) -> None:
 
 def test_slow_ones_run_only_when_named(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     registered(
-        monkeypatch, "slow", lambda log, _: made_up("slow", log.initial_poses), seconds_per_iteration=lambda _: 9.0
+        monkeypatch, "slow", lambda log, _: made_up("slow", log.initial_poses), seconds_per_iteration=lambda *_: 9.0
     )
     outcome = run(log, particles=50)
     assert outcome.skipped == (Skipped("slow", outcome.skipped[0].reason),)
@@ -153,9 +192,50 @@ def test_an_estimator_that_fails_is_a_row_and_the_others_go_on(log: Log, monkeyp
     assert "broken failed: LinAlgError: Singular matrix." in as_text(outcome)
     entry = next(entry for entry in outcome.to_json()["estimators"] if entry["name"] == "broken")
     assert entry["reason"] == "LinAlgError: Singular matrix"
-    # where nothing else is left, the error itself
-    with pytest.raises(np.linalg.LinAlgError):
+    with pytest.raises(SlamError, match="broken failed: LinAlgError: Singular matrix") as caught:
         run(log, estimators=["broken"])
+    assert isinstance(caught.value.__cause__, np.linalg.LinAlgError)
+
+
+def test_a_graph_that_fails_is_a_row_where_others_have_results(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    def singular(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("comparisons.estimators.make_graph", singular)
+    outcome = run(log, estimators=["dead-reckoning", "graph"])
+    assert outcome.table["graph"].skipped == "LinAlgError: Singular matrix"
+
+
+def test_the_time_limit_ends_one_estimator_and_no_other(tmp_path: Path) -> None:
+    # a billion moves of particles do not fit into two seconds
+    limited = run(
+        simulate(seed=1, steps=5000), estimators=["fastslam1", "dead-reckoning"], particles=300_000, time_limit=2.0
+    )
+    reason = "it was stopped at the time limit of 2 s"
+    assert limited.table["fastslam1"].skipped == reason
+    assert f"fastslam1 left out: {reason}." in as_text(limited)
+    assert limited.table["dead-reckoning"].ate_m is not None
+    (entry,) = [entry for entry in limited.to_json()["estimators"] if entry["name"] == "fastslam1"]
+    assert entry["reason"] == reason
+    # a repeated run has the same limit
+    assert read_config(limited.save(tmp_path, figures=())["config"])["time_limit"] == 2.0
+
+
+def test_with_a_time_limit_the_numbers_are_the_same(log: Log) -> None:
+    names = ["textbook", "graph", "isam2", "fastslam2"]
+    limited, here = (run(log, estimators=names, particles=50, time_limit=limit) for limit in (600.0, None))
+    for name in names:
+        np.testing.assert_array_equal(limited[name].poses, here[name].poses)
+        np.testing.assert_array_equal(limited[name].landmarks[0], here[name].landmarks[0])
+    assert limited.nees == here.nees
+    assert [row.cost_per_dof for row in limited.table] == [row.cost_per_dof for row in here.table]
+    with pytest.raises(OptionError, match="time_limit must be a positive number"):
+        run(log, time_limit=0.0)
+
+
+def test_errors_come_back_from_the_process_of_a_time_limit(log: Log) -> None:
+    with pytest.raises(OptionError, match="true map"):
+        run(log.replace(true_landmarks=None), estimators=["mcl"], time_limit=60.0)
 
 
 def test_covariances_that_fail_are_a_note(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:

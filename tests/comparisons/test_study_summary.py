@@ -64,6 +64,38 @@ def test_values_of_one_unit_do_not_pass_for_independent_ones() -> None:
     assert together.high - together.low > 3 * (apart.high - apart.low)  # type: ignore[operator]
 
 
+def test_repeats_of_a_deterministic_estimator_on_a_file_are_one_measurement() -> None:
+    same = {"file": True, "log": "a.npz"}
+    rows = [row("graph", s, 0.5, poses_sha256="aa", seconds=float(s), **same) for s in range(9)]
+    rows += [row("gtsam", s, 0.4, poses_sha256="bb", **same) for s in range(9)]
+    rows += [row("fastslam1", s, 0.1 * s, poses_sha256=f"f{s}", **same) for s in range(9)]
+    summary = summarise(rows)
+    graph, _, filtered = summary.methods
+    assert graph.runs == 9
+    ate = graph.figures["ate_m"]
+    assert ate is not None
+    assert (ate.median, ate.low, ate.high, ate.count) == (0.5, None, None, 1)
+    assert graph.figures["seconds"].median == 4.0  # type: ignore[union-attr]
+    assert filtered.figures["ate_m"].count == 9  # type: ignore[union-attr]
+    gtsam, fastslam1 = summary.differences
+    assert gtsam.figures["ate_m"].count == 1  # type: ignore[union-attr]
+    assert gtsam.figures["ate_m"].low is None  # type: ignore[union-attr]
+    assert gtsam.lower["ate_m"] == 1
+    # nine draws of the filter against one result
+    assert fastslam1.figures["ate_m"].count == 9  # type: ignore[union-attr]
+    assert fastslam1.figures["ate_m"].median == pytest.approx(-0.1)  # type: ignore[union-attr]
+    assert fastslam1.lower["ate_m"] == 5
+    # with the filter as the baseline, too
+    backwards = summarise(rows, baseline="fastslam1").differences[0]
+    assert backwards.figures["ate_m"].count == 9  # type: ignore[union-attr]
+    assert backwards.figures["ate_m"].low is not None  # type: ignore[union-attr]
+
+
+def test_equal_poses_in_simulated_worlds_stay_apart() -> None:
+    rows = [row("graph", s, 0.5, poses_sha256="aa") for s in range(9)]
+    assert summarise(rows).methods[0].figures["ate_m"].count == 9  # type: ignore[union-attr]
+
+
 def test_differences_are_of_the_same_log_and_seed() -> None:
     # the noise of the seeds is large and common; the difference is a tenth of it, and exact
     rows = [row("graph", s, float(s)) for s in range(9)] + [row("fastslam1 particles=9", s, s + 0.5) for s in range(9)]

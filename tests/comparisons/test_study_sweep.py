@@ -341,3 +341,14 @@ def test_ctrl_c_keeps_what_is_finished(make: Callable[..., Study]) -> None:
     assert 5 <= kept < 120
     assert (stdout.split(), stderr, process.returncode) == ([str(kept), "True"], "", 0)
     assert intact(study.database)
+
+
+def test_a_database_of_version_1_gains_the_new_figure(make: Callable[..., Study]) -> None:
+    study = make('seeds = 1\nestimators = ["dead-reckoning"]\n[simulate]\nsteps = 5\n')
+    sweep(study, jobs=0)
+    with closing(sqlite3.connect(study.database)) as connection:
+        connection.execute("ALTER TABLE runs DROP COLUMN cost_per_dof")
+        connection.execute("PRAGMA user_version = 1")
+        connection.commit()
+    with StudyDatabase.reading(study.database) as old:
+        assert [row["cost_per_dof"] for row in old.rows()] == [None]

@@ -158,11 +158,11 @@ def test_a_narrow_terminal_gets_as_few_tables_as_possible() -> None:
 
 
 def test_the_table_of_the_sample_fits_into_80_characters() -> None:
-    row = Row("dead-reckoning", True, 100, 0.1234, 12345.678, 0.123, 0.123, 0.123, 0.123, 22.702)
+    row = Row("graph-marginal", True, 100, 0.1234, 12345.678, 0.123, 0.123, 0.123, 0.123, 22.702, cost_per_dof=14.123)
     (table,), _ = tables_of(ResultTable("sample", (row,)))
     text = printed(table, 80)
-    line = "dead-reckoning   yes, 100 123.4 ms 12345.678 0.123 0.123 0.123 0.123 22.702"
-    assert [each.strip() for each in text.splitlines() if "dead" in each] == [line]
+    line = "graph-marginal   yes, 100 123.4 ms 12345.68 14.12 0.123 0.123 0.123 0.123 22.70"
+    assert [each.strip() for each in text.splitlines() if "graph" in each] == [line]
 
 
 # -- what they say -----------------------------------------------------------------------------------------------------
@@ -173,10 +173,10 @@ def test_table_keeps_its_units_and_dashes(log: Log) -> None:
         log, (result(log, "graph", converged=True, iterations=7, cost=12.5),), (Skipped("mcl", "no map"),)
     )
     text = as_text(outcome)
-    for word in ("ATE", "[m]", "[rad]", "graph", "yes, 7", "12.3 ms", "12.500", "mcl"):
+    for word in ("ATE", "[m]", "[rad]", "graph", "yes, 7", "12.3 ms", "12.50", "mcl"):
         assert word in text
     (row,) = [line for line in text.splitlines() if line.startswith("mcl  ")]
-    assert row.split() == ["mcl", *["–"] * 7]
+    assert row.split() == ["mcl", *["–"] * 8]
 
 
 def test_the_nees_is_a_column_where_it_is_known(log: Log) -> None:
@@ -184,7 +184,7 @@ def test_the_nees_is_a_column_where_it_is_known(log: Log) -> None:
     assert "NEES" in as_text(ResultTable("t", rows))
     assert "NEES" not in as_text(ResultTable("t", rows[1:]))
     known = Comparison(log, (result(log, "dead-reckoning", log=log),))
-    assert f"{known.nees['dead-reckoning']:.3f}" in as_text(known)
+    assert f"{known.nees['dead-reckoning']:.2f}" in as_text(known)
     assert "NEES: 1 means consistent" in as_text(known)
 
 
@@ -195,6 +195,7 @@ def test_remarks(log: Log) -> None:
         log.replace(true_poses=None), (graph, result(log, "gtsam", notes=(note,))), (Skipped("mcl", "no map"),)
     )
     assert tables_of(outcome)[1] == [
+        "Noise models: the book's.",
         "graph and gtsam differ by at most 0.0e+00 in any x, y [m] or heading [rad].",
         "The log has no true poses, so no error can be measured.",
         "mcl left out: no map.",
@@ -286,4 +287,4 @@ def test_html_has_all_cells_and_escapes_them() -> None:
     assert ">converged, iterations</th>" in page
     assert ">yes, 3</td>" in page
     assert page.count("<tr>") == 3
-    assert page.count("<td") == 14
+    assert page.count("<td") == 16

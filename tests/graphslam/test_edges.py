@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from graphslam import MotionModel, SensorModel, textbook
 from graphslam.edges import (
     AnchorEdges,
+    CartesianObservationEdges,
     EdgeFamily,
     MarginalEdges,
-    ObservationEdges,
+    PolarObservationEdges,
     RelativePointEdges,
     RelativePoseEdges,
     VirtualMotionEdges,
@@ -25,7 +26,7 @@ from graphslam.se2 import wrap
 
 seeds = st.integers(0, 2**32 - 1)
 frames = ["world", "body"]
-SEEING = ["virtual-3d", "virtual-2d", "observation-3d", "observation-2d"]
+SEEING = [f"{name}-{d}d" for name in ("virtual", "cartesian", "polar") for d in (3, 2)]
 FAMILIES = ["anchor", "relative", "motion", *SEEING, *(f"{name}-offset" for name in SEEING), "point"]
 motion, sensor = MotionModel(), SensorModel()
 ahead = SensorModel(range_rate=0.05, range_std=0.2, offset=(0.7, -0.3))
@@ -65,7 +66,7 @@ def family(name, rng, frame):
     if name == "motion":
         controls = np.column_stack([rng.normal(size=5), rng.choice([0.0, 1e-9, 0.3, -1.0], 5)])
         return motion_edges(np.arange(6), controls, rng.uniform(0.1, 2, 5), motion, frame=frame, scale=3.0)
-    if name.startswith(("observation", "point")):
+    if name.startswith(("cartesian", "polar", "point")):
         # poses 0 to 3 see landmarks 4 and 5; or, for the kernels, the other way round
         poses, landmarks = rng.integers(0, 4, 8), rng.integers(4, 6, 8)
         if frame == "body":
@@ -75,7 +76,11 @@ def family(name, rng, frame):
                 poses, landmarks, rng.normal(size=(8, 2)) * 3, random_information(rng, 8)[:, :2, :2]
             )
         z = np.column_stack([rng.uniform(0.5, 5, 8), rng.uniform(-np.pi, np.pi, (8, 2))])
-        return ObservationEdges(poses, landmarks, z[:, : 3 if "3d" in name else 2], sensor_of(name))
+        seen = (poses, landmarks, z[:, : 3 if "3d" in name else 2], sensor_of(name))
+        trust = rng.uniform(0.5, 1, 8)
+        if name.startswith("polar"):
+            return PolarObservationEdges(*seen, trust=trust)
+        return CartesianObservationEdges(*seen, trust=trust, frame=frame)
     return virtual(rng, frame, 3 if "3d" in name else 2, sensor=sensor_of(name))
 
 
@@ -96,7 +101,7 @@ def random_state(rng):
 def test_jacobians_against_finite_differences(name, frame, seed):
     rng = np.random.default_rng(seed)
     edges, state, reference = family(name, rng, frame), random_state(rng), random_state(rng)
-    if name.startswith("observation"):
+    if name.startswith("polar"):
         # the bearing of a landmark next to the robot changes faster than a finite difference can follow
         assume(np.all(np.linalg.norm(state[edges.first, :2] - state[edges.second, :2], axis=1) > 0.1))
     at = edges.linearize(state, reference)
@@ -110,7 +115,7 @@ def test_jacobians_against_finite_differences(name, frame, seed):
                 plus = edges.linearize(moved, reference).residuals[k]
                 moved[node, component] -= 2 * step
                 difference = plus - edges.linearize(moved, reference).residuals[k]
-                angles = slice(1 if name.startswith("observation") else 2, None)
+                angles = slice(1 if name.startswith("polar") else 2, None)
                 difference[angles] = wrap(difference[angles])
                 numeric[k, :, component] = difference / (2 * step)
         np.testing.assert_allclose(at.jacobians[end], numeric, atol=1e-6, rtol=1e-5)
@@ -127,7 +132,10 @@ def test_the_fast_sums_are_the_sums_over_edges(name, frame, seed, kernel):
     weight, loss = np.ones(edges.count), at.mahalanobis
     if kernel is not None and hasattr(edges, "kernel"):
         edges = replace(edges, kernel=kernel)
-        weight, loss = kernel.weight(at.mahalanobis), kernel.loss(at.mahalanobis)
+        # a kernel acts on a pair before it is tempered
+        factor = edges.group_weights[edges.pairs()[2]] if name.startswith("virtual") else 1.0
+        squares = at.mahalanobis / factor
+        weight, loss = edges.kernel.weight(squares), factor * edges.kernel.loss(squares)
     cost = edges.accumulate(state, reference, system)
     omega, xi = np.zeros((18, 18)), np.zeros((6, 3))
     for k in range(edges.count):
@@ -174,6 +182,42 @@ def test_world_frame_edges_are_the_textbooks(seed):
 
 
 @given(seed=seeds)
+def test_cartesian_sightings_are_the_lectures_inverse_observation(seed):
+    """e = m - h^-1(x, z) with R Q R', in world axes at the reference; turned into the robot's axes the same numbers."""
+    rng = np.random.default_rng(seed)
+    state, reference = random_state(rng), random_state(rng)
+    for name in ("cartesian-3d-offset", "cartesian-2d"):
+        for frame, at in (("world", reference), ("body", state)):
+            edges = family(name, rng, frame)
+            d = edges.sightings.shape[1]
+            x, m = state[edges.first], state[edges.second, :d]
+            e = m - edges.sensor.h_inverse(x, edges.sightings)
+            e[:, 2:] = wrap(e[:, 2:])
+            # in the body frame the information turns with the pose itself
+            covariance = edges.sensor.landmark_covariance(at[edges.first], edges.sightings)
+            expected = edges.trust * np.einsum("ki,kij,kj->k", e, np.linalg.inv(covariance), e)
+            np.testing.assert_allclose(edges.linearize(state, reference).mahalanobis, expected, rtol=1e-8)
+            assert edges.state_dependent_information == (frame == "world")
+
+
+@given(seed=seeds)
+def test_both_forms_agree_near_the_sighting(seed):
+    """To first order the Cartesian residual is L times the polar one: the costs differ by the third order of the noise."""
+    rng = np.random.default_rng(seed)
+    state = random_state(rng)
+    for d in (3, 2):
+        first, second = np.zeros(4, dtype=int), np.arange(1, 5)
+        z = np.column_stack([rng.uniform(1, 5, 4), rng.uniform(-np.pi, np.pi, (4, 2))])[:, :d]
+        state[1:5, :d] = ahead.h_inverse(state[0], z)
+        state[1:5, :d] += 1e-5 * rng.normal(size=(4, d))
+        cartesian, polar = (
+            kind(first, second, z, ahead).linearize(state, state).mahalanobis
+            for kind in (CartesianObservationEdges, PolarObservationEdges)
+        )
+        np.testing.assert_allclose(cartesian, polar, rtol=1e-3)
+
+
+@given(seed=seeds)
 def test_body_frame_is_the_designs_formula(seed):
     # DESIGN: residual turned into the first sighting's axes, Omega^-1 = L(l1, 0) Q1 L' + L(l2, psi2 - psi1) Q2 L'
     rng = np.random.default_rng(seed)
@@ -197,7 +241,15 @@ def test_body_frame_is_the_designs_formula(seed):
 
 
 @pytest.mark.parametrize(
-    "family", [AnchorEdges, ObservationEdges, RelativePointEdges, RelativePoseEdges, MarginalEdges]
+    "family",
+    [
+        AnchorEdges,
+        CartesianObservationEdges,
+        PolarObservationEdges,
+        RelativePointEdges,
+        RelativePoseEdges,
+        MarginalEdges,
+    ],
 )
 def test_every_public_method_has_a_docstring_perhaps_inherited(family):
     public = [name for name in vars(EdgeFamily) if not name.startswith("_")]

@@ -38,6 +38,7 @@ FACTORS = {
     "relative": lambda: RelativePoseFactor(0, 1, [1, 2, 3], np.eye(3), frame="world", at=AT[0]),
     "motion": lambda: MotionFactor(0, 1, [0.2, 0.1], 3.0, MotionModel(nn=0.5), scale=3.0),
     "observation": lambda: ObservationFactor(0, 2, Z[0], sensor),
+    "polar observation": lambda: ObservationFactor(0, 2, Z[0], sensor, residual="polar"),
     "observation without psi": lambda: ObservationFactor(0, 3, Z[0][:2], sensor, scale=0.5, kernel="cauchy"),
     "inverse": lambda: InverseObservationFactor(0, 2, Z[0], sensor, frame="world", at=AT[0]),
     "point": lambda: RelativePointFactor(0, 3, [1, 2], np.eye(2)),

@@ -36,10 +36,11 @@ def both(graph):
 LANDMARK_LOGS = [("book", 3), ("book", 2), ("gentle", 3), ("gentle", 2)]
 
 
+@pytest.mark.parametrize("residual", ["cartesian", "polar"])
 @pytest.mark.parametrize(("name", "dimensions"), LANDMARK_LOGS)
-def test_landmark_nodes_agree(book_log, name, dimensions):
+def test_landmark_nodes_agree(book_log, name, dimensions, residual):
     log = book_log if name == "book" else simulate(WORLDS["garden"], seed=5, clean=True, motion=GENTLE)
-    graph = Graph.from_log(log, edges="landmark+motion", dimensions=dimensions)
+    graph = Graph.from_log(log, edges="landmark+motion", dimensions=dimensions, residual=residual)
     ours, theirs = both(graph)
     assert ours.converged
     assert theirs.converged

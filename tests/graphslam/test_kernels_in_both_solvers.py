@@ -11,10 +11,10 @@ from graphslam.metrics import ate
 from graphslam.se2 import wrap
 from graphslam.solvers.solve import starting_state
 
-KERNELS = [None, Huber(), Cauchy(), GemanMcClure(3.0)]
+KERNELS = [None, Huber(), Cauchy(), GemanMcClure()]
 VARIANTS = [
     *product(["virtual+motion"], ["pairs", "tempered", "marginal"], ["body", "world"], [3, 2], KERNELS),
-    *product(["landmark+motion"], ["pairs"], ["body", "world"], [3, 2], KERNELS),
+    *product(["landmark+motion"], ["cartesian", "polar"], ["body", "world"], [3, 2], KERNELS),
 ]
 
 
@@ -35,8 +35,9 @@ def name(variant):
 
 @pytest.mark.parametrize("variant", VARIANTS, ids=name)
 def test_both_solvers_agree(variant, log):
-    edges, weight, frame, dimensions, kernel = variant
-    options = {"edges": edges, "weight": weight, "frame": frame, "dimensions": dimensions}
+    edges, kind, frame, dimensions, kernel = variant
+    options = {"edges": edges, "frame": frame, "dimensions": dimensions}
+    options["weight" if edges.startswith("virtual") else "residual"] = kind
     graph = Graph.from_log(log, **options, kernel=kernel)
     start = starting_state(graph, "auto")
     if isinstance(kernel, Cauchy | GemanMcClure):
@@ -56,12 +57,12 @@ def test_both_solvers_agree(variant, log):
 
 
 def test_kernels_by_name_and_formula():
-    assert kernel_of("huber") == Huber(1.345) and kernel_of(None) is kernel_of("none") is None
+    assert kernel_of("huber") == Huber() and kernel_of(None) is kernel_of("none") is None
     r = np.array([0.0, 0.5, 1.0, 2.0, 10.0])
     np.testing.assert_allclose(Huber(1.0).loss(r * r), [0, 0.25, 1, 3, 19])
     np.testing.assert_allclose(Cauchy(2.0).loss(r * r), 4 * np.log1p(r * r / 4))
     np.testing.assert_allclose(GemanMcClure(2.0).loss(r * r), 4 * r * r / (4 + r * r))
-    for kernel in KERNELS[1:]:
+    for kernel in (k.of_dimension(2) for k in KERNELS[1:]):
         # w = rho'(r) / r
         slope = (kernel.loss((r + 1e-6) ** 2) - kernel.loss((r - 1e-6) ** 2)) / 4e-6
         np.testing.assert_allclose(slope, kernel.weight(r * r) * r, atol=1e-8)
@@ -89,5 +90,7 @@ def test_a_kernel_lessens_what_wrong_sightings_do():
 
 def test_levenberg_marquardt_with_a_kernel(log):
     graph = Graph.from_log(log, kernel="geman-mcclure")
-    gn, lm = (solve(graph, method=m, max_iterations=500) for m in ("gauss-newton", "levenberg-marquardt"))
+    # one start for both: the cost has several minima
+    options = {"initialize": "rotation-first", "max_iterations": 500}
+    gn, lm = (solve(graph, method=m, **options) for m in ("gauss-newton", "levenberg-marquardt"))
     assert lm.converged and lm.cost == pytest.approx(gn.cost, rel=1e-9)

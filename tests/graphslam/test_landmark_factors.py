@@ -71,8 +71,8 @@ def test_observations_of_landmark_nodes(sensor):
         x, m = random_poses(rng)
         z = random_sightings(rng, 1, 3)[0]
         if np.hypot(*(m - sensor.mount(x))[:2]) > 0.3:
-            check(ObservationFactor(0, 1, z, sensor), [x, m], angles=[1, 2])
-            ours = ObservationFactor(0, 1, z[:2], sensor, scale=1.7)
+            check(ObservationFactor(0, 1, z, sensor, residual="polar"), [x, m], angles=[1, 2])
+            ours = ObservationFactor(0, 1, z[:2], sensor, residual="polar", scale=1.7)
             check(ours, [x, m[:2]], angles=[1])
             fastest = ours.fastest()
             assert (type(fastest) is gtsam.BearingRangeFactor2D) == sensor.centred
@@ -80,8 +80,15 @@ def test_observations_of_landmark_nodes(sensor):
             assert fastest.error(values) == pytest.approx(ours.error(values), rel=1e-9)
             a, b = (factor.linearize(values).augmentedJacobian() for factor in (fastest, ours))
             np.testing.assert_allclose(a.T @ a, b.T @ b, rtol=1e-9, atol=1e-9 * np.abs(b.T @ b).max())
-            with_psi = ObservationFactor(0, 1, z, sensor)
+            with_psi = ObservationFactor(0, 1, z, sensor, residual="polar")
             assert with_psi.fastest() is with_psi
+        for sighted in (z, z[:2]):
+            cartesian = ObservationFactor(0, 1, sighted, sensor)
+            check(cartesian, [x, m[: len(sighted)]], angles=[2] if len(sighted) == 3 else [])
+            inverse = InverseObservationFactor(0, 1, sighted, sensor)
+            values = values_of(x, m[: len(sighted)])
+            assert cartesian.error(values) == inverse.error(values)
+            assert cartesian.fastest() is cartesian
         for frame in ("world", "body"):
             check(
                 InverseObservationFactor(0, 1, z, sensor, frame=frame, at=random_poses(rng, 1)[0]), [x, m], angles=[2]

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from graphslam import Graph, SensorModel, simulate, solve
-from graphslam.edges import MarginalEdges, ObservationEdges, VirtualMotionEdges
+from graphslam.edges import MarginalEdges, PolarObservationEdges, VirtualMotionEdges
 from graphslam.edges.robust import Cauchy, GemanMcClure, Huber
 from graphslam.factors import LandmarkFactor
 from graphslam.linear.information import BlockSystem
@@ -108,7 +108,7 @@ def test_without_noise_it_is_the_landmark_nodes_of_the_sensor(seed):
         edges, poses = random_edges(rng, "body", d, trust=False, noise=0.0)
         system = BlockSystem.from_cliques(6, [edges.cliques()])
         edges.accumulate(poses, poses, system)
-        nodes = ObservationEdges(edges.nodes, 6 + edges.group, edges.sightings, sensor)
+        nodes = PolarObservationEdges(edges.nodes, 6 + edges.group, edges.sightings, sensor)
         state = np.concatenate([poses, edges.landmarks(poses, poses)])
         whole = BlockSystem.from_cliques(9, [nodes.cliques()])
         nodes.accumulate(state, state, whole)
@@ -233,7 +233,7 @@ def test_the_robust_mean_is_found_to_rounding(kernel, d):
     y, W = sensor.h_inverse(poses[nodes], z), np.linalg.inv(sensor.landmark_covariance(poses[nodes], z))
     e = np.repeat(edges.landmarks(poses, poses)[:, :d], seen, axis=0) - y
     e[:, 2:] = wrap(e[:, 2:])
-    weighted = W * kernel.weight(np.einsum("ki,kij,kj->k", e, W, e))[:, None, None]
+    weighted = W * edges.kernel.weight(np.einsum("ki,kij,kj->k", e, W, e))[:, None, None]
     pull = np.add.reduceat(np.einsum("kij,kj->ki", weighted, e), starts[:-1], axis=0)
     step = np.linalg.solve(np.add.reduceat(weighted, starts[:-1], axis=0), pull[:, :, None])
     np.testing.assert_allclose(step, 0, atol=1e-12)

@@ -52,6 +52,16 @@ def test_relative_edges_say_the_same_where_sightings_have_no_noise(edges, dimens
     assert relative.cost(relative.initial) == pytest.approx(graph.cost(graph.initial), rel=1e-9)
 
 
+@pytest.mark.parametrize("dimensions", [3, 2])
+def test_cartesian_sightings_are_relative_poses_or_points(dimensions):
+    log = simulate(steps=20, seed=1)
+    graph = Graph.from_log(log, edges="landmark+motion", dimensions=dimensions, sensor=AHEAD)
+    relative = relative_graph(graph)
+    ours, theirs = solve(graph), solve(relative)
+    assert theirs.cost == pytest.approx(ours.cost, rel=1e-12)
+    np.testing.assert_allclose(theirs.poses[: log.num_poses], ours.poses, atol=1e-9)
+
+
 def test_written_graph_read_again_has_the_optimum(tmp_path):
     graph = Graph.from_log(load(sample_log_path()), edges="virtual+motion")
     solution = solve(graph, initialize="auto")

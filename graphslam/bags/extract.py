@@ -1,0 +1,105 @@
+"""The messages of a topic as columns of numbers, collected while the bag is streamed."""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Callable
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+
+from ..se2 import Array
+from .frames import clean
+from .paths import getter
+from .plan import Plan
+
+_NAN = float("nan")
+
+
+class Collector:
+    """Collects the rows of one topic; `add` takes its messages.
+
+    Args:
+        source: bag and topic, for messages.
+        plan: which fields become which columns.
+        parent, child: of TF, the frames whose transforms are taken; child may be a pattern with *.
+
+    Attributes:
+        source, plan: as given.
+        frame, child: names of the frames of the first row; empty where the messages have none.
+        unstamped: the number of rows that have the time of their recording, because their stamp is 0 or absent.
+    """
+
+    def __init__(self, source: str, plan: Plan, *, parent: str = "", child: str = "") -> None:
+        self.source, self.plan, self.unstamped = source, plan, 0
+        self.frame = self.child = ""
+        self._times = array("q")
+        self._values = array("d")
+        self._ids: list[Any] = []
+        self._parent, self._child = clean(parent), re.compile(re.escape(clean(child)).replace(r"\*", ".*") or ".*")
+        self._rows = attrgetter(plan.row) if plan.row else None
+        self._get = _values(list(plan.columns.values()))
+        self._id = getter(plan.id) if plan.id else None
+        self._of_child = attrgetter(plan.child) if plan.child else None
+        self._only = bool(parent or child)
+
+    def __len__(self) -> int:
+        """The number of rows."""
+        return len(self._times)
+
+    def add(self, time: int, message: Any) -> None:
+        """Take over the rows of a message that was recorded at a time [ns]."""
+        for row in self._rows(message) if self._rows else (message,):
+            if self.plan.action and row.action != 0:
+                continue
+            frame, child = "", self._of_child(row) if self._of_child else ""
+            stamp = 0
+            if self.plan.stamp:
+                header = (row if self.plan.stamp == "row" else message).header
+                frame = header.frame_id
+                stamp = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+                if stamp == 0 and self.plan.stamp == "row" and self._rows and hasattr(message, "header"):
+                    stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+            if self._only and not (
+                self._child.fullmatch(clean(child)) and (not self._parent or clean(frame) == self._parent)
+            ):
+                continue
+            values = self._get(row)
+            if not self._times:
+                self.frame, self.child = clean(frame), clean(child)
+            self.unstamped += stamp == 0
+            self._times.append(stamp or time)
+            self._values.extend(values)
+            if self._id:
+                self._ids.append(self._id(row))
+
+    @property
+    def times(self) -> np.ndarray:
+        """The time of each row (N,) [ns]."""
+        return np.array(self._times, dtype=np.int64)
+
+    def columns(self, names: list[str]) -> Array:
+        """Columns (N, k) by name."""
+        every = list(self.plan.columns)
+        values = np.array(self._values).reshape(-1, len(every))
+        return values[:, [every.index(name) for name in names]]
+
+    def ids(self) -> np.ndarray | None:
+        """The ids (N,) as numbers or text; None where there are none."""
+        if not self._ids:
+            return None
+        if all(isinstance(each, (int, np.integer)) for each in self._ids):
+            return np.array(self._ids, dtype=np.int64)
+        return np.array([str(each) for each in self._ids])
+
+
+def _values(paths: list[str]) -> Callable[[Any], tuple[float, ...]]:
+    """A function that returns the numbers at some paths of a row; NaN where a list in the path is empty."""
+    if not any("[]" in path for path in paths):
+        # twice the first path, so that the value is a tuple for one path, too
+        fields: Callable[[Any], Any] = attrgetter(*paths, paths[0])
+        return lambda row: fields(row)[:-1]
+    getters = [getter(path) for path in paths]
+    return lambda row: tuple(_NAN if (value := get(row)) is None else value for get in getters)

@@ -1,0 +1,231 @@
+"""The convex quadratic function below J that touches it at a candidate: its matrix S, its gradient, rounding errors.
+
+Pose i is a unit complex number z_i = exp(i theta_i) and a complex position t_i. With w = t_b + z_b d_b - t_a - z_a d_a
+an edge of `ConstantEdges` has e_xy = conj(z_a) w and e_theta = theta_b - theta_a - turn. Its cost e' Omega e is at least
+
+    J_e(v) + 2 Re(conj(p) (e_xy - v_xy)) + beta |e_xy - v_xy|² + 2 A (1 - cos f) + 2 g sin f,   f = e_theta - v_theta,
+
+for all e, with equality at the residual v of the candidate, where p = (Omega v)_xy, g = (Omega v)_theta,
+Omega - diag(beta, beta, kappa) is positive semidefinite, A = kappa u / tan u and u = g / kappa, if abs(u) < pi. For
+abs(z_i) = 1 this is a Hermitian form of (z, t). See docs/certificate.md for the derivation.
+
+``share`` chooses the split: beta = (1 - share) times the smallest eigenvalue of the position block of Omega, and kappa the
+largest number that this beta allows. Where Omega does not correlate position and heading, share counts as 0.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from ..edges.kernels import wrap
+from ..linear.hermitian import ROUNDOFF
+from ..se2 import Array
+
+#: the part of beta that absorbs rounding errors of p
+ABSORBED = 1e-9
+#: how far abs(u) must stay below pi
+HALF_TURN = np.pi - 1e-6
+#: shares to try for one edge, where its own split leaves no curvature in the heading
+MORE_SHARES = (0.5, 0.8, 0.95, 0.99)
+
+
+class Minorant(NamedTuple):
+    """The function below J at a candidate state of N nodes, in the variables (z, t) of the nodes that are free.
+
+    Attributes:
+        values: (nnzb, 2, 2) complex, the blocks of S on the pattern of the graph.
+        gradient: (N, 2) complex, half the gradient at the candidate; zero at a stationary point.
+        scale: (N, 2) the sums of the absolute values that were added to each diagonal entry of S, or more.
+        error: (N, 2) a bound on the rounding error of ``gradient``.
+        slack: a bound on the rounding error of the cost at the candidate, and the cost of edges that were left out.
+        cost: J at the candidate.
+        omitted: the number of edges that were left out, because their information is singular to rounding or abs(u) >= pi.
+    """
+
+    values: Array
+    gradient: Array
+    scale: Array
+    error: Array
+    slack: float
+    cost: float
+    omitted: int
+
+
+@njit(inline="always", error_model="numpy")
+def _two_product(a, b):
+    """a b as the sum of its rounded value and the error of that, exactly (Dekker 1971)."""
+    p = a * b
+    s, t = 134217729.0 * a, 134217729.0 * b
+    a_high, b_high = s - (s - a), t - (t - b)
+    a_low, b_low = a - a_high, b - b_high
+    return p, a_low * b_low - (((p - a_high * b_high) - a_low * b_high) - a_high * b_low)
+
+
+@njit(inline="always", error_model="numpy")
+def _two_sum(a, b):
+    """a + b as the sum of its rounded value and the error of that, exactly (Knuth)."""
+    s = a + b
+    t = s - a
+    return s, (a - (s - t)) + (b - t)
+
+
+@njit(cache=True, error_model="numpy")
+def _dot(a0, a1, a2, b0, b1, b2):
+    """a' b as if computed with twice the digits: Omega may have entries 1e11 times its smallest eigenvalue (INTEL).
+
+    The error is at most u |a' b| + 1e-31 |a|' |b| (Ogita, Rump and Oishi, *Accurate sum and dot product*, 2005).
+    """
+    p, e = _two_product(a0, b0)
+    h, r = _two_product(a1, b1)
+    p, q = _two_sum(p, h)
+    e += r + q
+    h, r = _two_product(a2, b2)
+    p, q = _two_sum(p, h)
+    return p + (e + (r + q))
+
+
+@njit(cache=True, error_model="numpy")
+def _split(o00, o01, o11, o02, o12, o22, share):
+    """beta and kappa with Omega - diag(beta, beta, kappa) positive semidefinite, also after rounding; -1 for no beta."""
+    mean, half = (o00 + o11) / 2, (o00 - o11) / 2
+    largest = mean + np.sqrt(half * half + o01 * o01)
+    # the determinant has an error of 3 units in o00 o11, and largest is at least as large as both
+    smallest = (o00 * o11 - o01 * o01) / largest - 8 * ROUNDOFF * min(o00, o11) if largest > 0 else 0.0
+    if o02 == 0 and o12 == 0:
+        return (smallest if smallest > 0 else -1.0), o22
+    if not smallest > 0:
+        return -1.0, 0.0
+    beta = (1 - share) * smallest
+    determinant = (smallest - beta) * (largest - beta)
+    m00, m11 = o00 - beta, o11 - beta
+    first, second, third = o02 * o02 * m11, 2 * o02 * o12 * o01, o12 * o12 * m00
+    size = (first + abs(second) + third) / determinant
+    return beta, o22 - (first - second + third) / determinant - 16 * ROUNDOFF * (o22 + size)
+
+
+@njit(cache=True, error_model="numpy")
+def minorant(state, first, second, start, end, turn, oriented, information, free, indptr, indices, share):
+    """The `Minorant` at a state (N, 3) for edges (E,), with ``information`` (E, 6) as rows of upper triangles.
+
+    The cost is constant in nodes that are not ``free`` (N,) and in the world's origin, node -1.
+    """
+    n = len(state)
+    c, s = np.cos(state[:, 2]), np.sin(state[:, 2])
+    values = np.zeros((len(indices), 2, 2), np.complex128)
+    gradient = np.zeros((n, 2), np.complex128)
+    scale, error = np.zeros((n, 2)), np.zeros((n, 2))
+    slack, cost, omitted = 0.0, 0.0, 0
+    for e in range(len(first)):
+        a, b = first[e], second[e]
+        if a < 0:
+            za, ta, heading = 1 + 0j, 0j, 0.0
+        else:
+            za, ta, heading = complex(c[a], s[a]), complex(state[a, 0], state[a, 1]), state[a, 2]
+        zb, tb = complex(c[b], s[b]), complex(state[b, 0], state[b, 1])
+        d_a, d_b = complex(start[e, 0], start[e, 1]), complex(end[e, 0], end[e, 1])
+        w = information[e]
+        # where the end of the edge lies in the axes of a, and the residual
+        reached = np.conj(za) * (tb + zb * d_b - ta)
+        v = reached - d_a
+        x, y, h = v.real, v.imag, 0.0
+        if oriented[e]:
+            h = wrap(state[b, 2] - heading - turn[e])
+        p = complex(_dot(w[0], w[1], w[3], x, y, h), _dot(w[1], w[2], w[4], x, y, h))
+        g = _dot(w[3], w[4], w[5], x, y, h)
+        part = p.real * x + p.imag * y + g * h
+        cost += part
+        beta, kappa = _split(w[0], w[1], w[2], w[3], w[4], w[5], share)
+        k = 0
+        while (
+            oriented[e]
+            and beta > 0
+            and not abs(g) < HALF_TURN * kappa
+            and k < len(MORE_SHARES)
+            and (w[3] != 0 or w[4] != 0)
+        ):
+            if MORE_SHARES[k] > share:
+                beta, kappa = _split(w[0], w[1], w[2], w[3], w[4], w[5], MORE_SHARES[k])
+            k += 1
+        # an edge may measure the heading alone, or nothing about it
+        flat = w[0] == 0 and w[1] == 0 and w[2] == 0 and w[3] == 0 and w[4] == 0
+        level = g == 0 and kappa == 0
+        if (beta <= 0 and not flat) or (oriented[e] and not level and not abs(g) < HALF_TURN * kappa):
+            # J_e >= 0 is the bound that remains
+            slack += part
+            omitted += 1
+            continue
+        beta = 0.0 if flat else beta * (1 - ABSORBED)
+        A, steep = 0.0, 0.0
+        if oriented[e] and kappa > 0:
+            u = g / kappa
+            A = kappa if abs(u) < 1e-4 else kappa * u / np.tan(u)
+            if abs(u) < 1e-4:
+                # u / tan u >= 1 - u² for these u
+                A = kappa * (1 - u * u)
+                steep = kappa
+            else:
+                steep = kappa * (1 + abs(u / np.tan(u)) + (u / np.sin(u)) ** 2)
+        # Rounding. The function touches J_e at the computed residual v, which is the state's up to its rounding. Errors of p
+        # are absorbed by beta (1 - ABSORBED), those of g by the bounded range of e_theta.
+        size = abs(ta) + abs(tb) + abs(d_a) + abs(d_b)
+        products = abs(w[0]) + 2 * abs(w[1]) + abs(w[2]) + abs(w[3]) + abs(w[4])
+        p_error = 2 * ROUNDOFF * abs(p) + 1e-31 * products * (abs(v) + abs(h))
+        g_error = 2 * ROUNDOFF * abs(g) + 1e-31 * ((abs(w[3]) + abs(w[4])) * abs(v) + w[5] * abs(h))
+        turned = abs(heading) + abs(state[b, 2]) + np.pi
+        slack += ROUNDOFF * (16 * abs(p) * (size + abs(v)) + (16 * turned + 64) * abs(g)) + 16 * g_error
+        if p_error > 0:
+            slack += p_error * p_error / (ABSORBED * beta)
+        curved = 4 * steep + 4 * abs(g) + (abs(p) ** 2 / beta if beta > 0 else 0.0)
+        pulled = abs(p) * (abs(reached) + abs(d_b))
+        if a >= 0 and free[a]:
+            slot = indptr[a + 1] - 1
+            corner = beta * np.conj(reached) - np.conj(p)
+            values[slot, 0, 0] += beta * abs(reached) ** 2 + A - (np.conj(p) * reached).real
+            values[slot, 0, 1] += corner
+            values[slot, 1, 0] += np.conj(corner)
+            values[slot, 1, 1] += beta
+            gradient[a, 0] += za * complex(0, -(p * np.conj(reached)).imag - g)
+            gradient[a, 1] -= p * za
+            scale[a, 0] += 4 * beta * abs(reached) ** 2 + curved + 2 * pulled
+            scale[a, 1] += 8 * beta
+            error[a, 0] += 2 * pulled + abs(g)
+            error[a, 1] += 2 * abs(p)
+            slack += 4 * ROUNDOFF * pulled
+        if free[b]:
+            slot = indptr[b + 1] - 1
+            force = np.conj(zb) * za * p * np.conj(d_b)
+            corner = beta * np.conj(d_b)
+            values[slot, 0, 0] += beta * abs(d_b) ** 2 + A - force.real
+            values[slot, 0, 1] += corner
+            values[slot, 1, 0] += np.conj(corner)
+            values[slot, 1, 1] += beta
+            gradient[b, 0] += zb * complex(0, force.imag + g)
+            gradient[b, 1] += p * za
+            if oriented[e] or d_b != 0:
+                scale[b, 0] += 4 * beta * abs(d_b) ** 2 + curved + 2 * pulled
+            scale[b, 1] += 8 * beta
+            error[b, 0] += 2 * pulled + abs(g)
+            error[b, 1] += 2 * abs(p)
+            slack += 4 * ROUNDOFF * pulled
+        if a >= 0 and free[a] and free[b]:
+            to = np.conj(p) - beta * np.conj(reached)
+            q00 = to * d_b + complex(-A, -g) * za * np.conj(zb)
+            low, high = min(a, b), max(a, b)
+            slot = indptr[high] + np.searchsorted(indices[indptr[high] : indptr[high + 1]], low)
+            V = values[slot]
+            if a < b:
+                V[0, 0] += q00
+                V[0, 1] += to
+                V[1, 0] -= beta * d_b
+                V[1, 1] -= beta
+            else:
+                V[0, 0] += np.conj(q00)
+                V[1, 0] += np.conj(to)
+                V[0, 1] -= np.conj(beta * d_b)
+                V[1, 1] -= beta
+    return values, gradient, scale, error, slack, cost, omitted

@@ -1,0 +1,223 @@
+"""`prove`: whether a state is a global minimum of the cost of a graph, with a lower bound on the cost of all states."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from ..edges import ConstantEdges
+from ..errors import GraphError
+from ..graph import Graph
+from ..linear.cholesky import amd
+from ..linear.hermitian import ROUNDOFF, HermitianFactor, HermitianSymbolic, analyze_hermitian, factorize
+from ..linear.information import BlockSystem
+from ..se2 import Array
+from .minorants import Minorant, minorant
+
+GLOBAL, NOT_PROVEN, NOT_APPLICABLE = "global", "not proven", "not applicable"
+#: the relative gap up to which a state counts as a global minimum
+PROVEN = 1e-6
+#: the splits of the information to try; see `minorants`
+SHARES = (0.3, 0.1, 0.6)
+#: factorisations spent on a lower bound where S is not positive definite
+ATTEMPTS = 12
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What is proven about the cost J of a state.
+
+    Attributes:
+        status: "global": no state has a cost below ``lower_bound``, and ``relative_gap`` is at most `PROVEN`;
+            "not proven": there may be a lower minimum, or not; "not applicable": edges stand outside of the theory.
+        lower_bound: no state has a lower cost in exact arithmetic; 0 where nothing better is known, NaN where not applicable.
+        relative_gap: (J - lower_bound) / J, between 0 and 1; NaN where not applicable.
+        reason: one sentence.
+        seconds: the time of the check.
+        direction: (n, 2) complex changes of z and t (unit complex headings, complex positions) along which the function below
+            J falls, where S has a negative direction; None otherwise.
+    """
+
+    status: str
+    lower_bound: float
+    relative_gap: float
+    reason: str
+    seconds: float
+    direction: Array | None = field(default=None, repr=False)
+
+
+def prove(graph: Graph, state: Array) -> Certificate:
+    """Check whether a state (n, 3) is a global minimum of the cost of a graph; docs/certificate.md explains how.
+
+    The function below J is tried with several splits of the information. If none of them proves the state, the multipliers
+    of the headings are lowered until S is positive definite, which still bounds the cost of all states.
+    """
+    begin = time.perf_counter()
+    status, bound, cost, reason, direction = _judged(graph, np.asarray(state, dtype=float))
+    gap = (cost - bound) / cost if 0 < cost < np.inf else 0.0 if cost == 0 else 1.0
+    return Certificate(status, float(bound), float(gap), reason, time.perf_counter() - begin, direction)
+
+
+def _judged(graph: Graph, state: Array) -> tuple[str, float, float, str, Array | None]:
+    """Status, lower bound, cost, reason and direction of a `Certificate`."""
+    cost = graph.cost(state)
+    if not np.isfinite(cost):
+        return NOT_PROVEN, 0.0, np.inf, "the cost of the state is not finite", None
+    try:
+        problem = _Problem.of(graph, state)
+    except GraphError as error:
+        return NOT_APPLICABLE, np.nan, cost, str(error), None
+    plain, best, direction = problem.minorant(SHARES[0]), 0.0, None
+    if cost == 0 or plain.cost <= problem.rounding(plain):
+        return GLOBAL, best, cost, "the cost is zero up to the rounding of the state", None
+    for share in SHARES:
+        function = plain if share == SHARES[0] else problem.minorant(share)
+        bound, factor = problem.bound(function)
+        best = max(best, min(bound, cost))
+        if cost - best <= PROVEN * cost or factor.negative is None:
+            break
+        direction = factor.negative[: graph.num_nodes] if direction is None else direction
+    else:
+        best = max(best, problem.shifted_bound(plain))
+    if cost - best <= PROVEN * cost:
+        return GLOBAL, best, cost, f"no state has a cost lower by more than {(cost - best) / cost:.1e} of J", None
+    if plain.omitted:
+        reason = f"{plain.omitted} edges have a heading residual near half a turn, or singular information"
+    elif direction is None:
+        reason = "the state is not a stationary point of J"
+    else:
+        reason = "the matrix S has a negative direction, so that there may be a lower minimum"
+    return NOT_PROVEN, best, cost, reason, direction
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The edges of a graph in one list, the pattern of S and the nodes that are free."""
+
+    state: Array
+    edges: tuple[Array, ...]
+    free: np.ndarray
+    indptr: np.ndarray
+    indices: np.ndarray
+    symbolic: HermitianSymbolic
+
+    @classmethod
+    def of(cls, graph: Graph, state: Array) -> _Problem:
+        reasons: list[str] = []
+        parts: list[ConstantEdges] = []
+        nodes = np.array(state, dtype=float)
+        for family in graph.families:
+            try:
+                edges = family.constant(nodes)
+            except GraphError as error:
+                reasons.append(str(error))
+                continue
+            parts.append(edges)
+            nodes = np.concatenate([nodes, edges.landmarks])
+        if reasons:
+            raise GraphError("; ".join(dict.fromkeys(reasons)))
+        n = len(nodes)
+        first, second, start, end, turn, oriented, information = _joined(parts)
+        system = graph.system
+        order = system.symbolic.order
+        if n > graph.num_nodes:
+            tied = first >= 0
+            pairs = np.sort(np.column_stack([first[tied], second[tied]]), axis=1)
+            system = BlockSystem.from_cliques(n, [(np.arange(0, 2 * len(pairs) + 1, 2), pairs.ravel())])
+            order = amd(system.indptr, system.indices)
+        free = np.ones(n, dtype=bool)
+        free[graph.fixed] = False
+        free[_roots(n, first, second, free)] = False
+        symbolic = analyze_hermitian(system.indptr, system.indices, order)
+        joined = (first, second, start, end, turn, oriented, information)
+        return cls(nodes, joined, free, system.indptr, system.indices, symbolic)
+
+    def minorant(self, share: float) -> Minorant:
+        return Minorant(*minorant(self.state, *self.edges, self.free, self.indptr, self.indices, share))
+
+    def bound(self, function: Minorant, shift: Array | float = 0.0) -> tuple[float, HermitianFactor]:
+        """A lower bound on the cost of all states, -inf where S is not proven positive definite, and the factor of S.
+
+        Args:
+            function: the function below J.
+            shift: (N,) to add to the diagonal of S, and to the multipliers of the headings.
+        """
+        # S_exact >= S - assembly * scale, and L L^H - (S - 2 margin scale) is within (margin - assembly) scale
+        degree = int(np.diff(self.indptr).max())
+        assembly, growth = ROUNDOFF * (128 + 4 * degree), 16.0
+        diagonal, k = (self.indptr[1:] - 1)[:, None], np.arange(2)
+        while True:
+            margin = assembly + 2 * ROUNDOFF * (4 * self.symbolic.longest + 32) * growth
+            values = function.values.copy()
+            values[diagonal, k, k] -= 2 * margin * function.scale
+            values[diagonal[:, 0], 0, 0] += shift
+            # nodes that are held, and the headings of points, are no variables
+            values[diagonal, k, k] += function.scale == 0
+            factor = factorize(self.symbolic, values)
+            if factor.negative is not None:
+                return -np.inf, factor
+            if factor.growth <= growth:
+                break
+            growth = 2 * factor.growth
+        gradient = function.gradient.copy()
+        gradient[:, 0] += shift * np.exp(1j * self.state[:, 2]) * self.free
+        # rounding errors of the gradient; S is at least margin * scale
+        scale = np.where(function.scale > 0, margin * function.scale, 1.0)
+        error = np.sqrt(np.sum((ROUNDOFF * (64 + degree) * function.error) ** 2 / scale))
+        decrease = (1.001 * np.sqrt(factor.square(gradient)) + error) ** 2
+        return function.cost - decrease - function.slack, factor
+
+    def shifted_bound(self, function: Minorant) -> float:
+        """The best lower bound among a few shifts of the multipliers of all headings."""
+        weight, low, high, best = function.scale[:, 0] / 8, 0.0, 1e-6, -np.inf
+        for _ in range(ATTEMPTS):
+            bound, factor = self.bound(function, high * weight)
+            best = max(best, bound)
+            if factor.negative is None:
+                break
+            low, high = high, 10 * high
+        for _ in range(ATTEMPTS // 2):
+            middle = np.sqrt(low * high) if low > 0 else high / 10
+            bound, factor = self.bound(function, middle * weight)
+            best = max(best, bound)
+            low, high = (low, middle) if factor.negative is None else (middle, high)
+        return best
+
+    def rounding(self, function: Minorant) -> float:
+        """What rounding errors of 1e-15 of all coordinates do to the cost."""
+        size = 1e-15 * (1 + np.abs(self.state).max(axis=0, initial=0.0))
+        return float(np.sum(function.scale[:, 0]) * size[2] ** 2 + np.sum(function.scale[:, 1]) * size[:2].max() ** 2)
+
+
+def _joined(parts: list[ConstantEdges]) -> tuple[Array, ...]:
+    first = np.concatenate([np.zeros(0, np.int64), *(edges.first for edges in parts)])
+    second = np.concatenate([np.zeros(0, np.int64), *(edges.second for edges in parts)])
+    start = np.concatenate([np.zeros((0, 2)), *(edges.start for edges in parts)])
+    end = np.concatenate([np.zeros((0, 2)), *(edges.end for edges in parts)])
+    turn, oriented, information = np.zeros(len(first)), np.zeros(len(first), dtype=bool), np.zeros((len(first), 6))
+    at = 0
+    for edges in parts:
+        to = at + len(edges.first)
+        W, d = edges.information, edges.information.shape[1]
+        information[at:to, :3] = np.stack([W[:, 0, 0], W[:, 0, 1], W[:, 1, 1]], axis=1)
+        if edges.turn is not None:
+            turn[at:to], oriented[at:to] = edges.turn, True
+        if d == 3:
+            information[at:to, 3:] = W[:, :, 2]
+        at = to
+    return first, second, start, end, turn, oriented, information
+
+
+def _roots(n: int, first: np.ndarray, second: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """One node of every piece that nothing ties to the world: the cost does not change when such a piece moves."""
+    ends = np.where(first < 0, n, first)
+    ties = sp.coo_matrix((np.ones(len(ends)), (ends, second)), shape=(n + 1, n + 1))
+    label = connected_components(ties, directed=False)[1]
+    held = np.append(~free, True)
+    loose = ~np.isin(label, label[held])
+    _, roots = np.unique(np.where(loose, label, -1), return_index=True)
+    return roots[loose[roots]]

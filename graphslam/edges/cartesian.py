@@ -1,0 +1,60 @@
+"""Sightings of landmark nodes as positions in the robot's axes, o + l (cos phi, sin phi) with o the sensor's offset:
+
+    e = (R(theta)' (m - p) - o - l (cos phi, sin phi),  theta_m - theta - (phi - psi)),   Omega^-1 = L Q L',
+
+the second part, wrapped, only with psi. L = dh^-1/dz at theta = 0 and the measured range, so the information is constant:
+it is the lectures' R Q R', turned into the robot's axes. So these are the edges of `edges.relative`, with the kernels and
+the trust of sightings. With the landmarks eliminated they become the marginal edges. The residual is linear in the
+positions, and defined everywhere, so the cost has no false minima where a pose lies on a landmark.
+
+``frame="world"`` keeps e in world axes, m - h^-1(x, z), and evaluates R Q R' at the reference state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ..linear.information import BlockSystem
+from ..se2 import Array
+from .base import ConstantEdges, Linearization
+from .observation import ObservationEdges
+from .relative import RelativePointEdges, RelativePoseEdges, accumulate
+from .robust import code_and_width
+
+
+@dataclass(frozen=True, eq=False)
+class CartesianObservationEdges(ObservationEdges):
+    """Sightings of landmark nodes with the residual in the plane; see `ObservationEdges` for the other arguments.
+
+    Args:
+        frame: "body" (the robot's axes, constant information) or "world".
+    """
+
+    frame: str = field(default="body", kw_only=True)
+
+    @cached_property
+    def relative(self) -> RelativePointEdges | RelativePoseEdges:
+        """The same edges without their kernel: landmarks measured in the robot's axes, the trust in their information."""
+        at_origin = np.zeros((self.count, 3))
+        measured = self.sensor.h_inverse(at_origin, self.sightings)
+        information = np.linalg.inv(self.sensor.landmark_covariance(at_origin, self.sightings))
+        information = (information + np.swapaxes(information, 1, 2)) / 2 * self.trusted[:, None, None]
+        edges = RelativePoseEdges if self.oriented else RelativePointEdges
+        return edges(self.first, self.second, measured, information, frame=self.frame)
+
+    @property
+    def state_dependent_information(self) -> bool:
+        return self.relative.state_dependent_information
+
+    def linearize(self, state: Array, reference: Array) -> Linearization:
+        return self.relative.linearize(state, reference)
+
+    def constant(self, state: Array) -> ConstantEdges:
+        self._check_constant(self.frame)
+        return self.relative.constant(state)
+
+    def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
+        return accumulate(self.relative, state, reference, *code_and_width(self.kernel), self._targets(system))

@@ -1,0 +1,154 @@
+"""Which column is what: names that people give to columns, and the units that stand in the names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from ..checks import suggestion
+from ..errors import OptionError
+from .table import Table
+
+#: what a column can be -> the names it has in other people's tables, after `plain`
+NAMES: dict[str, tuple[str, ...]] = {
+    "t": ("t", "time", "timestamp", "stamp", "ts", "seconds", "secs", "sec", "header_stamp", "times", "timestamps"),
+    "nanosec": ("nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds"),
+    "nu": (
+        "nu", "v", "vel", "velocity", "speed", "linear_x", "linear_velocity", "forward_velocity", "forward_speed",
+        "lin_vel", "linear", "vx", "v_x", "v_lin", "translational_velocity",
+    ),
+    "omega": (
+        "omega", "w", "om", "angular_z", "angular_velocity", "yaw_rate", "yawrate", "turn_rate", "ang_vel", "angular",
+        "wz", "w_z", "gyro_z", "v_ang", "rotational_velocity", "omega_z", "theta_dot", "yaw_dot",
+    ),
+    "x": ("x", "pos_x", "px", "position_x", "tx", "rel_x", "translation_x"),
+    "y": ("y", "pos_y", "py", "position_y", "ty", "rel_y", "translation_y"),
+    "z": ("z", "pos_z", "pz", "position_z", "tz", "rel_z", "translation_z"),
+    "theta": ("theta", "heading", "yaw", "th", "angle", "orientation", "phi"),
+    "qx": ("qx", "q_x", "orientation_x", "rotation_x"),
+    "qy": ("qy", "q_y", "orientation_y", "rotation_y"),
+    "qz": ("qz", "q_z", "orientation_z", "rotation_z"),
+    "qw": ("qw", "q_w", "orientation_w", "rotation_w"),
+    "id": (
+        "id", "landmark", "landmark_id", "lm", "lm_id", "tag", "tag_id", "marker", "marker_id", "beacon", "beacon_id",
+        "fiducial_id", "feature", "feature_id", "barcode", "label", "class_id", "target", "target_id", "subject",
+        "ident", "number", "name", "landmarkid", "tagid", "markerid",
+    ),
+    "range": ("range", "r", "distance", "dist", "rho", "l", "d", "ranges"),
+    "bearing": ("bearing", "b", "phi", "azimuth", "angle", "bearings", "bearing_angle", "theta", "beta"),
+    "orientation": ("orientation", "psi", "orient"),
+}  # fmt: skip
+#: names too short to be recognised at the end of a longer one
+_SHORT = ("v", "w", "r", "l", "d", "b")
+#: words at the end of a name that say its unit -> the unit
+_UNITS = {
+    "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms", "milliseconds": "ms",
+    "us": "us", "usec": "us", "micros": "us", "microseconds": "us", "ns": "ns", "nanos": "ns",
+    "nanoseconds": "ns", "m": "m", "meters": "m", "metres": "m", "cm": "cm", "mm": "mm", "rad": "radians",
+    "radian": "radians", "radians": "radians", "deg": "degrees", "degs": "degrees", "degree": "degrees",
+    "degrees": "degrees", "m/s": "m", "mps": "m", "mm/s": "mm", "cm/s": "cm", "rad/s": "radians", "deg/s": "degrees",
+    "rads": "radians", "dps": "degrees", "°": "degrees", "°/s": "degrees",
+}  # fmt: skip
+_KINDS = {"time": ("s", "ms", "us", "ns"), "length": ("m", "cm", "mm"), "angle": ("radians", "degrees")}
+#: what each column measures
+MEASURES = {
+    "t": "time", "nu": "length", "x": "length", "y": "length", "z": "length", "range": "length",
+    "omega": "angle", "theta": "angle", "bearing": "angle", "orientation": "angle",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A column of a table that is used: its number, and the unit that its name states, if any."""
+
+    column: int
+    unit: str | None = None
+
+
+def plain(name: str) -> tuple[str, str | None]:
+    """A column's name in small letters and underscores, without its unit; and the unit."""
+    name, unit = name.strip().strip("\"'#").strip().lower(), None
+    if match := re.search(r"[\[(]\s*([^\])]*?)\s*[\])]\s*$", name):
+        unit, name = _UNITS.get(match[1]), name[: match.start()]
+    words = [word for word in re.split(r"[^0-9a-z°%]+", name.replace("%", "")) if word]
+    if len(words) > 1 and unit is None and words[-1] in _UNITS:
+        # "v_m_s" and "omega_rad_s" end in two words
+        if words[-1] == "s" and len(words) > 2 and _UNITS.get(words[-2]) in ("m", "mm", "cm", "radians", "degrees"):
+            words, unit = words[:-2], _UNITS[words[-2]]
+        else:
+            words, unit = words[:-1], _UNITS[words[-1]]
+    return "_".join(words), unit
+
+
+def find(
+    kind: str, table: Table, roles: Sequence[str], stated: Mapping[str, str | int], orders: Mapping[int, Sequence[str]]
+) -> dict[str, Chosen]:
+    """The columns of a table, by role.
+
+    Args:
+        kind: what the table holds, "odometry" for example, for messages.
+        table: the table.
+        roles: what its columns can be, keys of `NAMES`; of two roles that a name fits, the first takes it.
+        stated: {role: name or number of its column, from 1}, what the user says.
+        orders: for tables without names: the roles of the columns by their number.
+
+    Raises:
+        LogError: a stated column does not exist, or a name fits two columns.
+        OptionError: there is no such role.
+    """
+    found: dict[str, Chosen] = {}
+    for role, column in stated.items():
+        if role not in roles:
+            known = ", ".join(roles)
+            raise OptionError(f"columns: there is no {role!r} in the table of {kind}; its columns can be {known}")
+        found[role] = _stated(table, role, column)
+    if not table.names:
+        order = orders.get(table.width, ()) if not stated else ()
+        return found | {role: Chosen(k) for k, role in enumerate(order) if role}
+    taken = {chosen.column for chosen in found.values()}
+    names = [plain(name) for name in table.names]
+    for tail in (False, True):
+        for role in roles:
+            if role in found:
+                continue
+            for name in NAMES[role]:
+                fits = [
+                    k
+                    for k, (own, _) in enumerate(names)
+                    if k not in taken and (own == name or (tail and name not in _SHORT and own.endswith(f"_{name}")))
+                ]
+                if len(fits) > 1:
+                    titles = " and ".join(table.title(k) for k in fits[:2])
+                    raise table.error(
+                        None,
+                        f"{titles} could both be {role}; say which: --columns {kind}.{role}=NAME",
+                    )
+                if fits:
+                    found[role] = Chosen(fits[0], names[fits[0]][1])
+                    taken.add(fits[0])
+                    break
+    return found
+
+
+def _stated(table: Table, role: str, column: str | int) -> Chosen:
+    if isinstance(column, int) or (column.isdigit() and column not in table.names):
+        number = int(column)
+        if not 1 <= number <= table.width:
+            raise table.error(None, f"{role} should be column {number}, but there are columns 1 to {table.width}")
+        return Chosen(number - 1, plain(table.names[number - 1])[1] if table.names else None)
+    if column not in table.names:
+        known = (
+            f"its columns are {', '.join(table.names)}" if table.names else "its columns have no names: give numbers"
+        )
+        raise table.error(
+            None, f"there is no column {column!r} for {role}{suggestion(column, table.names) or f'; {known}'}"
+        )
+    place = table.names.index(column)
+    return Chosen(place, plain(column)[1])
+
+
+def unit_of(role: str, chosen: Chosen, stated: str | None) -> str | None:
+    """The unit of a column: the stated one, else that of its name where it is one of this kind."""
+    kinds = _KINDS[MEASURES[role]]
+    return stated or (chosen.unit if chosen.unit in kinds else None)

@@ -1,0 +1,389 @@
+"""From the tables of one drive to the streams that are synchronised: columns, units, clocks and their checks.
+
+A check refuses what is almost certainly a mistake, in one sentence with the place and the likely cause. Whoever states
+the unit silences the check of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..checks import first
+from ..errors import LogError
+from ..reading import UNIDENTIFIED
+from ..se2 import Array
+from .columns import MEASURES, NAMES, Chosen, find, unit_of
+from .options import ANGLES, LENGTHS, TableOptions
+from .poses import checked_heading, controls_between
+from .table import Table
+from .times import nanoseconds
+
+_POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
+ROLES = {
+    "odometry": ("t", "nanosec", "nu", "omega", *_POSE),
+    "sightings": ("t", "nanosec", "id", "range", "bearing", "orientation", "x", "y", "z"),
+    "truth": ("t", "nanosec", *_POSE),
+    "map": ("id", "x", "y", "theta"),
+}
+_TUM = ("t", "x", "y", "", "qx", "qy", "qz", "qw")
+#: columns of tables without names, by their number
+ORDERS: dict[str, dict[int, tuple[str, ...]]] = {
+    "odometry": {3: ("t", "nu", "omega"), 4: ("t", "x", "y", "theta"), 8: _TUM},
+    "sightings": {4: ("t", "id", "range", "bearing"), 5: ("t", "id", "range", "bearing", "orientation")},
+    "truth": {3: ("t", "x", "y"), 4: ("t", "x", "y", "theta"), 8: _TUM},
+    "map": {3: ("id", "x", "y"), 4: ("id", "x", "y", "theta")},
+}
+#: odometry with rows farther apart [s], faster [m/s] or turning faster [rad/s], and sightings from farther away [m], are
+#: refused unless their unit is stated
+SLOWEST, FASTEST, QUICKEST, FARTHEST = 5.0, 100.0, 2 * np.pi, 1000.0
+#: poses that move sideways for a larger share of their way are no poses of a robot with wheels
+_SIDEWAYS = 0.3
+
+
+@dataclass(frozen=True)
+class Timed:
+    """A table that has been read: times (N,) in nanoseconds, not decreasing, and rows (N, k); ids of sightings.
+
+    ``columns`` says which column was taken for what, and in which unit.
+    """
+
+    table: Table
+    times: np.ndarray
+    rows: Array
+    columns: tuple[str, ...]
+    ids: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    notes: tuple[str, ...] = ()
+
+
+class _Reader:
+    """The columns of one table, in metres, radians and nanoseconds."""
+
+    def __init__(self, kind: str, table: Table, options: TableOptions) -> None:
+        self.kind, self.table, self.options = kind, table, options
+        self.used: dict[str, None] = {}
+        self.found = find(kind, table, ROLES[kind], options.columns_of(kind), ORDERS[kind])
+        if len(table) == 0:
+            raise table.error(None, f"there is no row of {kind} in it")
+        table.prepare([chosen.column for chosen in self.found.values()])
+
+    def has(self, *roles: str) -> bool:
+        return all(role in self.found for role in roles)
+
+    def need(self, *roles: str, instead: str = "") -> None:
+        """Raise an error that lists the columns unless these are there."""
+        missing = [role for role in roles if role not in self.found]
+        if missing:
+            have = ", ".join(self.table.names) if self.table.names else f"{self.table.width} columns without names"
+            names = " or ".join(dict.fromkeys((missing[0], *NAMES[missing[0]][:3])))
+            raise self.table.error(
+                None,
+                f"no column for {missing[0]} (named {names}, ...){instead}; it has {have}. "
+                f"Say which it is: --columns {self.kind}.{missing[0]}=NAME",
+            )
+        self.used |= dict.fromkeys(roles)
+
+    def described(self) -> tuple[str, ...]:
+        """The columns that were used, "range = 'dist' [m]"."""
+        parts = []
+        for role in self.used:
+            chosen, unit = self.found[role], ""
+            if role in MEASURES:
+                unit = self._unit(role) or {"time": "s", "angle": "radians", "length": "m"}[MEASURES[role]]
+                unit += "/s" if role in ("nu", "omega") else ""
+            name = self.table.names[chosen.column] if self.table.names else f"column {chosen.column + 1}"
+            parts.append((role if name == role else f"{role} = {name}") + (f" [{unit}]" if unit else ""))
+        return tuple(parts)
+
+    def stated(self, role: str) -> bool:
+        """Whether the unit of a column is known from the options or its name."""
+        return self._unit(role) is not None
+
+    def _unit(self, role: str) -> str | None:
+        kinds = {"time": "time", "angle": "angles", "length": "lengths"}
+        return unit_of(role, self.found[role], self.options.unit(kinds[MEASURES[role]], self.kind))
+
+    def times(self) -> np.ndarray:
+        self.need("t")
+        ns = nanoseconds(self.table, self.found["t"].column, self._unit("t"))
+        if self.has("nanosec"):
+            self.need("nanosec")
+            ns = ns + nanoseconds(self.table, self.found["nanosec"].column, "ns")
+        return ns + self.options.clock(self.kind)
+
+    def numbers(self, *roles: str, finite: bool = True) -> Array:
+        """Columns (N, k) in metres and radians."""
+        self.need(*roles)
+        values = self.table.numbers([self.found[role].column for role in roles])
+        bad = ~np.isfinite(values)
+        if finite and bad.any():
+            row, column = np.argwhere(bad)[0]
+            title = self.table.title(self.found[roles[column]].column)
+            value = values[row, column]
+            raise self.table.error(
+                int(row), f"{title} is {'empty or NaN' if np.isnan(value) else value}; remove the row, or repair it"
+            )
+        for k, role in enumerate(roles):
+            if role in MEASURES:
+                values[:, k] *= (ANGLES | LENGTHS)[
+                    self._unit(role) or ("radians" if MEASURES[role] == "angle" else "m")
+                ]
+        return values
+
+    def poses(self, *, finite: bool = True) -> Array:
+        """x, y and heading (N, 3), or x and y (N, 2) where there is no heading."""
+        position = self.numbers("x", "y", finite=finite)
+        if self.has("theta"):
+            return np.column_stack([position, self.numbers("theta", finite=finite)])
+        if self.has("qz", "qw"):
+            roles = [role for role in ("qx", "qy", "qz", "qw") if role in self.found]
+            given = self.numbers(*roles, finite=finite)
+            quaternions = np.zeros((len(given), 4))
+            quaternions[:, [("qx", "qy", "qz", "qw").index(role) for role in roles]] = given
+            known = np.isfinite(quaternions).all(axis=1)
+            angles = np.full(len(given), np.nan)
+            # rows keep their numbers in messages
+            quaternions[~known] = (0, 0, 0, 1)
+            angles[known] = checked_heading(self.table, quaternions)[known]
+            return np.column_stack([position, angles])
+        return position
+
+    def refuse(self, role: str, values: Array, wrong: np.ndarray, message: str, option: str) -> None:
+        """Raise an error where values look like another unit, unless their unit is stated."""
+        if not self.stated(role) and (k := first(wrong)) is not None:
+            unit, own = option.split("/")
+            name = {"degrees": "angles", "radians": "angles"}.get(unit, "time" if unit in ("ms", "us") else "lengths")
+            raise self.table.error(
+                k,
+                message.format(values[k])
+                + f" Then add --{name} {self.kind}={unit}; if not, add --{name} {self.kind}={own}",
+            )
+
+
+def odometry_of(table: Table, options: TableOptions) -> Timed:
+    """The odometry: controls (nu, omega) (N, 2), or poses whose differences become controls.
+
+    Raises:
+        LogError: a column is missing, a number is none, or the unit is almost certainly another one.
+    """
+    reader = _Reader("odometry", table, options)
+    ns = reader.times()
+    if reader.has("nu", "omega") or not reader.has("x", "y"):
+        reader.need("nu", "omega", instead=", and none for x, y and theta instead of nu and omega")
+        rows = reader.numbers("nu", "omega")
+    else:
+        rows = reader.poses()
+        if rows.shape[1] == 2:
+            reader.need("theta")
+    ns, order, notes = _ordered(reader, ns)
+    rows = rows[order]
+    dt = np.diff(ns) / 1e9
+    if len(dt) and not reader.stated("t") and (middle := float(np.median(dt))) > SLOWEST:
+        raise table.error(
+            None,
+            f"neighbouring rows are {middle:g} s apart (median): are the times in milliseconds? Then add --time "
+            "odometry=ms; if they are seconds, add --time odometry=s",
+        )
+    if rows.shape[1] == 3:
+        rows, ns, more = _controls(reader, rows, ns)
+        notes += more
+    else:
+        speed, turn = np.abs(rows).T
+        if np.quantile(speed, 0.95) > FASTEST:
+            reader.refuse("nu", speed, speed > FASTEST, "the speed is {:g} m/s: is it in mm/s?", "mm/m")
+        if np.quantile(turn, 0.95) > QUICKEST:
+            reader.refuse(
+                "omega", turn, turn > QUICKEST, "the turn rate is {:g} rad/s: is it in degrees per second?",
+                "degrees/radians",
+            )  # fmt: skip
+    return Timed(table, ns, rows, reader.described(), notes=notes)
+
+
+def _controls(reader: _Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.ndarray, tuple[str, ...]]:
+    """The controls between poses of odometry, their times, and notes."""
+    # of several rows with one time the last holds
+    last = np.append(np.diff(ns) > 0, True)
+    poses, ns = poses[last], ns[last]
+    dt = np.diff(ns) / 1e9
+    controls, sideways = controls_between(poses, dt)
+    turns = np.abs(controls[:-1, 1])
+    if len(turns) and np.quantile(turns, 0.95) > QUICKEST:
+        reader.refuse(
+            "theta" if reader.has("theta") else "x", turns, turns > QUICKEST,
+            "the headings turn by {:g} rad/s: are they in degrees?", "degrees/radians",
+        )  # fmt: skip
+    speed = np.abs(controls[:-1, 0])
+    if len(speed) and np.quantile(speed, 0.95) > FASTEST:
+        reader.refuse("x", speed, speed > FASTEST, "the poses move by {:g} m/s: are they in mm?", "mm/m")
+    notes: tuple[str, ...] = ()
+    if sideways > _SIDEWAYS:
+        notes = (
+            f"{reader.table.source}: the poses move sideways for {sideways:.0%} of their way, which wheels cannot; the "
+            "heading may be in another unit, turn the other way, or not be the robot's",
+        )
+    return controls, ns, notes
+
+
+def sightings_of(table: Table, options: TableOptions) -> Timed:
+    """The sightings (range, bearing[, orientation]) in the axes of the sensor turned to those of the robot, with ids.
+
+    Raises:
+        LogError: a column is missing, a number is none, or the unit is almost certainly another one.
+    """
+    reader = _Reader("sightings", table, options)
+    ns = reader.times()
+    # before range and bearing: columns in another order show first here
+    ids, notes = _ids(reader)
+    if reader.has("x", "y") and not reader.has("range"):
+        third = ("x", "z") if options.axes == "optical" else ("x", "y")
+        rows = _polar(reader.numbers(*third), options.axes)
+    else:
+        reader.need("range", "bearing", instead=", and none for x and y instead of range and bearing")
+        rows = reader.numbers("range", "bearing")
+        reader.refuse(
+            "bearing", rows[:, 1], np.abs(rows[:, 1]) > 2 * np.pi + 1e-6,
+            "the bearing is {:g} rad, beyond 2 pi: is it in degrees?", "degrees/radians",
+        )  # fmt: skip
+    if (k := first(rows[:, 0] <= 0)) is not None:
+        cause = "are range and bearing swapped?" if rows[k, 0] < 0 else "remove rows in which nothing was seen"
+        raise table.error(k, f"the range is {rows[k, 0]:g} m, but a range is above zero: {cause}")
+    if np.median(rows[:, 0]) > FARTHEST:
+        role = "range" if reader.has("range") else "x"
+        reader.refuse(role, rows[:, 0], rows[:, 0] > FARTHEST, "the range is {:g} m: is it in mm?", "mm/m")
+    sign = -1.0 if options.bearings == "clockwise" else 1.0
+    if sign < 0:
+        rows[:, 1] *= -1
+    if options.sensor_yaw:
+        rows[:, 1] += options.sensor_yaw
+    if reader.has("orientation"):
+        rows = np.column_stack([rows, sign * reader.numbers("orientation")])
+    if options.centre == "robot" and any(options.sensor_offset or ()):
+        rows[:, :2] = _moved(rows[:, :2], np.array(options.sensor_offset))
+    ns, order, more = _ordered(reader, ns)
+    return Timed(table, ns, rows[order], reader.described(), ids[order], (*notes, *more))
+
+
+def _polar(places: Array, axes: str) -> Array:
+    """Range and bearing (N, 2) of places (N, 2) in the given axes."""
+    x, y = places.T
+    forward, left = {
+        "forward-left": (x, y), "forward-right": (x, -y), "right-forward": (y, -x), "left-forward": (y, x),
+        "optical": (y, -x),
+    }[axes]  # fmt: skip
+    return np.column_stack([np.hypot(forward, left), np.arctan2(left, forward)])
+
+
+def _moved(rows: Array, offset: Array) -> Array:
+    """Range and bearing (N, 2) from the robot's centre, as from a sensor at an offset."""
+    x = rows[:, 0] * np.cos(rows[:, 1]) - offset[0]
+    y = rows[:, 0] * np.sin(rows[:, 1]) - offset[1]
+    return np.column_stack([np.hypot(x, y), np.arctan2(y, x)])
+
+
+def _ids(reader: _Reader) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The ids (N,) as whole numbers, and notes; `UNIDENTIFIED` where there is no column of them."""
+    table = reader.table
+    if not reader.has("id"):
+        return np.full(len(table), UNIDENTIFIED), (f"{table.source}: no column for id, so no landmark is identified",)
+    reader.need("id")
+    column = reader.found["id"].column
+    try:
+        values = table.numbers([column])[:, 0]
+    except LogError:
+        return _named_ids(table, table.words(column))
+    whole = np.isfinite(values) & (values % 1 == 0)
+    if (k := first(~whole)) is not None:
+        shown = "empty" if np.isnan(values[k]) else f"{values[k]:g}"
+        raise table.error(
+            k,
+            f"the id {table.title(column)} is {shown}, but ids are whole numbers or words: is the order of the columns "
+            "t, id, range, bearing?",
+        )
+    if np.any(np.abs(values) >= 2.0**53):
+        return table.words(column).astype(np.int64), ()
+    return values.astype(np.int64), ()
+
+
+def _named_ids(table: Table, words: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Numbers of landmarks that have names: the number at the end of each name where these differ, else counted."""
+    names, which = np.unique(words, return_inverse=True)
+    ends = [name[len(name.rstrip("0123456789")) :] for name in names.tolist()]
+    if all(ends) and len({int(end) for end in ends}) == len(names):
+        return np.array([int(end) for end in ends])[which], ()
+    listed = ", ".join(f"{k} = {name}" for k, name in enumerate(names[:10].tolist()))
+    return which.astype(np.int64), (f"{table.source}: landmarks have names, ids count them: {listed}",)
+
+
+def truth_of(table: Table, options: TableOptions) -> Timed:
+    """The true poses (N, 3) or positions (N, 2); rows that are not known are left out.
+
+    Raises:
+        LogError: a column is missing, or a number is none.
+    """
+    reader = _Reader("truth", table, options)
+    ns, rows = reader.times(), reader.poses(finite=False)
+    known = np.asarray(np.isfinite(rows).all(axis=1))
+    notes: tuple[str, ...] = ()
+    if not known.all():
+        notes = (f"{table.source}: {np.sum(~known)} of {len(known)} rows have no pose and are left out",)
+    if rows.shape[1] == 3 and not reader.has("qz"):
+        reader.refuse(
+            "theta", rows[:, 2], np.abs(rows[:, 2]) > 8 * np.pi, "the heading is {:g} rad: is it in degrees?",
+            "degrees/radians",
+        )  # fmt: skip
+    kept = np.flatnonzero(known)
+    ns, order, more = _ordered(reader, ns[kept], kept)
+    return Timed(table, ns, rows[kept][order], reader.described(), notes=(*notes, *more))
+
+
+def map_of(table: Table, options: TableOptions) -> dict[int, Array]:
+    """The true landmarks, {id: (x, y) or (x, y, heading)}.
+
+    Raises:
+        LogError: a column is missing, a number is none, or two rows have one id.
+    """
+    reader = _Reader("map", table, options)
+    reader.need("id")
+    ids, _ = _ids(reader)
+    places = reader.numbers("x", "y", *(["theta"] if reader.has("theta") else []))
+    _, firsts, counts = np.unique(ids, return_index=True, return_counts=True)
+    if (k := first(counts > 1)) is not None:
+        again = int(np.flatnonzero(ids == ids[firsts[k]])[1])
+        raise table.error(again, f"landmark {ids[again]} is in the map twice; each landmark has one place")
+    return {int(j): place for j, place in zip(ids, places)}
+
+
+def _ordered(
+    reader: _Reader, ns: np.ndarray, rows: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray | slice, tuple[str, ...]]:
+    """The times in order, their order, and notes; ``rows`` are the rows of the table, where it has others, too.
+
+    Raises:
+        LogError: the clock starts anew within the table.
+    """
+    back = np.diff(ns) < 0
+    if not back.any():
+        return ns, slice(None), ()
+    rows = np.arange(len(ns)) if rows is None else rows
+    k = int(np.argmax(back))
+    times = f"{ns[k + 1] / 1e9:.3f} s comes after {ns[k] / 1e9:.3f} s"
+    reached = np.maximum.accumulate(ns)
+    restarts = (reached - ns > 0.5 * (reached - ns[0])) & (reached - ns > 10_000_000_000)
+    if restarts.any():
+        k = int(np.argmax(restarts))
+        raise reader.table.error(
+            int(rows[k]),
+            f"the time goes back by {(reached[k] - ns[k]) / 1e9:.0f} s: does the table hold two drives, or a clock that "
+            "was set? Import each part alone",
+        )
+    note = f"{reader.table.place(int(rows[k + 1]))}: time runs backwards ({times}); the rows were sorted"
+    order = np.argsort(ns, kind="stable")
+    return ns[order], order, (note,)
+
+
+READERS: Mapping[str, Callable[[Table, TableOptions], Timed]] = {
+    "odometry": odometry_of, "sightings": sightings_of, "truth": truth_of,
+}  # fmt: skip
+__all__ = ["READERS", "ROLES", "Chosen", "Timed", "map_of", "odometry_of", "sightings_of", "truth_of"]

@@ -1,0 +1,142 @@
+"""The streams of a drive, each with its own clock, as the arguments of one log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from ..checks import checked_offset, suggestion
+from ..errors import LogError, OptionError
+from ..models import SensorModel
+from ..reading import ReadOptions
+from ..se2 import Array
+from ..sources.streams import Stream, parts_of_streams
+from .drive import Timed, map_of, odometry_of, sightings_of, truth_of
+from .options import TableOptions
+from .sources import table_of
+from .times import seconds
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The streams of one drive that have been read, each with its own clock.
+
+    Attributes:
+        odometry, sightings, truth: times in nanoseconds, rows in metres and radians.
+        landmarks: the true map.
+        sensor_offset: position of the sensor on the robot [m], None where nothing says it.
+        notes: about the whole drive, one sentence each.
+        truth_offset: the point of the robot that the truth is of [m], as in `Log`; None for its pose.
+    """
+
+    odometry: Timed
+    sightings: Timed
+    truth: Timed | None = None
+    landmarks: Mapping[int, Array] | None = None
+    sensor_offset: tuple[float, ...] | None = None
+    notes: tuple[str, ...] = ()
+    truth_offset: tuple[float, ...] | None = None
+
+    @property
+    def streams(self) -> dict[str, Timed]:
+        """The streams by the name of their table."""
+        named = {"odometry": self.odometry, "sightings": self.sightings, "truth": self.truth}
+        return {name: stream for name, stream in named.items() if stream is not None}
+
+    def parts(self, reading: ReadOptions, name: str) -> dict[str, Any]:
+        """The arguments of the `Log` of this drive.
+
+        Raises:
+            LogError: the clocks do not overlap, or the streams cannot be joined.
+        """
+        for stream in (self.sightings, self.truth):
+            if stream is not None:
+                check_overlap(self.odometry, stream)
+        origin = int(self.odometry.times[0])
+        remarks = [note for stream in self.streams.values() for note in (*stream.table.notes, *stream.notes)]
+        models: dict[str, Any] = {}
+        if self.sensor_offset is not None:
+            models["sensor"] = SensorModel(offset=self.sensor_offset)  # type: ignore[arg-type]  # checked there
+        joined = {kind: Stream(seconds(stream.times, origin), stream.rows) for kind, stream in self.streams.items()}
+        return parts_of_streams(
+            joined["odometry"],
+            joined["sightings"],
+            self.sightings.ids,
+            options=reading,
+            truth=joined.get("truth"),
+            truth_offset=(0.0, 0.0) if self.truth_offset is None else checked_offset("truth_offset", self.truth_offset),
+            true_landmarks=self.landmarks,
+            origin=origin / 1e9,
+            name=name,
+            notes=(*self.notes, *remarks),
+            **models,
+        )
+
+
+def read_drive(
+    odometry: Any, sightings: Any, *, truth: Any = None, map: Any = None, options: TableOptions | None = None
+) -> Drive:
+    """Read the tables of a drive; the arguments are those of `Log.from_tables`.
+
+    Raises:
+        LogError: a table lacks a column or has an impossible value.
+    """
+    options = options or TableOptions()
+    return Drive(
+        odometry_of(table_of(odometry, "odometry"), options),
+        sightings_of(table_of(sightings, "sightings"), options),
+        None if truth is None else truth_of(table_of(truth, "truth"), options),
+        None if map is None else map_of(table_of(map, "map"), options),
+        options.sensor_offset,
+        truth_offset=options.truth_offset,
+    )
+
+
+def parts_of_tables(
+    odometry: Any, sightings: Any, truth: Any, map: Any, name: str, keep_every: float | None,
+    options: TableOptions | None, **changes: Any,
+) -> dict[str, Any]:  # fmt: skip
+    """The arguments of the `Log` that `Log.from_tables` returns; its arguments and errors are the same."""
+    if options is not None and changes:
+        raise OptionError(f"give {next(iter(changes))} as a field of options, or leave out options")
+    for change in changes:
+        if change not in (names := [f.name for f in fields(TableOptions)]):
+            raise OptionError(
+                f"from_tables has no option {change!r}{suggestion(change, names) or '; see TableOptions'}"
+            )
+    drive = read_drive(odometry, sightings, truth=truth, map=map, options=options or TableOptions(**changes))
+    return drive.parts(ReadOptions(keep_every=keep_every), name)
+
+
+def check_overlap(odometry: Timed, other: Timed) -> None:
+    """Raise `LogError` where two clocks have no time in common; the message has both intervals and the likely cause."""
+    begin, end = int(odometry.times[0]), int(odometry.times[-1])
+    first, last = int(other.times[0]), int(other.times[-1])
+    if first <= end and last >= begin:
+        return
+    offset = (begin - first) / 1e9
+    hours = offset / 3600
+    if abs(hours) >= 0.9 and abs(hours - round(hours)) < 0.05 and abs(hours) < 26:
+        cause = f"they differ by about {abs(round(hours))} h, as two time zones do"
+    elif min(begin, first) < 1e16 < max(begin, first):
+        cause = "one counts from 1970 and the other from its own start"
+    elif begin > 0 and first > 0 and (ratio := _unit_ratio(end - begin, last - first)):
+        cause = f"one seems to be in units {ratio} times as large"
+    else:
+        cause = "they are of different drives, or one clock was not set"
+    kind = "sightings" if len(other.ids) else "truth"
+    raise LogError(
+        f"the clocks of {odometry.table.source} ({_interval(begin, end)}) and {other.table.source} "
+        f"({_interval(first, last)}) do not overlap: {cause}; --clocks {kind}={offset:.6g} lets both begin together"
+    )
+
+
+def _unit_ratio(one: int, other: int) -> int | None:
+    """How many times as large the unit of one span seems, in powers of 1000."""
+    ratio = max(one, other) / max(1, min(one, other))
+    return next((unit for unit in (1000, 10**6, 10**9) if 0.5 < ratio / unit < 2), None)
+
+
+def _interval(begin: int, end: int) -> str:
+    return f"{begin / 1e9:.3f} to {end / 1e9:.3f} s"

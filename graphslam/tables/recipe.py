@@ -1,0 +1,100 @@
+"""A recipe: the options of tables and bags as a TOML file, ``import.toml`` beside the data or named by the user.
+
+angles = "degrees"              # any field of TableOptions
+[sightings]                     # odometry, sightings, truth, map
+file = "tags.csv"               # of a folder; of a bag: topic = "/tags"
+clock = 0.12                    # seconds to add to its times
+time = "ms"                     # units of this table: time, angles, lengths
+range = "dist"                  # which column is what, by name or by number from 1
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from ..errors import OptionError
+from ..toml_file import TomlFile
+from .drive import ROLES
+from .options import TABLES, TableOptions
+
+#: keys of the table of a stream that are not its columns
+_UNITS = ("time", "angles", "lengths")
+_WHERE = ("file", "topic", "child", "parent", "use")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Options, and for each table where it is: {"odometry": {"file": "wheels.csv"}, ...}; of a bag topics and frames."""
+
+    options: TableOptions = field(default_factory=TableOptions)
+    places: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+    def place(self, table: str, what: str) -> str | None:
+        """What the recipe says about where a table is: its file, topic, frames; None where it does not."""
+        return self.places.get(table, {}).get(what)
+
+
+def read_recipe(path: Path) -> Recipe:
+    """Read a recipe.
+
+    Raises:
+        FormatError: it is not TOML, has an unknown key, or an impossible value; with the line.
+    """
+    file = TomlFile(path)
+    known = {f.name: f for f in fields(TableOptions)}
+    file.check_keys(file.table, (*known, *TABLES))
+    values: dict[str, Any] = {}
+    for name in known:
+        if name in file.table:
+            values[name] = _value(file, name)
+    units: dict[str, dict[str, str]] = {
+        name: {"": values[name]} for name in _UNITS if isinstance(values.get(name), str)
+    }
+    columns: dict[str, dict[str, Any]] = dict(values.pop("columns", {}))
+    clocks: dict[str, float] = dict(values.pop("clocks", {}))
+    places: dict[str, dict[str, str]] = {}
+    for table in TABLES:
+        content = file.value(file.table, table, dict) or {}
+        file.check_keys(content, (*_WHERE, *_UNITS, "clock", *ROLES[table]), table)
+        for key in content:
+            if key in _WHERE:
+                places.setdefault(table, {})[key] = file.value(content, key, str, where=table)
+            elif key in _UNITS:
+                units.setdefault(key, {})[table] = file.value(content, key, str, where=table)
+            elif key == "clock":
+                clocks[table] = file.value(content, key, float, where=table)
+            else:
+                columns.setdefault(table, {})[key] = file.value(content, key, str, int, where=table)
+    for name, value in (*units.items(), ("columns", columns), ("clocks", clocks)):
+        if value:
+            values[name] = value
+    return Recipe(file.attempt(lambda: TableOptions(**values)), places)
+
+
+def _value(file: TomlFile, name: str) -> Any:
+    """The value of an option in the head of the file, in the type of its field."""
+    if name in ("sensor_offset", "truth_offset"):
+        value = file.value(file.table, name, list)
+        if len(value) != 2 or not all(type(number) in (int, float) for number in value):
+            raise file.error(name, f"{name} should be a list of two numbers, [forward, left]")
+        return tuple(map(float, value))
+    if name == "sensor_yaw":
+        return file.value(file.table, name, float)
+    if name in (*_UNITS, "columns", "clocks"):
+        return file.value(file.table, name, str, dict)
+    return file.value(file.table, name, str)
+
+
+def merged(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
+    """The recipe with options of the command line or of Python, which take precedence; None is not given."""
+    given = {name: value for name, value in changes.items() if value is not None}
+    old = {f.name: getattr(recipe.options, f.name) for f in fields(TableOptions)}
+    for name in given:
+        if name not in old:
+            raise OptionError(f"there is no option {name!r} of tables; they are {', '.join(old)}")
+    defaults = {f.name: f.default for f in fields(TableOptions) if f.default is not MISSING}
+    kept = {name: value for name, value in old.items() if value != defaults[name]}
+    return Recipe(TableOptions(**kept | given), recipe.places)

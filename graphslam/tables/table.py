@@ -1,0 +1,112 @@
+"""`Table`: what every table has, whether its rows are lines of a file, rows of a data frame, or messages of a bag."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import FormatError, LogError
+from ..se2 import Array
+
+
+class Table(ABC):
+    """Columns with names.
+
+    Attributes:
+        source: what messages call the table: a file, or a topic of a bag.
+        names: of the columns; empty where the table has none.
+        width: the number of columns.
+        notes: what the reader changed, one sentence each.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    width: int
+    notes: tuple[str, ...] = ()
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """The number of rows."""
+
+    @abstractmethod
+    def numbers(self, columns: Sequence[int]) -> Array:
+        """Columns (N, k) as floating-point numbers, which may be NaN.
+
+        Raises:
+            LogError: a cell is no number; with its place.
+        """
+
+    @abstractmethod
+    def words(self, column: int) -> np.ndarray:
+        """A column (N,) as text, or as whole numbers where the table has these."""
+
+    def texts(self, column: int) -> np.ndarray:
+        """A column (N,) as bytes of ASCII, or as whole numbers where the table has these."""
+        words = self.words(column)
+        return words if words.dtype.kind in "iu" else np.char.encode(words, "ascii", "replace")
+
+    def prepare(self, columns: Sequence[int]) -> None:  # noqa: B027  # only where it saves time
+        """Columns that will be needed, so that they can be read at once."""
+
+    @abstractmethod
+    def error(self, row: int | None, message: str) -> LogError:
+        """The error of a row, counted from 0, or of the whole table."""
+
+    def place(self, row: int) -> str:
+        """How a note names a row."""
+        return str(self.error(row, "")).rstrip(": ")
+
+    def title(self, column: int) -> str:
+        """How messages name a column."""
+        return repr(self.names[column]) if self.names else f"column {column + 1}"
+
+
+class Columns(Table):
+    """A table in memory.
+
+    Args:
+        source: its name.
+        columns: {name: (N,)}; or without names, an array (N, k).
+        rows: what messages call its rows.
+    """
+
+    def __init__(self, source: str, columns: Mapping[str, Any] | Array, *, rows: str = "row") -> None:
+        self.source, self._rows = source, rows
+        if isinstance(columns, Mapping):
+            self.names = tuple(map(str, columns))
+            self._columns = [np.asarray(column) for column in columns.values()]
+        else:
+            self.names = ()
+            self._columns = list(np.asarray(columns).T)
+        self.width = len(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns[0]) if self._columns else 0
+
+    def numbers(self, columns: Sequence[int]) -> Array:
+        numbers = np.empty((len(self), len(columns)))
+        for k, column in enumerate(columns):
+            values = self._columns[column]
+            try:
+                numbers[:, k] = values
+            except (TypeError, ValueError):
+                for row, value in enumerate(values):
+                    try:
+                        float(value)
+                    except (TypeError, ValueError):
+                        message = f"{self.title(column)} should be a number, not {str(value)!r}"
+                        raise self.error(row, message) from None
+                raise self.error(None, f"{self.title(column)} should hold one number in each {self._rows}") from None
+        return numbers
+
+    def words(self, column: int) -> np.ndarray:
+        values = self._columns[column]
+        return values if values.dtype.kind in "iu" else values.astype(str)
+
+    def error(self, row: int | None, message: str) -> LogError:
+        if row is None:
+            return FormatError(self.source, None, message)
+        return FormatError(f"{self.source}, {self._rows} {row + 1}", None, message)

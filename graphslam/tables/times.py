@@ -1,0 +1,56 @@
+"""Times as whole nanoseconds: seconds since 1970 with nine decimals do not fit into a floating-point number."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .table import Table
+
+#: nanoseconds of each unit
+UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
+#: floating-point numbers hold nanoseconds up to here
+_EXACT = 2.0**53
+
+
+def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
+    """A column of times (N,) as whole nanoseconds.
+
+    Args:
+        table: whose column it is.
+        column: its number.
+        unit: "s", "ms", "us" or "ns"; None: by the size of the numbers, which is certain for times since 1970, else s.
+
+    Raises:
+        LogError: a time is no finite number.
+    """
+    values = table.numbers([column])[:, 0]
+    if (bad := np.flatnonzero(~np.isfinite(values))).size:
+        raise table.error(int(bad[0]), f"the time {table.title(column)} is {values[bad[0]]}; every row needs a time")
+    factor = UNITS[unit or by_size(values)]
+    if np.all(np.abs(values) * factor < _EXACT):
+        return np.rint(values * factor).astype(np.int64)
+    words = table.texts(column)
+    if words.dtype.kind in "iu":
+        return words.astype(np.int64) * factor
+    digits = len(str(factor)) - 1
+    whole, _, fraction = np.moveaxis(np.char.partition(words, b"."), -1, 0)
+    try:
+        beneath = np.char.ljust(fraction, digits, b"0").astype(f"S{digits}") if digits else np.full(len(whole), b"0")
+        return whole.astype(np.int64) * factor + beneath.astype(np.int64)
+    except (ValueError, OverflowError):
+        # with exponents or beyond 64 bits
+        return np.rint(values * factor).astype(np.int64)
+
+
+def by_size(values: np.ndarray) -> str:
+    """The unit that the size of times leaves no doubt about: nobody drives for three thousand years."""
+    largest = float(np.max(np.abs(values), initial=0.0))
+    for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)):
+        if largest >= least:
+            return unit
+    return "s"
+
+
+def seconds(nanoseconds: np.ndarray, origin: int) -> np.ndarray:
+    """Times in seconds after an origin, exact to less than a nanosecond within months."""
+    return (nanoseconds - origin) / 1e9

@@ -1,0 +1,125 @@
+"""A TOML file whose keys know their lines, so that messages about them can name these."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from .checks import suggestion
+from .errors import FormatError, OptionError
+from .files import check_file
+
+T = TypeVar("T")
+
+#: how messages name the types that a key may have
+TYPE_NAMES = {str: "text in quotes", int: "a whole number", float: "a number", bool: "true or false", list: "a list [..]",
+              dict: "a table"}  # fmt: skip
+
+
+class TomlFile:
+    """A TOML file and its content, which can name the line of a key.
+
+    Args:
+        path: of the file.
+
+    Attributes:
+        path, text, table: the file, its text, and its content.
+
+    Raises:
+        FormatError: there is no such file, or it is not valid TOML; with the line.
+    """
+
+    def __init__(self, path: Path) -> None:
+        check_file(path)
+        self.path = path
+        try:
+            self.text = path.read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            raise FormatError(path, None, "this is not text in UTF-8; a TOML file is needed here") from None
+        try:
+            self.table: dict[str, Any] = tomllib.loads(self.text)
+        except tomllib.TOMLDecodeError as error:
+            found = re.search(r"\(at line (\d+), column \d+\)$", str(error))
+            message = re.sub(r" \(at .*\)$", "", str(error))
+            raise FormatError(path, int(found[1]) if found else None, f"not valid TOML: {message}") from None
+
+    def error(self, key: str, message: str) -> FormatError:
+        """The error of a key, "table.key" where it stands in a table, with its line where it can be determined."""
+        return FormatError(self.path, self.line_of(key), message)
+
+    def line_of(self, key: str) -> int | None:
+        """The line on which the statement begins that sets a key, "table.key" or "tables[1].key"; None if there is none.
+
+        It is the first line after which the text, read up to there, has the key.
+        """
+        path = re.findall(r"[^.\[\]]+", key)
+        lines, begin = self.text.splitlines(), 1
+        for number in range(1, len(lines) + 1):
+            try:
+                table = tomllib.loads("\n".join(lines[:number]))
+            except tomllib.TOMLDecodeError:
+                continue  # in the middle of a value of several lines
+            if _holds(table, path):
+                return begin
+            begin = number + 1
+        return None
+
+    def check_keys(self, table: Mapping[str, Any], known: Collection[str], where: str = "") -> None:
+        """Raise `FormatError` for the first key that is not known; the message names the nearest one that is.
+
+        Args:
+            table: whose keys are checked.
+            known: the keys that may be there.
+            where: the name of the table, for the message.
+        """
+        for key in table:
+            if key not in known:
+                place = f" in [{where}]" if where else ""
+                raise self.error(
+                    f"{where}.{key}" if where else key,
+                    f"unknown key {key!r}{place}" + (suggestion(key, known) or f"; known are {', '.join(known)}"),
+                )
+
+    def value(self, table: Mapping[str, Any], key: str, *types: type, where: str = "") -> Any:
+        """The value of a key, None where it is absent. A whole number may stand for a float.
+
+        Raises:
+            FormatError: it is of none of the types.
+        """
+        value = table.get(key)
+        if value is None or (type(value) in types):
+            return value
+        if float in types and type(value) is int:
+            return float(value)
+        place = f"{where}.{key}" if where else key
+        raise self.error(place, f"{place} should be {' or '.join(TYPE_NAMES[t] for t in types)}, not {value!r}")
+
+    def attempt(self, make: Callable[[], T], where: str = "") -> T:
+        """What a function returns; its `OptionError` becomes a `FormatError` with the line of the option.
+
+        Args:
+            make: its error message begins with the name of the option.
+            where: the table of the option.
+        """
+        try:
+            return make()
+        except OptionError as error:
+            name = str(error).split()[0].rstrip(":")
+            raise self.error(f"{where}.{name}" if where else name, str(error)) from None
+
+
+def _holds(value: Any, path: Sequence[str]) -> bool:
+    """Whether a table has the key of a path; digits count the tables of an array."""
+    for part in path:
+        if isinstance(value, list):
+            if not part.isdigit() or int(part) >= len(value):
+                return False
+            value = value[int(part)]
+        elif isinstance(value, Mapping) and part in value:
+            value = value[part]
+        else:
+            return False
+    return True

@@ -1,0 +1,317 @@
+"""The proof of global optimality: what it proves, what it must not prove, and the mathematics behind it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from graphslam import Graph, MotionModel, OptionError, certify, load, sample_log_path, simulate, solve
+from graphslam.certificate.proof import _Problem
+from graphslam.edges import AnchorEdges, RelativePointEdges, RelativePoseEdges
+from graphslam.linear.hermitian import analyze_hermitian, factorize
+from graphslam.linear.information import BlockSystem
+from graphslam.se2 import between, compose, wrap
+
+
+def pose_graph(poses, pairs, information, *, noise=0.0, rng=None, fixed=(0,)):
+    """A graph of relative poses between the true poses (n, 3), with noise."""
+    first, second = np.array(pairs).T
+    measured = between(poses[first], poses[second])
+    if noise:
+        measured = measured + noise * rng.standard_normal(measured.shape)
+    edges = RelativePoseEdges(first, second, measured, np.broadcast_to(information, (len(first), 3, 3)).copy())
+    return Graph(
+        poses, families=(edges,), steps=np.arange(len(poses)), trajectory=poses, pose_ids=np.arange(len(poses)),
+        fixed=np.array(fixed, dtype=int),
+    )  # fmt: skip
+
+
+def ring(n, windings=1):
+    """A ring of n poses whose headings turn by one turn; the winding number of a wrong minimum differs."""
+    pairs = [(k, (k + 1) % n) for k in range(n)]
+    measured = np.tile([1.0, 0.0, 2 * np.pi / n], (n, 1))
+    edges = RelativePoseEdges(*np.array(pairs).T, measured, np.tile(np.diag([1.0, 1.0, 10.0]), (n, 1, 1)))
+    heading = windings * 2 * np.pi * np.arange(n) / n
+    step = np.column_stack([np.cos(heading), np.sin(heading)])
+    poses = np.column_stack([np.cumsum(step, axis=0) - step, wrap(heading)])
+    return Graph(
+        poses,
+        families=(edges,),
+        steps=np.arange(n),
+        trajectory=poses,
+        pose_ids=np.arange(n),
+        fixed=np.zeros(1, dtype=int),
+    )
+
+
+@pytest.fixture(scope="module")
+def sample():
+    return load(sample_log_path())
+
+
+@pytest.mark.parametrize("edges", ["virtual", "virtual+motion"])
+@pytest.mark.parametrize("weight", ["pairs", "tempered", "marginal"])
+def test_the_sample_log_is_proven(sample, edges, weight):
+    solution = solve(Graph.from_log(sample, edges=edges, weight=weight))
+    proof = solution.certificate
+    assert proof.status == "global"
+    assert 0 <= proof.relative_gap < 1e-9
+    assert proof.lower_bound == pytest.approx(solution.cost, rel=1e-9)
+    assert proof.lower_bound <= solution.cost
+    assert proof.seconds > 0
+    assert solution.certificate is proof
+
+
+def test_marginal_edges_without_psi_are_proven(sample):
+    assert solve(Graph.from_log(sample, weight="marginal", dimensions=2)).certificate.status == "global"
+
+
+def test_a_wrong_winding_is_not_proven():
+    graph, right = ring(12, windings=3), ring(12)
+    wrong = solve(graph, initialize="given")
+    best = solve(right, initialize="given")
+    assert wrong.converged
+    assert wrong.cost > best.cost + 1
+    proof = wrong.certificate
+    assert proof.status == "not proven"
+    assert proof.lower_bound <= best.cost
+    assert proof.direction.shape == (12, 2)
+    assert best.certificate.status == "global"
+
+
+def test_the_function_stays_below_the_cost_and_touches_it(sample):
+    rng = np.random.default_rng(4)
+    for graph in (Graph.from_log(sample, edges="virtual+motion"), Graph.from_log(sample, weight="marginal")):
+        state = solve(graph).state
+        problem = _Problem.of(graph, state)
+        n = graph.num_nodes
+        for share in (0.3, 0.1):
+            f = problem.minorant(share)
+            S = hermitian(problem, f.values)
+            assert f.cost == pytest.approx(graph.cost(state), rel=1e-12)
+            base = variables(problem.state)
+            for size in (1e-3, 0.1, 1.0, 10.0):
+                moved = problem.state + size * rng.standard_normal(problem.state.shape)
+                x = variables(moved) - base
+                # S is the matrix of the function with its multipliers, which add nothing where abs(z) = 1
+                below = f.cost + 2 * np.vdot(f.gradient.ravel(), x).real + np.vdot(x, S @ x).real
+                assert below <= cost_of(graph, problem, moved, n) + 1e-6
+
+
+def variables(state):
+    x = np.empty(2 * len(state), dtype=complex)
+    x[0::2], x[1::2] = np.exp(1j * state[:, 2]), state[:, 0] + 1j * state[:, 1]
+    return x
+
+
+def cost_of(graph, problem, state, n):
+    """J with the landmarks of marginal edges where the state has them, computed from the edges in their constant form."""
+    first, second, start, end, turn, oriented, information = problem.edges
+    total = 0.0
+    origin = np.zeros(3)
+    for k in range(len(first)):
+        a, b = origin if first[k] < 0 else state[first[k]], state[second[k]]
+        c, s = np.cos(b[2]), np.sin(b[2])
+        reached = b[:2] + [c * end[k, 0] - s * end[k, 1], s * end[k, 0] + c * end[k, 1]]
+        e = np.append(between(a, np.append(reached, 0.0))[:2] - start[k], 0.0)
+        if oriented[k]:
+            e[2] = wrap(b[2] - a[2] - turn[k])
+        w = information[k]
+        total += e @ np.array([[w[0], w[1], w[3]], [w[1], w[2], w[4]], [w[3], w[4], w[5]]]) @ e
+    if n == len(state):
+        assert total == pytest.approx(graph.cost(state), rel=1e-9)
+    return total
+
+
+def hermitian(problem, values):
+    """The whole matrix (2N, 2N) of upper blocks."""
+    n = len(problem.indptr) - 1
+    S = np.zeros((2 * n, 2 * n), dtype=complex)
+    for j in range(n):
+        for p in range(problem.indptr[j], problem.indptr[j + 1]):
+            i = problem.indices[p]
+            S[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] = values[p]
+            S[2 * j : 2 * j + 2, 2 * i : 2 * i + 2] = values[p].conj().T
+    return S
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_hermitian_factorisation(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 12))
+    pairs = np.sort(rng.integers(0, n, (2 * n, 2)), axis=1)
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+    system = BlockSystem.from_cliques(n, [(np.arange(0, 2 * len(pairs) + 1, 2), pairs.ravel())])
+    A = np.zeros((2 * n, 2 * n), dtype=complex)
+    for i, j in pairs:
+        B = np.zeros((2, 2 * n), dtype=complex)
+        for k in (i, j):
+            B[:, 2 * k : 2 * k + 2] = rng.standard_normal((2, 2)) + 1j * rng.standard_normal((2, 2))
+        A += B.conj().T @ B
+    A += (0.1 if seed % 2 else -0.3) * np.eye(2 * n)
+    values = np.zeros((len(system.indices), 2, 2), dtype=complex)
+    for j in range(n):
+        for p in range(system.indptr[j], system.indptr[j + 1]):
+            i = system.indices[p]
+            values[p] = A[2 * i : 2 * i + 2, 2 * j : 2 * j + 2]
+    factor = factorize(analyze_hermitian(system.indptr, system.indices, rng.permutation(n)), values)
+    if np.linalg.eigvalsh(A)[0] < 0:
+        v = factor.negative.ravel()
+        assert np.vdot(v, A @ v).real < 0
+        return
+    rhs = rng.standard_normal((n, 2)) + 1j * rng.standard_normal((n, 2))
+    exact = np.linalg.solve(A, rhs.ravel())
+    np.testing.assert_allclose(factor.solve(rhs).ravel(), exact, rtol=1e-9)
+    assert factor.square(rhs) == pytest.approx(np.vdot(rhs.ravel(), exact).real)
+    L = np.abs(np.linalg.cholesky(A))
+    d = np.sqrt(np.diag(A).real)
+    assert factor.growth >= np.linalg.eigvalsh(L @ L.T / np.outer(d, d))[-1] * 0.3
+
+
+@pytest.mark.parametrize(("frame", "weight", "dimensions", "kernel", "words"), [
+    ("world", "pairs", 3, None, "world frame"),
+    ("world", "marginal", 3, None, "world frame"),
+    ("body", "pairs", 2, None, "without psi"),
+    ("body", "pairs", 3, "huber", "robust kernel huber"),
+])  # fmt: skip
+def test_what_stands_outside_is_named(sample, frame, weight, dimensions, kernel, words):
+    graph = Graph.from_log(sample, frame=frame, weight=weight, dimensions=dimensions, kernel=kernel)
+    proof = certify(graph, graph.initial)
+    assert proof.status == "not applicable"
+    assert words in proof.reason
+    assert np.isnan(proof.lower_bound) and np.isnan(proof.relative_gap)
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_landmark_nodes_are_proven_like_the_marginal_edges(sample, dimensions):
+    nodes = solve(Graph.from_log(sample, edges="landmark+motion", dimensions=dimensions))
+    eliminated = solve(Graph.from_log(sample, edges="virtual+motion", weight="marginal", dimensions=dimensions))
+    assert nodes.certificate.status == eliminated.certificate.status == "global"
+    assert nodes.certificate.lower_bound == pytest.approx(eliminated.certificate.lower_bound, rel=1e-9)
+
+
+def test_range_and_bearing_of_landmark_nodes_stand_outside(sample):
+    graph = Graph.from_log(sample, edges="landmark+motion", residual="polar")
+    proof = certify(graph, graph.initial)
+    assert proof.status == "not applicable" and "h(x, m) - z" in proof.reason
+
+
+def test_a_solution_that_has_not_converged_is_not_proven(sample):
+    solution = solve(Graph.from_log(sample), initialize="dead-reckoning", max_iterations=2)
+    assert not solution.converged
+    assert solution.certificate.status == "not proven"
+
+
+def test_a_state_that_is_not_stationary_has_a_bound_below_the_optimum(sample):
+    graph = Graph.from_log(sample)
+    best = solve(graph)
+    moved = best.state + 1e-3 * np.random.default_rng(0).standard_normal(best.state.shape)
+    proof = certify(graph, moved)
+    assert proof.lower_bound <= best.cost
+    assert proof.status == "not proven"
+    assert proof.relative_gap == pytest.approx((graph.cost(moved) - proof.lower_bound) / graph.cost(moved))
+
+
+def test_residuals_of_half_a_turn_are_not_proven():
+    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    information = np.diag([1.0, 1.0, 1.0])
+    graph = pose_graph(poses, [(0, 1), (0, 1)], information)
+    edges = graph.families[0]
+    edges.measured[:, 2] = [np.pi / 2, -np.pi / 2]
+    # two optima at 0 and pi with equal costs
+    for heading in (0.0, np.pi):
+        state = poses.copy()
+        state[1, 2] = heading
+        proof = certify(graph, state)
+        assert proof.lower_bound <= graph.cost(state) * (1 + 1e-12)
+    edges.measured[:, 2] = np.pi
+    state = poses.copy()
+    proof = certify(graph, state)
+    assert proof.status == "not proven"
+    assert "half a turn" in proof.reason
+
+
+def test_a_single_pose_and_no_edges():
+    poses = np.array([[1.0, 2.0, 0.5]])
+    alone = Graph(poses, families=(), steps=np.arange(1), trajectory=poses, pose_ids=np.arange(1))
+    assert certify(alone, poses).status == "global"
+    anchor = AnchorEdges(np.zeros(1, dtype=int), poses + 1.0, 1e6 * np.eye(3)[None])
+    held = Graph(poses, families=(anchor,), steps=np.arange(1), trajectory=poses, pose_ids=np.arange(1))
+    assert certify(held, poses + 1.0).status == "global"
+    assert certify(held, poses).status == "not proven"
+    fixed = Graph(
+        poses, families=(), steps=np.arange(1), trajectory=poses, pose_ids=np.arange(1), fixed=np.zeros(1, int)
+    )
+    assert certify(fixed, poses).status == "global"
+
+
+def test_pieces_of_a_graph_are_proven_one_by_one():
+    rng = np.random.default_rng(3)
+    poses = rng.standard_normal((6, 3))
+    pairs = [(0, 1), (1, 2), (0, 2), (3, 4), (4, 5), (3, 5)]
+    graph = pose_graph(poses, pairs, np.eye(3), noise=0.1, rng=rng)
+    # hold one pose of the second piece only to solve; the proof does not need it
+    both = replace(graph, fixed=np.array([0, 3]))
+    solution = solve(both, initialize="given")
+    assert solution.converged
+    assert certify(graph, solution.state).status == "global"
+
+
+def test_no_anchor_and_no_fixed_pose():
+    rng = np.random.default_rng(5)
+    poses = rng.standard_normal((5, 3))
+    graph = pose_graph(poses, [(0, 1), (1, 2), (2, 3), (3, 4), (4, 0)], np.eye(3), noise=0.1, rng=rng)
+    state = solve(graph, initialize="given").state
+    free = replace(graph, fixed=np.zeros(0, dtype=int))
+    assert certify(free, compose(np.array([3.0, -2.0, 1.0]), state)).status == "global"
+
+
+def test_noise_free_graphs_are_proven():
+    poses = np.random.default_rng(1).standard_normal((5, 3))
+    graph = pose_graph(poses, [(0, 1), (1, 2), (2, 3), (3, 4), (4, 0)], np.eye(3))
+    assert certify(graph, poses).status == "global"
+
+
+def test_landmarks_without_heading():
+    rng = np.random.default_rng(2)
+    poses = rng.standard_normal((6, 3))
+    points = rng.standard_normal((3, 2)) * 3
+    first, second = np.repeat(np.arange(6), 3), 6 + np.tile(np.arange(3), 6)
+    measured = between(poses[first], np.column_stack([points[second - 6], np.zeros(18)]))[:, :2]
+    edges = RelativePointEdges(
+        first, second, measured + 0.05 * rng.standard_normal((18, 2)), np.tile(np.diag([400.0, 100.0]), (18, 1, 1))
+    )
+    initial = np.concatenate([poses, np.pad(points, ((0, 0), (0, 1)))])
+    graph = Graph(
+        initial, families=(edges,), steps=np.arange(6), trajectory=poses, pose_ids=np.arange(6),
+        landmark_ids=np.arange(3), fixed=np.zeros(1, dtype=int),
+    )  # fmt: skip
+    solution = solve(graph, initialize="given")
+    assert solution.certificate.status == "global"
+
+
+def test_very_unequal_information_is_proven_with_its_rounding():
+    rng = np.random.default_rng(8)
+    poses = rng.standard_normal((8, 3)) * [3.0, 3.0, 1.0]
+    pairs = [(k, (k + 1) % 8) for k in range(8)] + [(0, 4), (2, 6)]
+    graph = pose_graph(poses, pairs, np.diag([1e10, 1.0, 100.0]), noise=1e-3, rng=rng)
+    solution = solve(graph, initialize="given")
+    assert solution.certificate.status in ("global", "not proven")
+    assert solution.certificate.lower_bound <= solution.cost
+
+
+def test_small_epsilon_of_motion_edges():
+    log = simulate(seed=1)
+    graph = Graph.from_log(log, edges="virtual+motion", motion=MotionModel(epsilon=1e-8))
+    assert solve(graph).certificate.status == "global"
+
+
+def test_poses_of_a_trajectory_and_wrong_shapes(sample):
+    graph = Graph.from_log(sample)
+    solution = solve(graph)
+    assert certify(graph, solution.poses).status == "global"
+    assert certify(graph, solution) is solution.certificate
+    with pytest.raises(OptionError, match="must have shape"):
+        certify(graph, np.zeros((3, 3)))
