@@ -55,9 +55,8 @@ for duration in (3, 6, 12):
     ends = np.array([np.zeros(3)] * 300)
     for _ in range(duration // 3):
         ends = np.array([textbook.sample_motion(p, (0.3, 0.0), 3.0, motion, rng.standard_normal(5)) for p in ends])
-    print(
-        f"after {duration:2} s straight ahead: standard deviation {ends[:, 0].std():.3f} m ahead, {ends[:, 1].std():.3f} m to the side"
-    )
+    ahead, aside = ends[:, 0].std(), ends[:, 1].std()
+    print(f"after {duration:2} s straight ahead: standard deviation {ahead:.3f} m ahead, {aside:.3f} m to the side")
 
 # %% history
 # the last pose is all that later steps need of the trajectory

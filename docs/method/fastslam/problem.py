@@ -18,9 +18,8 @@ for _ in range(2000):
     known.append([sensor.h_inverse(np.zeros(3), a)[1], sensor.h_inverse(np.zeros(3), b)[1]])
     unknown.append([sensor.h_inverse(np.array([0, 0, turn]), a)[1], sensor.h_inverse(np.array([0, 0, turn]), b)[1]])
 known, unknown = np.array(known), np.array(unknown)
-print(
-    f"correlation of the two landmarks: pose known {np.corrcoef(known.T)[0, 1]:.2f}, heading uncertain {np.corrcoef(unknown.T)[0, 1]:.2f}"
-)
+print(f"correlation of the two landmarks, pose known:        {abs(np.corrcoef(known.T)[0, 1]):.2f}")
+print(f"correlation of the two landmarks, heading uncertain: {np.corrcoef(unknown.T)[0, 1]:.2f}")
 
 # %% figure
 fig, axes = plt.subplots(1, 2, figsize=(7, 3.4), sharex=True, sharey=True)
@@ -33,9 +32,8 @@ axes[0].set_ylabel("y of landmark 2 [m]")
 landmarks = 6
 for steps in (10, 60):
     joint = 3 * steps + 2 * landmarks
-    print(
-        f"{steps} steps, {landmarks} landmarks: one Gaussian of everything has {joint * (joint + 1) // 2 + joint} numbers; a particle has {3 * steps} and {landmarks * 5}"
-    )
+    print(f"{steps} steps, {landmarks} landmarks: one Gaussian has {joint * (joint + 1) // 2 + joint} numbers,")
+    print(f"    a particle {3 * steps} for the trajectory and {landmarks * 5} for the map")
 
 # %% average
 # Rao-Blackwell: replacing a sampled quantity by its mean given the others never makes an estimate worse

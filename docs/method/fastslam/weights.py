@@ -27,7 +27,6 @@ ranges = np.linspace(1, 3.5, 200)
 fig, ax = plt.subplots()
 for variance, colour in ((0.001, "C0"), (0.3, "C1")):
     uncertain = textbook.Gaussian(np.array([2.0, 0.0]), variance * np.eye(2))
-    density = [np.exp(textbook.log_likelihood(pose, uncertain, np.array([2.0, 0.0]), SensorModel()))]
     V = textbook.innovation_covariance(pose, uncertain, np.array([2.0, 0.0]), sensor)[0, 0]
     ax.plot(
         ranges,
@@ -44,9 +43,8 @@ for name, S in (("certain", 0.01 * np.eye(3)), ("uncertain", 0.5 * np.eye(3))):
     particle = textbook.Gaussian(landmark.mean, S)
     r = textbook.residual(pose, particle, z, sensor)
     V = textbook.innovation_covariance(pose, particle, z, sensor)
-    print(
-        f"{name:10} exp(-r' V^-1 r / 2) = {np.exp(-0.5 * r @ np.linalg.solve(V, r)):.3f}, with the determinant {np.exp(textbook.log_density(r, V)):.3f}"
-    )
+    exponential, weight = np.exp(-0.5 * r @ np.linalg.solve(V, r)), np.exp(textbook.log_density(r, V))
+    print(f"{name:10} exp(-r' V^-1 r / 2) = {exponential:.3f}, with the determinant {weight:.3f}")
 
 # %% logarithms
 # 400 sightings with a density of 0.1 each

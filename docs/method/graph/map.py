@@ -35,7 +35,7 @@ ax.legend(fontsize=8)
 
 # %% mean
 weighted, plain = [], []
-for j, m in solution.landmarks.items():
+for j in solution.landmarks:
     rows = np.flatnonzero(log.landmarks == j)
     places = [textbook.inverse_observation(log.true_poses[log.steps[k]], log.sightings[k]) for k in rows]
     best = textbook.solve_map([(log.true_poses[log.steps[k]], log.sightings[k]) for k in rows], sensor)

@@ -44,9 +44,8 @@ ax.legend(fontsize=8)
 for edges in ("virtual", "virtual+motion"):
     solution = textbook.solve(log, edges=edges)
     steps = np.flatnonzero(solution.estimated)
-    print(
-        f"{edges:15} {solution.iterations} iterations, trajectory error {ate(log.true_poses[steps], solution.poses[steps]):.3f} m"
-    )
+    error = ate(log.true_poses[steps], solution.poses[steps])
+    print(f"{edges:15} {solution.iterations} iterations, trajectory error {error:.3f} m")
 
 # %% epsilon
 for epsilon in (1e-2, 1e-4, 1e-6):

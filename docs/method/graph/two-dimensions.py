@@ -34,9 +34,8 @@ ax.legend(loc="lower right", fontsize=8)
 
 # %% solved
 solution = textbook.solve(log, edges="virtual+motion", motion_copies=100)
-print(
-    f"textbook, motion edges counted 100 times: {solution.iterations} iterations, error {ate(log.true_poses, solution.poses):.3f} m"
-)
+error = ate(log.true_poses, solution.poses)
+print(f"textbook, motion edges counted 100 times: {solution.iterations} iterations, error {error:.3f} m")
 fast = solve(Graph.from_log(log, edges="landmark+motion"))
 print(f"landmarks as nodes: {fast.iterations} iterations, error {ate(log.true_poses, fast.poses):.3f} m")
 
