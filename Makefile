@@ -12,7 +12,7 @@ compare: .venv/.compiled
 # two processes; the tests of a file stay together, because they share its fixtures
 PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
-test: lint .venv/.compiled
+test: lint docs .venv/.compiled
 	$(PYTEST)
 
 check: lint .venv/.compiled
