@@ -115,7 +115,7 @@ class GraphOptions(Options):
     )  # fmt: skip
     initialize: str = option(
         "auto", "Where the iteration starts; auto tries several starts.",
-        choices=("auto", "given", "dead-reckoning", "rotation-first"),
+        choices=("auto", "given", "dead-reckoning", "rotation-first", "grow"),
     )  # fmt: skip
     residual: str = option(
         RESIDUALS[0], "Residual of landmark nodes: the sighting as a position in the robot's axes, or as range and bearing.",
@@ -224,7 +224,7 @@ class BackendOptions(Options):
         default_text="all that are installed",
     )  # fmt: skip
     initialize: str = option(
-        "auto", "Where graphslam starts.", choices=("auto", "given", "dead-reckoning", "rotation-first")
+        "auto", "Where graphslam starts.", choices=("auto", "given", "dead-reckoning", "rotation-first", "grow")
     )
     same_start: bool = option(False, "All solvers start from the rotation-first state, not from the file's values.")
     repeat: int = option(5, "The time is the median of this many runs.", minimum=1)
@@ -340,7 +340,8 @@ class SimulationOptions(Options):
         faults = {
             n: self.components[n][0](**f) for n in ("motion_faults", "sensor_faults") if (f := self.of_component(n))
         }
-        if not world.clean and any(self.of_component(name) for name in MODELS):
+        noise_given = {name for model in MODELS for name in self.of_component(model)} - {*SensorModel.GEOMETRY}
+        if not world.clean and noise_given:
             raise OptionError(
                 "the noise models have an effect in clean worlds only: add --clean, or set faults instead"
             )
