@@ -29,8 +29,6 @@ PATIENCE = 0.5
 DEFAULT_KERNEL = "cauchy"
 #: a sighting to which the kernel gives less weight than this counts as weighed down
 WEIGHED_DOWN = 0.5
-#: the step norm at which the book's program stops, by the edges it has
-TEXTBOOK_THRESHOLD = {"virtual": 0.01, "virtual+motion": 0.02}
 
 
 @dataclass(frozen=True)
@@ -114,17 +112,15 @@ def dead_reckoning(log: Log, options: RunOptions) -> EstimatorResult:
 def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """The lectures' program as it stands, with the book's threshold; J is the world-frame cost that it works on."""
     edges = options.edges
-    if edges not in TEXTBOOK_THRESHOLD:
+    if edges not in graphslam.textbook.THRESHOLDS:
         edges = "virtual" if log.controls is None else "virtual+motion"
-    threshold = TEXTBOOK_THRESHOLD[edges]
     models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
     begin = time.perf_counter()
-    result = graphslam.textbook.solve(log, edges=edges, threshold=threshold, **models)
+    result = graphslam.textbook.solve(log, edges=edges, **models)
     seconds = time.perf_counter() - begin
     # J by the graph's own evaluator
     graph = Graph.from_log(log, edges=edges, frame="world", **models)
     state = np.asarray(result.poses, dtype=float)[graph.steps]
-    last = f"{result.step_norms[-1]:.1e}" if len(result.step_norms) else "none"
     return _with_map(
         log,
         options.sensor,
@@ -137,8 +133,8 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
         step_norms=np.asarray(result.step_norms, dtype=float),
         cost=float(graph.cost(state)),
         costs=np.asarray(result.costs, dtype=float),
-        options={"edges": edges, "frame": "world", "weight": "pairs", "threshold": threshold},
-        reason=f"the last step norm is {last}; the book's threshold is {threshold:g}",
+        options={"edges": edges, "frame": "world", "weight": "pairs", "threshold": result.threshold},
+        reason=result.reason,
         origin=result,
         graph=graph,
         state=state,
