@@ -202,14 +202,17 @@ def test_pairs_are_counted() -> None:
 
 
 def test_slow_estimators_say_so(log: Log) -> None:
-    entry = Estimator(ESTIMATORS["graph"].run, seconds_per_iteration=lambda _: 30.0)
-    reason = entry.too_slow(log)
+    entry = Estimator(ESTIMATORS["graph"].run, seconds_per_iteration=lambda *_: 30.0)
+    reason = entry.too_slow(log, OPTIONS)
     assert reason is not None
     assert "30 s" in reason
-    assert all(estimator.too_slow(log) is None for estimator in ESTIMATORS.values())
+    assert all(estimator.too_slow(log, OPTIONS) is None for estimator in ESTIMATORS.values())
     crowded = log.replace(steps=np.full(2000, 3), landmarks=np.zeros(2000, int), sightings=np.ones((2000, 3)))
-    assert ESTIMATORS["gtsam"].too_slow(crowded)
-    assert ESTIMATORS["textbook"].too_slow(crowded)
+    assert ESTIMATORS["gtsam"].too_slow(crowded, OPTIONS)
+    assert ESTIMATORS["textbook"].too_slow(crowded, OPTIONS)
+    # one edge for each sighting of a landmark node, in place of one for each pair
+    assert not ESTIMATORS["gtsam"].too_slow(crowded, replace(OPTIONS, edges="landmark+motion"))
+    assert not ESTIMATORS["gtsam"].too_slow(crowded.without_orientation(), OPTIONS)
 
 
 @pytest.mark.parametrize(
