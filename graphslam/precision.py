@@ -21,10 +21,6 @@ SMALLEST, LARGEST = 1e-20, 1e20
 PART = 1e-13
 
 
-#: the limits of sight are no noise, and may be infinite
-_OF_SIGHT = ("min_range", "max_range", "field_of_view")
-
-
 def check_log(log: Log, motion: MotionModel | None, sensor: SensorModel) -> None:
     """Raise `GraphError` where numbers of a log and its noise models are too large, too small or too far apart.
 
@@ -54,8 +50,10 @@ def check_log(log: Log, motion: MotionModel | None, sensor: SensorModel) -> None
 
 def check_model(model: MotionModel | SensorModel) -> None:
     """Raise `GraphError` where numbers of a noise model are too large or too small."""
+    # limits of sight may be infinite; the offset is a number of the equations
+    limits = [name for name in getattr(model, "GEOMETRY", ()) if name != "offset"]
     for name, value in asdict(model).items():
-        if name in _OF_SIGHT:
+        if name in limits:
             continue
         # a small noise of the motion, or epsilon, is judged by the inverse of its covariance
         least = SMALLEST if isinstance(model, SensorModel) and name != "offset" else 0.0
