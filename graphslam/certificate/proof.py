@@ -16,15 +16,17 @@ from ..linear.cholesky import amd
 from ..linear.hermitian import ROUNDOFF, HermitianFactor, HermitianSymbolic, analyze_hermitian, factorize
 from ..linear.information import BlockSystem
 from ..se2 import Array
-from .minorants import Minorant, minorant
+from .minorants import Curvature, Forces, Minorant, curvature, forces, minorant, strains
 
 GLOBAL, NOT_PROVEN, NOT_APPLICABLE = "global", "not proven", "not applicable"
 #: the relative gap up to which a state counts as a global minimum
 PROVEN = 1e-6
-#: the splits of the information to try; see `minorants`
-SHARES = (0.3, 0.1, 0.6)
+#: the split of the information that is tried first, see `minorants`, and those among which each edge may choose
+SHARE, SHARES = 0.3, (0.02, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 0.95)
+#: the most times that the edges choose again
+ROUNDS = 8
 #: factorisations spent on a lower bound where S is not positive definite
-ATTEMPTS = 12
+ATTEMPTS = 9
 
 
 @dataclass(frozen=True)
@@ -71,22 +73,21 @@ def _judged(graph: Graph, state: Array) -> tuple[str, float, float, str, Array |
         problem = _Problem.of(graph, state)
     except GraphError as error:
         return NOT_APPLICABLE, np.nan, cost, str(error), None
-    plain, best, direction = problem.minorant(SHARES[0]), 0.0, None
-    if cost == 0 or plain.cost <= problem.rounding(plain):
-        return GLOBAL, best, cost, "the cost is zero up to the rounding of the state", None
-    for share in SHARES:
-        function = plain if share == SHARES[0] else problem.minorant(share)
-        bound, factor = problem.bound(function)
-        best = max(best, min(bound, cost))
-        if cost - best <= PROVEN * cost or factor.negative is None:
-            break
-        direction = factor.negative[: graph.num_nodes] if direction is None else direction
-    else:
-        best = max(best, problem.shifted_bound(plain))
+    curve = problem.curvature(SHARE)
+    function = problem.minorant(curve)
+    exact, direction = float(problem.forces.cost.sum()), None
+    if cost == 0 or exact <= problem.rounding(function):
+        return GLOBAL, 0.0, cost, "the cost is zero up to the rounding of the state", None
+    bound, factor = problem.bound(function)
+    if factor.negative is not None:
+        direction = factor.negative[: graph.num_nodes]
+        bound = problem.raised_bound(curve, function)
+    best = max(0.0, min(bound, cost))
     if cost - best <= PROVEN * cost:
         return GLOBAL, best, cost, f"no state has a cost lower by more than {(cost - best) / cost:.1e} of J", None
-    if plain.omitted:
-        reason = f"{plain.omitted} edges have a heading residual near half a turn, or singular information"
+    omitted = int(np.sum(curve.beta < 0))
+    if omitted:
+        reason = f"{omitted} edges have a heading residual near half a turn, or singular information"
     elif direction is None:
         reason = "the state is not a stationary point of J"
     else:
@@ -104,6 +105,7 @@ class _Problem:
     indptr: np.ndarray
     indices: np.ndarray
     symbolic: HermitianSymbolic
+    forces: Forces
 
     @classmethod
     def of(cls, graph: Graph, state: Array) -> _Problem:
@@ -134,10 +136,18 @@ class _Problem:
         free[_roots(n, first, second, free)] = False
         symbolic = analyze_hermitian(system.indptr, system.indices, order)
         joined = (first, second, start, end, turn, oriented, information)
-        return cls(nodes, joined, free, system.indptr, system.indices, symbolic)
+        return cls(nodes, joined, free, system.indptr, system.indices, symbolic, Forces(*forces(nodes, *joined)))
 
-    def minorant(self, share: float) -> Minorant:
-        return Minorant(*minorant(self.state, *self.edges, self.free, self.indptr, self.indices, share))
+    def curvature(self, share: float) -> Curvature:
+        """The split of the information of all edges for one share."""
+        oriented, information = self.edges[5:]
+        return Curvature(*curvature(information, oriented, self.forces.g, share))
+
+    def minorant(self, curve: Curvature) -> Minorant:
+        """The function below J for a split."""
+        first, second, _, end, _, oriented, _ = self.edges
+        pattern = self.free, self.indptr, self.indices
+        return Minorant(*minorant(self.state, first, second, end, oriented, *pattern, self.forces, curve))
 
     def bound(self, function: Minorant, shift: Array | float = 0.0) -> tuple[float, HermitianFactor]:
         """A lower bound on the cost of all states, -inf where S is not proven positive definite, and the factor of S.
@@ -169,23 +179,63 @@ class _Problem:
         scale = np.where(function.scale > 0, margin * function.scale, 1.0)
         error = np.sqrt(np.sum((ROUNDOFF * (64 + degree) * function.error) ** 2 / scale))
         decrease = (1.001 * np.sqrt(factor.square(gradient)) + error) ** 2
-        return function.cost - decrease - function.slack, factor
+        return float(self.forces.cost.sum()) - decrease - function.slack, factor
 
-    def shifted_bound(self, function: Minorant) -> float:
-        """The best lower bound among a few shifts of the multipliers of all headings."""
-        weight, low, high, best = function.scale[:, 0] / 8, 0.0, 1e-6, -np.inf
-        for _ in range(ATTEMPTS):
-            bound, factor = self.bound(function, high * weight)
+    def raised_bound(self, curve: Curvature, function: Minorant) -> float:
+        """The best lower bound after each edge has chosen its split for the directions in which S is the smallest.
+
+        S is linear in beta and A, and the split of an edge may be any average of splits. Each round finds the smallest
+        direction of S, in which every edge takes the split that is best there, and averages it with the ones before
+        (Frank and Wolfe 1956, for the smallest eigenvalue).
+        """
+        first, second, _, end, _, _, _ = self.edges
+        choices = [self.curvature(share) for share in SHARES]
+        best = -np.inf
+        for k in range(ROUNDS):
+            bound, factor, shift = self.shifted(function)
             best = max(best, bound)
-            if factor.negative is None:
+            if shift == 0.0 or factor is None:
                 break
-            low, high = high, 10 * high
-        for _ in range(ATTEMPTS // 2):
-            middle = np.sqrt(low * high) if low > 0 else high / 10
+            x = self.smallest(factor, function)
+            stretched, turned = strains(self.state, first, second, end, self.forces.reached, x)
+            part = 2 / (k + 3)
+            gains = [np.where(c.beta < 0, -np.inf, c.beta * stretched + c.A * turned) for c in choices]
+            chosen = np.argmax(gains, axis=0), np.arange(len(first))
+            beta, A, error = (np.array(rows)[chosen] for rows in zip(*choices))
+            beta, A = (1 - part) * curve.beta + part * beta, (1 - part) * curve.A + part * A
+            out = (curve.beta < 0) | (beta < 0)
+            curve = Curvature(np.where(out, -1.0, beta), A, np.maximum(curve.error, error))
+            function = self.minorant(curve)
+        return best
+
+    def shifted(self, function: Minorant) -> tuple[float, HermitianFactor | None, float]:
+        """The best lower bound among a few shifts of the multipliers, with the factor for the least, and that shift.
+
+        With lower multipliers S is positive definite, but its function touches J no longer at its own minimum.
+        """
+        weight = function.scale[:, 0] / 8
+        bound, factor = self.bound(function)
+        if factor.negative is None:
+            return bound, factor, 0.0
+        low, high, best, least = 0.0, 1e-6, -np.inf, None
+        for _ in range(ATTEMPTS):
+            middle = high if least is None else np.sqrt(low * high) if low else high / 10
             bound, factor = self.bound(function, middle * weight)
             best = max(best, bound)
-            low, high = (low, middle) if factor.negative is None else (middle, high)
-        return best
+            if factor.negative is not None:
+                low, high = middle, 10 * high if least is None else high
+            else:
+                high, least = middle, factor
+        return best, least, high
+
+    def smallest(self, factor: HermitianFactor, function: Minorant) -> Array:
+        """About the smallest direction (N, 2) of S against its scale, by inverse iteration with a shifted factor."""
+        weight = np.where(function.scale > 0, function.scale, 0.0)
+        x = np.random.default_rng(0).standard_normal((len(self.state), 2)) + 0j
+        for _ in range(5):
+            x = factor.solve(weight * x)
+            x /= np.sqrt(np.sum(weight * np.abs(x) ** 2))
+        return x
 
     def rounding(self, function: Minorant) -> float:
         """What rounding errors of 1e-15 of all coordinates do to the cost."""
