@@ -100,5 +100,5 @@ def _sightings(factors: gtsam.NonlinearFactorGraph, log: Log, sensor: SensorMode
     for t, j, (length, bearing), sigma in zip(log.steps.tolist(), nodes.tolist(), log.sightings.tolist(), sigmas):
         noise = gtsam.noiseModel.Diagonal.Sigmas(sigma)
         if kernel != "none":
-            noise = gtsam.noiseModel.Robust.Create(names[kernel].Create(KERNELS[kernel].width), noise)
+            noise = gtsam.noiseModel.Robust.Create(names[kernel].Create(KERNELS[kernel].of_dimension(2).width), noise)
         factors.add(gtsam.BearingRangeFactor2D(t, j, gtsam.Rot2(bearing), length, noise))

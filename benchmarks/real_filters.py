@@ -5,7 +5,7 @@
 
 MR.CLAM: median ATE over the seeds, as a ratio to the graph's (Huber, noise by hand). Filters have no robust kernel, so
 their sensor noise is also tried several times as large. Victoria Park: FastSLAM 2.0, maximum-likelihood association; root
-mean square distance to GPS, as it is (the drive starts at the first GPS position) and after rigid alignment.
+mean square distance of the antenna to GPS, as it is (the drive starts at the first GPS position) and after rigid alignment.
 """
 
 from __future__ import annotations
@@ -92,13 +92,14 @@ def victoria(data: Path, seeds: int, particles: int, laser: float) -> Iterator[s
     assert log.true_poses is not None and log.sensor is not None
     log = log.replace(sensor=replace(log.sensor, offset=(laser, log.sensor.offset[1])))
     truth = log.true_poses
-    drifted = log.dead_reckoning()
+    drifted = log.at_truth(log.dead_reckoning())
     yield f"dead reckoning: {distance(truth, drifted, log.covered):.1f} m, aligned {ate(truth, drifted):.1f} m"
     outcomes = []
     for seed in range(seeds):
         begin = time.perf_counter()
         result = FastSLAM2(log, particles=particles, seed=seed, association="maximum-likelihood", threads=1).run()
-        outcomes.append((distance(truth, result.poses, log.covered), ate(truth, result.poses)))
+        antenna = log.at_truth(result.poses)
+        outcomes.append((distance(truth, antenna, log.covered), ate(truth, antenna)))
         yield (
             f"seed {seed}: {outcomes[-1][0]:.2f} m, aligned {outcomes[-1][1]:.2f} m, {len(result.landmarks)} landmarks, "
             f"{time.perf_counter() - begin:.0f} s"

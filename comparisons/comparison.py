@@ -113,14 +113,14 @@ class Comparison(Displayed):
         """The metrics of every result against the ground truth, by name."""
         truth, landmarks = self.log.true_poses, self.log.true_landmarks
         return {
-            r.name: evaluate(truth, landmarks, r.poses, r.landmarks, mask=r.estimated, named=r.named)
+            r.name: evaluate(truth, landmarks, self.log.at_truth(r.poses), r.landmarks, mask=r.estimated, named=r.named)
             for r in self.results
         }
 
     @cached_property
     def nees(self) -> dict[str, float | None]:
         """The mean NEES of every result, by name; None where truth or covariances are not known."""
-        return {result.name: result.nees(self.log.true_poses) for result in self.results}
+        return {result.name: result.nees(self.log.robot_truth) for result in self.results}
 
     def __getitem__(self, name: str) -> EstimatorResult:
         """The result of an estimator.

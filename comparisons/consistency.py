@@ -196,7 +196,8 @@ def _one_log(seed: int, options: ConsistencyOptions) -> tuple[float, dict[str, t
 
 def _graph_nees(log: Log, keywords: dict[str, Any]) -> tuple[Array, float] | None:
     """NEES / 3 of each step, (T,), and NEES / (3 T) of the trajectory; None where the solver failed."""
-    assert log.true_poses is not None
+    truth = log.robot_truth
+    assert truth is not None
     try:
         graph = Graph.from_log(log, **keywords)
         solution = solve(graph, initialize="auto", max_iterations=500)
@@ -205,21 +206,22 @@ def _graph_nees(log: Log, keywords: dict[str, Any]) -> tuple[Array, float] | Non
         return None
     if not solution.converged:
         return None
-    error = solution.poses - log.true_poses
+    error = solution.poses - truth
     error[:, 2] = wrap(error[:, 2])
-    return pose_nees(error[1:], covariances[1:]), solution.joint_nees(log.true_poses)
+    return pose_nees(error[1:], covariances[1:]), solution.joint_nees(truth)
 
 
 def _filter_nees(name: str, log: Log, seed: int, noise: dict[str, Any]) -> Array:
     """NEES / 3 of the particles' mean and covariance at each step, as it stood then; (T,)."""
-    assert log.true_poses is not None
+    truth = log.robot_truth
+    assert truth is not None
     errors: list[Array] = []
     covariances: list[Array] = []
     options = RunOptions.of(particles=PARTICLES, seed=seed, **noise)
     for state in particle_filter(name, log, options):
         weights = np.exp(state.log_weights - np.max(state.log_weights))
         weights /= weights.sum()
-        off = state.poses - log.true_poses[len(errors)]
+        off = state.poses - truth[len(errors)]
         off[:, 2] = wrap(off[:, 2])
         mean = weights @ off
         spread = off - mean

@@ -86,6 +86,9 @@ class LogDocument(Document):
     controls: Annotated[Count | None, about("number of controls")]
     poses_covered: Annotated[Count, about("number of poses whose ground truth is known")]
     true_poses: Annotated[list[Pose] | None, about("the true trajectory")]
+    truth_offset: Annotated[
+        list[float], about("the point of the robot that `true_poses` are of: ahead and to the left of its pose [m]")
+    ]
     true_landmarks: Annotated[dict[Id, Position] | None, about("the true map, by id")]
     notes: Annotated[list[str], about("remarks of the reader")]
 
@@ -104,7 +107,14 @@ class EstimatorDocument(Document):
     rpe_m: Annotated[float | None, about("relative pose error per step [m]")]
     rpe_rad: Annotated[float | None, about("relative pose error per step [rad]")]
     heading_rad: Annotated[float | None, about("error of the headings after alignment [rad]")]
-    landmark_rmse_m: Annotated[float | None, about("error of the map in the frame of the aligned trajectory [m]")]
+    landmark_rmse_m: Annotated[float | None, about("error of the map in the aligned frame [m]")]
+    landmark_errors_m: Annotated[
+        dict[Id, float] | None, about("error of each landmark in the aligned frame [m], by id")
+    ]
+    aligned_by: Annotated[
+        Literal["poses", "landmarks"] | None,
+        about("what the estimate is aligned to the ground truth by: landmarks where no true poses are known"),
+    ]
     nees: Annotated[float | None, about("mean NEES of the poses per degree of freedom; 1: consistent")]
     poses_counted: Annotated[Count | None, about("number of poses that the metrics are of")]
     poses: Annotated[list[Pose] | None, about("the trajectory, T + 1 poses")]

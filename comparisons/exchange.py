@@ -34,10 +34,12 @@ def times_of(log: Log) -> Array:
     return np.arange(log.num_poses, dtype=float) if log.times is None else log.times
 
 
-def tum_text(times: Array, poses: Array) -> str:
-    """Poses (n, 3) at times (n,) as TUM text. An unknown heading (NaN) is written as 0, and said at the top."""
+def tum_text(times: Array, poses: Array, note: str = "") -> str:
+    """Poses (n, 3) at times (n,) as TUM text. An unknown heading (NaN) is written as 0, and said at the top, as is a note."""
     heading = wrap(poses[:, 2])
     lines = ["# timestamp x y z qx qy qz qw"]
+    if note:
+        lines.append(f"# {note}")
     if np.isnan(heading).any():
         lines.append("# headings are unknown and written as 0")
         heading = np.nan_to_num(heading, nan=0.0)
@@ -72,7 +74,9 @@ def texts(comparison: Comparison) -> Iterator[tuple[str, Callable[[], str]]]:
     log = comparison.log
     times = times_of(log)
     if log.true_poses is not None:
-        yield "truth.tum", partial(tum_text, times[log.covered], log.true_poses[log.covered])
+        where = log.truth_place
+        note = f"positions of the point {where} of the robot's pose, which the other files hold" if where else ""
+        yield "truth.tum", partial(tum_text, times[log.covered], log.true_poses[log.covered], note)
     if log.true_landmarks:
         yield "truth-map.csv", partial(map_text, log.true_landmarks, {})
     for result in comparison.results:

@@ -43,6 +43,10 @@ class ReadingOptions(Options):
         None, "Also keep a pose at least once in this time, even where nothing was seen.", unit="s", positive=True,
         default_text="poses only where something was seen",
     )  # fmt: skip
+    truth_offset: tuple[float, ...] | None = option(
+        None, "Point of the robot that the ground truth is of, such as a GPS antenna: forward, left.", unit="m",
+        default_text="as the reader says",
+    )  # fmt: skip
     stride: int = option(1, "Keep every N-th pose and the sightings from it.", minimum=1, metavar="N")
     max_range: float | None = option(None, "Leave out sightings from farther away.", unit="m", positive=True)
     dimensions: int | None = option(

@@ -147,14 +147,15 @@ def _run(task: tuple[str, int, int], log: Log, options: RunOptions) -> ParticleR
     estimate = ESTIMATORS[name].run(log, options.with_numbers(particles=particles, seed=seed))
     result = estimate.origin
     assert isinstance(result, FilterResult)
-    metrics = evaluate(log.true_poses, log.true_landmarks, result.poses, estimate.landmarks, named=estimate.named)
+    truth, path = log.true_poses, log.at_truth(result.poses)
+    metrics = evaluate(truth, log.true_landmarks, path, estimate.landmarks, named=estimate.named)
     sighted = np.unique(log.steps)
     return ParticleRun(
         name=name,
         particles=particles,
         seed=seed,
         ate_m=metrics.ate_m,
-        mean_ate_m=None if metrics.ate_m is None or log.true_poses is None else ate(log.true_poses, result.mean_poses),
+        mean_ate_m=None if metrics.ate_m is None or truth is None else ate(truth, log.at_truth(result.mean_poses)),
         landmark_rmse_m=metrics.landmark_rmse_m,
         ess_share=float(np.mean(result.ess[sighted]) / particles) if len(sighted) else 1.0,
         ancestors=int(result.ancestors[len(result.ancestors) // 2]),

@@ -82,6 +82,8 @@ def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> 
             f"{data.name if isinstance(log, Log) else path}: the sightings have no orientation psi, but dimensions 3 "
             "requires it; use dimensions 2"
         )
+    if options.truth_offset is not None:
+        data = data.replace(truth_offset=options.truth_offset)
     if options.stride > 1:
         data = data.at_steps(np.arange(0, data.num_poses, options.stride))
     if options.max_range is not None:

@@ -58,6 +58,23 @@ def check_count(**values: int) -> None:
             raise OptionError(f"{name} must not be negative, but is {value}")
 
 
+def checked_offset(name: str, value: Any) -> tuple[float, float]:
+    """A place on the robot, (ahead, left) [m]; a single number is the distance ahead.
+
+    Raises:
+        OptionError: it is neither, or not finite.
+    """
+    try:
+        offset = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        offset = np.empty(0)
+    if offset.size == 1:
+        offset = np.array([offset.item(), 0.0])
+    if offset.shape != (2,) or not np.all(np.isfinite(offset)):
+        raise OptionError(f"{name} must be (ahead, to the left) in m, or one number ahead, not {value!r}")
+    return float(offset[0]), float(offset[1])
+
+
 def first(wrong: ArrayLike) -> int | None:
     """The first index at which a condition (N,) holds, or None where it never does."""
     wrong = np.asarray(wrong, dtype=bool)

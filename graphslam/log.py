@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import check_positive, first
+from .checks import check_positive, checked_offset, first
 from .errors import LogError, OptionError
 from .models import MotionModel, SensorModel
 from .reading import UNIDENTIFIED
-from .se2 import Array, wrap
+from .se2 import Array, mounted, wrap
 from .tables import TableOptions, parts_of_tables
 
 
@@ -37,6 +37,9 @@ class Log:
             are not wrapped, so that they can count turns.
         true_poses: the ground truth, (T+1, 3), or None where unknown. A row is NaN where the pose is unknown, and (x, y,
             NaN) where only the position is known.
+        truth_offset: the point of the robot to which the positions of ``true_poses`` belong, (ahead, left) [m] of its
+            pose: where the GPS antenna or the marker sits. A single number is the distance ahead. Errors are measured
+            at this point.
         true_landmarks: {id: (x, y) or (x, y, heading)}, or None where unknown.
         start_time: the time of step 0 [s].
         motion, sensor: the noise models published with the data, the default of all estimators; None where there are
@@ -46,6 +49,7 @@ class Log:
 
     Raises:
         LogError: an argument has the wrong shape, is not finite, or is impossible (a range not above zero, ...).
+        OptionError: ``truth_offset`` is no place on the robot.
     """
 
     dt: Array | None = None
@@ -55,6 +59,7 @@ class Log:
     sightings: Array
     initial_poses: Array = None  # type: ignore[assignment]  # filled in by __post_init__
     true_poses: Array | None = None
+    truth_offset: tuple[float, float] = (0.0, 0.0)
     true_landmarks: dict[int, Array] | None = None
     start_time: float = 0.0
     control_starts: np.ndarray = None  # type: ignore[assignment]  # None stays only where there are no controls
@@ -79,6 +84,7 @@ class Log:
         values |= self._checked_sightings(len(initial))
         if self.true_poses is not None:
             values["true_poses"] = _checked_truth(self.true_poses, initial.shape)
+        values["truth_offset"] = checked_offset("truth_offset", self.truth_offset)
         if self.true_landmarks is not None:
             values["true_landmarks"] = {int(j): _landmark(int(j), m) for j, m in self.true_landmarks.items()}
         if not np.isfinite(self.start_time):
@@ -222,6 +228,28 @@ class Log:
         if self.true_poses is None:
             return np.zeros(self.num_poses, dtype=bool)
         return np.isfinite(self.true_poses[:, 0])
+
+    def at_truth(self, poses: ArrayLike) -> Array:
+        """Poses (..., 3) of the robot, as poses of the point to which the ground truth belongs (``truth_offset``)."""
+        return mounted(poses, self.truth_offset)
+
+    @property
+    def truth_place(self) -> str:
+        """``truth_offset`` in words, "3.78 m ahead and 0.5 m to the left"; empty where it is zero."""
+        names = (("ahead", "behind"), ("to the left", "to the right"))
+        return " and ".join(f"{abs(d):g} m {side[d < 0]}" for d, side in zip(self.truth_offset, names) if d)
+
+    @property
+    def robot_truth(self) -> Array | None:
+        """The true poses of the robot itself, (T+1, 3); ``true_poses`` unless ``truth_offset`` says otherwise.
+
+        With an offset a row is NaN where the true heading is not known: it says where the robot is from the point.
+        """
+        if self.true_poses is None or self.truth_offset == (0.0, 0.0):
+            return self.true_poses
+        poses = mounted(self.true_poses, (-self.truth_offset[0], -self.truth_offset[1]))
+        poses[np.isnan(poses[:, 2])] = np.nan
+        return poses
 
     def dead_reckoning(self, motion: MotionModel | None = None) -> Array:
         """The poses (T+1, 3) that follow from the controls and the first initial pose, noise-free.

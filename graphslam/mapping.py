@@ -46,7 +46,8 @@ def estimate_map(
         trust: (M,) a factor from 0 to 1 on the information of each sighting, such as `Solution.trust`; NaN counts as 1.
 
     Returns:
-        The map, with the covariance (sum of w Omega)^-1 of each landmark given the trajectory.
+        The map, with the covariance of each landmark given the trajectory: (sum of w Omega)^-1, and with a kernel that of
+        the robust mean (`Kernel.information_per_weight`).
 
     Raises:
         OptionError: the poses or the trust do not fit the log, or there is no such kernel.

@@ -13,13 +13,16 @@ in the RPE.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import OptionError
 from .se2 import Array, between, transform, wrap
+
+#: see `exchanged`
+EXCHANGED = 3.0
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,8 @@ class Metrics:
         rpe_m, rpe_rad: relative pose error per step [m], [rad], see `rpe`.
         heading_rad: error of the headings [rad], see `heading_rmse`.
         landmark_rmse_m: error of the map [m], see `landmark_rmse`.
+        landmark_errors_m: {id: error of each landmark [m]}, see `landmark_errors`.
+        aligned_by: "poses", or "landmarks" where only their truth is known; see `alignment_of`.
         poses_counted: the number of poses that were compared: estimated, and with known true position.
     """
 
@@ -39,6 +44,8 @@ class Metrics:
     rpe_rad: float | None = None
     heading_rad: float | None = None
     landmark_rmse_m: float | None = None
+    landmark_errors_m: Mapping[int, float] | None = None
+    aligned_by: str | None = None
     poses_counted: int | None = None
 
 
@@ -133,20 +140,81 @@ def heading_rmse(truth: ArrayLike, estimate: ArrayLike, *, mask: ArrayLike | Non
     return float(np.sqrt(np.mean(errors**2)))
 
 
+def alignment_of(
+    true_poses: Array | None,
+    true_landmarks: Mapping[int, Array] | None,
+    poses: Array,
+    landmarks: Mapping[int, ArrayLike],
+    *,
+    mask: ArrayLike | None = None,
+    named: bool = True,
+) -> tuple[Array, str] | None:
+    """The rigid motion (3,) after which an estimate is measured and drawn, and whether "poses" or "landmarks" gave it.
+
+    The poses give it where at least two true positions are known. Otherwise the landmarks do, if at least two of them
+    have a true position and the ids of the true map (``named``). A single point could always be aligned without error.
+
+    Args:
+        true_poses, true_landmarks: the ground truth, as in `graphslam.Log`.
+        poses: (T+1, 3), of the point to which the true poses belong.
+        landmarks: the estimated map.
+        mask: (T+1,) bool, which poses count; default: all.
+        named: whether the ids of the landmarks are those of the ground truth.
+
+    Returns:
+        None where neither is known.
+    """
+    if true_poses is not None:
+        counted = np.isfinite(true_poses[:, 0]) & (True if mask is None else np.asarray(mask, dtype=bool))
+        if np.count_nonzero(counted) >= 2:
+            return align(true_poses, poses, mask=counted), "poses"
+    shared = sorted((true_landmarks or {}).keys() & landmarks.keys()) if named else []
+    if true_landmarks is None or len(shared) < 2:
+        return None
+    return align(_positions(true_landmarks, shared), _positions(landmarks, shared)), "landmarks"
+
+
+def landmark_errors(
+    truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], alignment: ArrayLike
+) -> dict[int, float]:
+    """The error |A m_j - M_j| [m] of each landmark that both maps have, {id: error}; see `landmark_rmse`."""
+    shared = sorted(truth.keys() & estimate.keys())
+    if not shared:
+        return {}
+    errors = transform(alignment, _positions(estimate, shared)) - _positions(truth, shared)
+    return dict(zip(shared, np.hypot(errors[:, 0], errors[:, 1]).tolist()))
+
+
+def exchanged(
+    truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], alignment: ArrayLike
+) -> list[tuple[int, int]]:
+    """Pairs of landmarks that lie where the truth puts the other one: the ids of the two may have been exchanged.
+
+    Each of the two is at least `EXCHANGED` times as far from its own true position as from that of the other.
+    """
+    errors = landmark_errors(truth, estimate, alignment)
+    # an exchange makes large errors, and the number of pairs is quadratic
+    worst = sorted(sorted(errors, key=errors.__getitem__, reverse=True)[:100])
+    if len(worst) < 2:
+        return []
+    off = transform(alignment, _positions(estimate, worst))[:, None] - _positions(truth, worst)
+    distance = np.hypot(off[..., 0], off[..., 1])
+    better = np.diag(distance)[:, None] > EXCHANGED * distance
+    pairs = np.argwhere(np.triu(better & better.T, 1)).tolist()
+    return [(worst[a], worst[b]) for a, b in pairs]
+
+
 def landmark_rmse(
     truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], alignment: ArrayLike
 ) -> float | None:
     """The error of a map [m]: sqrt(mean over j of |A m_j - M_j|²) over the landmarks that both maps have.
 
-    A is the alignment of the **trajectory** (`align` on the poses), not of the map: a map that is correct in itself but
-    turned against the trajectory counts as wrong. Headings of landmarks are ignored. None where the maps have no
-    landmark in common.
+    A is the alignment of the **trajectory** (`align` on the poses) wherever that is known: a map that is correct in
+    itself but turned against the trajectory counts as wrong. Headings of landmarks are ignored. None where the maps
+    have no landmark in common.
     """
-    shared = sorted(truth.keys() & estimate.keys())
-    if not shared:
-        return None
-    errors = transform(alignment, _positions(estimate, shared)) - _positions(truth, shared)
-    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+    errors = list(landmark_errors(truth, estimate, alignment).values())
+    return float(np.sqrt(np.mean(np.square(errors)))) if errors else None
 
 
 def named_by_place(
@@ -196,24 +264,31 @@ def evaluate(
 ) -> Metrics:
     """All errors of one estimate; those that need an unknown truth are None.
 
-    Two poses at least must count, because a single one can always be aligned without error. Where the landmarks are not
-    ``named``, because their ids are arbitrary numbers of the estimator, they are first matched by `named_by_place`.
+    `alignment_of` says how the estimate is aligned. Where the landmarks are not ``named``, because their ids are arbitrary
+    numbers of the estimator, they are first matched by `named_by_place`. The arguments are those of `alignment_of`.
     """
-    if true_poses is None:
+    aligned = alignment_of(true_poses, true_landmarks, poses, landmarks, mask=mask, named=named)
+    if aligned is None:
         return Metrics()
-    counted = np.isfinite(true_poses[:, 0]) & (True if mask is None else np.asarray(mask, dtype=bool))
-    if np.count_nonzero(counted) < 2:
-        return Metrics()
-    per_step = rpe(true_poses, poses, mask=counted)
-    alignment = align(true_poses, poses, mask=counted)
+    alignment, aligned_by = aligned
     if true_landmarks is not None and not named:
         landmarks = named_by_place(true_landmarks, landmarks, alignment)
-    return Metrics(
+    errors = None if true_landmarks is None else landmark_errors(true_landmarks, landmarks, alignment)
+    of_map = Metrics(
+        landmark_rmse_m=None if true_landmarks is None else landmark_rmse(true_landmarks, landmarks, alignment),
+        landmark_errors_m=errors,
+        aligned_by=aligned_by,
+    )
+    if true_poses is None or aligned_by != "poses":
+        return of_map
+    counted = np.isfinite(true_poses[:, 0]) & (True if mask is None else np.asarray(mask, dtype=bool))
+    per_step = rpe(true_poses, poses, mask=counted)
+    return replace(
+        of_map,
         ate_m=ate(true_poses, poses, mask=counted),
         rpe_m=None if per_step is None else per_step[0],
         rpe_rad=None if per_step is None else per_step[1],
         heading_rad=heading_rmse(true_poses, poses, mask=counted),
-        landmark_rmse_m=None if true_landmarks is None else landmark_rmse(true_landmarks, landmarks, alignment),
         poses_counted=int(np.count_nonzero(counted)),
     )
 

@@ -15,9 +15,9 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import check_positive, option
+from .checks import check_positive, checked_offset, option
 from .errors import OptionError
-from .se2 import Array, transform, wrap
+from .se2 import Array, mounted, wrap
 
 
 def sinc(a: ArrayLike) -> Array:
@@ -264,15 +264,7 @@ class SensorModel(NoiseModel):
             check_positive(range_rate=self.range_rate)
         if self.range_std != 0:
             check_positive(range_std=self.range_std)
-        try:
-            offset = np.asarray(self.offset, dtype=float)
-        except (TypeError, ValueError):
-            offset = np.empty(0)
-        if offset.size == 1:
-            offset = np.array([offset.item(), 0.0])
-        if offset.shape != (2,) or not np.all(np.isfinite(offset)):
-            raise OptionError(f"offset must be (ahead, to the left) in m, or one number ahead, not {self.offset!r}")
-        object.__setattr__(self, "offset", (float(offset[0]), float(offset[1])))
+        object.__setattr__(self, "offset", checked_offset("offset", self.offset))
 
     @classmethod
     def constant(cls, range_std: float, bearing_std: float, *, offset: tuple[float, float] = (0.0, 0.0)) -> SensorModel:
@@ -286,10 +278,7 @@ class SensorModel(NoiseModel):
 
     def mount(self, pose: ArrayLike) -> Array:
         """The pose of the sensor on a robot at a pose, (p + R(theta) o, theta); (..., 3)."""
-        pose = np.asarray(pose, dtype=float)
-        if self.centred:
-            return pose
-        return np.concatenate([transform(pose, self.offset), pose[..., 2:]], axis=-1)
+        return mounted(pose, self.offset)
 
     def h(self, pose: ArrayLike, landmark: ArrayLike) -> Array:
         """The sighting of a landmark (..., 2 or 3) from a pose (..., 3), noise-free: (l, phi) or (l, phi, psi)."""

@@ -87,8 +87,7 @@ def _weighted(edges: _Relative, family: SightingEdges, state: Array) -> _Relativ
     """The edges with the weights that the kernel of the family they come from has at a state."""
     if family.kernel is None:
         return edges
-    weights = family.kernel.weight(family.linearize(state, state).mahalanobis)
-    return replace(edges, information=edges.information * weights[:, None, None])
+    return replace(edges, information=edges.information * family.kernel_weights(state)[:, None, None])
 
 
 def _of_pairs(family: VirtualMotionEdges) -> RelativePoseEdges:

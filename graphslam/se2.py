@@ -51,6 +51,14 @@ def transform(pose: ArrayLike, point: ArrayLike) -> Array:
     return np.stack([pose[..., 0] + c * x - s * y, pose[..., 1] + s * x + c * y], axis=-1)
 
 
+def mounted(pose: ArrayLike, offset: tuple[float, float]) -> Array:
+    """The pose of what is mounted at o = (ahead, left) [m] of a pose, (p + R(theta) o, theta); (..., 3)."""
+    pose = np.asarray(pose, dtype=float)
+    if offset == (0.0, 0.0):
+        return pose
+    return np.concatenate([transform(pose, offset), pose[..., 2:]], axis=-1)
+
+
 def compose(a: ArrayLike, b: ArrayLike) -> Array:
     """The product a b: the pose b given in the frame of a, in the frame of a's parent; shapes (..., 3)."""
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)

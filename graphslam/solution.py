@@ -83,6 +83,8 @@ class Solution:
     def covariance(self, id: int) -> Array:
         """The covariance (3, 3) of a pose in world axes (x, y, theta): a diagonal block of Omega^-1.
 
+        With a robust kernel it is the covariance of the robust estimate; see `Graph.information`.
+
         Args:
             id: of the pose: its step for the graph of a log, its number in the file for a pose graph.
 

@@ -16,8 +16,8 @@ from .se2 import Array
 class Uncertainty:
     """Marginal covariances of the nodes of a graph at a state (n, 3), computed at the first use.
 
-    Omega is the Gauss-Newton information at the state, so the covariances are those of the linearised problem. Fixed
-    nodes have covariance zero.
+    Omega is the Gauss-Newton information at the state, so the covariances are those of the linearised problem. With
+    robust kernels it is that of their estimate (`Graph.information`). Fixed nodes have covariance zero.
 
     Raises:
         GraphError: (all methods) the edges do not determine the nodes.
@@ -28,7 +28,7 @@ class Uncertainty:
 
     @cached_property
     def _factor(self) -> Factor:
-        system, _ = self._graph.linearize(self._state)
+        system = self._graph.information(self._state)
         try:
             # a separate factor, because the next solve overwrites that of the system
             return system.symbolic.factorize(system.values.copy())
@@ -64,7 +64,7 @@ class Uncertainty:
         """e' Omega e for errors (P, 3) of all poses but the first, given the first, with landmark nodes eliminated."""
         from scipy.sparse.linalg import spsolve
 
-        system, _ = self._graph.linearize(self._state)
+        system = self._graph.information(self._state)
         omega, end = system.to_sparse().tocsc(), errors.size
         e = errors[1:].ravel()
         square = float(e @ (omega[3:end, 3:end] @ e))

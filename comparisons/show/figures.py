@@ -12,7 +12,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from graphslam import Log, SensorModel
 from graphslam.metrics import position_errors
 from graphslam.se2 import Array, compose
 
@@ -20,7 +19,7 @@ from ..comparison import Comparison
 from ..results import EstimatorResult
 from .canvas import paper_figure, set_limits
 from .ellipses import ellipses
-from .placement import place_map, placement_of, reference_of, true_landmarks
+from .placement import aligned_to, place_map, placed, placement_of_result, reference_of, sensor_of, true_landmarks
 from .style import SIGHTING, START, TRUE_LANDMARK, TRUTH, colour_of, ellipse_style, style_of
 
 #: longer logs have some of their sightings drawn, evenly spread: more lines would only fill the page
@@ -35,8 +34,10 @@ def comparison_figure(comparison: Comparison) -> Figure:
     Left: the trajectories, the sightings from the graph's poses, the landmarks with the ellipses of three standard
     deviations (of each landmark given the path: its whole uncertainty is larger). Where the truth is known each
     estimate is aligned to it by the rigid motion that its errors are measured after: drawn from a common start, a small
-    error of the first heading would hide all others. Right: the position error of every step after that motion, whose
-    root mean square is the ATE; in a log without truth the norm of the correction of each iteration instead.
+    error of the first heading would hide all others. Paths are those of the point of the robot to which the truth
+    belongs. Where only the true landmarks are known, the maps are aligned to them. Right: the position error of every
+    step after that motion, whose root mean square is the ATE; in a log without true poses the norm of the correction of
+    each iteration instead.
     """
     with paper_figure() as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
@@ -54,33 +55,36 @@ def _draw_map(axes: Axes, comparison: Comparison, legend: dict[str, Any]) -> Non
     core: list[Array] = []
     rest: list[Array] = []
     maps: dict[str, Any] = {}
+    aligned, start = aligned_to(log), log.initial_poses[0, :2]
     if truth is not None:
         (legend["ground truth"],) = axes.plot(truth[:, 0], truth[:, 1], **TRUTH)
         core.append(truth[log.covered, :2])
     for result in comparison.results:
-        placement = placement_of(log, result.poses, result.estimated)
-        poses = np.where(result.estimated[:, None], compose(placement, result.poses), np.nan)
+        placement = placement_of_result(log, result)
+        unknown = ~result.estimated[:, None]
+        poses = np.where(unknown, np.nan, placed(log, placement, result.poses))
         axes.plot(poses[:, 0], poses[:, 1], **style_of(result.name, len(poses)))
         legend[_label(result)] = Line2D([], [], **style_of(result.name))
         (core if result is reference else rest).append(poses[result.estimated, :2])
         if result is reference:
-            _draw_sightings(axes, log, poses)
+            _draw_sightings(axes, comparison, np.where(unknown, np.nan, compose(placement, result.poses)))
+            start = poses[0, :2] if result.estimated[0] else start
         # the map of a second solver of the same graph would only cover that of the first
         if result.landmarks and (result.name in _MAPS or result is reference):
             core.append(_draw_landmarks(axes, result, placement, result is reference))
             look = ellipse_style(colour_of(result.name), solid=result is reference)
             maps[f"map of {result.name} (3σ)"] = Patch(**look)
-    if truth is not None and (marks := true_landmarks(log)):
+    if aligned and (marks := true_landmarks(log)):
         places = np.array(list(marks.values()))
         (legend["true landmark"],) = axes.plot(places[:, 0], places[:, 1], **TRUE_LANDMARK)
         core.append(places)
     legend.update(maps)
     if log.steps.size and reference is not None:
         legend["sighting"] = Line2D([], [], **SIGHTING | {"linewidth": 0.8})
-    start = log.initial_poses[0] if truth is None else truth[0]
-    (legend["start"],) = axes.plot(start[0], start[1], **START)
+    start = truth[0, :2] if truth is not None and log.covered[0] else start
+    (legend["start"],) = axes.plot(*start, **START)
     set_limits(axes, np.concatenate(core), rest)
-    how = "" if truth is None else ", aligned to the ground truth"
+    how = f", aligned to {aligned}" if aligned else ""
     axes.set(xlabel="x [m]", ylabel="y [m]", title=f"(a) {log.name}: paths and map{how}")
 
 
@@ -94,12 +98,13 @@ def _label(result: EstimatorResult) -> str:
     return f"{result.name} ({options['weight']})"
 
 
-def _draw_sightings(axes: Axes, log: Log, poses: Array) -> None:
+def _draw_sightings(axes: Axes, comparison: Comparison, poses: Array) -> None:
+    log, sensor = comparison.log, sensor_of(comparison)
     used = np.flatnonzero(np.isfinite(poses[log.steps, 0]))
     used = used[:: max(1, -(-len(used) // MOST_SIGHTINGS))]
     begins = poses[log.steps[used]]
-    ends = SensorModel().h_inverse(begins, log.sightings[used])[:, :2]
-    lines = LineCollection(list(np.stack([begins[:, :2], ends], axis=1)), **SIGHTING)
+    ends = sensor.h_inverse(begins, log.sightings[used])[:, :2]
+    lines = LineCollection(list(np.stack([sensor.mount(begins)[:, :2], ends], axis=1)), **SIGHTING)
     lines.set_rasterized(len(used) > 1000)
     axes.add_collection(lines, autolim=False)
 
@@ -118,7 +123,7 @@ def _draw_errors(axes: Axes, comparison: Comparison) -> None:
     assert truth is not None
     for result in comparison.results:
         if np.count_nonzero(result.estimated & comparison.log.covered) >= 2:
-            errors = position_errors(truth, result.poses, mask=result.estimated)
+            errors = position_errors(truth, comparison.log.at_truth(result.poses), mask=result.estimated)
             style = style_of(result.name, len(errors))
             # errors cross each other more often than paths do
             axes.plot(np.arange(len(errors)), errors, **style | {"linewidth": 0.7 * style.get("linewidth", 1.0)})

@@ -3,32 +3,59 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphslam import Log
-from graphslam.metrics import align
-from graphslam.se2 import Array, rotation, transform
+from graphslam import Log, SensorModel
+from graphslam.metrics import alignment_of
+from graphslam.se2 import Array, compose, rotation, transform
 
-from ..comparison import Comparison
-from ..results import EstimatorResult
+if TYPE_CHECKING:
+    from ..comparison import Comparison
+    from ..results import EstimatorResult
 
 
-def placement_of(log: Log, poses: Array, estimated: np.ndarray | None = None) -> Array:
-    """The rigid motion (3,) that aligns poses to the ground truth, the one after which their errors are measured.
+def placement_of(
+    log: Log,
+    poses: Array,
+    estimated: np.ndarray | None = None,
+    landmarks: Mapping[int, Array] | None = None,
+    *,
+    named: bool = True,
+) -> Array:
+    """The rigid motion (3,) that aligns an estimate to the ground truth, the one after which its errors are measured.
 
     Args:
         log: its ground truth counts, where it has one.
         poses: (T+1, 3) in the axes of the estimator.
         estimated: (T+1,) bool, which poses count; default: all.
+        landmarks: the map, for a log whose true landmarks are known and whose true poses are not.
+        named: whether the ids of the landmarks are those of the log.
 
     Returns:
         The motion as a pose; zero where there is no truth to align to.
     """
-    counted = log.covered if estimated is None else log.covered & estimated
-    if log.true_poses is None or not counted.any():
-        return np.zeros(3)
-    return align(log.true_poses, poses, mask=counted)
+    truth, true_map = log.true_poses, log.true_landmarks
+    aligned = alignment_of(truth, true_map, log.at_truth(poses), landmarks or {}, mask=estimated, named=named)
+    return np.zeros(3) if aligned is None else aligned[0]
+
+
+def placement_of_result(log: Log, result: EstimatorResult) -> Array:
+    """The same of the result of an estimator."""
+    return placement_of(log, result.poses, result.estimated, result.landmarks, named=result.named)
+
+
+def placed(log: Log, placement: Array, poses: Array) -> Array:
+    """Poses (..., 3) as they are drawn: aligned, and of the point of the robot to which the ground truth belongs."""
+    return compose(placement, log.at_truth(poses))
+
+
+def aligned_to(log: Log) -> str:
+    """What estimates are aligned to: "the ground truth", "the true landmarks", or "" where neither is known."""
+    if np.count_nonzero(log.covered) >= 2:
+        return "the ground truth"
+    return "the true landmarks" if len(true_landmarks(log)) >= 2 and log.identified else ""
 
 
 def place_map(
@@ -46,6 +73,11 @@ def reference_of(comparison: Comparison) -> EstimatorResult | None:
         if name in comparison:
             return comparison[name]
     return comparison.results[0] if comparison.results else None
+
+
+def sensor_of(comparison: Comparison) -> SensorModel:
+    """The sensor whose sightings are drawn."""
+    return comparison.options.sensor or comparison.log.sensor or SensorModel()
 
 
 def true_landmarks(log: Log) -> dict[int, Array]:

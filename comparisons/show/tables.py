@@ -13,11 +13,15 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from graphslam.metrics import exchanged
+
 from .cells import NOTHING, LeanTable, number, seconds, yes_no
+from .placement import placement_of_result
 
 if TYPE_CHECKING:
     from ..backends import BackendComparison
@@ -125,10 +129,17 @@ def comparison_tables(comparison: Comparison) -> Tables:
         remarks.append("NEES: 1 means consistent covariances, above 1 overconfident ones.")
     if (difference := comparison.difference("graph", "gtsam")) is not None:
         remarks.append(f"graph and gtsam differ by at most {difference:.1e} in any x, y [m] or heading [rad].")
-    if log.true_poses is None:
+    if log.true_poses is None and any(metrics.aligned_by for metrics in comparison.metrics.values()):
+        remarks.append(
+            "The log has no true poses: the maps are aligned to the true landmarks, and only maps have an error."
+        )
+    elif log.true_poses is None:
         remarks.append("The log has no true poses, so no error can be measured.")
     elif (covered := int(log.covered.sum())) < log.num_poses:
         remarks.append(f"The errors are those of the {covered} of {log.num_poses} poses that the ground truth covers.")
+    if log.true_poses is not None and (where := log.truth_place):
+        remarks.append(f"Errors are measured at the point that the ground truth is of, {where} of the robot's pose.")
+    remarks += _exchanged(comparison)
     remarks += [f"{entry.name} {entry.outcome}: {entry.reason}." for entry in comparison.skipped]
     remarks += [f"{r.name} did not converge: {r.reason}." for r in comparison.results if r.converged is False]
     notes: dict[str, list[str]] = {note: [log.name] for note in log.notes}
@@ -137,6 +148,35 @@ def comparison_tables(comparison: Comparison) -> Tables:
             notes.setdefault(note, []).append(result.name)
     remarks += [f"{', '.join(names)}: {note}." for note, names in notes.items()]
     return result_tables(comparison.table)[0], remarks
+
+
+def landmark_table(comparison: Comparison) -> Table | None:
+    """The error of each landmark in the map of each estimator, largest first; None where no error is known."""
+    errors = {name: m.landmark_errors_m for name, m in comparison.metrics.items() if m.landmark_errors_m}
+    if not errors:
+        return None
+    first = errors.get("graph") or next(iter(errors.values()))
+    title = "Error of each landmark after the alignment [m], largest first"
+    table = LeanTable(title, ["landmark"], ["sightings", *errors])
+    ids, counts = np.unique(comparison.log.landmarks, return_counts=True)
+    seen = dict(zip(ids.tolist(), counts.tolist()))
+    for j in sorted(set().union(*errors.values()), key=lambda j: (-first.get(j, -1.0), j)):
+        table.add_row(str(j), str(seen.get(j, NOTHING)), *(number(of.get(j)) for of in errors.values()))
+    return table
+
+
+def _exchanged(comparison: Comparison) -> list[str]:
+    """A sentence for each two landmarks of the first map that may have each other's id."""
+    log = comparison.log
+    for result in comparison.results:
+        if log.true_landmarks and result.named and result.landmarks and result.name != "dead-reckoning":
+            placement = placement_of_result(log, result)
+            return [
+                f"{result.name}: landmarks {a} and {b} lie where the ground truth has the other one; have their ids been "
+                "exchanged?"
+                for a, b in exchanged(log.true_landmarks, result.landmarks, placement)
+            ]
+    return []
 
 
 def _noise_remarks(comparison: Comparison) -> list[str]:

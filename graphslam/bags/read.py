@@ -130,7 +130,8 @@ def _drive(
             notes.append(f"{kind} {choices[kind].topic.name}: {which} no stamp, the time of their recording was taken")
     named = recipe.place("map", "file")
     landmarks = None if named is None else map_of(table_of(path.parent / named, "map"), recipe.options)
-    return Drive(odometry, sightings, truth, landmarks, recipe.options.sensor_offset or offset, tuple(notes))
+    place = recipe.options.sensor_offset or offset
+    return Drive(odometry, sightings, truth, landmarks, place, tuple(notes), recipe.options.truth_offset)
 
 
 def _choices(bag: Bag, found: Sequence[Candidate], recipe: Recipe) -> list[Choice]:

@@ -17,9 +17,10 @@ SETTLED = 1e-6
 
 def knows_enough(log: Log) -> bool:
     """Whether true poses with headings and the positions of landmarks that were seen are known."""
-    if log.true_poses is None or not log.true_landmarks:
+    truth = log.robot_truth
+    if truth is None or not log.true_landmarks:
         return False
-    return bool(np.isfinite(log.true_poses[:, 2]).any() and np.isin(log.landmarks, list(log.true_landmarks)).any())
+    return bool(np.isfinite(truth[:, 2]).any() and np.isin(log.landmarks, list(log.true_landmarks)).any())
 
 
 def motion_noise(log: Log, degrees: float | None = None) -> VarianceFit:
@@ -30,8 +31,9 @@ def motion_noise(log: Log, degrees: float | None = None) -> VarianceFit:
     Raises:
         LogError: there are too few motions.
     """
-    assert log.true_poses is not None
-    moved = between(log.true_poses[:-1], log.true_poses[1:])
+    truth = log.robot_truth
+    assert truth is not None
+    moved = between(truth[:-1], truth[1:])
     e = moved - log.motions()[0]
     e[:, 2] = wrap(e[:, 2])
     counted = np.isfinite(e).all(axis=1) & ordinary(log)
@@ -81,8 +83,9 @@ def sensor_noise(
     Raises:
         LogError: there are too few sightings of true landmarks from true poses.
     """
-    assert log.true_poses is not None and log.true_landmarks is not None
-    counted = np.isfinite(log.true_poses[log.steps]).all(axis=1) & np.isin(log.landmarks, list(log.true_landmarks))
+    truth = log.robot_truth
+    assert truth is not None and log.true_landmarks is not None
+    counted = np.isfinite(truth[log.steps]).all(axis=1) & np.isin(log.landmarks, list(log.true_landmarks))
     if not counted.any():
         raise LogError(f"{log.name}: no sighting has a known true pose and a known true landmark")
     n = log.sightings.shape[1]
@@ -92,7 +95,7 @@ def sensor_noise(
             f"{log.name}: the truth of psi is unknown, because true landmarks have no heading; leave psi out"
         )
     z = log.sightings[counted]
-    seen = sensor.h(log.true_poses[log.steps[counted]], np.array([place[:n] for place in places]))
+    seen = sensor.h(truth[log.steps[counted]], np.array([place[:n] for place in places]))
     lines, parts = np.column_stack([seen[:, 0], np.ones(len(z))]), sensor_parts(seen)
     scale, bias, fit = 1.0, 0.0, None
     for _ in range(100):

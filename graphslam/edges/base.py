@@ -123,6 +123,14 @@ class EdgeFamily(ABC):
         """Whether Omega_e depends on the reference state."""
         return False
 
+    @property
+    def information_per_weight(self) -> float:
+        """The information that an edge contributes to the estimate, over the information that it has in Omega.
+
+        1 without a robust kernel; see `robust.Kernel.information_per_weight`.
+        """
+        return 1.0
+
     @abstractmethod
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
         """The groups of nodes that the edges connect, as (starts, nodes): group g is ``nodes[starts[g]:starts[g+1]]``.

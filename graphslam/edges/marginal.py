@@ -83,14 +83,14 @@ class MarginalEdges(LandmarkSightings):
         return np.einsum("mi,mij,mj->m", e, W[:, _SYMMETRIC], e)
 
     def map(self, poses: Array) -> tuple[Array, Array]:
-        """m̂ (G, d) of each landmark, and its covariance given the poses (G, d, d): (sum of w Omega)^-1.
+        """m̂ (G, d) of each landmark, and its covariance given the poses (G, d, d): (s sum of w Omega)^-1.
 
-        w is the trust times the weight that the kernel gives the sighting at m̂.
+        w is the trust times the weight that the kernel gives the sighting at m̂, and s is `information_per_weight`.
         """
         _, W, factor, _, means, _ = self._around_means(poses, poses)
         d = self.sightings.shape[1]
         information = np.add.reduceat(W * factor[:, None], self.starts[:-1], axis=0)[:, _SYMMETRIC][:, :d, :d]
-        return means[:, :d], np.linalg.inv(information)
+        return means[:, :d], np.linalg.inv(self.information_per_weight * information)
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
         e, W, factor, lever, _, total = self._around_means(state, reference)

@@ -4,13 +4,28 @@ An edge with squared Mahalanobis norm r² = e' Omega e costs 2 rho(r) in place o
 information times the weight w(r) = rho'(r) / r (iteratively re-weighted least squares). GTSAM's ``noiseModel.Robust``
 has the same rho and w, and its error is J/2.
 
-Source: Zhang, *Parameter estimation techniques: a tutorial with application to conic fitting*, 1997.
+A kernel has a price where the noise is Gaussian. With residuals e ~ N(0, Omega^-1) of dimension d, r² is chi-square
+distributed with d degrees of freedom. The expected slope of the pull w e is b Omega and its covariance a Omega,
+
+    b = E[w r²] / d,   a = E[w² r²] / d,
+
+so the estimate has the covariance (b Omega)^-1 a Omega (b Omega)^-1 (the sandwich): that of least squares, divided by
+the efficiency b²/a. The default width of every kernel is the one with `EFFICIENCY` for the dimension of its residuals:
+
+    d              1      2      3
+    Huber          1.345  1.501  1.628
+    Cauchy         2.385  2.549  2.666
+    Geman-McClure  3.785  4.096  4.337
+
+Sources: Zhang, *Parameter estimation techniques: a tutorial with application to conic fitting*, 1997; Huber, *Robust
+statistics*, 1981, chapters 3 and 7 (efficiency, covariance).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import ClassVar, Self
 
 import numpy as np
 from numba import njit
@@ -23,47 +38,85 @@ from ..se2 import Array
 SQUARES, HUBER, CAUCHY, GEMAN_MCCLURE = 0, 1, 2, 3
 
 
+#: the efficiency of the default widths where the noise is Gaussian, as a part of that of least squares
+EFFICIENCY = 0.95
+
+
 @dataclass(frozen=True)
 class Kernel:
-    """rho and w of one kind, with a width c in standard deviations; use `Huber`, `Cauchy` or `GemanMcClure`.
+    """rho and w of one kind; use `Huber`, `Cauchy` or `GemanMcClure`.
+
+    Args:
+        width: c in standard deviations; default: the one with `EFFICIENCY` for the dimension of the residuals.
 
     Raises:
         OptionError: the width is not positive.
     """
 
-    width: float
+    width: float | None = None
     code: ClassVar[int] = SQUARES
     name: ClassVar[str] = "squares"
 
     def __post_init__(self) -> None:
-        check_positive(width=self.width)
+        if self.width is not None:
+            check_positive(width=self.width)
+
+    def of_dimension(self, dimension: int) -> Self:
+        """This kernel with a width, for residuals of a dimension."""
+        return replace(self, width=efficient_width(self.code, dimension)) if self.width is None else self
+
+    def scaled(self, factor: float) -> Self:
+        """The kernel whose rho of ``factor`` r² is ``factor`` times this kernel's rho of r²."""
+        return replace(self, width=self._checked_width * factor**0.5)
+
+    def efficiency(self, dimension: int) -> float:
+        """b²/a: the variance of least squares over that of the kernel's estimate, for Gaussian noise."""
+        _, slope, square = _expectations(self.code, self.of_dimension(dimension).width, dimension)
+        return slope**2 / square
+
+    def information_per_weight(self, dimension: int) -> float:
+        """b²/a / E[w]: what turns w Omega of an edge into the information that its residual contributes to an estimate.
+
+        On average over edges with Gaussian noise this is b²/a Omega. An edge without weight contributes nothing.
+        """
+        mean_weight, slope, square = _expectations(self.code, self.of_dimension(dimension).width, dimension)
+        return slope**2 / square / mean_weight
 
     def loss(self, squares: ArrayLike) -> Array:
-        """2 rho(r), from r² of any shape."""
-        return np.vectorize(loss, otypes=[float])(self.code, self.width, squares)
+        """2 rho(r), from r² of any shape.
+
+        Raises:
+            OptionError: the kernel has no width.
+        """
+        return np.vectorize(loss, otypes=[float])(self.code, self._checked_width, squares)
 
     def weight(self, squares: ArrayLike) -> Array:
-        """w(r) = rho'(r) / r, from r² of any shape."""
-        return np.vectorize(weight, otypes=[float])(self.code, self.width, squares)
+        """w(r) = rho'(r) / r, from r² of any shape.
+
+        Raises:
+            OptionError: the kernel has no width.
+        """
+        return np.vectorize(weight, otypes=[float])(self.code, self._checked_width, squares)
+
+    @property
+    def _checked_width(self) -> float:
+        if self.width is None:
+            raise OptionError(f"{type(self).__name__}() has no width without the dimension: use of_dimension(2 or 3)")
+        return self.width
 
 
 @dataclass(frozen=True)
 class Huber(Kernel):
-    """rho = r²/2 up to c, then c (r - c/2): the pull of an outlier does not grow with its distance.
+    """rho = r²/2 up to c, then c (r - c/2): the pull of an outlier does not grow with its distance."""
 
-    The default width keeps 95 % of the efficiency of least squares where the noise is Gaussian.
-    """
-
-    width: float = 1.345
     code: ClassVar[int] = HUBER
     name: ClassVar[str] = "huber"
 
 
 @dataclass(frozen=True)
 class Cauchy(Kernel):
-    """rho = c²/2 log(1 + r²/c²): the pull of an outlier falls with its distance. Default width: 95 % efficiency."""
+    """rho = c²/2 log(1 + r²/c²): the pull of an outlier falls with its distance."""
 
-    width: float = 2.3849
     code: ClassVar[int] = CAUCHY
     name: ClassVar[str] = "cauchy"
 
@@ -72,12 +125,11 @@ class Cauchy(Kernel):
 class GemanMcClure(Kernel):
     """rho = c²/2 r² / (c² + r²): a distant outlier has no influence."""
 
-    width: float = 1.0
     code: ClassVar[int] = GEMAN_MCCLURE
     name: ClassVar[str] = "geman-mcclure"
 
 
-#: the kernels by name, with their default widths
+#: the kernels by name, without widths: these follow from the dimension of the residuals
 KERNELS: dict[str, Kernel] = {kernel.name: kernel for kernel in (Huber(), Cauchy(), GemanMcClure())}
 
 
@@ -96,8 +148,19 @@ def kernel_of(kernel: Kernel | str | None) -> Kernel | None:
 
 
 def code_and_width(kernel: Kernel | None) -> tuple[int, float]:
-    """The arguments of `loss` and `weight` for a kernel; (0, 1) for plain squares."""
-    return (SQUARES, 1.0) if kernel is None else (kernel.code, kernel.width)
+    """The arguments of `loss` and `weight` for a kernel with a width; (0, 1) for plain squares."""
+    return (SQUARES, 1.0) if kernel is None else (kernel.code, kernel._checked_width)
+
+
+@cache
+def efficient_width(code: int, dimension: int) -> float:
+    """The width with `EFFICIENCY`, by bisection: the efficiency grows with the width."""
+    low, high = 0.01, 100.0 * dimension
+    while high - low > 1e-12 * high:
+        middle = (low + high) / 2
+        _, slope, square = _expectations(code, middle, dimension)
+        low, high = (middle, high) if slope**2 / square < EFFICIENCY else (low, middle)
+    return (low + high) / 2
 
 
 @njit(cache=True, error_model="numpy")
@@ -134,3 +197,19 @@ def weight_slope(code, c, squares):  # type: ignore[no-untyped-def]
     if code == GEMAN_MCCLURE:
         return -2 * c**4 / (c * c + squares) ** 3
     return 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _expectations(code, c, dimension):  # type: ignore[no-untyped-def]
+    """E[w], E[w r²] / d and E[w² r²] / d for r² of chi-square with d degrees of freedom, by the midpoint rule over r."""
+    step, peak = (np.sqrt(dimension) + 9) / 4000, np.sqrt(max(dimension - 1.0, 0.5))
+    total = mean = slope = square = 0.0
+    for k in range(4000):
+        r = (k + 0.5) * step
+        density = np.exp((dimension - 1) * np.log(r / peak) - (r * r - peak * peak) / 2)
+        w = weight(code, c, r * r)
+        total += density
+        mean += density * w
+        slope += density * w * r * r
+        square += density * w * w * r * r
+    return mean / total, slope / (dimension * total), square / (dimension * total)

@@ -34,7 +34,8 @@ NO_TRUST = 1e-9
 class SightingEdges(EdgeFamily):
     """Edges that come from sightings (M, 2 or 3) by a sensor.
 
-    ``kernel`` is the robust kernel of every edge, or None for plain squares. ``trust`` (M,) is a factor from 0 to 1 on
+    ``kernel`` is the robust kernel of every edge, or None for plain squares; its default width is that for the dimension
+    of a sighting. ``trust`` (M,) is a factor from 0 to 1 on
     the information of each sighting, or None for 1; graduated non-convexity sets it. 0 counts as `NO_TRUST`.
     """
 
@@ -42,6 +43,10 @@ class SightingEdges(EdgeFamily):
     sensor: SensorModel
     kernel: Kernel | None
     trust: Array | None
+
+    def __post_init__(self) -> None:
+        if self.kernel is not None:
+            object.__setattr__(self, "kernel", self.kernel.of_dimension(self.sightings.shape[1]))
 
     def with_trust(self: Self, trust: Array | None) -> Self:
         """The same edges with another factor (M,) on the information of each sighting."""
@@ -56,6 +61,15 @@ class SightingEdges(EdgeFamily):
     def oriented(self) -> bool:
         """Whether the sightings measure psi."""
         return self.sightings.shape[1] == 3
+
+    def kernel_weights(self, state: Array) -> Array:
+        """The weight (E,) that the kernel gives each edge at a state, 1 without a kernel."""
+        squares = self.linearize(state, state).mahalanobis
+        return np.ones(len(squares)) if self.kernel is None else self.kernel.weight(squares)
+
+    @property
+    def information_per_weight(self) -> float:
+        return 1.0 if self.kernel is None else self.kernel.information_per_weight(self.sightings.shape[1])
 
     @cached_property
     def _robust(self) -> tuple[int, float, Array]:

@@ -51,7 +51,8 @@ class VirtualMotionEdges(LandmarkSightings):
     Args:
         tempered: multiply every pair of a landmark by 2/K, K the number of its sightings (the sum of their trust).
 
-    The trust in an edge is the product of the trust in its two sightings.
+    The trust in an edge is the product of the trust in its two sightings. A kernel acts on the residual of a pair before
+    tempering: the pair costs 2/K times 2 rho(r), r² without the factor 2/K.
     """
 
     tempered: bool = field(default=False, kw_only=True)
@@ -130,6 +131,12 @@ class VirtualMotionEdges(LandmarkSightings):
             self.oriented, self.frame == "body", *self._robust, *self._targets(system),
         )  # fmt: skip
 
+    def kernel_weights(self, state: Array) -> Array:
+        if self.kernel is None:
+            return super().kernel_weights(state)
+        squares = self.linearize(state, state).mahalanobis / self.group_weights[self.pairs()[2]]
+        return self.kernel.weight(squares)
+
     @cached_property
     def group_weights(self) -> Array:
         """The factor (G,) on the information of all edges of a landmark."""
@@ -157,6 +164,8 @@ def _accumulate(  # type: ignore[no-untyped-def]
             b = order[k]
             g = groups[b]
             weight_b = weights[g] * trust[b]
+            # rho of s r² with the width c sqrt(s) is s times rho of r² with the width c
+            c = width * np.sqrt(weights[g])
             for a in range(starts[g], b):
                 i = nodes[a]
                 if i == j:
@@ -170,8 +179,8 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 if not kernel:
                     total += squares
                 else:
-                    total += loss(kernel, width, squares)
-                    W = kernels.scaled(weight(kernel, width, squares), W)
+                    total += loss(kernel, c, squares)
+                    W = kernels.scaled(weight(kernel, c, squares), W)
                     omega_e = kernels.product(W, e)
                 if adding:
                     ux, uy = lever[a, 0], lever[a, 1]

@@ -73,7 +73,8 @@ class Factor(gtsam.CustomFactor):
     ) -> None:
         keys = checked_keys(type(self).__name__, keys)
         noise = noise_model(arguments, covariance=covariance, information=information)
-        arguments = {**arguments, "kernel": kernel_of(arguments["kernel"])}
+        kernel = kernel_of(arguments["kernel"])
+        arguments = {**arguments, "kernel": kernel and kernel.of_dimension(noise.dim())}
         for value in arguments.values():
             if isinstance(value, np.ndarray):
                 # a factor must not change when its maker goes on working with an array
@@ -181,7 +182,7 @@ def noise_model(
         return noise
     estimators = gtsam.noiseModel.mEstimator
     of_kernel = {Huber: estimators.Huber, Cauchy: estimators.Cauchy, GemanMcClure: estimators.GemanMcClure}
-    return gtsam.noiseModel.Robust.Create(of_kernel[type(kernel)](kernel.width), noise)
+    return gtsam.noiseModel.Robust.Create(of_kernel[type(kernel)](kernel.of_dimension(noise.dim()).width), noise)
 
 
 def checked_keys(name: str, keys: Sequence[Any]) -> list[int]:

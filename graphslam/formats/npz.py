@@ -1,10 +1,12 @@
 """The framework's own format: a NumPy ``.npz`` archive that holds everything a `Log` holds, without rounding.
 
 Arrays (absent = None): ``format`` ("graphslam-log-1"), ``dt`` (T,), ``controls`` (T, 2), ``steps`` (M,), ``landmarks``
-(M,), ``sightings`` (M, 2 or 3), ``initial_poses`` (T+1, 3), ``true_poses`` (T+1, 3), ``true_landmark_ids`` (L,),
-``true_landmark_poses`` (L, 3; a third column of NaN marks a landmark without heading), ``start_time``, and for logs
+(M,), ``sightings`` (M, 2 or 3), ``initial_poses`` (T+1, 3), ``true_poses`` (T+1, 3), ``truth_offset`` (2,;
+absent = at the robot's pose), ``true_landmark_ids`` (L,), ``true_landmark_poses`` (L, 3; a third column of NaN marks a
+landmark without heading), ``start_time``, and for logs
 with several controls per motion ``control_starts`` (T+1,) and ``control_variances`` (S, 2); ``motion`` and ``sensor``,
-the fields of the noise models in their order (the two of the offset last), where the log has such models. No pickles.
+the fields of the noise models in their order (the two of the offset last), where the log has such models; ``notes``
+(N,), texts. No pickles.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from .base import Format
 VERSION = "graphslam-log-1"
 _REQUIRED = ("steps", "landmarks", "sightings", "initial_poses")
 _MODELS: dict[str, type[MotionModel | SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
-_OPTIONAL = ("dt", "controls", "control_starts", "control_variances", "true_poses")
+_OPTIONAL = ("dt", "controls", "control_starts", "control_variances", "true_poses", "truth_offset")
 
 
 def _read(path: Path, _: ReadOptions) -> Log:
@@ -61,6 +63,7 @@ def _read(path: Path, _: ReadOptions) -> Log:
             **{name: content[name] for name in _OPTIONAL if name in content},
             true_landmarks=truth,
             start_time=float(content.get("start_time", 0.0)),
+            notes=tuple(map(str, content.get("notes", ()))),
             name=path.stem,
         )
     except (SlamError, TypeError, ValueError) as error:
@@ -70,6 +73,8 @@ def _read(path: Path, _: ReadOptions) -> Log:
 def _write(log: Log, path: Path) -> None:
     content = {name: getattr(log, name) for name in _REQUIRED}
     content |= {name: getattr(log, name) for name in _OPTIONAL if getattr(log, name) is not None}
+    if log.truth_offset == (0.0, 0.0):
+        del content["truth_offset"]
     if not log.composite:
         content.pop("control_starts", None)
     # the two numbers of the sensor's offset follow the others
@@ -78,6 +83,8 @@ def _write(log: Log, path: Path) -> None:
         content["true_landmark_ids"] = np.array(list(log.true_landmarks), dtype=np.int64)
         poses = [np.append(m, np.nan)[:3] for m in log.true_landmarks.values()]
         content["true_landmark_poses"] = np.array(poses).reshape(-1, 3)
+    if log.notes:
+        content["notes"] = np.array(log.notes)
     with write_whole(path) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, format=VERSION, start_time=log.start_time, **content)
 

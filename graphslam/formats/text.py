@@ -11,6 +11,7 @@ from ..checks import first
 from ..errors import FormatError
 from ..files import read_text
 from ..se2 import Array
+from ..sources.streams import MOST_DISORDER, disorder
 
 
 def number(path: Path, line: int, what: str, word: str) -> float:
@@ -53,10 +54,10 @@ def read_columns(path: Path, columns: tuple[str, ...], *, times: bool = False) -
     Args:
         path: the file.
         columns: the names of the columns, for messages.
-        times: whether the first column is times, which must not run backwards.
+        times: whether the first column is times, which may be out of order by at most `streams.MOST_DISORDER`.
 
     Raises:
-        FormatError: the file is not text, a line has other columns, or times run backwards; with the line.
+        FormatError: the file is not text, a line has other columns, or times run backwards by more; with the line.
     """
     # loadtxt warns about files without rows, which the caller checks
     lines = [line for line in read_text(path).splitlines() if line.split("#", 1)[0].strip()]
@@ -66,9 +67,10 @@ def read_columns(path: Path, columns: tuple[str, ...], *, times: bool = False) -
         rows = np.empty((0, 0))
     if rows.shape[1] != len(columns) or not np.all(np.isfinite(rows)):
         _refuse(path, columns)
-    if times and (k := first(np.diff(rows[:, 0]) < 0)) is not None:
-        message = f"time runs backwards: {rows[k + 1, 0]:.3f} s comes after {rows[k, 0]:.3f} s; sort the lines by time"
-        raise FormatError(path, line_of(path, k + 1), message)
+    if times and (k := first(disorder(rows[:, 0]) > MOST_DISORDER)) is not None:
+        before = rows[:k, 0].max()
+        message = f"time runs backwards: {rows[k, 0]:.3f} s comes after {before:.3f} s; sort the lines by time"
+        raise FormatError(path, line_of(path, k), message)
     return rows
 
 

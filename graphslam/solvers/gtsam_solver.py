@@ -148,12 +148,14 @@ def _factors_of(
         yield from _landmark_factors(family, reference, "tempered" if family.tempered else "pairs")
     elif isinstance(family, edges.VirtualMotionEdges):
         a, b, group = family.pairs()
-        scales = family.group_weights[group] * family.trusted[a] * family.trusted[b]
+        tempering = family.group_weights[group]
+        scales = tempering * family.trusted[a] * family.trusted[b]
         z, nodes = family.sightings, family.nodes
-        for i, j, z_1, z_2, scale in _rows(nodes[a], nodes[b], z[a], z[b], scales):
+        for i, j, z_1, z_2, scale, factor in _rows(nodes[a], nodes[b], z[a], z[b], scales, tempering):
             yield factor_types.VirtualMotionFactor(
                 i, j, z_1, z_2, family.sensor,
-                frame=family.frame, at=(reference[i], reference[j]), scale=scale, kernel=family.kernel,
+                frame=family.frame, at=(reference[i], reference[j]), scale=scale,
+                kernel=family.kernel and family.kernel.scaled(factor),
             )  # fmt: skip
     else:
         raise GraphError(f"no gtsam factor is known for {type(family).__name__}")

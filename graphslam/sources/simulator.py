@@ -67,6 +67,10 @@ class SensorFaults:
                 raise OptionError(f"{name} must be a probability between 0 and 1, not {getattr(self, name)!r}")
 
 
+#: the biases that are factors; the others are angles
+_FACTORS = ("speed", "turn rate", "range")
+
+
 def simulate(
     world: World | None = None,
     *,
@@ -100,8 +104,9 @@ def simulate(
     landmarks, arena = _landmarks(world, rng)
     if world.clean:
         poses, controls = _drive_clean(world, motion, rng)
+        biases: dict[str, float] = {}
     else:
-        poses, controls = _drive(world, motion_faults or MotionFaults(), arena, rng)
+        poses, controls, biases = _drive(world, motion_faults or MotionFaults(), arena, rng)
     at, seen = _visible(sensor.mount(poses), landmarks, world)
     exact = sensor.h(poses[at], landmarks[seen])
     if world.clean:
@@ -110,7 +115,8 @@ def simulate(
         keep = sightings[:, 0] > 0
     else:
         faults = sensor_faults or SensorFaults()
-        sightings, keep = _measured(exact, poses[at], faults, sensor, world, arena, rng)
+        sightings, keep, of_sensor = _measured(exact, poses[at], faults, sensor, world, arena, rng)
+        biases |= of_sensor
     columns = 3 if world.orientation else 2
     return Log(
         dt=np.full(world.steps, float(world.dt)),
@@ -122,6 +128,19 @@ def simulate(
         true_poses=poses,
         true_landmarks={j: place[:columns] for j, place in enumerate(landmarks)},
         name=name,
+        notes=_note(biases),
+    )
+
+
+def _note(biases: dict[str, float]) -> tuple[str, ...]:
+    """What the log's notes say of biases {what: factor, or angle [rad]}; those without effect are left out."""
+    factors = [f"{what} x {value:.3f}" for what, value in biases.items() if what in _FACTORS and value != 1]
+    angles = [f"{what} {value:+.3f} rad" for what, value in biases.items() if what not in _FACTORS and value]
+    if not factors and not angles:
+        return ()
+    return (
+        f"the simulated robot has constant biases ({', '.join(factors + angles)}); the noise models know none, so that "
+        "errors and NEES are larger than without them, and more sightings do not help",
     )
 
 
@@ -175,8 +194,10 @@ def _drive_clean(world: World, motion: MotionModel, rng: np.random.Generator) ->
     return poses, controls
 
 
-def _drive(world: World, faults: MotionFaults, arena: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """True poses and controls of a robot with faults; pebbles and stuck wheels act within a step."""
+def _drive(
+    world: World, faults: MotionFaults, arena: float, rng: np.random.Generator
+) -> tuple[Array, Array, dict[str, float]]:
+    """True poses, controls and biases of a robot with faults; pebbles and stuck wheels act within a step."""
     driver, steps, exact = _Driver(world), world.steps, MotionModel()
     poses, controls = np.empty((steps + 1, 3)), np.empty((steps, 2))
     poses[0] = world.start
@@ -210,7 +231,7 @@ def _drive(world: World, faults: MotionFaults, arena: float, rng: np.random.Gene
                 to_kidnap = wait(faults.kidnap_interval)
         poses[t + 1] = pose
     poses[:, 2] = wrap(poses[:, 2])
-    return poses, controls
+    return poses, controls, dict(zip(("speed", "turn rate"), bias.tolist()))
 
 
 def _visible(poses: Array, landmarks: Array, world: World) -> tuple[np.ndarray, np.ndarray]:
@@ -230,8 +251,8 @@ def _visible(poses: Array, landmarks: Array, world: World) -> tuple[np.ndarray, 
 def _measured(
     exact: Array, poses: Array, faults: SensorFaults, sensor: SensorModel, world: World, arena: float,
     rng: np.random.Generator,
-) -> tuple[Array, np.ndarray]:  # fmt: skip
-    """The sightings as the faulty camera measures them, and which of them it reports."""
+) -> tuple[Array, np.ndarray, dict[str, float]]:  # fmt: skip
+    """The sightings as the faulty camera measures them, which of them it reports, and its biases."""
     exact, count = exact.copy(), len(exact)
     phantom = rng.random(count) < faults.phantom
     places = np.column_stack([rng.uniform(-arena, arena, (count, 2)), rng.uniform(-pi, pi, count)])
@@ -244,4 +265,7 @@ def _measured(
     sightings = exact + noise + bias
     sightings[:, 0] = exact[:, 0] * (1 + noise[:, 0] + bias[0])
     overlooked = rng.random(count) < faults.oversight
-    return sightings, ~overlooked & (sightings[:, 0] > 0)
+    biases = {"range": 1 + float(bias[0]), "bearing": float(bias[1])} | (
+        {"psi": float(bias[2])} if world.orientation else {}
+    )
+    return sightings, ~overlooked & (sightings[:, 0] > 0), biases

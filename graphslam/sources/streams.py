@@ -19,10 +19,13 @@ from ..checks import first
 from ..errors import LogError
 from ..models import MotionModel
 from ..reading import ReadOptions
-from ..se2 import Array, interpolate
+from ..se2 import Array, interpolate, mounted
 
 #: odometry that is silent for longer [s] is bridged with additional noise, or refused
 BRIDGED_GAP, LONGEST_GAP = 2.0, 30.0
+
+#: rows that are out of order by at most this time [s] are sorted; more is another drive, or another clock
+MOST_DISORDER = 1.0
 
 #: truth is interpolated between samples that are at most this far apart [s]
 TRUTH_GAP = 0.5
@@ -30,7 +33,7 @@ TRUTH_GAP = 0.5
 
 @dataclass(frozen=True)
 class Stream:
-    """Rows of numbers with their times: ``times`` (N,) [s], not decreasing, and ``rows`` (N, ...)."""
+    """Rows of numbers with their times: ``times`` (N,) [s] and ``rows`` (N, ...)."""
 
     times: Array
     rows: Array
@@ -47,6 +50,7 @@ def parts_of_streams(
     *,
     options: ReadOptions | None = None,
     truth: Stream | None = None,
+    truth_offset: tuple[float, float] = (0.0, 0.0),
     true_landmarks: Mapping[int, ArrayLike] | None = None,
     start: ArrayLike | None = None,
     origin: float = 0.0,
@@ -55,18 +59,17 @@ def parts_of_streams(
     **models: Any,
 ) -> dict[str, Any]:
     """The arguments of the `Log` that `synchronize` returns; its arguments and errors are the same."""
-    for what, stream in (("odometry", odometry), ("sightings", sightings), ("truth", truth)):
-        if stream is not None and (k := first(np.diff(stream.times) < 0)) is not None:
-            raise LogError(
-                f"the times of the {what} run backwards in row {k + 2}: {stream.times[k + 1]:.3f} s comes after "
-                f"{stream.times[k]:.3f} s"
-            )
+    remarks = list(notes)
+    odometry = _in_order("odometry", odometry, remarks)[0]
+    sightings, order = _in_order("sightings", sightings, remarks)
+    landmarks = np.asarray(landmarks)[order]
+    if truth is not None:
+        truth = _in_order("truth", truth, remarks)[0]
     if len(odometry) < 2:
         raise LogError(f"the odometry has {len(odometry)} rows, but motion takes two")
     inside = (sightings.times >= odometry.times[0]) & (sightings.times <= odometry.times[-1])
     if not inside.any():
         raise LogError("no landmark is seen while there is odometry, so the log would have no pose")
-    remarks = list(notes)
     if not inside.all():
         remarks.append(f"{np.sum(~inside)} of {len(inside)} sightings are from before or after the odometry: left out")
     seen = sightings.times[inside]
@@ -86,23 +89,45 @@ def parts_of_streams(
         elif not covered.all():
             remarks.append(f"the truth covers {covered.sum()} of {len(covered)} poses")
     if start is None:
-        start = np.zeros(3) if true_poses is None or np.isnan(true_poses[0]).any() else true_poses[0]
+        start = np.zeros(3)
+        if true_poses is not None and not np.isnan(true_poses[0]).any():
+            start = mounted(true_poses[0], (-truth_offset[0], -truth_offset[1]))
     return dict(
         dt=dt,
         controls=controls,
         control_starts=starts,
         control_variances=variances,
         steps=np.searchsorted(times, seen),
-        landmarks=np.asarray(landmarks)[inside],
+        landmarks=landmarks[inside],
         sightings=sightings.rows[inside],
         initial_poses=MotionModel().dead_reckoning(start, controls, dt)[starts],
         true_poses=true_poses,
+        truth_offset=truth_offset,
         true_landmarks=None if true_landmarks is None else dict(true_landmarks),
         start_time=origin + float(times[0]),
         name=name,
         notes=tuple(remarks),
         **models,
     )
+
+
+def disorder(times: Array) -> Array:
+    """How far each time (N,) runs behind the latest one before it [s]; 0 where the times are in order."""
+    return np.maximum.accumulate(times) - times if len(times) else times
+
+
+def _in_order(what: str, stream: Stream, remarks: list[str]) -> tuple[Stream, np.ndarray]:
+    """The rows sorted by time, with a remark where that changes anything, and the row of each in the order given."""
+    behind = disorder(stream.times)
+    if (k := first(behind > MOST_DISORDER)) is not None:
+        raise LogError(
+            f"the times of the {what} run backwards in row {k + 1}: {stream.times[k]:.3f} s comes {behind[k]:.3f} s too late"
+        )
+    order = np.argsort(stream.times, kind="stable")
+    if moved := np.count_nonzero(behind):
+        rows = "row of the {} runs" if moved == 1 else "rows of the {} run"
+        remarks.append(f"{moved} {rows.format(what)} backwards, by at most {behind.max():.3g} s: sorted by time")
+    return Stream(stream.times[order], stream.rows[order]), order
 
 
 def divide(odometry: Stream, times: Array) -> tuple[Array, Array, np.ndarray, Array | None, list[float]]:

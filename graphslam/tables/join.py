@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import suggestion
+from ..checks import checked_offset, suggestion
 from ..errors import LogError, OptionError
 from ..models import SensorModel
 from ..reading import UNIDENTIFIED, ReadOptions
@@ -29,6 +29,7 @@ class Drive:
         landmarks: the true map.
         sensor_offset: position of the sensor on the robot [m], None where nothing says it.
         notes: about the whole drive, one sentence each.
+        truth_offset: the point of the robot that the truth is of [m], as in `Log`; None for its pose.
     """
 
     odometry: Timed
@@ -37,6 +38,7 @@ class Drive:
     landmarks: Mapping[int, Array] | None = None
     sensor_offset: tuple[float, ...] | None = None
     notes: tuple[str, ...] = ()
+    truth_offset: tuple[float, ...] | None = None
 
     @property
     def streams(self) -> dict[str, Timed]:
@@ -65,6 +67,7 @@ class Drive:
             self.sightings.ids,
             options=reading,
             truth=joined.get("truth"),
+            truth_offset=(0.0, 0.0) if self.truth_offset is None else checked_offset("truth_offset", self.truth_offset),
             true_landmarks=self.landmarks,
             origin=origin / 1e9,
             name=name,
@@ -88,6 +91,7 @@ def read_drive(
         None if truth is None else truth_of(table_of(truth, "truth"), options),
         None if map is None else map_of(table_of(map, "map"), options),
         options.sensor_offset,
+        truth_offset=options.truth_offset,
     )
 
 

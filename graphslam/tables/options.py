@@ -66,6 +66,10 @@ class TableOptions:
         None, "Position of the sensor on the robot: forward, left", "m", default_text="0,0, or as the bag says",
         metavar="FORWARD,LEFT",
     )  # fmt: skip
+    truth_offset: tuple[float, ...] | None = option(
+        None, "Point of the robot that the truth is of, such as a GPS antenna: forward, left", "m", default_text="0,0",
+        metavar="FORWARD,LEFT",
+    )  # fmt: skip
     sensor_yaw: float | None = option(
         None, "Direction in which the sensor looks, 0 is forward, positive to the left", "rad",
         default_text="0, or as the bag says",

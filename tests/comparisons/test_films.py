@@ -99,7 +99,7 @@ def test_thinned_edges_keep_their_distances(log: Log, monkeypatch: pytest.Monkey
 
 
 def test_starts_where_the_better_minimum_is() -> None:
-    film = animate(edges="landmark+motion")
+    film = animate(edges="landmark+motion", residual="polar")
     assert film.frames[-1].cost == pytest.approx(373.174314, rel=1e-6)  # type: ignore[attr-defined]
     assert any("from dead reckoning J is 5432.99" in note and "not 373.174" in note for note in film.notes)
 
@@ -347,3 +347,17 @@ class TestCommandLine:
         result = self.run(tmp_path / "film.mp4")
         assert result.exit_code == 2
         assert "needs the program ffmpeg: install it, or write a .gif or .html" in result.stderr
+
+
+@pytest.mark.parametrize("name", ["graph", "fastslam1", "mcl"])
+def test_a_film_without_true_poses_shows_the_whole_map(log: Log, name: str) -> None:
+    film = animate(log.replace(true_poses=None), estimator=name, **FEW, max_frames=2)
+    figure = Figure()
+    film.set_up(figure)
+    view, true = figure.axes[0].viewLim, np.array([log.true_landmarks[j][:2] for j in log.landmark_ids.tolist()])
+    assert view.count_contains(true) == len(true)
+    assert "true landmark" in [text.get_text() for text in figure.legends[0].get_texts()]
+    bare = Figure()
+    animate(log.replace(true_poses=None, true_landmarks=None), estimator="graph").set_up(bare)
+    landmarks = np.array([m[:2] for m in solve(make_graph(log, RunOptions())).landmarks.values()])
+    assert bare.axes[0].viewLim.count_contains(landmarks) == len(landmarks)

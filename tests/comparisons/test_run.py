@@ -13,6 +13,7 @@ from comparisons.comparison import Comparison, run
 from comparisons.estimators import Estimator
 from comparisons.options import RunOptions
 from comparisons.results import EstimatorResult
+from comparisons.show.report.page import page_of
 from comparisons.show.tables import as_text
 from graphslam import FormatError, GraphError, Log, OptionError, SensorModel, simulate
 from graphslam.metrics import ate
@@ -88,10 +89,23 @@ def test_json_is_what_the_design_says(comparison: Comparison, log: Log) -> None:
 
 
 def test_without_truth_the_errors_are_null(log: Log) -> None:
+    bare = run(log.replace(true_poses=None, true_landmarks=None), estimators=["graph"])
+    (entry,) = bare.to_json()["estimators"]
+    assert [entry[k] for k in ("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m", "landmark_errors_m")] == [None] * 5
+    assert entry["converged"] is True
+
+
+def test_without_true_poses_the_map_still_has_its_errors(log: Log) -> None:
     bare = run(log.replace(true_poses=None), estimators=["graph"])
     (entry,) = bare.to_json()["estimators"]
-    assert [entry[k] for k in ("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m")] == [None] * 4
-    assert entry["converged"] is True
+    assert entry["ate_m"] is None and entry["aligned_by"] == "landmarks"
+    errors = np.array(list(entry["landmark_errors_m"].values()))
+    assert set(entry["landmark_errors_m"]) == set(entry["landmarks"])
+    assert entry["landmark_rmse_m"] == pytest.approx(np.sqrt(np.mean(errors**2)))
+    assert "aligned to the true landmarks" in str(bare)
+    assert bare.figure().axes[0].get_title(loc="left").endswith("aligned to the true landmarks")
+    assert "aligned to the true landmarks" in page_of(bare)
+    assert "Error of each landmark" in page_of(bare)
 
 
 def test_poses_outside_the_graph_do_not_count(log: Log) -> None:

@@ -11,7 +11,7 @@ from graphslam.metrics import ate
 from graphslam.se2 import wrap
 from graphslam.solvers.solve import starting_state
 
-KERNELS = [None, Huber(), Cauchy(), GemanMcClure(3.0)]
+KERNELS = [None, Huber(), Cauchy(), GemanMcClure()]
 VARIANTS = [
     *product(["virtual+motion"], ["pairs", "tempered", "marginal"], ["body", "world"], [3, 2], KERNELS),
     *product(["landmark+motion"], ["cartesian", "polar"], ["body", "world"], [3, 2], KERNELS),
@@ -57,12 +57,12 @@ def test_both_solvers_agree(variant, log):
 
 
 def test_kernels_by_name_and_formula():
-    assert kernel_of("huber") == Huber(1.345) and kernel_of(None) is kernel_of("none") is None
+    assert kernel_of("huber") == Huber() and kernel_of(None) is kernel_of("none") is None
     r = np.array([0.0, 0.5, 1.0, 2.0, 10.0])
     np.testing.assert_allclose(Huber(1.0).loss(r * r), [0, 0.25, 1, 3, 19])
     np.testing.assert_allclose(Cauchy(2.0).loss(r * r), 4 * np.log1p(r * r / 4))
     np.testing.assert_allclose(GemanMcClure(2.0).loss(r * r), 4 * r * r / (4 + r * r))
-    for kernel in KERNELS[1:]:
+    for kernel in (k.of_dimension(2) for k in KERNELS[1:]):
         # w = rho'(r) / r
         slope = (kernel.loss((r + 1e-6) ** 2) - kernel.loss((r - 1e-6) ** 2)) / 4e-6
         np.testing.assert_allclose(slope, kernel.weight(r * r) * r, atol=1e-8)

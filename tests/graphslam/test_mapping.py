@@ -128,7 +128,7 @@ def test_the_map_of_a_kernel_is_the_robust_one(weight, kernel):
 
 def test_the_map_with_a_kernel_by_hand():
     """Where each sighting is weighed by the kernel at the mean, the weighted mean is the mean itself."""
-    log, kernel, sensor = with_phantoms(1), Cauchy(), SensorModel()
+    log, kernel, sensor = with_phantoms(1), Cauchy().of_dimension(3), SensorModel()
     trust = np.random.default_rng(0).uniform(0.1, 1, len(log.steps))
     trust[0] = np.nan
     robust = estimate_map(log, log.true_poses, kernel=kernel, trust=trust)
@@ -140,7 +140,7 @@ def test_the_map_with_a_kernel_by_hand():
         e = robust[j] - sensor.h_inverse(at, z)
         e[:, 2] = wrap(e[:, 2])
         w = trust[here] * kernel.weight(trust[here] * np.einsum("ki,kij,kj->k", e, W, e))
-        covariance = np.linalg.inv(np.einsum("k,kij->ij", w, W))
+        covariance = np.linalg.inv(kernel.information_per_weight(3) * np.einsum("k,kij->ij", w, W))
         np.testing.assert_allclose(robust.covariances[j], covariance, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(covariance @ np.einsum("k,kij,kj->i", w, W, e), 0, atol=1e-10)
 

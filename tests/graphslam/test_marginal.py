@@ -233,7 +233,7 @@ def test_the_robust_mean_is_found_to_rounding(kernel, d):
     y, W = sensor.h_inverse(poses[nodes], z), np.linalg.inv(sensor.landmark_covariance(poses[nodes], z))
     e = np.repeat(edges.landmarks(poses, poses)[:, :d], seen, axis=0) - y
     e[:, 2:] = wrap(e[:, 2:])
-    weighted = W * kernel.weight(np.einsum("ki,kij,kj->k", e, W, e))[:, None, None]
+    weighted = W * edges.kernel.weight(np.einsum("ki,kij,kj->k", e, W, e))[:, None, None]
     pull = np.add.reduceat(np.einsum("kij,kj->ki", weighted, e), starts[:-1], axis=0)
     step = np.linalg.solve(np.add.reduceat(weighted, starts[:-1], axis=0), pull[:, :, None])
     np.testing.assert_allclose(step, 0, atol=1e-12)

@@ -11,8 +11,10 @@ from graphslam import OptionError
 from graphslam.metrics import (  # fmt: skip
     Metrics,
     align,
+    alignment_of,
     ate,
     evaluate,
+    exchanged,
     heading_rmse,
     landmark_rmse,
     named_by_place,
@@ -210,3 +212,35 @@ def test_shapes_are_checked(truth: Array, estimate: Array, mask: list[bool] | No
 def test_rpe_wants_headings() -> None:
     with pytest.raises(OptionError, match=r"\(T\+1, 3\)"):
         rpe(np.zeros((3, 2)), np.zeros((3, 2)))
+
+
+def test_without_true_poses_the_map_is_aligned_by_the_landmarks():
+    truth = {1: np.array([0.0, 0.0]), 2: np.array([4.0, 0.0]), 3: np.array([8.0, 0.0]), 9: np.array([8.0, 8.0])}
+    turned = {j: transform([5.0, -2.0, 0.7], place) for j, place in truth.items() if j != 9}
+    poses = np.zeros((2, 3))
+    metrics = evaluate(None, truth, poses, turned)
+    assert metrics.aligned_by == "landmarks" and metrics.ate_m is None
+    assert metrics.landmark_rmse_m == pytest.approx(0, abs=1e-12)
+    assert set(metrics.landmark_errors_m) == {1, 2, 3}
+    # landmark 2 is 0.3 m too far along the line of all three: the mean takes a third of it, nothing turns
+    shifted = turned | {2: transform([5.0, -2.0, 0.7], [4.3, 0.0])}
+    metrics = evaluate(None, truth, poses, shifted)
+    assert metrics.landmark_rmse_m == pytest.approx(
+        np.sqrt(np.mean(np.square(list(metrics.landmark_errors_m.values()))))
+    )
+    assert metrics.landmark_errors_m == pytest.approx({1: 0.1, 2: 0.2, 3: 0.1})
+    # a single landmark could be aligned without error, and arbitrary numbers name no true landmark
+    assert evaluate(None, truth, poses, {1: [0, 0]}) == Metrics()
+    assert evaluate(None, truth, poses, turned, named=False) == Metrics()
+
+
+def test_two_swapped_landmarks_show():
+    rng = np.random.default_rng(3)
+    truth = dict(enumerate(rng.uniform(-10, 10, (12, 2))))
+    estimate = {j: place + rng.normal(0, 0.05, 2) for j, place in truth.items()}
+    assert exchanged(truth, estimate, np.zeros(3)) == []
+    swapped = truth | {3: truth[8], 8: truth[3]}
+    metrics = evaluate(None, swapped, np.zeros((2, 3)), estimate)
+    assert sorted(metrics.landmark_errors_m, key=metrics.landmark_errors_m.get)[-2:] in ([3, 8], [8, 3])
+    alignment, _ = alignment_of(None, swapped, np.zeros((2, 3)), estimate)
+    assert exchanged(swapped, estimate, alignment) == [(3, 8)]

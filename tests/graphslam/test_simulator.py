@@ -11,6 +11,7 @@ from graphslam import (
     SensorModel,
     load,
     sample_log_path,
+    save,
     simulate,
 )
 from graphslam.se2 import wrap
@@ -192,3 +193,22 @@ def test_impossible_faults():
         SensorFaults(phantom=1.5)
     with pytest.raises(OptionError, match="stuck_interval must not be negative"):
         MotionFaults(stuck_interval=-1.0)
+
+
+def test_biases_are_noted_and_their_values_are_those_of_the_data(tmp_path):
+    faults = SensorFaults(
+        range_noise_rate=0, bearing_noise=0, orientation_noise=0, range_bias_rate_std=0.1, bearing_bias_std=0.05,
+        orientation_bias_std=0, oversight=0,
+    )  # fmt: skip
+    log = simulate(seed=5, sensor_faults=faults, motion_faults=MotionFaults(velocity_bias_std=0))
+    (note,) = log.notes
+    exact = SensorModel().h(
+        log.true_poses[log.steps], np.array([log.true_landmarks[j] for j in log.landmarks.tolist()])
+    )
+    assert (
+        f"(range x {log.sightings[0, 0] / exact[0, 0]:.3f}, bearing {log.sightings[0, 1] - exact[0, 1]:+.3f} rad)"
+        in note
+    )
+    save(log, tmp_path / "log.npz")
+    assert load(tmp_path / "log.npz").notes == log.notes
+    assert simulate(seed=5, clean=True).notes == ()

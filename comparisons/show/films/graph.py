@@ -78,14 +78,14 @@ def graph_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
         # one scale for the whole film, up to the largest residuals of the start but for single edges
         scale = LogNorm(1.0, max(float(np.quantile(frames[0].distances, 0.98)), 10.0))
         scene = Scene(
-            figure, log, "graph", placement_of(log, frames[-1].poses, frames[-1].estimated), frames, title,
-            options.motion, (scale, COLORS, "Mahalanobis distance of an edge"),
+            figure, log, "graph", placement_of(log, frames[-1].poses, frames[-1].estimated, frames[-1].landmarks), frames,
+            title, options.motion, (scale, COLORS, "Mahalanobis distance of an edge"),
         )  # fmt: skip
         lines = scene.add_lines(cmap=COLORS, norm=scale, linewidths=0.5)
 
         def edges(frame: Frame) -> Sequence[Artist]:
             assert isinstance(frame, GraphFrame)
-            lines.set_segments(list(scene.placed(frame.edges.reshape(-1, 2)).reshape(-1, 2, 2)))
+            lines.set_segments(list(scene.moved(frame.edges.reshape(-1, 2)).reshape(-1, 2, 2)))
             lines.set_array(frame.distances)
             return [lines, *scene.known]
 

@@ -59,8 +59,8 @@ def isam2_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
 
     def set_up(figure: Figure) -> Show:
         scene = Scene(
-            figure, log, "isam2", placement_of(log, frames[-1].poses), frames, title, options.motion,
-            (scale, COLORS, "correction of a pose since the previous frame [m]"),
+            figure, log, "isam2", placement_of(log, frames[-1].poses, landmarks=frames[-1].landmarks), frames, title,
+            options.motion, (scale, COLORS, "correction of a pose since the previous frame [m]"),
         )  # fmt: skip
         scene.add_sightings()
         scene.add_map("map (3σ, given the path)")

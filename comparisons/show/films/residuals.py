@@ -30,20 +30,27 @@ class Residuals:
     """
 
     def __init__(self, graph: Graph) -> None:
+        self._graph = graph
         self._families = [_thinned(f) for f in graph.families if not isinstance(f, AnchorEdges)]
         self.count = graph.num_edges
         self.drawn = len(self(graph.initial)[1])
 
     def __call__(self, state: Array) -> tuple[Array, Array]:
-        """At a state (n, 3): the lines (E, 2, 2) [m] and their Mahalanobis distances (E,), increasing."""
+        """At a state (n, 3): the lines (E, 2, 2) [m] and their Mahalanobis distances (E,), increasing.
+
+        A line ends at the point of the robot to which the log's ground truth belongs, as paths do.
+        """
+        places, poses = state.copy(), len(self._graph.steps)
+        if self._graph.log is not None:
+            places[:poses] = self._graph.log.at_truth(state[:poses])
         lines, distances = [np.empty((0, 2, 2))], [np.empty(0)]
         for family, factor, every in self._families:
             edges = family.linearize(state, state)
-            begin = state[edges.nodes[0], :2]
+            begin = places[edges.nodes[0], :2]
             if isinstance(family, MarginalEdges):
                 end = family.landmarks(state, state)[family.group, :2]
             else:
-                end = state[edges.nodes[1], :2]
+                end = places[edges.nodes[1], :2]
             lines.append(np.stack([begin, end], axis=1)[::every])
             distances.append(np.sqrt(np.maximum(factor * edges.mahalanobis, 0))[::every])
         line, distance = np.concatenate(lines), np.concatenate(distances)

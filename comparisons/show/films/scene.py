@@ -20,11 +20,11 @@ from matplotlib.patches import Patch, Polygon
 from matplotlib.ticker import MaxNLocator
 
 from graphslam import Log, MotionModel
-from graphslam.se2 import Array, compose, transform
+from graphslam.se2 import Array, transform
 
 from ..canvas import set_limits
 from ..ellipses import ellipses
-from ..placement import place_map, true_landmarks
+from ..placement import aligned_to, place_map, placed, true_landmarks
 from ..style import FLASH, SIGHTING, TRUE_LANDMARK, TRUTH, colour_of, ellipse_style, style_of
 from .film import Frame, Show
 
@@ -48,7 +48,7 @@ class Scene:
         self, figure: Figure, log: Log, name: str, placement: Array, frames: Sequence[Frame], title: str,
         motion: MotionModel | None, scale: tuple[Normalize, Colormap, str] | None = None,
     ) -> None:  # fmt: skip
-        self.figure, self.placement, self.color = figure, placement, colour_of(name)
+        self.figure, self.log, self.placement, self.color = figure, log, placement, colour_of(name)
         self._movers: list[Show] = []
         self._handles: dict[str, Artist] = {}
         width = 0.90 if scale is None else 0.805
@@ -65,22 +65,27 @@ class Scene:
         #: ground truth and true landmarks, for a film whose lines would hide them
         self.known: list[Artist] = []
         if log.true_poses is not None:
-            of_map = np.array(list(true_landmarks(log).values())).reshape(-1, 2)
             pale = TRUTH | {"color": "0.55", "linewidth": 1.6, "zorder": 2}
             self.known += self.plane.plot(*log.true_poses[:, :2].T, **pale)
             self.remember("ground truth", self.known[-1])
-            core += [log.true_poses[log.covered, :2], of_map]
-            if len(of_map):
-                self.known += self.plane.plot(*of_map.T, **TRUE_LANDMARK | {"zorder": 2.1})
-                self.remember("true landmark", self.known[-1])
+            core.append(log.true_poses[log.covered, :2])
+        of_map = np.array(list(true_landmarks(log).values() if aligned_to(log) else [])).reshape(-1, 2)
+        if len(of_map):
+            self.known += self.plane.plot(*of_map.T, **TRUE_LANDMARK | {"zorder": 2.1})
+            self.remember("true landmark", self.known[-1])
+            core.append(of_map)
         self._content = np.concatenate(core), [drifting, self.placed(frames[0].poses)]
         self.extent = set_limits(self.plane, *self._content)
         # the second line of the title is left empty for the caption
         self.plane.set(xlabel="x [m]", ylabel="y [m]", title=f"{title}\n ")
 
     def placed(self, poses: Array) -> Array:
-        """Positions (k, 2) in the picture of poses in the estimator's axes."""
-        return transform(self.placement, np.asarray(poses)[:, :2])
+        """Positions (k, 2) in the picture of poses (k, 3) in the estimator's axes."""
+        return placed(self.log, self.placement, poses)[:, :2]
+
+    def moved(self, points: Array) -> Array:
+        """Points (k, 2) in the picture of points in the estimator's axes."""
+        return transform(self.placement, points)
 
     def remember(self, label: str, handle: Artist) -> None:
         """Add an entry to the legend."""
@@ -142,7 +147,7 @@ class Scene:
         self.remember("sighting", Line2D([], [], **style))
 
         def move(frame: Frame) -> list[Artist]:
-            ends = self.placed(frame.sightings)
+            ends = self.moved(frame.sightings)
             lines.set_segments(
                 list(np.stack([np.broadcast_to(self.placed(frame.poses[-1:]), ends.shape), ends], axis=1))
             )
@@ -179,7 +184,7 @@ class Scene:
         self.plane.add_patch(triangle)
 
         def move(frame: Frame) -> list[Artist]:
-            triangle.set_xy(transform(compose(self.placement, frame.poses[-1]), shape))
+            triangle.set_xy(transform(placed(self.log, self.placement, frame.poses[-1]), shape))
             return [triangle]
 
         self.add(move)

@@ -21,7 +21,7 @@ from ...config import versions
 from ...saving import check_can_write, jsonable
 from ..placement import reference_of
 from ..style import MATRIX, colour_of
-from ..tables import table_as_html, tables_of
+from ..tables import landmark_table, table_as_html, tables_of
 from .convergence import iterations, remarks
 from .curves import convergence_figure, costs_figure, errors_figure
 from .matrix import ENTRY, FILL, description, matrix_figure, pictures
@@ -107,6 +107,7 @@ def page_of(comparison: Comparison) -> str:
         "summary": escape(_summary(view)),
         "table": table_as_html(table),
         "remarks": _items(sentences),
+        "landmarks": _landmarks(comparison),
         "estimators": "\n".join(
             f'<label><input type="checkbox" checked data-estimator="{escape(e.name)}">{_sample(e.name)}{escape(e.name)}'
             "</label>"
@@ -169,11 +170,24 @@ def _summary(view: View) -> str:
 
 def _map_note(view: View) -> str:
     note = "The ellipses are those of three standard deviations. A click on a path moves the slider to that step."
-    if view.truth is not None:
-        note += " Each estimate is aligned to the ground truth by the rigid motion that its errors are measured after."
+    if view.aligned_to:
+        note += (
+            f" Each estimate is aligned to {view.aligned_to} by the rigid motion that its errors are measured after."
+        )
+    if view.truth is not None and (where := view.log.truth_place):
+        note += f" Paths are those of the point that the ground truth is of, {where} of the robot's pose."
     if len(view.steps) < view.log.num_poses:
         note += f" {len(view.steps)} of {view.log.num_poses} steps are shown; the table counts all of them."
     return note
+
+
+def _landmarks(comparison: Comparison) -> str:
+    """The errors of the landmarks, to be unfolded; empty where they are not known."""
+    table = landmark_table(comparison)
+    if table is None:
+        return ""
+    title, table.title = str(table.title), None
+    return f'<details><summary>{escape(title)}</summary><div class="wide">{table_as_html(table)}</div></details>'
 
 
 def _error_texts(view: View) -> tuple[str, str]:

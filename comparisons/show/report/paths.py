@@ -78,7 +78,7 @@ def _map(view: View, estimate: Estimate) -> list[dict[str, Any]]:
             "type": "scatter", "mode": "markers", "meta": {"estimator": estimate.name, "layer": "landmarks"},
             **_xy(np.array(list(estimate.landmarks.values()))),
             "marker": {"color": colour_of(estimate.name), "size": 6},
-            "customdata": [[j, _deviations(estimate.landmark_covariances.get(j))] for j in estimate.landmarks],
+            "customdata": [[j, _known(estimate, j)] for j in estimate.landmarks],
             "hovertemplate": f"<b>{estimate.name}</b>, landmark %{{customdata[0]}}<br>x %{{x:.3f}} m, y %{{y:.3f}} m"
             "<br>%{customdata[1]}<extra></extra>",
         })  # fmt: skip
@@ -126,19 +126,25 @@ def _truth(view: View) -> list[dict[str, Any]]:
             "customdata": [[int(t), s] for t, s in zip(view.steps, times)],
             "hovertemplate": f"<b>ground truth</b>, step %{{customdata[0]}}{time}<extra></extra>",
         })  # fmt: skip
-        if landmarks := true_landmarks(view.log):
-            traces.append(common | {
-                **_xy(np.array(list(landmarks.values()))), "customdata": list(landmarks),
-                "marker": {"symbol": "cross-thin", "size": 11 if len(landmarks) < 100 else 6, "color": INK,
-                           "line": {"width": 1.4, "color": INK}},
-                "hovertemplate": "<b>true landmark</b> %{customdata}<extra></extra>",
-            })  # fmt: skip
+    if view.aligned_to and (landmarks := true_landmarks(view.log)):
+        traces.append(common | {
+            **_xy(np.array(list(landmarks.values()))), "customdata": list(landmarks),
+            "marker": {"symbol": "cross-thin", "size": 11 if len(landmarks) < 100 else 6, "color": INK,
+                       "line": {"width": 1.4, "color": INK}},
+            "hovertemplate": "<b>true landmark</b> %{customdata}<extra></extra>",
+        })  # fmt: skip
     start = (view.estimates[0].poses if view.truth is None else view.truth)[:1] if view.estimates else np.empty((0, 3))
     traces.append(common | {
         **_xy(start), "hovertemplate": "start<extra></extra>",
         "marker": {"symbol": "square-open", "size": 11, "color": INK, "line": {"width": 1.6}},
     })  # fmt: skip
     return traces
+
+
+def _known(estimate: Estimate, landmark: int) -> str:
+    error = estimate.landmark_errors.get(landmark)
+    deviations = _deviations(estimate.landmark_covariances.get(landmark))
+    return deviations if error is None else f"error {error:.3f} m<br>{deviations}"
 
 
 def _deviations(S: Array | None) -> str:

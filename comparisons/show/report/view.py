@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphslam import Log, SensorModel
+from graphslam import Log
 from graphslam.metrics import position_errors
-from graphslam.se2 import Array, compose, turn_matrix
+from graphslam.se2 import Array, perpendicular, turn_matrix
 
 from ...comparison import Comparison
 from ...results import EstimatorResult
-from ..placement import place_map, placement_of, reference_of
+from ..placement import aligned_to, place_map, placed, placement_of_result, reference_of, sensor_of
 
 #: of longer logs every N-th step is shown: a screen has no more points, and the file must stay small
 MOST_STEPS = 1500
@@ -29,6 +29,7 @@ class Estimate:
         errors: (S,) [m], see `View.measured_from`; NaN where unknown.
         covariances: (S, 3, 3) in the aligned axes, NaN where unknown; None where none is known.
         landmarks, landmark_covariances: {id: (2,)} and {id: (2, 2)} in the aligned axes.
+        landmark_errors: {id: error [m]} where it is known.
     """
 
     name: str
@@ -37,24 +38,28 @@ class Estimate:
     covariances: Array | None
     landmarks: Mapping[int, Array]
     landmark_covariances: Mapping[int, Array]
+    landmark_errors: Mapping[int, float]
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """All estimates of a comparison as they are drawn.
+    """All estimates of a comparison as they are drawn: paths of the point to which the ground truth belongs.
 
     Attributes:
         log: what was estimated from.
+        aligned_to: what the estimates are aligned to, see `placement.aligned_to`.
         steps: (S,) the steps shown.
         times: (S,) [s]; None where the log has none.
         truth: (S, 3), NaN where unknown; None without ground truth.
         estimates: in the order of the results.
         measured_from: the path that errors are distances from, after alignment: "truth", or the name of an estimator
             where the truth is not known; None where there is nothing to compare with.
-        sightings: for each step shown (K, 3): what is seen, in the axes of the robot [m], and the id of the landmark.
+        sightings: for each step shown (K, 3): what is seen, as seen from that point, in the axes of the robot [m], and
+            the id of the landmark.
     """
 
     log: Log
+    aligned_to: str
     steps: np.ndarray
     times: Array | None
     truth: Array | None
@@ -76,31 +81,41 @@ def view_of(comparison: Comparison) -> View:
     path, measured_from = log.true_poses, "truth" if log.true_poses is not None else None
     reference = reference_of(comparison)
     if path is None and reference is not None and len(comparison.results) >= 2:
-        path, measured_from = np.where(reference.estimated[:, None], reference.poses, np.nan), reference.name
-    sensor = comparison.options.sensor or log.sensor or SensorModel()
-    places = sensor.h_inverse(np.zeros((len(log.steps), 3)), log.sightings)[:, :2]
+        path, measured_from = (
+            np.where(reference.estimated[:, None], log.at_truth(reference.poses), np.nan),
+            reference.name,
+        )
+    at_origin = np.zeros((len(log.steps), 3))
+    places = sensor_of(comparison).h_inverse(at_origin, log.sightings)[:, :2] - log.truth_offset
     seen = np.column_stack([places, log.landmarks])
     bounds = zip(np.searchsorted(log.steps, steps), np.searchsorted(log.steps, steps, side="right"))
     return View(
         log=log,
+        aligned_to=aligned_to(log),
         steps=steps,
         times=None if log.times is None else log.times[steps],
         truth=None if log.true_poses is None else log.true_poses[steps],
-        estimates=tuple(_estimate(log, result, steps, path) for result in comparison.results),
+        estimates=tuple(_estimate(comparison, result, steps, path) for result in comparison.results),
         measured_from=measured_from,
         sightings=tuple(seen[begin:end] for begin, end in bounds),
     )
 
 
-def _estimate(log: Log, result: EstimatorResult, steps: np.ndarray, path: Array | None) -> Estimate:
-    placement = placement_of(log, result.poses, result.estimated)
+def _estimate(comparison: Comparison, result: EstimatorResult, steps: np.ndarray, path: Array | None) -> Estimate:
+    log = comparison.log
+    placement = placement_of_result(log, result)
     errors = np.full(len(result.poses), np.nan)
     if path is not None and np.count_nonzero(counted := result.estimated & np.isfinite(path[:, 0])) >= 2:
-        errors = position_errors(path, result.poses, mask=counted)
+        errors = position_errors(path, log.at_truth(result.poses), mask=counted)
     covariances = result.pose_covariances
     if covariances is not None:
-        turn = turn_matrix(placement[2])
-        covariances = turn @ covariances[steps] @ turn.T
-    poses = np.where(result.estimated[steps, None], compose(placement, result.poses[steps]), np.nan)
+        # first those of the point, which a turn of the robot moves, then in the aligned axes
+        turn = np.tile(np.eye(3), (len(steps), 1, 1))
+        turn[:, :2, 2] = perpendicular((log.at_truth(result.poses) - result.poses)[steps, :2])
+        turn = turn_matrix(placement[2]) @ turn
+        covariances = turn @ covariances[steps] @ np.swapaxes(turn, 1, 2)
+    poses = np.where(result.estimated[steps, None], placed(log, placement, result.poses[steps]), np.nan)
     maps = place_map(placement, result.landmarks, result.landmark_covariances)
-    return Estimate(result.name, poses, errors[steps], covariances, *maps)
+    # without the ids of the log, errors are known by true landmark only
+    of_map = (comparison.metrics[result.name].landmark_errors_m or {}) if result.named else {}
+    return Estimate(result.name, poses, errors[steps], covariances, *maps, of_map)

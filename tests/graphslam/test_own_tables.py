@@ -423,3 +423,12 @@ def test_a_recipe_is_checked(tmp_path):
     path.write_text("sensor_offset = [1]\n")
     with pytest.raises(FormatError, match="import.toml:1: sensor_offset should be a list of two numbers"):
         read_recipe(path)
+
+
+def test_the_truth_may_be_of_an_antenna(drive):
+    folder = drive(truth=text("t,x,y,theta", [(t, 2.0 + t, 1.0, 0.0) for t in (0.0, 0.4, 0.8, 1.2)]))
+    tables = [folder / f"{name}.csv" for name in ("odometry", "sightings")]
+    log = Log.from_tables(*tables, truth=folder / "truth.csv", truth_offset=(2.0, 1.0))
+    assert log.truth_offset == (2.0, 1.0)
+    np.testing.assert_allclose(log.true_poses[0, :2], [2.2, 1.0], atol=1e-9)
+    np.testing.assert_allclose(log.initial_poses[0], [0.2, 0.0, 0.0], atol=1e-9)

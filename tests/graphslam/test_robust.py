@@ -1,0 +1,124 @@
+"""Robust kernels: what they cost where the noise is Gaussian, and whether the covariances say so."""
+
+from itertools import product
+
+import gtsam
+import numpy as np
+import pytest
+from scipy.special import gammaln
+from scipy.stats import chi2
+
+from comparisons.consistency import band, models
+from graphslam import Graph, Log, OptionError, SensorModel, World, estimate_map, simulate, solve
+from graphslam.edges import VirtualMotionEdges
+from graphslam.edges.robust import EFFICIENCY, KERNELS, Cauchy, GemanMcClure, Huber
+from graphslam.factors import ResidualFactor
+
+cases = pytest.mark.parametrize(("kernel", "d"), list(product(KERNELS.values(), (2, 3))), ids=str)
+
+
+def test_widths_of_the_literature_and_of_the_definition():
+    # Huber 1.345 and Cauchy 2.385 are the well-known widths for one dimension
+    assert Huber().of_dimension(1).width == pytest.approx(1.345, abs=1e-3)
+    assert Cauchy().of_dimension(1).width == pytest.approx(2.385, abs=1e-3)
+    for d in (2, 3):
+        # Huber in closed form: E[r²; r < c] is d P(chi² with d + 2 degrees < c²), E[r; r > c] an incomplete gamma
+        c = Huber().of_dimension(d).width
+        inside = chi2.cdf(c * c, d + 2)
+        ratio = np.sqrt(2) * np.exp(gammaln((d + 1) / 2) - gammaln(d / 2))
+        slope = inside + c * ratio * chi2.sf(c * c, d + 1) / d
+        square = inside + c * c * chi2.sf(c * c, d) / d
+        assert slope**2 / square == pytest.approx(EFFICIENCY, abs=1e-6)
+
+
+@cases
+def test_efficiency_against_simulation(kernel, d):
+    """The variance of the plain mean over that of the robust mean of 100 residuals, over 3,000 repetitions."""
+    rng = np.random.default_rng(d)
+    x = rng.normal(size=(3000, 100, d))
+    kernel = kernel.of_dimension(d)
+    plain = x.mean(axis=1)
+    mean = plain.copy()
+    weigh = {
+        Huber: lambda q, c: np.minimum(1, c / np.sqrt(q)),
+        Cauchy: lambda q, c: 1 / (1 + q / c**2),
+        GemanMcClure: lambda q, c: 1 / (1 + q / c**2) ** 2,
+    }[type(kernel)]
+    for _ in range(25):
+        w = weigh(np.sum((x - mean[:, None]) ** 2, axis=2), kernel.width)
+        mean = np.einsum("rk,rkd->rd", w, x) / w.sum(axis=1)[:, None]
+    assert np.mean(plain**2) / np.mean(mean**2) == pytest.approx(EFFICIENCY, abs=0.01)
+    assert kernel.efficiency(d) == pytest.approx(EFFICIENCY, abs=1e-9)
+
+
+@cases
+def test_the_covariance_of_a_map_is_that_of_the_robust_mean(kernel, d):
+    """Each of 400 landmarks seen 60 times from known poses: NEES per degree of freedom inside its 95 % band."""
+    rng, sensor = np.random.default_rng(7), SensorModel(range_rate=0.01, bearing_std=0.01, orientation_std=0.01)
+    poses = np.column_stack([rng.uniform(-5, 5, (50, 2)), rng.uniform(-3, 3, 50)])
+    places = np.column_stack([rng.uniform(-5, 5, (400, 2)), np.zeros(400)])[:, :d]
+    steps, ids = rng.integers(0, 50, 24_000), np.repeat(np.arange(400), 60)
+    true = sensor.h(poses[steps], places[ids])
+    noise = np.sqrt(np.diagonal(sensor.Q(true), axis1=1, axis2=2)) * rng.normal(size=true.shape)
+    order = np.argsort(steps, kind="stable")
+    log = Log(
+        initial_poses=poses, steps=steps[order], landmarks=ids[order], sightings=(true + noise)[order], sensor=sensor
+    )
+    robust = estimate_map(log, poses, kernel=kernel)
+    errors = np.array([robust[j] - places[j] for j in range(400)])
+    covariances = np.array([robust.covariances[j] for j in range(400)])
+    nees = np.einsum("ei,eij,ej->e", errors, np.linalg.inv(covariances), errors)
+    low, high = band(400 * d)
+    assert low <= np.mean(nees) / d <= high
+
+
+@pytest.mark.parametrize(
+    ("kernel", "options"), [("cauchy", {"edges": "landmark+motion"}), ("geman-mcclure", {"weight": "marginal"})]
+)
+def test_the_covariance_of_a_trajectory(kernel, options):
+    """The joint NEES of 24 clean logs lies in its band, close to that of least squares."""
+    motion, sensor = models(0.1)
+    nees = []
+    for seed in range(24):
+        log = simulate(World(clean=True), seed=seed, motion=motion, sensor=sensor)
+        graphs = (Graph.from_log(log, motion=motion, sensor=sensor, kernel=k, **options) for k in (None, kernel))
+        nees.append([solve(graph, max_iterations=300).joint_nees(log.true_poses) for graph in graphs])
+    plain, robust = np.mean(nees, axis=0)
+    low, high = band(3 * 62 * 24)
+    assert low <= robust <= high and robust == pytest.approx(plain, abs=0.05)
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_the_default_width_follows_the_sightings(dimensions, book_log):
+    graph = Graph.from_log(book_log, kernel="cauchy", edges="virtual+motion", dimensions=dimensions)
+    assert graph.verdict[0] == Cauchy().of_dimension(dimensions) != Cauchy().of_dimension(5 - dimensions)
+    # a width that is given stays
+    assert Graph.from_log(book_log, kernel=Huber(2.0), dimensions=dimensions).verdict[0] == Huber(2.0)
+
+
+def test_the_width_of_a_factor_follows_its_rows():
+    for rows in (1, 2, 4):
+        factor = ResidualFactor([0], lambda _, rows=rows: np.zeros(rows), np.eye(rows), kernel=Huber())
+        assert isinstance(factor.noiseModel(), gtsam.noiseModel.Robust)
+        assert factor.description.arguments["kernel"] == Huber().of_dimension(rows)
+
+
+def test_a_kernel_without_a_width_has_no_weights():
+    with pytest.raises(OptionError, match="of_dimension"):
+        Cauchy().weight([1.0])
+
+
+@pytest.mark.parametrize("kernel", ["huber", "cauchy", "geman-mcclure"])
+def test_a_kernel_acts_before_tempering(kernel, book_log):
+    """A tempered pair costs 2/K of what it costs among plain pairs, so wrong sightings are told apart as well."""
+    plain, tempered = (
+        next(f for f in graph.families if isinstance(f, VirtualMotionEdges))
+        for graph in (Graph.from_log(book_log, weight=w, kernel=kernel) for w in ("pairs", "tempered"))
+    )
+    state = np.random.default_rng(0).normal(size=(book_log.num_poses, 3))
+    squares = plain.linearize(state, state).mahalanobis
+    factor = tempered.group_weights[tempered.pairs()[2]]
+    assert np.ptp(factor) > 0
+    expected = factor @ plain.kernel.loss(squares)
+    assert tempered.cost(state, state) == pytest.approx(expected, rel=1e-10)
+    np.testing.assert_allclose(tempered.kernel_weights(state), plain.kernel_weights(state), rtol=1e-9)
