@@ -72,14 +72,14 @@ def summary_tables(summary: Summary) -> Tables:
     """Medians with their intervals, then the differences from the baseline, and the errors with their counts."""
     table = LeanTable(
         f"{summary.done} of {summary.planned} runs: medians with 95 % bootstrap intervals", ["log", "method"],
-        ["runs", "failed", "converged", "time", *_METRICS.values(), "J per\ndof"],
+        ["runs", "failed", "converged", "proven", "time", *_METRICS.values(), "J per\ndof"],
     )  # fmt: skip
     for line in summary.methods:
         failed = line.failed + line.timeouts
         time, ratio = line.figures["seconds"], line.figures["cost_per_dof"]
         _add(
             table, line.log, line.method, str(line.runs), Text(str(failed), style="bold red" if failed else ""),
-            NOTHING if line.converged is None else f"{line.converged:.0%}",
+            *(NOTHING if share is None else f"{share:.0%}" for share in (line.converged, line.proven)),
             seconds(None if time is None else time.median), *_intervals(line.figures),
             number(None if ratio is None else ratio.median, 2),
         )  # fmt: skip

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
@@ -51,40 +53,62 @@ class Certificate:
     seconds: float
     direction: Array | None = field(default=None, repr=False)
 
+    def of_run(self, converged: bool, reason: str) -> Certificate:
+        """The certificate of a solver's end: "not proven" where the solver has not converged, however tight the bound is."""
+        if self.status != GLOBAL or converged:
+            return self
+        return replace(self, status=NOT_PROVEN, reason=f"the solver has not converged: {reason}")
+
 
 def prove(graph: Graph, state: Array) -> Certificate:
-    """Check whether a state (n, 3) is a global minimum of the cost of a graph; docs/certificate.md explains how.
-
-    The function below J is tried with several splits of the information. If none of them proves the state, the multipliers
-    of the headings are lowered until S is positive definite, which still bounds the cost of all states.
-    """
+    """Check whether a state (n, 3) is a global minimum of the cost of a graph; docs/certificate.md explains how."""
     begin = time.perf_counter()
-    status, bound, cost, reason, direction = _judged(graph, np.asarray(state, dtype=float))
+    state = np.asarray(state, dtype=float)
+    cost = graph.cost(state)
+    if not np.isfinite(cost):
+        outcome: _Outcome = NOT_PROVEN, 0.0, "the cost of the state is not finite", None
+    else:
+        try:
+            outcome = _judged(_Problem.of(graph, state), cost)
+        except GraphError as error:
+            outcome = NOT_APPLICABLE, np.nan, str(error), None
+    return _certificate(outcome, cost, begin)
+
+
+def prove_edges(edges: Sequence[ConstantEdges], state: Array, fixed: np.ndarray) -> Certificate:
+    """`prove` for edges that belong to no `Graph`; the ``landmarks`` of the edges follow the rows of the state (n, 3)."""
+    begin = time.perf_counter()
+    problem = _Problem.of_edges(edges, np.concatenate([state, *(each.landmarks for each in edges)]), fixed, len(state))
+    cost = float(problem.forces.cost.sum())
+    outcome: _Outcome = NOT_PROVEN, 0.0, "the cost of the state is not finite", None
+    if np.isfinite(cost):
+        outcome = _judged(problem, cost)
+    return _certificate(outcome, cost, begin)
+
+
+#: status, lower bound, reason and direction of a `Certificate`
+_Outcome: TypeAlias = tuple[str, float, str, Array | None]
+
+
+def _certificate(outcome: _Outcome, cost: float, begin: float) -> Certificate:
+    status, bound, reason, direction = outcome
     gap = (cost - bound) / cost if 0 < cost < np.inf else 0.0 if cost == 0 else 1.0
     return Certificate(status, float(bound), float(gap), reason, time.perf_counter() - begin, direction)
 
 
-def _judged(graph: Graph, state: Array) -> tuple[str, float, float, str, Array | None]:
-    """Status, lower bound, cost, reason and direction of a `Certificate`."""
-    cost = graph.cost(state)
-    if not np.isfinite(cost):
-        return NOT_PROVEN, 0.0, np.inf, "the cost of the state is not finite", None
-    try:
-        problem = _Problem.of(graph, state)
-    except GraphError as error:
-        return NOT_APPLICABLE, np.nan, cost, str(error), None
+def _judged(problem: _Problem, cost: float) -> _Outcome:
     curve = problem.curvature(SHARE)
     function = problem.minorant(curve)
     exact, direction = float(problem.forces.cost.sum()), None
     if cost == 0 or exact <= problem.rounding(function):
-        return GLOBAL, 0.0, cost, "the cost is zero up to the rounding of the state", None
+        return GLOBAL, 0.0, "the cost is zero up to the rounding of the state", None
     bound, factor = problem.bound(function)
     if factor.negative is not None:
-        direction = factor.negative[: graph.num_nodes]
+        direction = factor.negative[: problem.given]
         bound = problem.raised_bound(curve, function)
     best = max(0.0, min(bound, cost))
     if cost - best <= PROVEN * cost:
-        return GLOBAL, best, cost, f"no state has a cost lower by more than {(cost - best) / cost:.1e} of J", None
+        return GLOBAL, best, f"no state has a cost lower by more than {(cost - best) / cost:.1e} of J", None
     omitted = int(np.sum(curve.beta < 0))
     if omitted:
         reason = f"{omitted} edges have a heading residual near half a turn, or singular information"
@@ -92,7 +116,7 @@ def _judged(graph: Graph, state: Array) -> tuple[str, float, float, str, Array |
         reason = "the state is not a stationary point of J"
     else:
         reason = "the matrix S has a negative direction, so that there may be a lower minimum"
-    return NOT_PROVEN, best, cost, reason, direction
+    return NOT_PROVEN, best, reason, direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +130,7 @@ class _Problem:
     indices: np.ndarray
     symbolic: HermitianSymbolic
     forces: Forces
+    given: int
 
     @classmethod
     def of(cls, graph: Graph, state: Array) -> _Problem:
@@ -122,21 +147,34 @@ class _Problem:
             nodes = np.concatenate([nodes, edges.landmarks])
         if reasons:
             raise GraphError("; ".join(dict.fromkeys(reasons)))
-        n = len(nodes)
-        first, second, start, end, turn, oriented, information = _joined(parts)
-        system = graph.system
-        order = system.symbolic.order
-        if n > graph.num_nodes:
+        system = graph.system if len(nodes) == graph.num_nodes else None
+        return cls.of_edges(parts, nodes, graph.fixed, graph.num_nodes, system)
+
+    @classmethod
+    def of_edges(
+        cls,
+        edges: Sequence[ConstantEdges],
+        nodes: Array,
+        fixed: np.ndarray,
+        given: int,
+        system: BlockSystem | None = None,
+    ) -> _Problem:
+        """The problem of edges at the values (N, 3) of all nodes, of which the first ``given`` are those of the graph."""
+        n, joined = len(nodes), _joined(edges)
+        first, second = joined[:2]
+        if system is not None:
+            order = system.symbolic.order
+        else:
             tied = first >= 0
             pairs = np.sort(np.column_stack([first[tied], second[tied]]), axis=1)
             system = BlockSystem.from_cliques(n, [(np.arange(0, 2 * len(pairs) + 1, 2), pairs.ravel())])
             order = amd(system.indptr, system.indices)
         free = np.ones(n, dtype=bool)
-        free[graph.fixed] = False
+        free[fixed] = False
         free[_roots(n, first, second, free)] = False
         symbolic = analyze_hermitian(system.indptr, system.indices, order)
-        joined = (first, second, start, end, turn, oriented, information)
-        return cls(nodes, joined, free, system.indptr, system.indices, symbolic, Forces(*forces(nodes, *joined)))
+        force = Forces(*forces(nodes, *joined))
+        return cls(nodes, joined, free, system.indptr, system.indices, symbolic, force, given)
 
     def curvature(self, share: float) -> Curvature:
         """The split of the information of all edges for one share."""
@@ -243,7 +281,7 @@ class _Problem:
         return float(np.sum(function.scale[:, 0]) * size[2] ** 2 + np.sum(function.scale[:, 1]) * size[:2].max() ** 2)
 
 
-def _joined(parts: list[ConstantEdges]) -> tuple[Array, ...]:
+def _joined(parts: Sequence[ConstantEdges]) -> tuple[Array, ...]:
     first = np.concatenate([np.zeros(0, np.int64), *(edges.first for edges in parts)])
     second = np.concatenate([np.zeros(0, np.int64), *(edges.second for edges in parts)])
     start = np.concatenate([np.zeros((0, 2)), *(edges.start for edges in parts)])
