@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from .datasets import survey
     from .importing import import_log
     from .options import RunOptions
+    from .overview import inspect_log
     from .particles import study_particles
     from .show.films import animate
     from .show.report import write_report
@@ -47,6 +48,7 @@ _PUBLIC = {
     "consistency": "study_consistency",
     "datasets": "survey",
     "importing": "import_log",
+    "overview": "inspect_log",
     "options": "RunOptions",
     "particles": "study_particles",
     "show.films": "animate",

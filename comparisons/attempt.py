@@ -1,17 +1,25 @@
-"""One estimator of a comparison: whatever goes wrong in it becomes a `Skipped`, and the other estimators go on."""
+"""One estimator of a comparison: whatever goes wrong in it becomes a `Skipped`, and the other estimators go on.
+
+With a time limit it runs in a process of the `pool`. Neither a compiled kernel nor GTSAM can be interrupted in this process.
+"""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 
-from graphslam import Log, SlamError
+from pebble import ProcessExpired, ProcessPool
+
+from graphslam import Log, OptionError, SlamError
 
 from .estimators import ESTIMATORS
 from .failures import sentence
 from .kernels import warm_up
 from .options import RunOptions
+from .pool import how_it_ended, processes, too_long
 from .results import EstimatorResult
 
 
@@ -39,6 +47,39 @@ def attempt(name: str, log: Log, options: RunOptions) -> EstimatorResult | Skipp
     except Exception as error:
         return Skipped(name, sentence(error), error)
     return _with_warnings(result, caught)
+
+
+#: makes the outcome of an estimator, given its name, the log and the options
+Attempt = Callable[[str, Log, RunOptions], EstimatorResult | Skipped]
+
+
+@contextmanager
+def attempts(names: Sequence[str], limit: float | None) -> Iterator[Attempt]:
+    """`attempt`, or the same with a limit of the time of each estimator [s]."""
+    if limit is None:
+        yield attempt
+        return
+    with processes(1, names) as pool:
+        yield partial(_within, pool, limit)
+
+
+def _within(pool: ProcessPool, limit: float, name: str, log: Log, options: RunOptions) -> EstimatorResult | Skipped:
+    try:
+        outcome: EstimatorResult | Skipped = pool.schedule(_elsewhere, (name, log, options), timeout=limit).result()
+    except TimeoutError:
+        return Skipped(name, too_long(limit))
+    except ProcessExpired as error:
+        return Skipped(name, how_it_ended(error), RuntimeError(how_it_ended(error)))
+    return outcome
+
+
+def _elsewhere(name: str, log: Log, options: RunOptions) -> EstimatorResult | Skipped:
+    """`attempt` in a process, whose errors must be of classes that can be sent."""
+    outcome = attempt(name, log, options)
+    if isinstance(outcome, Skipped) and outcome.error is not None:
+        kind = next((k for k in (OptionError, SlamError) if isinstance(outcome.error, k)), RuntimeError)
+        outcome = replace(outcome, error=kind(outcome.reason))
+    return outcome
 
 
 def _with_warnings(result: EstimatorResult, caught: Sequence[warnings.WarningMessage]) -> EstimatorResult:

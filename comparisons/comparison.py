@@ -11,18 +11,19 @@ from typing import Any, overload
 
 import numpy as np
 
-from graphslam import Certificate, GraphError, Log, MotionModel, OptionError, SensorModel
+from graphslam import Certificate, GraphError, Log, MotionModel, OptionError, SensorModel, SlamError
 from graphslam.metrics import Metrics, evaluate
+from graphslam.plausibility import Finding, plausibility
 from graphslam.se2 import wrap
 
-from .attempt import Skipped, attempt
+from .attempt import Skipped, attempts
 from .config import config_text
 from .display import Displayed
 from .documents import EstimatorDocument, LogDocument, RunDocument, certificate_document, document
 from .estimators import ESTIMATORS, check_estimators, make_graph
 from .exchange import texts, write_pose_graph
 from .failures import noted
-from .options import MODELS, OutputOptions, RunOptions
+from .options import MODELS, LimitOptions, OutputOptions, RunOptions
 from .reading import prepare
 from .results import EstimatorResult
 from .saving import SavedFiles, fill_results, new_directory, write_json
@@ -84,6 +85,7 @@ class Comparison(Displayed):
         source: the file or folder of the log, where there is one.
         options: of the run, noise models filled in.
         estimators: the names that were asked for; None for all.
+        time_limit: of each estimator [s]; None for none.
     """
 
     log: Log
@@ -92,6 +94,7 @@ class Comparison(Displayed):
     source: Path | None = None
     options: RunOptions = field(default_factory=RunOptions)
     estimators: tuple[str, ...] | None = None
+    time_limit: float | None = None
 
     def __repr__(self) -> str:
         return f"Comparison({self.log.name!r}: {', '.join(result.name for result in self.results)})"
@@ -106,7 +109,11 @@ class Comparison(Displayed):
     def noise_source(self) -> dict[str, str]:
         """Where each noise model comes from: "book" for the defaults, "log" for one published with the log, or "given"."""
         return {
-            name: "book" if used == MODELS[name]() else "log" if used == getattr(self.log, name) else "given"
+            name: "book"
+            if _noise(used) == _noise(MODELS[name]())
+            else "log"
+            if used == getattr(self.log, name)
+            else "given"
             for name, used in self.models.items()
         }
 
@@ -187,12 +194,18 @@ class Comparison(Displayed):
             estimators=[by_name[row.name] for row in self.table],
             files={kind: str(path) for kind, path in (files or {}).items()},
             notes=getattr(files, "notes", []),
+            warnings=[finding.message for finding in self.findings],
         )
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is probably wrong with the log, see `graphslam.plausibility`."""
+        return plausibility(self.log)
 
     @property
     def config(self) -> str:
         """The configuration of this run as TOML; ``slam-compare run --config`` repeats the run from it."""
-        return config_text(self.source, self.estimators, self.options)
+        return config_text(self.source, self.estimators, self.options, time_limit=self.time_limit)
 
     def save(
         self, directory: str | PathLike[str] | None = None, *, figures: Sequence[str] = OutputOptions().figures
@@ -249,6 +262,7 @@ def run(
     log: Log | str | PathLike[str] | None = None,
     *,
     estimators: Sequence[str] | str | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
     **options: Any,
 ) -> Comparison:
@@ -258,6 +272,8 @@ def run(
         log: a log, the file or folder of one, or None for the sample log of the package.
         estimators: names from `estimators.ESTIMATORS`; default: all. One that fails becomes a row with the reason, as does
             one that is not named and would take too long or repeat another.
+        time_limit: of each estimator [s], without compiling. One that takes longer is stopped and becomes a row with the
+            reason. The estimators then run in a process of their own.
         progress: called with (name, None) before each estimator and (name, outcome) after it.
         options: the fields of `options.RunOptions`: stride, noise, range_std, edges, kernel, particles, seed, ...
 
@@ -265,9 +281,9 @@ def run(
         FormatError: a file cannot be read.
         OptionError: an option or estimator is unknown or impossible, or a named estimator cannot run on such a log.
         GraphError: the log does not determine the graph of ``graph``.
-        Exception: no estimator has a result; the error is that of the first.
+        SlamError: no estimator has a result.
     """
-    return compare(log, RunOptions.of(**options), estimators=estimators, progress=progress)
+    return compare(log, RunOptions.of(**options), estimators=estimators, time_limit=time_limit, progress=progress)
 
 
 def compare(
@@ -275,38 +291,54 @@ def compare(
     options: RunOptions,
     *,
     estimators: Sequence[str] | str | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
     """The same as `run`, with the options as one object."""
     names = None if estimators is None else check_estimators(estimators)
+    time_limit = LimitOptions.of(time_limit=time_limit).time_limit
     data, source, options = prepare(log, options)
     if len(data.steps) == 0:
         within = "" if options.max_range is None else f" within max_range = {options.max_range:g} m"
         raise GraphError(f"{data.name} has no sightings at all{within}, so there is nothing to estimate from")
     if names is None or "graph" in names:
         # a graph that the log cannot make is refused before anything has run
-        make_graph(data, options)
+        _check_graph(data, options)
     results: list[EstimatorResult] = []
     skipped: list[Skipped] = []
-    for name in names or ESTIMATORS:
-        if progress is not None:
-            progress(name, None)
-        outcome: EstimatorResult | Skipped
-        if names is None and (reason := ESTIMATORS[name].reason_to_omit(data, options)) is not None:
-            outcome = Skipped(name, reason)
-        else:
-            outcome = attempt(name, data, options)
-        if isinstance(outcome, Skipped):
-            if names is not None and isinstance(outcome.error, OptionError):
-                raise outcome.error
-            skipped.append(outcome)
-        else:
-            results.append(outcome)
-        if progress is not None:
-            progress(name, outcome)
+    with attempts(names or tuple(ESTIMATORS), time_limit) as attempt:
+        for name in names or ESTIMATORS:
+            if progress is not None:
+                progress(name, None)
+            outcome: EstimatorResult | Skipped
+            if names is None and (reason := ESTIMATORS[name].reason_to_omit(data, options)) is not None:
+                outcome = Skipped(name, reason)
+            else:
+                outcome = attempt(name, data, options)
+            if isinstance(outcome, Skipped):
+                if names is not None and isinstance(outcome.error, OptionError):
+                    raise outcome.error
+                skipped.append(outcome)
+            else:
+                results.append(outcome)
+            if progress is not None:
+                progress(name, outcome)
     if not results:
-        raise next(entry.error for entry in skipped if entry.error is not None)
-    return Comparison(data, tuple(results), tuple(skipped), source, options, names)
+        first = skipped[0]
+        if isinstance(first.error, SlamError):
+            raise first.error
+        raise SlamError(f"no estimator has a result; {first.name} {first.outcome}: {first.reason}") from first.error
+    return Comparison(data, tuple(results), tuple(skipped), source, options, names, time_limit)
+
+
+def _check_graph(log: Log, options: RunOptions) -> None:
+    """Raise `SlamError` where the log cannot make the graph; whatever else fails is the failure of one estimator."""
+    try:
+        make_graph(log, options)
+    except SlamError:
+        raise
+    except Exception:  # it comes again, and becomes the reason of the row
+        pass
 
 
 def _row(result: EstimatorResult, metrics: Metrics, nees: float | None) -> Row:
@@ -330,3 +362,8 @@ def describe(log: Log, source: Path | None = None) -> dict[str, Any]:
         controls=None if log.controls is None else len(log.controls),
         poses_covered=int(np.count_nonzero(log.covered)),
     )
+
+
+def _noise(model: MotionModel | SensorModel) -> dict[str, Any]:
+    """The noise of a model: not where the sensor is, which is known of a robot whose noise is not."""
+    return {name: value for name, value in vars(model).items() if name != "offset"}

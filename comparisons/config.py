@@ -19,17 +19,20 @@ from graphslam.sources.worlds import sample_log_path
 
 from .estimators import check_estimators
 from .option import options_of
-from .options import MODELS, RunOptions
+from .options import MODELS, LimitOptions, RunOptions
 from .reading import sha256_of
 from .toml_files import TomlFile, to_toml
 
 
-def config_text(source: Path | None, estimators: Sequence[str] | None, options: RunOptions) -> str:
+def config_text(
+    source: Path | None, estimators: Sequence[str] | None, options: RunOptions, *, time_limit: float | None = None
+) -> str:
     """The configuration of a run as TOML; what was chosen to suit the log is left out."""
     table: dict[str, Any] = {
         "log": None if source in (None, sample_log_path()) else str(Path(source).absolute()),
         "log_sha256": None if source is None else sha256_of(source),
         "estimators": estimators,
+        "time_limit": time_limit,
         **{each.name: value for each, value in options.changed() if each.only != "python"},
         **{name: asdict(model) for name in MODELS if (model := getattr(options, name)) is not None},
     }
@@ -45,7 +48,7 @@ def read_config(path: Path) -> dict[str, Any]:
         FormatError: the file is not valid TOML, has an unknown key, or an impossible value; with the line.
     """
     file = TomlFile(path)
-    of_run = {"log": str, "log_sha256": str, "estimators": list}
+    of_run = {"log": str, "log_sha256": str, "estimators": list, "time_limit": float}
     values = {key: file.value(file.table, key, kind) for key, kind in of_run.items() if key in file.table}
     known = options_of(RunOptions)
     rest = {key: value for key, value in file.table.items() if key not in of_run}
@@ -55,6 +58,7 @@ def read_config(path: Path) -> dict[str, Any]:
     file.attempt(lambda: RunOptions.of(**{name: value for name, value in values.items() if name in known}))
     if "estimators" in values:
         file.attempt(lambda: check_estimators(values["estimators"]))
+    file.attempt(lambda: LimitOptions.of(time_limit=values.get("time_limit")))
     for key in ("log", "noise"):
         if key in values:
             values[key] = path.parent / values[key]

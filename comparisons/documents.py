@@ -165,6 +165,7 @@ class RunDocument(Document):
     estimators: Annotated[list[EstimatorDocument], about("in the order of the table")]
     files: Annotated[dict[str, str], about("the files written, by kind or name")]
     notes: Annotated[list[str], about("files that could not be made, one sentence each")]
+    warnings: Annotated[list[str], about("what is probably wrong with the log, with the likely cause")]
 
 
 class SimulateDocument(Document):
@@ -205,7 +206,7 @@ class SolversDocument(Document):
     """`slam-compare solvers`."""
 
     variants: Annotated[list[VariantDocument], about("the graphs that were solved")]
-    skipped: Annotated[list[ReasonDocument], about("the graphs that the log does not determine")]
+    skipped: Annotated[list[ReasonDocument], about("the graphs that the log does not determine, or that took too long")]
 
 
 class BackendDocument(Document):
@@ -270,6 +271,7 @@ class ParticlesDocument(Document):
     log: Annotated[str, about("name of the log")]
     runs: Annotated[list[ParticleRunDocument], about("every run")]
     bands: Annotated[list[ParticleBandDocument], about("quartiles over the seeds")]
+    notes: Annotated[list[str], about("runs that were stopped at the time limit, one sentence each")]
 
 
 class ConsistencyEstimatorDocument(Document):
@@ -451,6 +453,55 @@ class ImportDocument(Document):
     log: Annotated[LogDocument | None, about("the log; null where the topics make none")]
     file: Annotated[str | None, about("the log that was written; null where none was")]
     reason: Annotated[str, about("why there is no log")]
+    warnings: Annotated[list[str], about("what is probably wrong with the log, with the likely cause")]
+
+
+class FindingDocument(Document):
+    """Something in a log that is probably a mistake."""
+
+    check: Annotated[str, about("short name of the check")]
+    message: Annotated[str, about("one sentence with the likely cause")]
+
+
+class RateDocument(Document):
+    """The times of the poses, controls or sightings of a log, in seconds since its first pose."""
+
+    name: Annotated[Literal["poses", "controls", "sightings"], about("what is counted")]
+    count: Annotated[Count, about("their number")]
+    rate: Annotated[float | None, about("different times per second, the median")]
+    longest_gap: Annotated[float | None, about("longest time between two [s]")]
+    gap_at: Annotated[float | None, about("when it begins [s]")]
+
+
+class SeenDocument(Document):
+    """The sightings of one landmark."""
+
+    id: Annotated[int, about("id of the landmark")]
+    count: Annotated[Count, about("number of sightings")]
+    first: Annotated[float, about("time of the first one since the first pose [s]")]
+    last: Annotated[float, about("time of the last one [s]")]
+    range: Annotated[float, about("median range [m]")]
+
+
+class HistogramDocument(Document):
+    """How often values lie in each interval."""
+
+    edges: Annotated[list[float], about("limits of the intervals, one more than counts")]
+    counts: Annotated[list[Count], about("number of values in each interval")]
+
+
+class ShowDocument(Document):
+    """`slam-compare show`."""
+
+    log: LogDocument
+    seconds: Annotated[float | None, about("from the first pose to the last [s]")]
+    distance: Annotated[float | None, about("distance driven according to the odometry [m]")]
+    turned: Annotated[float | None, about("sum of all turns [rad]")]
+    rates: Annotated[list[RateDocument], about("of poses, controls and sightings")]
+    landmarks: Annotated[list[SeenDocument], about("by number of sightings")]
+    ranges: Annotated[HistogramDocument, about("of the sightings [m]")]
+    bearings: Annotated[HistogramDocument, about("of the sightings [rad]")]
+    warnings: Annotated[list[FindingDocument], about("what is probably wrong, with the likely cause")]
 
 
 class CalibrateDocument(Document):
@@ -481,4 +532,5 @@ DOCUMENTS: dict[str, type[Document]] = {
     "animate": AnimateDocument,
     "calibrate": CalibrateDocument,
     "import": ImportDocument,
+    "show": ShowDocument,
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from graphslam.bags.read import drive_of_bag, topics_of
 from graphslam.files import check_file
 from graphslam.formats.bag import recipe_beside
 from graphslam.formats.tables import drive_of, recipe_of
+from graphslam.plausibility import Finding, plausibility
 from graphslam.reading import ReadOptions
 from graphslam.tables.drive import Timed
 from graphslam.tables.join import Drive, read_drive
@@ -87,6 +89,11 @@ class Import(Displayed):
     landmarks: int | None = None
     reason: str = ""
 
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is probably wrong with the log, see `graphslam.plausibility`."""
+        return () if self.log is None else plausibility(self.log)
+
     def to_json(self, file: Path | None = None) -> dict[str, Any]:
         """The import as plain data, and the file that was written."""
         return document(
@@ -95,6 +102,7 @@ class Import(Displayed):
             topics=[asdict(topic) for topic in self.topics],
             streams=[asdict(stream) for stream in self.streams],
             log=None if self.log is None else describe(self.log, self.source),
+            warnings=[finding.message for finding in self.findings],
             file=file,
             reason=self.reason,
         )

@@ -17,7 +17,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from graphslam import FormatError
+from graphslam import FormatError, SensorModel
 from graphslam.calibration import Calibration
 from graphslam.files import write_whole
 
@@ -63,10 +63,11 @@ def write_noise(result: Calibration, path: Path, log: str) -> None:
     Raises:
         FormatError: the file cannot be written.
     """
+    place = {k for k in SensorModel.GEOMETRY if k == "offset" or getattr(result.sensor, k) != getattr(SensorModel(), k)}
     table = {
         "motion": None if result.motion is None else asdict(result.motion),
         # the noise of psi stays that of the reader where no orientation was measured
-        "sensor": {k: v for k, v in asdict(result.sensor).items() if k == "offset" or k in result.numbers},
+        "sensor": {k: v for k, v in asdict(result.sensor).items() if k in result.numbers or k in place},
         "ranges": {"scale": result.range_scale, "bias": result.range_bias},
     }
     comment = [f"The noise of {log}, from {result.source}; read by slam-compare run --noise.", *result.notes]

@@ -17,8 +17,8 @@ from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 from graphslam.checks import suggestion
 from graphslam.errors import OptionError
 
-#: fields of components that have another name among the options
-_RENAMED = {"offset": "sensor_offset"}
+#: fields of components that have another name among the options: (component, field) -> option
+_RENAMED = {("sensor", name): f"sensor_{name}" for name in ("offset", "min_range", "max_range", "field_of_view")}
 
 
 class Points:
@@ -215,7 +215,7 @@ def _options_of(group: Any) -> dict[str, Option]:
     options = {f.name: _option(f, hints[f.name], _panel(group, f.name)) for f in fields(group) if "help" in f.metadata}
     for component, (kind, panel) in getattr(group, "components", {}).items():
         for each in options_of(kind).values():
-            name = _RENAMED.get(each.name, each.name)
+            name = _RENAMED.get((component, each.name), each.name)
             if name not in options and name not in group.hidden:
                 options[name] = replace(each, name=name, model=component, panel=panel)
     return options

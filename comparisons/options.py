@@ -114,7 +114,7 @@ class GraphOptions(Options):
     )  # fmt: skip
     initialize: str = option(
         "auto", "Where the iteration starts; auto tries several starts.",
-        choices=("auto", "given", "dead-reckoning", "rotation-first"),
+        choices=("auto", "given", "dead-reckoning", "rotation-first", "grow"),
     )  # fmt: skip
     residual: str = option(
         RESIDUALS[0], "Residual of landmark nodes: the sighting as a position in the robot's axes, or as range and bearing.",
@@ -139,8 +139,18 @@ class RunOptions(GraphOptions, LogOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EstimatorOptions(Options):
-    """Which estimators run."""
+class LimitOptions(Options):
+    """How long one piece of work may take."""
+
+    time_limit: float | None = option(
+        None, "Stop an estimator, solver variant or filter that takes longer, and go on without it. The work is then done in "
+        "processes of its own.", unit="s", positive=True, default_text="none",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimatorOptions(LimitOptions):
+    """Which estimators run, and for how long."""
 
     estimators: tuple[str, ...] | None = option(
         None, "Estimators to run: dead-reckoning, textbook, graph, graph-marginal, gtsam, isam2, mcl, fastslam1, fastslam2.",
@@ -187,7 +197,7 @@ class JobsOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SolverCheckOptions(JobsOptions, LogOptions):
+class SolverCheckOptions(LimitOptions, JobsOptions, LogOptions):
     """Which variants `solvers.compare_solvers` solves by hand and with GTSAM."""
 
     motion_weights: tuple[float, ...] = option(
@@ -212,7 +222,7 @@ class BackendOptions(Options):
         default_text="all that are installed",
     )  # fmt: skip
     initialize: str = option(
-        "auto", "Where graphslam starts.", choices=("auto", "given", "dead-reckoning", "rotation-first")
+        "auto", "Where graphslam starts.", choices=("auto", "given", "dead-reckoning", "rotation-first", "grow")
     )
     same_start: bool = option(False, "All solvers start from the rotation-first state, not from the file's values.")
     repeat: int = option(5, "The time is the median of this many runs.", minimum=1)
@@ -223,7 +233,7 @@ class BackendOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ParticleStudyOptions(JobsOptions, LogOptions):
+class ParticleStudyOptions(LimitOptions, JobsOptions, LogOptions):
     """How `particles.study_particles` varies the number of particles."""
 
     components = LogOptions.components | {"filter": (FilterOptions, FILTER)}
@@ -328,7 +338,8 @@ class SimulationOptions(Options):
         faults = {
             n: self.components[n][0](**f) for n in ("motion_faults", "sensor_faults") if (f := self.of_component(n))
         }
-        if not world.clean and any(self.of_component(name) for name in MODELS):
+        noise_given = {name for model in MODELS for name in self.of_component(model)} - {*SensorModel.GEOMETRY}
+        if not world.clean and noise_given:
             raise OptionError(
                 "the noise models have an effect in clean worlds only: add --clean, or set faults instead"
             )

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fastslam.state import FilterResult
-from graphslam import Log
+from graphslam import Log, SlamError
 from graphslam.metrics import ate, evaluate
 from graphslam.se2 import Array
 
@@ -61,10 +61,11 @@ class ParticleRun:
 
 @dataclass(frozen=True, eq=False)
 class ParticleStudy(Displayed):
-    """All runs of a study, and the name of the log."""
+    """All runs of a study, the name of the log, and a note on each run that was stopped."""
 
     log: str
     runs: tuple[ParticleRun, ...]
+    notes: tuple[str, ...] = ()
 
     def names(self) -> list[str]:
         """The filters in the order in which they ran."""
@@ -91,7 +92,8 @@ class ParticleStudy(Displayed):
 
     def to_json(self) -> dict[str, Any]:
         """The study as JSON holds it: every run, and the quartiles over seeds."""
-        return {"log": self.log, "runs": [asdict(run) for run in self.runs], "bands": self._quartiles()}
+        runs = [asdict(run) for run in self.runs]
+        return {"log": self.log, "runs": runs, "bands": self._quartiles(), "notes": list(self.notes)}
 
     def _quartiles(self) -> list[dict[str, Any]]:
         """One row per filter and number of particles: three quartiles of each figure, None where unknown."""
@@ -118,12 +120,13 @@ def study_particles(
         log: a log, the file or folder of one, or None for the sample log; with the ground truth the errors are known.
         progress: called after every run.
         options: the fields of `options.ParticleStudyOptions`: filters, particles, seeds, resampling, association, jobs,
-            and those that read the log. In local processes a filter has one thread; with ``jobs=0`` it has all.
+            time_limit, and those that read the log. In local processes a filter has one thread; with ``jobs=0`` it has all.
 
     Raises:
         FormatError: a file cannot be read.
         OptionError: an option has an impossible value.
         LogError: the log has no controls.
+        SlamError: no run has ended within the time limit.
     """
     data, _, given = prepare(log, ParticleStudyOptions.of(**options))
     of_run = RunOptions.of(motion=given.motion, sensor=given.sensor, **given.of_component("filter"))
@@ -133,16 +136,29 @@ def study_particles(
         for particles in sorted(set(given.particles))
         for seed in range(given.seeds)
     ]
-    runs = []
+    runs: list[ParticleRun] = []
+    notes: list[str] = []
     work = partial(_run, log=data, options=of_run)
-    for run in results(work, tasks, jobs=given.jobs, estimators=given.filters):
+    for run in results(
+        work, tasks, jobs=given.jobs, estimators=given.filters, limit=given.time_limit, instead=_stopped
+    ):  # fmt: skip
+        if isinstance(run, str):
+            notes.append(run)
+            continue
         runs.append(run)
         if progress is not None:
             progress(run)
-    return ParticleStudy(data.name, tuple(runs))
+    if not runs:
+        raise SlamError(f"no run has a result: {notes[0]}")
+    return ParticleStudy(data.name, tuple(runs), tuple(notes))
 
 
-def _run(task: tuple[str, int, int], log: Log, options: RunOptions) -> ParticleRun:
+def _stopped(task: tuple[str, int, int], reason: str) -> str:
+    name, particles, seed = task
+    return f"{name} with {particles} particles and seed {seed} has no result: {reason}"
+
+
+def _run(task: tuple[str, int, int], log: Log, options: RunOptions) -> ParticleRun | str:
     name, particles, seed = task
     estimate = ESTIMATORS[name].run(log, options.with_numbers(particles=particles, seed=seed))
     result = estimate.origin

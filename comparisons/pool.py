@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
 
-from graphslam import SlamError
+from graphslam import OptionError, SlamError
 
 from .kernels import warm_up
 
@@ -105,7 +105,13 @@ def processes(jobs: int, estimators: Sequence[str]) -> Iterator[ProcessPool]:
 
 
 def results(
-    function: Callable[[Task], Result], tasks: Iterable[Task], *, jobs: int | None, estimators: Sequence[str] = ()
+    function: Callable[[Task], Result],
+    tasks: Iterable[Task],
+    *,
+    jobs: int | None,
+    estimators: Sequence[str] = (),
+    limit: float | None = None,
+    instead: Callable[[Task, str], Result] | None = None,
 ) -> Iterator[Result]:
     """``map(function, tasks)`` over local processes, results in the order of the tasks.
 
@@ -114,21 +120,36 @@ def results(
         tasks: plain data.
         jobs: how many processes; 0 for this process, None for one on each core.
         estimators: whose kernels are compiled or loaded before the first task.
+        limit: of the time of each task [s]; None for no limit.
+        instead: makes the result of a task that took longer, or whose process died, from the task and the reason. Without
+            it they are errors.
 
     Raises:
-        SlamError: a process died, or the function raised it.
+        OptionError: there is a limit and no process to stop.
+        SlamError: a process died, a task took too long, or the function raised it.
     """
     if jobs == 0:
+        if limit is not None:
+            raise OptionError("time_limit needs local processes, which can be stopped: jobs must be at least 1, not 0")
         for name in estimators:
             warm_up(name)
         yield from map(function, tasks)
         return
     with processes(jobs or default_jobs(), estimators) as pool:
-        for future in [pool.schedule(function, (task,)) for task in tasks]:
+        for task, future in [(task, pool.schedule(function, (task,), timeout=limit)) for task in tasks]:
             try:
-                yield future.result()
-            except ProcessExpired as error:
-                raise SlamError(how_it_ended(error)) from None
+                result: Result = future.result()
+            except (TimeoutError, ProcessExpired) as error:
+                reason = how_it_ended(error) if isinstance(error, ProcessExpired) else too_long(limit)
+                if instead is None:
+                    raise SlamError(reason) from None
+                result = instead(task, reason)
+            yield result
+
+
+def too_long(limit: float | None) -> str:
+    """A sentence on a task that was stopped at its time limit [s]."""
+    return f"it was stopped at the time limit of {limit:g} s"
 
 
 def how_it_ended(error: ProcessExpired) -> str:

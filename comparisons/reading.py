@@ -54,6 +54,9 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
         data = data.with_corrected_ranges(line["range_scale"], line["range_bias"])
     corrected: dict[str, Any] = {n: None if value == _NO_LINE[n] else value for n, value in line.items()}
     motion, sensor = options.models(motion, sensor)
+    if options.max_range is not None:
+        # what is farther away has been left out, so that the sensor does not see it
+        sensor = replace(sensor, max_range=min(sensor.max_range, options.max_range))
     others = {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)}
     return data, source, replace(options, motion=motion, sensor=sensor, noise=None, numbers=others, **corrected)
 

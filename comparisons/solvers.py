@@ -177,7 +177,10 @@ def compare_solvers(
     solved: list[VariantResult] = []
     skipped: list[SkippedVariant] = []
     work = partial(_solve_both, log=data, models={"motion": given.motion, "sensor": given.sensor})
-    for outcome in results(work, variants(data, given), jobs=given.jobs):
+    for outcome in results(
+        work, variants(data, given), jobs=given.jobs, limit=given.time_limit,
+        instead=lambda variant, reason: SkippedVariant(variant.name, reason),
+    ):  # fmt: skip
         if isinstance(outcome, SkippedVariant):
             skipped.append(outcome)
         else:
@@ -231,7 +234,10 @@ def _solve_both(variant: Variant, log: Log, models: dict[str, Any]) -> VariantRe
         compare = compare_solutions if variant.plain else partial(_compare_robust, graph=graph)
         outcome = compare(variant.name, ours=ours, theirs=theirs)
         if isinstance(outcome, VariantResult):
-            outcome = replace(outcome, cost_per_dof=of_expected(ours.cost, graph))
+            outcome = replace(
+                outcome, cost_per_dof=of_expected(ours.cost, graph), certificate=ours.certificate,
+                gtsam_certificate=theirs.certificate,
+            )  # fmt: skip
         return outcome
     if ours is None and theirs is None:
         return SkippedVariant(variant.name, str(our_error))
@@ -294,6 +300,4 @@ def compare_solutions(name: str, ours: Solution, theirs: Solution) -> VariantRes
         gtsam_seconds=theirs.seconds,
         converged=bool(ours.converged),
         gtsam_converged=bool(theirs.converged),
-        certificate=ours.certificate,
-        gtsam_certificate=theirs.certificate,
     )

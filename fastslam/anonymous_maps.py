@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from graphslam.models import SensorModel
 from graphslam.se2 import Array
 
 from . import association_kernels as kernels
@@ -30,7 +31,7 @@ from .threads import Threads
 CONFIRMED = 2.0
 #: evidence from which on a landmark is never dropped
 PERMANENT = 3.0
-#: a landmark is missed only within this share of the limits of what the sensor has seen so far
+#: a landmark is missed only within this share of the limits of the sensor
 INSIDE = 0.9
 
 
@@ -49,11 +50,14 @@ class AnonymousLandmarks:
         new_landmark_threshold: p between 0 and 1. A sighting belongs to a new landmark where its likelihood under every
             landmark known to the particle is below the density of a perfectly known landmark at the border of the ellipse
             that holds 1 - p of its sightings; a new landmark is weighed by that density.
+        sensor: its limits of range and bearing say where a landmark can be seen. A limit that it does not have is learned:
+            it is that of all sightings so far.
     """
 
     def __init__(
-        self, genealogy: Genealogy, threads: Threads, particles: int, coordinates: int, new_landmark_threshold: float
-    ) -> None:
+        self, genealogy: Genealogy, threads: Threads, particles: int, coordinates: int, new_landmark_threshold: float,
+        sensor: SensorModel,
+    ) -> None:  # fmt: skip
         from scipy.special import chdtri  # imported here because it takes 0.3 s and known ids do not need it
 
         self._genealogy, self._threads = genealogy, threads
@@ -64,8 +68,10 @@ class AnonymousLandmarks:
         self._free = list(range(8))[::-1]
         self._slices: dict[int, _Slice] = {}
         self._created = 0
-        # the limits of what the sensor has seen: smallest and largest range, largest bearing
-        self._limits = np.array([np.inf, 0.0, 0.0])
+        # the limits of the sensor, smallest and largest range, largest bearing; NaN for those to be learned
+        known = np.array([sensor.min_range, sensor.max_range, sensor.field_of_view / 2])
+        self._known = np.where(known == [0.0, np.inf, np.pi], np.nan, known)
+        self._limits = self._with_known([np.inf, 0.0, 0.0])
 
     @property
     def ids(self) -> list[int]:
@@ -83,7 +89,9 @@ class AnonymousLandmarks:
         count, n = len(sightings), self.coordinates
         least, most, widest = self._limits
         ranges, bearings = sightings[:, 0], np.abs(sightings[:, 1])
-        self._limits = np.array([min(least, ranges.min()), max(most, ranges.max()), max(widest, bearings.max())])
+        self._limits = self._with_known(
+            [min(least, ranges.min()), max(most, ranges.max()), max(widest, bearings.max())]
+        )
         rows = np.zeros((6, count))
         rows[5] = 1.0
         rows[:n], rows[3 : 3 + n] = sightings.T, q.T
@@ -128,6 +136,9 @@ class AnonymousLandmarks:
         inherited = self._pool[part.index][:, self._genealogy.ancestors(part.level)[particles]]
         return *unpack(inherited[:9], self.coordinates), inherited[kernels.EVIDENCE]
 
+    def _with_known(self, learned: list[float]) -> Array:
+        return np.where(np.isnan(self._known), learned, self._known)
+
     def _written(self, landmarks: list[int]) -> None:
         """Record the level and the extent of slices that were written, and free those that no particle has."""
         level = self._genealogy.level()
@@ -140,7 +151,7 @@ class AnonymousLandmarks:
                 part.box, part.level, part.droppable = tuple(box), level, droppable
 
     def _near(self, belief: Array) -> list[int]:
-        """Return the landmarks whose box is nearer to the box of the poses than 1.5 times the largest range seen so far.
+        """Return the landmarks whose box is nearer to the box of the poses than 1.5 times the largest range.
 
         The margin is for sightings in the tail of the noise, and for poses that the sightings will correct.
         """

@@ -35,11 +35,11 @@ class FastSLAM1(ParticleFilter):
     every sighting to the most likely landmark of its own map, the most likely pair of the scan first, and uses no
     landmark twice. A sighting that is more likely to belong to a new landmark creates one. New landmarks are
     provisional. Their evidence is the number of their sightings minus the number of observed steps in which they should
-    have been seen and were not, counted when the step is over. A landmark should be seen well within the ranges and
-    bearings at which anything was seen so far, because the sensor model has no limits. With evidence 0 a landmark is
-    dropped, from 2 on it is confirmed, and from 3 on it is permanent. A step is observed if `observe` was called in it,
-    even without sightings; a step of a log is observed if it has sightings. Maps number landmarks in the order of
-    creation and leave out unconfirmed ones, except on request.
+    have been seen and were not, counted when the step is over. A landmark should be seen well within the limits of the
+    sensor (``max_range``, ``field_of_view``); a limit that it does not have is that of all sightings so far. With
+    evidence 0 a landmark is dropped, from 2 on it is confirmed, and from 3 on it is permanent. A step is observed if
+    `observe` was called in it, even without sightings; a step of a log is observed if it has sightings. Maps number
+    landmarks in the order of creation and leave out unconfirmed ones, except on request.
 
     Arguments and errors are those of `ParticleFilter`; all options are fields of `FilterOptions`. The
     new_landmark_threshold p decides when a sighting belongs to a new landmark: where its likelihood under every known
@@ -71,7 +71,7 @@ class FastSLAM1(ParticleFilter):
             if self._needs_ids:
                 self._maps = IdentifiedLandmarks(*shape)
             else:
-                self._maps = AnonymousLandmarks(*shape, self.options.new_landmark_threshold)
+                self._maps = AnonymousLandmarks(*shape, self.options.new_landmark_threshold, self.sensor)
         if isinstance(self._maps, IdentifiedLandmarks):
             return self._weigh_identified(self._maps, ids, sightings, q)
         return self._weigh_anonymous(self._maps, sightings, q)

@@ -10,6 +10,7 @@ chapters 5 to 9.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from math import inf, pi
 from typing import ClassVar, Self
 
 import numpy as np
@@ -238,12 +239,17 @@ class SensorModel(NoiseModel):
     psi is the direction from which the landmark is seen: psi = theta + phi - (the landmark's own heading). The noise is
     Gaussian. The variance of the range is (``range_rate`` * l)² + ``range_std``²; the standard deviations of the angles
     are ``bearing_std`` and ``orientation_std``. The sensor is at s(x) = p + R(theta) o, where o = ``offset`` = (ahead,
-    left) [m] of the robot's pose; a single number is the distance ahead.
+    left) [m] of the robot's pose; a single number is the distance ahead. It sees landmarks at ranges from ``min_range`` to
+    ``max_range`` and bearings of at most half the ``field_of_view``; the simulator and FastSLAM with unknown association use
+    these limits.
 
     Raises:
-        OptionError: a noise parameter is not positive (one of the two of the range may be zero), or the offset is not
-            finite.
+        OptionError: a noise parameter is not positive (one of the two of the range may be zero), the offset is not finite,
+            or the limits are impossible.
     """
+
+    #: the fields that are no noise
+    GEOMETRY: ClassVar[tuple[str, ...]] = ("offset", "min_range", "max_range", "field_of_view")
 
     ALTERNATIVES = (("range_rate",), ("range_std",))
 
@@ -256,6 +262,9 @@ class SensorModel(NoiseModel):
         "m",
     )
     offset: tuple[float, float] = option((0.0, 0.0), "Position of the sensor on the robot: forward, left", "m")
+    min_range: float = option(0.0, "Least range at which the sensor sees landmarks", "m")
+    max_range: float = option(inf, "Greatest range at which the sensor sees landmarks", "m")
+    field_of_view: float = option(2 * pi, "Whole angle in which the sensor sees landmarks, ahead in its middle", "rad")
 
     def __post_init__(self) -> None:
         check_positive(bearing_std=self.bearing_std, orientation_std=self.orientation_std)
@@ -265,6 +274,12 @@ class SensorModel(NoiseModel):
         if self.range_std != 0:
             check_positive(range_std=self.range_std)
         object.__setattr__(self, "offset", checked_offset("offset", self.offset))
+        if not 0 <= self.min_range < self.max_range:
+            raise OptionError(
+                f"min_range must lie between 0 and max_range ({self.max_range:g} m), not {self.min_range!r}"
+            )
+        if not 0 < self.field_of_view <= 2 * pi:
+            raise OptionError(f"field_of_view must be positive and at most 2 pi, not {self.field_of_view!r}")
 
     @classmethod
     def constant(cls, range_std: float, bearing_std: float, *, offset: tuple[float, float] = (0.0, 0.0)) -> SensorModel:
@@ -279,6 +294,13 @@ class SensorModel(NoiseModel):
     def mount(self, pose: ArrayLike) -> Array:
         """The pose of the sensor on a robot at a pose, (p + R(theta) o, theta); (..., 3)."""
         return mounted(pose, self.offset)
+
+    def sees(self, pose: ArrayLike, landmark: ArrayLike) -> np.ndarray:
+        """Whether landmarks (..., 2 or 3) are within the sensor's limits on a robot at a pose (..., 3); (...) bool."""
+        pose, landmark = self.mount(pose), np.asarray(landmark, dtype=float)
+        d = landmark[..., :2] - pose[..., :2]
+        r, bearing = np.hypot(d[..., 0], d[..., 1]), wrap(np.arctan2(d[..., 1], d[..., 0]) - pose[..., 2])
+        return (r >= self.min_range) & (r <= self.max_range) & (np.abs(bearing) <= self.field_of_view / 2)
 
     def h(self, pose: ArrayLike, landmark: ArrayLike) -> Array:
         """The sighting of a landmark (..., 2 or 3) from a pose (..., 3), noise-free: (l, phi) or (l, phi, psi)."""

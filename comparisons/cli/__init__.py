@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from .checks import backends, solvers
-from .imports import import_
+from .imports import import_, show
 from .logs import calibrate, datasets, simulate
 from .output import INTERRUPTED
 from .run import animate, report, run
@@ -60,6 +60,11 @@ VERBS: dict[Callable[..., None], tuple[str, ...]] = {
         "slam-compare import --odometry wheels.csv --sightings tags.csv --angles degrees drive.npz",
         "slam-compare import drive.mcap",
         "slam-compare import drive.mcap drive.npz --odometry /odom --sightings /tags",
+    ),
+    show: (
+        "slam-compare show",
+        "slam-compare show drive.npz --figure drive.png",
+        "slam-compare show folder --json -",
     ),
     solvers: (
         "slam-compare solvers",

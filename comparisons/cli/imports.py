@@ -1,4 +1,4 @@
-"""The verbs about your own robot: import."""
+"""The verbs that come before a run: import, show."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .output import Output
-from .verb import command
+from .verb import LogFile, command
 
 if TYPE_CHECKING:
-    from ..options import ImportOptions
+    from ..options import FigureOptions, ImportOptions, ReadingOptions
 
 
 def import_(
@@ -69,3 +69,17 @@ def source_and_out(words: list[str]) -> tuple[Path | None, Path | None]:
     if not places:
         return None, None
     return (None, places[0]) if places[0].suffix == ".npz" else (places[0], None)
+
+
+def show(output: Output, log: LogFile = None, *, reading: ReadingOptions, drawing: FigureOptions) -> None:
+    """Look at a log before it is solved: times, rates, landmarks, histograms, and what is probably wrong."""
+    from ..overview import inspect_log
+    from ..saving import FIGURE_FORMATS, check_can_write
+
+    if drawing.figure is not None:
+        check_can_write(drawing.figure, endings=FIGURE_FORMATS)
+    found = inspect_log(log, **reading.keywords())
+    output.show(found)
+    output.draw(found, drawing.figure)
+    output.hint(f"Next: {command('run', log, options=reading)}")
+    output.json(found.to_json())

@@ -135,7 +135,13 @@ def _compared(output: Output, log: Path | None, chosen: EstimatorOptions, option
     from ..estimators import ESTIMATORS
 
     with output.bar("estimators", len(chosen.estimators or ESTIMATORS)) as advance:
-        return compare(log, options, estimators=chosen.estimators, progress=_progress(output, advance))
+        return compare(
+            log,
+            options,
+            estimators=chosen.estimators,
+            time_limit=chosen.time_limit,
+            progress=_progress(output, advance),
+        )
 
 
 def _progress(output: Output, advance: Advance) -> Progress:

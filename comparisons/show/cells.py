@@ -47,7 +47,7 @@ def yes_no(value: bool | None, more: str = "") -> Text:
 
 def optimum(certificate: Certificate | None) -> Text:
     """Whether a solver's end is proven to be the global minimum, with the relative gap; a dash where no proof applies."""
-    if certificate is None or certificate.status == "not applicable":
+    if certificate is None or not certificate.applicable:
         return Text(NOTHING)
     if certificate.status == "global":
         return Text("proven", style="green").append(f", {certificate.relative_gap:.0e}", style="default")

@@ -1,4 +1,4 @@
-"""Tables of logs: what an import found."""
+"""Tables of logs: what an import found, and a log before it is solved."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from .cells import NOTHING, LeanTable, number
+from .text_plots import bars, plan
 
 if TYPE_CHECKING:
     from ..importing import Import
+    from ..overview import Overview
     from .tables import Tables
 
 
@@ -40,4 +42,39 @@ def import_tables(found: Import) -> Tables:
     sizes = f"The log has {log.num_poses} poses and {len(log.steps)} sightings of {len(log.landmark_ids)} landmarks"
     known = f"; the true map has {found.landmarks} landmarks" if found.landmarks is not None else ""
     columns = [f"Columns of {stream.kind}: {', '.join(stream.columns)}." for stream in found.streams]
-    return [*tables, table], [*columns, f"{sizes}{known}.", *(f"{note}." for note in log.notes)]
+    warnings = [f"WARNING: {finding.message}." for finding in found.findings]
+    return [*tables, table], [*columns, f"{sizes}{known}.", *(f"{note}." for note in log.notes), *warnings]
+
+
+#: landmarks that are listed
+_LISTED = 12
+
+
+def overview_tables(overview: Overview) -> Tables:
+    """Rates and landmarks; below, histograms, the way from above, and what is probably wrong."""
+    log = overview.log
+    parts = {"psi": log.has_orientation, "true poses": log.true_poses is not None, "true map": bool(log.true_landmarks)}
+    known = ", ".join(part for part, present in parts.items() if present)
+    title = f"{log.name}: {log.num_poses} poses, {len(log.steps)} sightings of {len(log.landmark_ids)} landmarks"
+    rates = LeanTable("times", [""], ["number", "rate\n[Hz]", "longest\ngap [s]", "at\n[s]"])
+    for each in overview.rates:
+        rates.add_row(each.name, str(each.count), number(each.rate), number(each.longest_gap), number(each.gap_at, 1))
+    seen = LeanTable("sightings of each landmark", [""], ["number", "first\n[s]", "last\n[s]", "median\nrange [m]"])
+    for landmark in overview.landmarks[:_LISTED]:
+        times = (f"{landmark.first:.1f}", f"{landmark.last:.1f}", number(landmark.range))
+        seen.add_row(f"landmark {landmark.id}", str(landmark.count), *times)
+    remarks = [""]
+    if (more := len(overview.landmarks) - _LISTED) > 0:
+        remarks.append(f"... and {more} more landmarks")
+    remarks.append(f"{title}{', with ' if known else ''}{known}.")
+    if overview.seconds is not None:
+        driven, turned = number(overview.distance, 1), number(overview.turned, 1)
+        remarks.append(f"The odometry drives {driven} m and turns by {turned} rad in all, in {overview.seconds:.1f} s.")
+    remarks += ["", "ranges", *bars(overview.ranges.edges, overview.ranges.counts, "m")]
+    remarks += ["", "bearings", *bars(overview.bearings.edges, overview.bearings.counts, "rad")]
+    remarks += ["", *plan(overview.path[:, :2], overview.seen_at), ""]
+    remarks += [f"{note}." for note in log.notes]
+    remarks += [f"WARNING: {finding.message}." for finding in overview.findings]
+    if not overview.findings:
+        remarks.append("Nothing is suspicious: units, signs, axes, clocks and ids were checked.")
+    return [rates, seen], remarks

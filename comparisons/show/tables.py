@@ -48,6 +48,7 @@ RESULTS = {
     "Survey": ("study_tables.survey_tables", ""),
     "Calibration": ("study_tables.calibration_tables", ""),
     "Import": ("log_tables.import_tables", ""),
+    "Overview": ("log_tables.overview_tables", "log_figures.overview_figure"),
 }
 
 
@@ -109,38 +110,24 @@ def _plain(cell: object) -> str:
 
 
 def result_tables(results: ResultTable) -> Tables:
-    """The rows of a comparison, one per estimator; the NEES only where the truth is known."""
+    """The rows of a comparison, one per estimator; NEES only where the truth is known, optimum only where a proof applies."""
     metrics = {"ate_m": "ATE\n[m]", "rpe_m": "RPE\n[m]", "rpe_rad": "RPE\n[rad]", "landmark_rmse_m": "map\n[m]"}
     known = any(row.nees is not None for row in results)
-    headings = [
-        "converged,\niterations",
-        "time",
-        "cost J",
-        "J per\ndof",
-        "optimum",
-        *metrics.values(),
-        *["NEES"] * known,
-    ]
-    table = LeanTable(results.title, ["estimator"], headings)
+    proofs = any(row.certificate is not None and row.certificate.applicable for row in results)
+    headings = ["converged,\niterations", "time", "cost J", "J per\ndof", *["optimum"] * proofs]
+    table = LeanTable(results.title, ["estimator"], [*headings, *metrics.values(), *["NEES"] * known])
     for row in results:
         values = (number(getattr(row, metric)) for metric in metrics)
-        converged = yes_no(row.converged, f", {row.iterations}")
-        costs = number(row.cost, 2), number(row.cost_per_dof, 2)
-        table.add_row(
-            row.name,
-            converged,
-            seconds(row.seconds),
-            *costs,
-            optimum(row.certificate),
-            *values,
-            *[number(row.nees, 2)] * known,
-        )
+        cells: list[Text | str] = [yes_no(row.converged, f", {row.iterations}"), seconds(row.seconds)]
+        cells += [number(row.cost, 2), number(row.cost_per_dof, 2), *[optimum(row.certificate)] * proofs]
+        table.add_row(row.name, *cells, *values, *[number(row.nees, 2)] * known)
     return [table], []
 
 
 def comparison_tables(comparison: Comparison) -> Tables:
     """The table of the results, with agreement, skipped estimators, and notes of the log and the estimators."""
     log, remarks = comparison.log, _noise_remarks(comparison)
+    remarks += [f"WARNING: {finding.message}." for finding in comparison.findings]
     if any(value is not None for value in comparison.nees.values()):
         remarks.append("NEES: 1 means consistent covariances, above 1 overconfident ones.")
     if (difference := comparison.difference("graph", "gtsam")) is not None:

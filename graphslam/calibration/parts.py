@@ -20,7 +20,7 @@ Model = TypeVar("Model", MotionModel, SensorModel)
 
 #: the standard deviations of the models
 OF_MOTION = tuple(f.name for f in fields(MotionModel) if f.name != "epsilon")
-OF_SENSOR = tuple(f.name for f in fields(SensorModel) if f.name != "offset")
+OF_SENSOR = tuple(f.name for f in fields(SensorModel) if f.name not in SensorModel.GEOMETRY)
 
 #: the least epsilon [m², rad²] that a calibrated model has, because A M A' has only rank 2
 LEAST_EPSILON = 1e-9

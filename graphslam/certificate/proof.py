@@ -52,6 +52,11 @@ class Certificate:
     seconds: float
     direction: Array | None = field(default=None, repr=False)
 
+    @property
+    def applicable(self) -> bool:
+        """Whether the theory covers the graph."""
+        return self.status != NOT_APPLICABLE
+
     def of_run(self, converged: bool, reason: str) -> Certificate:
         """The certificate of a solver's end: "not proven" where the solver has not converged, however tight the bound is."""
         if self.status != GLOBAL or converged:

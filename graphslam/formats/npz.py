@@ -5,7 +5,7 @@ Arrays (absent = None): ``format`` ("graphslam-log-1"), ``dt`` (T,), ``controls`
 absent = at the robot's pose), ``true_landmark_ids`` (L,), ``true_landmark_poses`` (L, 3; a third column of NaN marks a
 landmark without heading), ``start_time``, and for logs
 with several controls per motion ``control_starts`` (T+1,) and ``control_variances`` (S, 2); ``motion`` and ``sensor``,
-the fields of the noise models in their order (the two of the offset last), where the log has such models; ``notes``
+the fields of the noise models in their order, where the log has such models; ``notes``
 (N,), texts. No pickles.
 """
 
@@ -53,10 +53,13 @@ def _read(path: Path, _: ReadOptions) -> Log:
         models: dict[str, Any] = {}
         for name, model in _MODELS.items():
             if name in content:
-                names, values = [f.name for f in fields(model)], content[name].tolist()
-                if names[-1] == "offset":
-                    values[-2:] = [tuple(values[-2:])]
-                models[name] = model(**dict(zip(names, values, strict=True)))
+                numbers = iter(content[name].tolist())
+                # files of earlier versions lack the last fields
+                values: dict[str, Any] = {
+                    f.name: (next(numbers), next(numbers)) if f.name == "offset" else next(numbers, f.default)
+                    for f in fields(model)
+                }
+                models[name] = model(**values)
         return Log(
             **models,
             **{name: content[name] for name in _REQUIRED},
@@ -77,7 +80,6 @@ def _write(log: Log, path: Path) -> None:
         del content["truth_offset"]
     if not log.composite:
         content.pop("control_starts", None)
-    # the two numbers of the sensor's offset follow the others
     content |= {name: np.hstack(astuple(model)) for name, model in vars(log).items() if name in _MODELS and model}
     if log.true_landmarks is not None:
         content["true_landmark_ids"] = np.array(list(log.true_landmarks), dtype=np.int64)

@@ -1,7 +1,7 @@
 """The same graph solved by GTSAM: the factor types of this package, and GTSAM's Levenberg-Marquardt.
 
-The two solvers share the noise models, the initial state and Anderson acceleration; residuals, Jacobians and linear solvers
-are separate.
+The two solvers share the noise models, the initial states, the choice among ends and Anderson acceleration; residuals,
+Jacobians and linear solvers are separate.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array, wrap
 from ..solution import Solution, make_solution
+from .auto import DAMPED, best_run
+from .iteration import Run
 from .mixing import AndersonMixing
 from .starting import starting_state
 
@@ -48,8 +50,8 @@ def solve_with_gtsam(
         graph: what to solve.
         tolerance: converged when the Euclidean norm of a whole correction is below this.
         max_iterations: the most steps to take.
-        initialize: the state to start from, as for `graphslam.solve`. "auto" takes the first state that `solve` would
-            try, and no other if the end is bad.
+        initialize: the state to start from, as for `graphslam.solve`. "auto" compares the ends of several starts, by
+            the same rules.
         factors: "fastest", one `LandmarkFactor` for all edges of a landmark; or "per-edge", one `VirtualMotionFactor`
             for each, which has the same cost and takes about ten times as long. If each edge has a robust kernel,
             the factors are per edge in any case. A note of the solution names the factors that were used.
@@ -60,28 +62,32 @@ def solve_with_gtsam(
     """
     check_positive(tolerance=tolerance)
     check_count(max_iterations=max_iterations)
+    made = to_gtsam(graph, factors=factors)
     begin = time.perf_counter()
-    started = graph.with_initial(starting_state(graph, initialize))
-    starting = time.perf_counter() - begin
-    made = to_gtsam(started, factors=factors)
-    begin = time.perf_counter()
-    try:
-        if graph.state_dependent_information:
-            state, norms, converged = _refrozen(started, tolerance, max_iterations, factors)
+
+    def run_from(start: Array, _: str = DAMPED, descend: bool = False) -> Run:  # noqa: ARG001  # always lowers J
+        started, run = graph.with_initial(start), Run(start, tolerance, max_iterations)
+        try:
+            if graph.state_dependent_information:
+                ends = _refrozen(started, tolerance, max_iterations, factors)
+            else:
+                ends = _optimize(started, made, tolerance, max_iterations)
+        except RuntimeError as error:
+            raise GraphError(f"gtsam failed: {str(error).strip().splitlines()[0]}") from None
+        run.state, run.step_norms, run.converged = ends
+        if run.converged:
+            run.reason = f"step norm {run.step_norms[-1]:.1e} below the tolerance {tolerance:g}"
+        elif len(run.step_norms) >= max_iterations:
+            run.reason = f"max_iterations = {max_iterations} reached"
         else:
-            state, norms, converged = _optimize(started, made, tolerance, max_iterations)
-    except RuntimeError as error:
-        raise GraphError(f"gtsam failed: {str(error).strip().splitlines()[0]}") from None
-    seconds = starting + time.perf_counter() - begin
-    if converged:
-        reason = f"step norm {norms[-1]:.1e} below the tolerance {tolerance:g}"
-    elif len(norms) >= max_iterations:
-        reason = f"max_iterations = {max_iterations} reached"
-    else:
-        reason = "stuck: gtsam finds no step that lowers the cost"
+            run.reason = "stuck: gtsam finds no step that lowers the cost"
+        return run
+
+    run = best_run(graph, run_from, DAMPED) if initialize == "auto" else run_from(starting_state(graph, initialize))
+    seconds = time.perf_counter() - begin
     return make_solution(
-        graph, state, step_norms=norms, costs=[], converged=converged, reason=reason, seconds=seconds, solver="gtsam",
-        notes=(_contents(made),),
+        graph, run.state, step_norms=run.step_norms, costs=[], converged=run.converged, reason=run.reason,
+        seconds=seconds, solver="gtsam", notes=(_contents(made),),
     )  # fmt: skip
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 from ..checks import check_choice
 from ..errors import GraphError
@@ -10,13 +12,16 @@ from ..graph import Graph
 from ..se2 import Array
 from ..transform import coarse, filled, without_landmarks
 from .gauss_newton import gauss_newton
+from .growing import grown
 from .iteration import Run
 from .start import dead_reckoning, place_landmarks, rotation_first
 
 #: the choices of the option ``initialize``
-INITIALIZE = ("given", "dead-reckoning", "rotation-first", "auto")
+INITIALIZE = ("given", "dead-reckoning", "rotation-first", "grow", "auto")
 #: the starts that "auto" tries, in this order
 AUTO = ("virtual-motion", "rotation-first", "given")
+#: the starts that grow the graph, and by how many poses at a time; "auto" tries them where ends are doubtful
+GROWING = {"grow": 10, "grow by 3": 3, "grow by 1": 1}
 #: longer trajectories are first solved for every eighth pose, recursively
 LONG, EVERY = 5_000, 8
 
@@ -26,17 +31,18 @@ def starting_state(graph: Graph, initialize: str) -> Array:
 
     Args:
         graph: the graph to solve.
-        initialize: one of `INITIALIZE`, or "virtual-motion".
+        initialize: one of `INITIALIZE`, `AUTO` or `GROWING`.
 
     Raises:
         GraphError: the edges do not allow this start.
         OptionError: there is no such start.
     """
-    check_choice("initialize", initialize, (*INITIALIZE, "virtual-motion"))
-    starts = {
+    check_choice("initialize", initialize, (*INITIALIZE, *AUTO, *GROWING))
+    starts: dict[str, Callable[[Graph], Array]] = {
         "dead-reckoning": dead_reckoning,
         "rotation-first": rotation_first,
         "virtual-motion": virtual_motion_first,
+        **{name: partial(grown, poses=poses) for name, poses in GROWING.items()},
     }
     for choice in AUTO if initialize == "auto" else ():
         with suppress(GraphError):

@@ -107,7 +107,12 @@ def simulate(
         biases: dict[str, float] = {}
     else:
         poses, controls, biases = _drive(world, motion_faults or MotionFaults(), arena, rng)
-    at, seen = _visible(sensor.mount(poses), landmarks, world)
+    # the stricter limits of sight count, those of the world or those of the sensor; at no distance there is no direction
+    camera = replace(
+        sensor, min_range=max(world.min_range, sensor.min_range, 1e-9), max_range=min(world.max_range, sensor.max_range),
+        field_of_view=min(world.field_of_view, sensor.field_of_view),
+    )  # fmt: skip
+    at, seen = _visible(camera, poses, landmarks)
     exact = sensor.h(poses[at], landmarks[seen])
     if world.clean:
         deviations = np.sqrt(np.diagonal(sensor.Q(exact), axis1=-2, axis2=-1))
@@ -234,17 +239,14 @@ def _drive(
     return poses, controls, dict(zip(("speed", "turn rate"), bias.tolist()))
 
 
-def _visible(poses: Array, landmarks: Array, world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Every (step, landmark) within the camera's limits, by step and then by landmark, from the camera's poses (T+1, 3)."""
+def _visible(camera: SensorModel, poses: Array, landmarks: Array) -> tuple[np.ndarray, np.ndarray]:
+    """Every (step, landmark) within the camera's limits, by step and then by landmark; poses (T+1, 3) of the robot."""
     from scipy.spatial import cKDTree
 
-    near = cKDTree(landmarks[:, :2]).query_ball_point(poses[:, :2], world.max_range, return_sorted=True)
+    near = cKDTree(landmarks[:, :2]).query_ball_point(camera.mount(poses)[:, :2], camera.max_range, return_sorted=True)
     at = np.repeat(np.arange(len(poses)), [len(each) for each in near])
     seen = np.fromiter((j for each in near for j in each), dtype=np.int64, count=len(at))
-    d = landmarks[seen, :2] - poses[at, :2]
-    bearing = wrap(np.arctan2(d[:, 1], d[:, 0]) - poses[at, 2])
-    far_enough = np.hypot(d[:, 0], d[:, 1]) >= max(world.min_range, 1e-9)
-    within = far_enough & (np.abs(bearing) <= world.field_of_view / 2)
+    within = camera.sees(poses[at], landmarks[seen])
     return at[within], seen[within]
 
 

@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-import numpy as np
-
 from ..checks import checked_offset, suggestion
 from ..errors import LogError, OptionError
 from ..models import SensorModel
-from ..reading import UNIDENTIFIED, ReadOptions
+from ..reading import ReadOptions
 from ..se2 import Array
 from ..sources.streams import Stream, parts_of_streams
 from .drive import Timed, map_of, odometry_of, sightings_of, truth_of
@@ -71,7 +69,7 @@ class Drive:
             true_landmarks=self.landmarks,
             origin=origin / 1e9,
             name=name,
-            notes=(*self.notes, *remarks, *about_ids(self.sightings)),
+            notes=(*self.notes, *remarks),
             **models,
         )
 
@@ -142,31 +140,3 @@ def _unit_ratio(one: int, other: int) -> int | None:
 
 def _interval(begin: int, end: int) -> str:
     return f"{begin / 1e9:.3f} to {end / 1e9:.3f} s"
-
-
-def about_ids(sightings: Timed) -> tuple[str, ...]:
-    """Notes about landmark ids that look wrong."""
-    ids = sightings.ids
-    if np.any(ids == UNIDENTIFIED):
-        return ()
-    names, counts = np.unique(ids, return_counts=True)
-    if len(ids) > 1 and len(names) == 1:
-        return (
-            f"{sightings.table.source}: all {len(ids)} sightings are of one landmark, {names[0]}; perhaps another column "
-            "holds the ids",
-        )
-    if len(ids) > 20 and np.mean(counts) < 1.5:
-        return (
-            f"{sightings.table.source}: {len(ids)} sightings are of {len(names)} landmarks, nearly each is seen "
-            "once; perhaps the ids are a running number",
-        )
-    order = np.lexsort((ids, sightings.times))
-    ranges = sightings.rows[order, 0]
-    twice = (np.diff(sightings.times[order]) == 0) & (np.diff(ids[order]) == 0) & (np.abs(np.diff(ranges)) > 0.5)
-    if twice.any():
-        k = int(np.argmax(twice))
-        return (
-            f"{sightings.table.source}: landmark {ids[order][k]} is seen twice at one time, {ranges[k]:.2f} and "
-            f"{ranges[k + 1]:.2f} m away ({np.sum(twice)} such pairs); perhaps several objects have one id",
-        )
-    return ()

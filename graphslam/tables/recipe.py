@@ -76,10 +76,10 @@ def read_recipe(path: Path) -> Recipe:
 
 def _value(file: TomlFile, name: str) -> Any:
     """The value of an option in the head of the file, in the type of its field."""
-    if name == "sensor_offset":
+    if name in ("sensor_offset", "truth_offset"):
         value = file.value(file.table, name, list)
         if len(value) != 2 or not all(type(number) in (int, float) for number in value):
-            raise file.error(name, "sensor_offset should be a list of two numbers, [forward, left]")
+            raise file.error(name, f"{name} should be a list of two numbers, [forward, left]")
         return tuple(map(float, value))
     if name == "sensor_yaw":
         return file.value(file.table, name, float)

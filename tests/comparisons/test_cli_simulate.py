@@ -141,3 +141,9 @@ def test_the_help_shows_the_defaults_of_the_simulator(monkeypatch: pytest.Monkey
             assert f"--{name.replace('_', '-')}" in text
     (line,) = [line for line in text.splitlines() if "--steps " in line]
     assert "(62)" in line
+
+
+def test_the_place_and_limits_of_the_sensor_hold_with_faults_too(invoke: Invoke) -> None:
+    invoke("near.npz", "--sensor-max-range", "2", "--sensor-offset", "0.5,0", "--oversight", "0")
+    invoke("far.npz", "--oversight", "0")
+    assert 0 < len(load("near.npz").steps) < len(load("far.npz").steps)

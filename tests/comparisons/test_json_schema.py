@@ -72,6 +72,7 @@ def test_the_json_of_an_import(write, tmp_path):
     assert found["file"] is None and [stream["kind"] for stream in found["streams"]] == ["odometry", "sightings"]
     found = write("import", "--odometry", "odometry.csv", "--sightings", "sightings.csv", "drive.npz")
     valid("import", found)
+    valid("show", write("show", "drive.npz"))
     assert found["file"] == "drive.npz" and found["source"] is None and found["streams"][1]["rows"] == 2
     assert load("drive.npz").equals(load(tmp_path))
 

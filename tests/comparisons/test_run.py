@@ -10,12 +10,13 @@ import pytest
 from comparisons import estimators
 from comparisons.attempt import Skipped
 from comparisons.comparison import Comparison, run
+from comparisons.config import read_config
 from comparisons.estimators import Estimator
 from comparisons.options import RunOptions
 from comparisons.results import EstimatorResult
 from comparisons.show.report.page import page_of
 from comparisons.show.tables import as_text
-from graphslam import FormatError, GraphError, Log, OptionError, SensorModel, simulate
+from graphslam import FormatError, GraphError, Log, OptionError, SensorModel, SlamError, simulate
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
 
@@ -78,7 +79,7 @@ def test_the_table_says_whether_the_noise_fits(log: Log) -> None:
 
 def test_json_is_what_the_design_says(comparison: Comparison, log: Log) -> None:
     payload = json.loads(json.dumps(comparison.to_json({"figure": Path("f.png")}), allow_nan=False))
-    assert set(payload) == {"log", "noise", "estimators", "files", "notes"}
+    assert set(payload) == {"log", "noise", "estimators", "files", "notes", "warnings"}
     assert payload["files"] == {"figure": "f.png"}
     assert payload["log"]["poses"] == log.num_poses
     for entry, result in zip(payload["estimators"], comparison.results):
@@ -191,9 +192,50 @@ def test_an_estimator_that_fails_is_a_row_and_the_others_go_on(log: Log, monkeyp
     assert "broken failed: LinAlgError: Singular matrix." in as_text(outcome)
     entry = next(entry for entry in outcome.to_json()["estimators"] if entry["name"] == "broken")
     assert entry["reason"] == "LinAlgError: Singular matrix"
-    # where nothing else is left, the error itself
-    with pytest.raises(np.linalg.LinAlgError):
+    with pytest.raises(SlamError, match="broken failed: LinAlgError: Singular matrix") as caught:
         run(log, estimators=["broken"])
+    assert isinstance(caught.value.__cause__, np.linalg.LinAlgError)
+
+
+def test_a_graph_that_fails_is_a_row_where_others_have_results(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    def singular(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("comparisons.estimators.make_graph", singular)
+    outcome = run(log, estimators=["dead-reckoning", "graph"])
+    assert outcome.table["graph"].skipped == "LinAlgError: Singular matrix"
+
+
+def test_the_time_limit_ends_one_estimator_and_no_other(tmp_path: Path) -> None:
+    # a billion moves of particles do not fit into two seconds
+    limited = run(
+        simulate(seed=1, steps=5000), estimators=["fastslam1", "dead-reckoning"], particles=300_000, time_limit=2.0
+    )
+    reason = "it was stopped at the time limit of 2 s"
+    assert limited.table["fastslam1"].skipped == reason
+    assert f"fastslam1 left out: {reason}." in as_text(limited)
+    assert limited.table["dead-reckoning"].ate_m is not None
+    (entry,) = [entry for entry in limited.to_json()["estimators"] if entry["name"] == "fastslam1"]
+    assert entry["reason"] == reason
+    # a repeated run has the same limit
+    assert read_config(limited.save(tmp_path, figures=())["config"])["time_limit"] == 2.0
+
+
+def test_with_a_time_limit_the_numbers_are_the_same(log: Log) -> None:
+    names = ["textbook", "graph", "isam2", "fastslam2"]
+    limited, here = (run(log, estimators=names, particles=50, time_limit=limit) for limit in (600.0, None))
+    for name in names:
+        np.testing.assert_array_equal(limited[name].poses, here[name].poses)
+        np.testing.assert_array_equal(limited[name].landmarks[0], here[name].landmarks[0])
+    assert limited.nees == here.nees
+    assert [row.cost_per_dof for row in limited.table] == [row.cost_per_dof for row in here.table]
+    with pytest.raises(OptionError, match="time_limit must be a positive number"):
+        run(log, time_limit=0.0)
+
+
+def test_errors_come_back_from_the_process_of_a_time_limit(log: Log) -> None:
+    with pytest.raises(OptionError, match="true map"):
+        run(log.replace(true_landmarks=None), estimators=["mcl"], time_limit=60.0)
 
 
 def test_covariances_that_fail_are_a_note(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -132,3 +132,12 @@ def test_a_log_without_controls_has_virtual_edges_only() -> None:
     assert outcome.problems == ()
     assert all(v.name.startswith("virtual ") for v in outcome.variants)
     assert SkippedVariant in {type(entry) for entry in outcome.skipped}
+
+
+def test_the_time_limit_ends_a_variant(log: Log) -> None:
+    with pytest.raises(GraphError, match="stopped at the time limit of 0.001 s"):
+        compare_solvers(
+            log.without_orientation(), edges=["landmark+motion"], motion_weights=[1.0], jobs=1, time_limit=1e-3
+        )
+    with pytest.raises(OptionError, match="time_limit needs local processes"):
+        compare_solvers(log, jobs=0, time_limit=1.0)

@@ -310,3 +310,23 @@ def test_options() -> None:
         FastSLAM2(new_landmark_threshold="few")
     with pytest.raises(OptionError, match="ids may be None only if"):
         FastSLAM1().observe(None, [[1.0, 0.0]])
+
+
+@pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
+def test_a_phantom_is_dropped_where_the_sensor_s_limits_say_that_it_should_be_seen(kind: type[FastSLAM1]) -> None:
+    """A sighting at 5 m that never comes again: without limits nothing says that the sensor sees as far as that."""
+    there, phantom = [2.0, 0.1], [5.0, -0.5]
+
+    def landmarks(**limits: float) -> int:
+        slam = kind(particles=20, sensor=SensorModel(range_rate=0.01, bearing_std=0.01, **limits), **UNKNOWN)
+        slam.observe(None, np.array([there, phantom]))
+        for _ in range(3):
+            slam.move(np.zeros(2), 1.0)
+            slam.observe(None, np.array([there]))
+        return len(slam.state.map(provisional=True))
+
+    assert landmarks() == 2
+    assert landmarks(max_range=8.0, field_of_view=2.0) == 1
+    # near a limit, known or learned, it may be overlooked
+    assert landmarks(max_range=5.2, field_of_view=2.0) == 2
+    assert landmarks(max_range=8.0) == 2

@@ -63,3 +63,14 @@ def test_bad_input() -> None:
     poses_only = log.replace(dt=None, controls=None)
     with pytest.raises(LogError, match="no controls"):
         study_particles(poses_only, jobs=0)
+
+
+def test_the_time_limit_ends_one_run_and_no_other():
+    # a billion moves of particles do not fit into two seconds
+    log = simulate(seed=1, steps=5000)
+    study = study_particles(log, filters=["fastslam1"], particles=[1, 300_000], seeds=1, jobs=1, time_limit=2.0)
+    assert [run.particles for run in study.runs] == [1]
+    assert study.notes == (
+        "fastslam1 with 300000 particles and seed 0 has no result: it was stopped at the time limit of 2 s",
+    )
+    assert study.to_json()["notes"] == list(study.notes)

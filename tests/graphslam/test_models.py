@@ -273,3 +273,27 @@ def test_options_change_a_sensor_model():
     assert SensorModel().changed(range_rate=0.1, range_std=0.2).Q([2.0, 0.0])[0, 0] == pytest.approx(0.08)
     with pytest.raises(OptionError, match="SensorModel has no 'range'; its fields are range_rate"):
         SensorModel().changed(range=1.0)
+
+
+def test_the_limits_of_a_sensor_hold_at_the_sensor():
+    sensor = SensorModel(offset=(1.0, 0.0), min_range=0.5, max_range=2.0, field_of_view=np.pi / 2)
+    pose = [3.0, 1.0, np.pi / 2]  # the sensor is at (3, 2) and looks along y
+    seen = {
+        (3.0, 3.9): True,
+        (3.0, 4.1): False,
+        (3.0, 2.4): False,
+        (4.0, 3.1): True,
+        (4.1, 2.9): False,
+        (3.0, 0.5): False,
+    }
+    np.testing.assert_array_equal(sensor.sees(pose, np.array(list(seen))), list(seen.values()))
+    assert SensorModel().sees(pose, [1e6, -1e6])
+
+
+@pytest.mark.parametrize(
+    "limits", [{"max_range": 0.0}, {"min_range": -1.0}, {"min_range": 3.0, "max_range": 2.0}, {"field_of_view": 0.0},
+               {"field_of_view": 7.0}, {"max_range": float("nan")}],
+)  # fmt: skip
+def test_impossible_limits(limits):
+    with pytest.raises(OptionError, match="min_range must lie|field_of_view must be"):
+        SensorModel(**limits)

@@ -212,3 +212,12 @@ def test_biases_are_noted_and_their_values_are_those_of_the_data(tmp_path):
     save(log, tmp_path / "log.npz")
     assert load(tmp_path / "log.npz").notes == log.notes
     assert simulate(seed=5, clean=True).notes == ()
+
+
+def test_the_limits_of_the_sensor_apply_where_they_are_stricter_than_those_of_the_world():
+    sensor = SensorModel(offset=(1.5, 0.4), max_range=2.5, field_of_view=1.0)
+    log = simulate(seed=3, clean=True, sensor=sensor, min_range=0, max_range=4.0)
+    places = np.array([log.true_landmarks[j][:2] for j in log.landmarks.tolist()])
+    assert sensor.sees(log.true_poses[log.steps], places).all()
+    # and all that it sees is reported
+    assert 5 < len(places) == sum(np.sum(sensor.sees(log.true_poses, m[:2])) for m in log.true_landmarks.values())

@@ -1,0 +1,294 @@
+"""Checks of a log before it is solved: units, signs and clocks that cannot be right, each with its likely cause.
+
+The main check compares pairs of sightings of one landmark with the odometry between them. From the first sighting the
+odometry predicts the second. If another reading of the numbers (bearings with the other sign, turn rates in degrees, ...)
+predicts far better, that is the likely cause. No graph is solved: a landmark has to stay where it is over a short
+way already, which takes milliseconds and depends on no noise model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from .log import Log
+from .models import MotionModel, SensorModel
+from .reading import UNIDENTIFIED
+from .se2 import Array, between
+
+#: beyond these values numbers are probably in another unit: range [m], speed [m/s], turn rate [rad/s], time of a control [s]
+FARTHEST, FASTEST, QUICKEST, SLOWEST = 1000.0, 100.0, 2 * np.pi, 5.0
+#: way between the two sightings of a pair, [rad] turned plus [ranges] driven: at least, at most
+_LEAST, _MOST = 0.4, 1.5
+#: pairs with a larger turn [rad] show the sign of bearings
+_TURNING = 0.1
+#: pairs that are needed, and that are used at most
+_FEWEST, _ENOUGH = 20, 4000
+#: another reading is reported where the median error of the pairs [ranges] is above the first number, another reading
+#: lowers it to less than the second part, and is better for at least the third part of the pairs
+_WRONG, _BETTER, _SHARE = 0.08, 0.5, 0.65
+#: sightings that no reading fits better than this [ranges] contradict the odometry
+_CONTRADICTION = 0.4
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something in a log that is probably a mistake.
+
+    Attributes:
+        check: a short name, "bearing sign" for example.
+        message: one sentence with the likely cause.
+    """
+
+    check: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Another way to read a log.
+
+    Attributes:
+        check, message: as in a `Finding`.
+        given, error: median error of the pairs as the log stands, and read like this, relative to the range.
+        share: of the pairs for which this reading is better.
+    """
+
+    check: str
+    given: float
+    error: float
+    share: float
+    message: str
+
+
+def plausibility(log: Log) -> tuple[Finding, ...]:
+    """What is probably wrong with a log; empty where nothing is.
+
+    Args:
+        log: with or without controls and truth.
+    """
+    found: dict[str, Finding] = {}
+    for finding in (*_sizes(log), *_ids(log), *_readings(log), *_against_truth(log)):
+        found.setdefault(finding.check, finding)
+    return tuple(found.values())
+
+
+def _sizes(log: Log) -> Iterator[Finding]:
+    if len(log.sightings) and (far := float(np.median(log.sightings[:, 0]))) > FARTHEST:
+        yield Finding("range unit", f"half of the ranges are above {far:.0f} m; they may be in millimetres")
+    if log.controls is None or log.dt is None or len(log.controls) == 0:
+        return
+    speed, turn = np.quantile(np.abs(log.controls), 0.95, axis=0)
+    if speed > FASTEST:
+        yield Finding("speed unit", f"the speed reaches {speed:.0f} m/s; it may be in mm/s")
+    within = float(np.median(np.abs(log.controls[:, 1]) * log.dt))
+    if turn > QUICKEST or within > np.pi:
+        yield Finding("turn rate unit", f"the turn rate reaches {turn:.1f} rad/s; it may be in degrees per second")
+    if (lasting := float(np.median(log.dt))) > SLOWEST:
+        yield Finding("time unit", f"controls last {lasting:g} s (median); the times may be in milliseconds")
+    if not np.any(log.controls):
+        yield Finding("no motion", "all controls are zero; the odometry may be another column or topic")
+
+
+def _ids(log: Log) -> Iterator[Finding]:
+    known = log.landmarks[log.landmarks != UNIDENTIFIED]
+    if len(known) < 2:
+        return
+    names, counts = np.unique(known, return_counts=True)
+    if len(names) == 1:
+        yield Finding(
+            "one landmark", f"all {len(known)} sightings are of one landmark, {names[0]}; ids may be in another column"
+        )
+    elif len(known) > _FEWEST and np.mean(counts) < 1.5:
+        yield Finding(
+            "ids jump",
+            f"{len(known)} sightings are of {len(names)} landmarks, so that nearly each is seen once; the ids may be a "
+            "running number",
+        )
+    order = np.lexsort((log.landmarks, log.steps))
+    steps, ids, ranges = log.steps[order], log.landmarks[order], log.sightings[order, 0]
+    twice = (np.diff(steps) == 0) & (np.diff(ids) == 0) & (ids[1:] != UNIDENTIFIED)
+    apart = twice & (np.abs(np.diff(ranges)) > 0.2 * ranges[1:])
+    if np.sum(apart) > 0.02 * len(known):
+        k = int(np.argmax(apart))
+        yield Finding(
+            "duplicate ids",
+            f"landmark {ids[k]} is seen twice at step {steps[k]}, {ranges[k]:.2f} and {ranges[k + 1]:.2f} m away "
+            f"({np.sum(apart)} such pairs); several objects may have one id, or different stamps became one",
+        )
+
+
+def _readings(log: Log) -> Iterator[Finding]:
+    """The other reading that fits far better, or that none fits."""
+    pairs = pairs_of(log)
+    if pairs is None and log.controls is not None:
+        # at a thousandth of the speed there may be short ways
+        pairs = pairs_of(log, slower=1000.0)
+    if pairs is None:
+        return
+    readings = pairs.readings()
+    likely = [
+        each for each in readings if each.given > _WRONG and each.error < _BETTER * each.given and each.share > _SHARE
+    ]
+    given = max(each.given for each in readings)
+    if likely:
+        best = min(likely, key=lambda reading: reading.error)
+        times = f"{best.given / best.error:.1f}" if best.error > 0 else "infinitely many"
+        yield Finding(best.check, f"{best.message}: read like this, they fit the odometry {times} times better")
+    elif given > _CONTRADICTION:
+        yield Finding(
+            "contradiction",
+            f"sightings contradict the odometry: over short ways a landmark moves by {given:.0%} of its range (median); ids, "
+            "clocks, units or axes may be wrong",
+        )
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Pairs of sightings of one landmark, over short ways.
+
+    Attributes:
+        log: whose they are.
+        first, second: (K,) rows of the sightings.
+    """
+
+    log: Log
+    first: np.ndarray
+    second: np.ndarray
+
+    def errors(self, poses: Array, sightings: Array) -> Array:
+        """How far a landmark moves from the first sighting to the second, in parts of its range (K,)."""
+        sensor = self.log.sensor or SensorModel()
+        a, b = poses[self.log.steps[self.first]], poses[self.log.steps[self.second]]
+        one, two = sightings[self.first, :2], sightings[self.second, :2]
+        motion = between(sensor.mount(a), sensor.mount(b))
+        c, s = np.cos(motion[:, 2]), np.sin(motion[:, 2])
+        x, y = one[:, 0] * np.cos(one[:, 1]) - motion[:, 0], one[:, 0] * np.sin(one[:, 1]) - motion[:, 1]
+        seen = np.column_stack([c * x + s * y, c * y - s * x])
+        there = two[:, :1] * np.column_stack([np.cos(two[:, 1]), np.sin(two[:, 1])])
+        return np.linalg.norm(seen - there, axis=1) / np.maximum(one[:, 0], two[:, 0])
+
+    def readings(self) -> list[Reading]:
+        """Every other reading of the log."""
+        log = self.log
+        poses = log.dead_reckoning()
+        as_given = self.errors(poses, log.sightings)
+        turning = np.abs(poses[log.steps[self.second], 2] - poses[log.steps[self.first], 2]) > _TURNING
+        readings = []
+        for check, message, changed_poses, changed_sightings in self._others(poses):
+            errors = self.errors(changed_poses, changed_sightings)
+            # where the robot drives straight on, both signs fit
+            used = turning if check == "bearing sign" and np.sum(turning) >= _FEWEST else slice(None)
+            before, after = as_given[used], errors[used]
+            share = float(np.mean(after < before))
+            readings.append(Reading(check, float(np.median(before)), float(np.median(after)), share, message))
+        return readings
+
+    def _others(self, poses: Array) -> Iterator[tuple[str, str, Array, Array]]:
+        log, z = self.log, self.log.sightings
+
+        def turned(change: Callable[[Array], Array]) -> Array:
+            other = z.copy()
+            other[:, 1] = change(z[:, 1])
+            return other
+
+        sign = "the bearings, or else the turn rates, have the wrong sign (--bearings clockwise)"
+        yield "bearing sign", sign, poses, turned(lambda b: -b)
+        swapped = "x and y of the sightings are swapped (--axes left-forward)"
+        yield "axes swapped", swapped, poses, turned(lambda b: np.pi / 2 - b)
+        for angle, option, where in ((90, "1.5708", "left"), (-90, "-1.5708", "right"), (180, "3.1416", "back")):
+            message = f"the sensor looks to the {where} (--sensor-yaw {option})"
+            yield "sensor direction", message, poses, turned(lambda b, a=angle: b + np.deg2rad(a))  # type: ignore[misc]
+        message = "bearings count from the left, clockwise (--bearings clockwise --sensor-yaw 1.5708)"
+        yield "bearing zero", message, poses, turned(lambda b: -b + np.pi / 2)
+        assert log.controls is not None
+        slow = log.replace(
+            controls=log.controls * [1.0, np.pi / 180], initial_poses=None, control_starts=log.control_starts
+        )
+        message = "the turn rates are in degrees per second (--angles odometry=degrees)"
+        yield "turn rate unit", message, slow.dead_reckoning(), z
+        for factor, unit in ((1 / 1000, "mm/s"), (1 / 100, "cm/s"), (1 / 3.6, "km/h"), (1000.0, ""), (100.0, "")):
+            scaled = poses * [factor, factor, 1.0]
+            where = f"speeds are in {unit}" if unit else f"ranges are in {'mm' if factor > 500 else 'cm'}"
+            yield "scale", f"the {where}, against the other lengths", scaled, z
+        yield from self._clocks(poses)
+
+    def _clocks(self, poses: Array) -> Iterator[tuple[str, str, Array, Array]]:
+        """The sightings read as later or earlier."""
+        log = self.log
+        assert log.controls is not None and log.dt is not None and log.times is not None
+        times = log.start_time + np.concatenate([[0.0], np.cumsum(log.dt)])
+        path = MotionModel().dead_reckoning(poses[0], log.controls, log.dt)
+        for late in (0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0):
+            for shift in (-late, late):
+                moved = np.column_stack([np.interp(log.times + shift, times, path[:, k]) for k in range(3)])
+                message = f"the clock of the sightings is about {late:g} s {'fast' if shift < 0 else 'slow'}"
+                yield "clock", f"{message} (--clocks sightings={shift:g})", moved, log.sightings
+
+
+def pairs_of(log: Log, *, slower: float = 1.0) -> Pairs | None:
+    """Pairs of sightings of one landmark over short ways; None where there are too few, or no controls.
+
+    Args:
+        log: the log.
+        slower: ways are measured as if the speed was smaller by this factor.
+    """
+    if log.controls is None or log.dt is None or len(log.sightings) < 2:
+        return None
+    middle = float(np.median(log.sightings[:, 0]))
+    driven = np.abs(log.controls) @ [1 / (slower * middle), 1.0] * log.dt
+    # with turn rates in degrees a way would seem too long: no more than usual in each control
+    if (typical := float(np.median(driven[driven > 0]) if np.any(driven > 0) else 0.0)) == 0:
+        return None
+    way = np.concatenate([[0.0], np.cumsum(driven)])[log.control_starts]
+    least = _LEAST if typical < _MOST else _LEAST * typical / _MOST
+    order = np.lexsort((log.steps, log.landmarks))
+    order = order[log.landmarks[order] != UNIDENTIFIED]
+    # one number that grows along the way, landmark after landmark
+    rank = np.unique(log.landmarks[order], return_inverse=True)[1]
+    apart = way[-1] + 10 * _MOST + 1
+    along = rank * apart + way[log.steps[order]]
+    later = np.searchsorted(along, along + least)
+    exists = later < len(order)
+    first, second = np.flatnonzero(exists), later[exists]
+    good = (along[second] - along[first] <= max(_MOST, 3 * least)) & (rank[first] == rank[second])
+    first, second = order[first[good]], order[second[good]]
+    if len(first) < _FEWEST:
+        return None
+    every = max(1, len(first) // _ENOUGH)
+    return Pairs(log, first[::every], second[::every])
+
+
+def _against_truth(log: Log) -> Iterator[Finding]:
+    """Odometry against the true poses: the length of the way and the sign of its turns."""
+    if log.true_poses is None or log.controls is None:
+        return
+    known = np.asarray(np.isfinite(log.true_poses).all(axis=1))
+    steps = np.flatnonzero(known[:-1] & known[1:])
+    if len(steps) < _FEWEST:
+        return
+    driven, true = log.motions()[0][steps], between(log.true_poses[steps], log.true_poses[steps + 1])
+    ours, theirs = (float(np.sum(np.hypot(*motion[:, :2].T))) for motion in (driven, true))
+    if max(ours, theirs) > 1 and not 0.5 * theirs < ours < 2 * theirs:
+        yield Finding(
+            "truth scale",
+            f"the odometry drives {ours:.1f} m where the truth moves {theirs:.1f} m; one may be in another unit",
+        )
+    turns, real = driven[:, 2], true[:, 2]
+    small = np.abs(turns) < np.pi / 2
+    product, size = float(np.sum((turns * real)[small])), float(np.sum((turns**2)[small]))
+    if np.sum(np.abs(turns[small])) > 1 and product < -0.5 * size:
+        message = "the odometry turns the other way than the truth; one of them has the wrong sign"
+        yield Finding("truth sign", message)
+    way = np.asarray(np.hypot(true[:, 0], true[:, 1]))
+    far = np.flatnonzero(way > np.median(way))
+    if len(far) and theirs > 1:
+        aside = np.arctan2(true[far, 1], true[far, 0]) - np.arctan2(driven[far, 1], driven[far, 0])
+        if abs(direction := np.angle(np.mean(np.exp(1j * aside)))) > np.deg2rad(45):
+            yield Finding(
+                "truth heading",
+                f"the true headings point {np.rad2deg(abs(direction)):.0f} degrees away from the direction of driving; they "
+                "may be in another unit, or count from another axis",
+            )
