@@ -28,8 +28,6 @@ from .plan import Run, Study
 #: "SLAM" in ASCII, in the head of the file: the place where SQLite keeps the application of a database
 APPLICATION = 0x534C414D
 VERSION = 3
-#: the columns that later versions have added, which are not known of older rows
-_ADDED = {2: ("cost_per_dof", "REAL"), 3: ("proven", "INTEGER")}
 
 _TYPES = {"int | None": "INTEGER", "bool | None": "INTEGER", "float | None": "REAL"}
 _FIGURES = [(f.name, _TYPES.get(str(f.type), "TEXT")) for f in fields(Outcome) if f.name != "key"]
@@ -101,8 +99,11 @@ class StudyDatabase:
         if application != APPLICATION:
             raise FormatError(self.path, None, "this SQLite file is no study of slam-compare; name another one")
         if 1 <= version < VERSION:
-            for later in range(version + 1, VERSION + 1):
-                self._connection.execute("ALTER TABLE runs ADD COLUMN {} {}".format(*_ADDED[later]))
+            # later versions have more figures, which are not known of older rows
+            present = {row[1] for row in self._connection.execute("PRAGMA table_info(runs)")}
+            for name, kind in _FIGURES:
+                if name not in present:
+                    self._connection.execute(f"ALTER TABLE runs ADD COLUMN {name} {kind}")
             self._connection.execute(f"PRAGMA user_version = {VERSION}")
         elif version != VERSION:
             raise FormatError(self.path, None, f"a study of version {version}; this program reads version {VERSION}")
