@@ -220,7 +220,7 @@ def test_auto_compares_the_ends_of_small_graphs(seed, first):
     # the negative direction of an unproven end may lead to a minimum below both
     assert solve(graph).cost <= ends[1].cost * (1 + 1e-9)
     if seed != 1195:  # there, GTSAM finds its system indeterminate
-        assert solve_with_gtsam(graph, max_iterations=300).cost == pytest.approx(ends[1].cost, rel=1e-6)
+        assert solve_with_gtsam(graph, max_iterations=300).cost <= ends[1].cost * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("edges", ["landmark+motion", "virtual+motion"])
