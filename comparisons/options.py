@@ -166,6 +166,10 @@ class OutputOptions(Options):
     out: Path | None = option(None, "Folder for the results.", metavar="DIR", default_text="results/<time>")
     figures: tuple[str, ...] = option(("png", "pdf"), "Formats of the figure.", choices=("png", "pdf", "svg"))
     html: Path | None = option(None, "Also write the interactive report, one HTML file.", metavar="FILE")
+    mcap: Path | None = option(
+        None, "Also write poses and maps as MCAP with messages of ROS 2, for Foxglove and RViz.", metavar="FILE"
+    )
+    rerun: Path | None = option(None, "Also write poses and maps as a recording of Rerun (.rrd).", metavar="FILE")
 
 
 @dataclass(frozen=True, kw_only=True)

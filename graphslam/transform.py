@@ -19,6 +19,7 @@ from .edges import (
     EdgeFamily,
     LandmarkSightings,
     ObservationEdges,
+    PolarObservationEdges,
     RelativePointEdges,
     RelativePoseEdges,
     SightingEdges,
@@ -47,6 +48,14 @@ def without_landmarks(graph: Graph) -> Graph | None:
 
     families = [paired(f) if isinstance(f, ObservationEdges) else f for f in graph.families]
     return None if families == [*graph.families] else poses_only(graph, families)
+
+
+def with_cartesian_sightings(graph: Graph) -> Graph | None:
+    """The graph with the Cartesian residual for its sightings of landmark nodes; None where none of them is polar."""
+    if not any(isinstance(family, PolarObservationEdges) for family in graph.families):
+        return None
+    families = [f.cartesian if isinstance(f, PolarObservationEdges) else f for f in graph.families]
+    return replace(graph, families=tuple(families))
 
 
 def with_landmark_nodes(graph: Graph) -> Graph | None:

@@ -10,7 +10,7 @@ from numba import njit
 
 from ..diagnosis import undetermined
 from ..graph import Graph
-from ..linear.cholesky import Factor, SingularPivot
+from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..se2 import Array
 from .mixing import AndersonMixing
@@ -137,7 +137,7 @@ def factorized(graph: Graph, state: Array, damping: float = 0.0) -> Factor:
     """
     try:
         return graph.system.factorize(damping)
-    except SingularPivot as error:
+    except FactorizationError as error:
         raise undetermined(graph, state, error) from None
 
 

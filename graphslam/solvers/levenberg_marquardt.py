@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..graph import Graph
-from ..linear.cholesky import SingularPivot
+from ..linear.cholesky import FactorizationError
 from .iteration import Run, factorized, inner
 from .mixing import AndersonMixing
 
@@ -65,7 +65,7 @@ def _confirmed(graph: Graph, run: Run) -> bool:
     system, _ = graph.linearize(run.state)
     try:
         delta = system.factorize().solve(system.xi)
-    except SingularPivot:
+    except FactorizationError:
         run.converged, run.reason = False, "stuck: damped steps lead to a state where Omega is singular"
         return True
     run.converged = run.negligible(inner(system.xi, delta), system)

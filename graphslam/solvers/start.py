@@ -18,7 +18,7 @@ from ..edges import AnchorEdges, ObservationEdges, RelativePoseEdges, kernels
 from ..edges.base import Relations
 from ..errors import GraphError
 from ..graph import Graph
-from ..linear.cholesky import SingularPivot
+from ..linear.cholesky import FactorizationError
 from ..linear.information import BlockSystem
 from ..se2 import Array, compose
 
@@ -137,7 +137,7 @@ def _solved(graph: Graph, system: BlockSystem, held: np.ndarray) -> Array:
     system.hold(held)
     try:
         return system.factorize().solve(system.xi)[:, :2]
-    except SingularPivot as error:
+    except FactorizationError as error:
         raise GraphError(
             f"initialize='rotation-first' needs edges that tie all nodes; nothing holds {graph.names(np.array([error.node]))}"
         ) from None

@@ -257,3 +257,31 @@ def test_short_damped_steps_alone_are_no_proof():
             decrease = np.sum(system.xi * system.factorize().solve(system.xi))
             assert decrease <= max(1e-6 * cost, 1e-20), (seed, solution.reason)
     assert converged > 20
+
+
+@pytest.mark.parametrize("dimensions", [3, 2])
+def test_polar_landmark_nodes_start_from_the_cartesian_optimum(dimensions):
+    log = simulate(WORLDS["garden"], seed=5, clean=True)
+    graphs = [
+        Graph.from_log(log, edges="landmark+motion", dimensions=dimensions, residual=residual)
+        for residual in ("cartesian", "polar")
+    ]
+    cartesian, polar = (solve(graph) for graph in graphs)
+    start = starting_state(graphs[1], "auto")
+    np.testing.assert_allclose(start[:, :2], cartesian.state[:, :2], atol=1e-3)
+    assert "started cartesian" in polar.reason and polar.converged
+    with pytest.raises(GraphError, match="polar"):
+        starting_state(graphs[0], "cartesian")
+
+
+@pytest.mark.parametrize("dimensions", [3, 2])
+def test_cartesian_landmark_nodes_have_no_singular_place(dimensions):
+    """From all poses on one landmark, where no bearing is defined, the Cartesian residual leads to the optimum."""
+    log = simulate(seed=3, clean=True)
+    graph = Graph.from_log(log, edges="landmark+motion", dimensions=dimensions)
+    best = solve(graph)
+    start = best.state.copy()
+    start[: log.num_poses, :2] = start[log.num_poses, :2]
+    ours = solve(graph.with_initial(start), initialize="given")
+    assert ours.converged
+    assert ours.cost == pytest.approx(best.cost, rel=1e-9)
