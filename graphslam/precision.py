@@ -50,7 +50,11 @@ def check_log(log: Log, motion: MotionModel | None, sensor: SensorModel) -> None
 
 def check_model(model: MotionModel | SensorModel) -> None:
     """Raise `GraphError` where numbers of a noise model are too large or too small."""
+    # limits of sight may be infinite; the offset is a number of the equations
+    limits = [name for name in getattr(model, "GEOMETRY", ()) if name != "offset"]
     for name, value in asdict(model).items():
+        if name in limits:
+            continue
         # a small noise of the motion, or epsilon, is judged by the inverse of its covariance
         least = SMALLEST if isinstance(model, SensorModel) and name != "offset" else 0.0
         for number in np.atleast_1d(value).tolist():
