@@ -82,6 +82,7 @@ class LogDocument(Document):
     sightings: Annotated[Count, about("number of sightings")]
     landmarks: Annotated[Count, about("number of landmarks seen")]
     dimensions: Dimensions
+    simulated: Annotated[bool, about("whether `simulate` made it; all others count as real data")]
     has_controls: Annotated[bool, about("whether there is odometry")]
     controls: Annotated[Count | None, about("number of controls")]
     poses_covered: Annotated[Count, about("number of poses whose ground truth is known")]
@@ -116,6 +117,10 @@ class EstimatorDocument(Document):
         about("what the estimate is aligned to the ground truth by: landmarks where no true poses are known"),
     ]
     nees: Annotated[float | None, about("mean NEES of the poses per degree of freedom; 1: consistent")]
+    weighed_down: Annotated[
+        Count | None,
+        about("number of sightings that a robust kernel gives less than half of their weight; null without one"),
+    ]
     poses_counted: Annotated[Count | None, about("number of poses that the metrics are of")]
     poses: Annotated[list[Pose] | None, about("the trajectory, T + 1 poses")]
     estimated: Annotated[list[bool] | None, about("false where a pose is only the initial guess")]

@@ -44,6 +44,7 @@ class Log:
         start_time: the time of step 0 [s].
         motion, sensor: the noise models published with the data, the default of all estimators; None where there are
             none.
+        simulated: whether `simulate` made the log. All other logs count as real data, whose sightings may be wrong.
         name: the name of the log in messages and tables.
         notes: remarks of the reader about the data, one sentence each.
 
@@ -66,6 +67,7 @@ class Log:
     control_variances: Array | None = None
     motion: MotionModel | None = None
     sensor: SensorModel | None = None
+    simulated: bool = field(default=False, compare=False)
     name: str = field(default="log", compare=False)
     notes: tuple[str, ...] = field(default=(), compare=False)
 

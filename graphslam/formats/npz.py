@@ -6,7 +6,7 @@ absent = at the robot's pose), ``true_landmark_ids`` (L,), ``true_landmark_poses
 landmark without heading), ``start_time``, and for logs
 with several controls per motion ``control_starts`` (T+1,) and ``control_variances`` (S, 2); ``motion`` and ``sensor``,
 the fields of the noise models in their order, where the log has such models; ``notes``
-(N,), texts. No pickles.
+(N,), texts; ``simulated``, where `simulate` made the log. No pickles.
 """
 
 from __future__ import annotations
@@ -67,6 +67,7 @@ def _read(path: Path, _: ReadOptions) -> Log:
             true_landmarks=truth,
             start_time=float(content.get("start_time", 0.0)),
             notes=tuple(map(str, content.get("notes", ()))),
+            simulated=bool(content.get("simulated", False)),
             name=path.stem,
         )
     except (SlamError, TypeError, ValueError) as error:
@@ -85,6 +86,8 @@ def _write(log: Log, path: Path) -> None:
         content["true_landmark_ids"] = np.array(list(log.true_landmarks), dtype=np.int64)
         poses = [np.append(m, np.nan)[:3] for m in log.true_landmarks.values()]
         content["true_landmark_poses"] = np.array(poses).reshape(-1, 3)
+    if log.simulated:
+        content["simulated"] = np.array(True)
     if log.notes:
         content["notes"] = np.array(log.notes)
     with write_whole(path) as temporary, temporary.open("wb") as stream:
