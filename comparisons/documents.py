@@ -517,7 +517,10 @@ class CalibrateDocument(Document):
     sensor: Annotated[dict[str, Any], about("fields of `graphslam.SensorModel`")]
     range_scale: Annotated[float, about("measured range = range_scale * range + range_bias")]
     range_bias: Annotated[float, about("the bias of that line [m]")]
-    errors: Annotated[dict[str, float | None], about("standard error of each number, by its name")]
+    errors: Annotated[dict[str, float | None], about("standard error of each number, by its name; null near zero")]
+    bounds: Annotated[
+        dict[str, float | None], about("upper 95 % bound of each number near zero; null where the log gives none")
+    ]
     degrees: Annotated[dict[str, float | None], about("degrees of freedom of Student's t; null: normal distribution")]
     counts: Annotated[dict[str, Count], about("number of motions and sightings that were used")]
     notes: Annotated[list[str], about("remarks of the calibration")]
