@@ -87,7 +87,7 @@ def parts_of_log(
         families.append(
             motion_edges(
                 steps, log.controls, log.dt, motion, starts=log.control_starts,
-                control_variances=log.control_variances, frame=frame, scale=scale,
+                control_variances=log.control_variances, recorded_dt=log.recorded_dt, frame=frame, scale=scale,
             )
         )  # fmt: skip
     return parts | {

@@ -168,6 +168,13 @@ class Graph:
             raise OptionError("initial must be finite numbers")
         return replace(self, initial=np.array(initial, dtype=float))
 
+    def with_trust(self, trust: Array) -> Graph:
+        """The same graph with another trust (M,) in the sightings of its edges. Both write Omega and xi into one `system`."""
+        families = tuple(f.with_trust(trust) if isinstance(f, SightingEdges) else f for f in self.families)
+        changed = replace(self, families=families)
+        vars(changed)["system"] = self.system
+        return changed
+
     @property
     def num_nodes(self) -> int:
         """The number n of nodes."""

@@ -70,18 +70,19 @@ def _band(limits: tuple[float, float]) -> str:
 
 def summary_tables(summary: Summary) -> Tables:
     """Medians with their intervals, then the differences from the baseline, and the errors with their counts."""
+    proofs = any(line.proven is not None for line in summary.methods)
     table = LeanTable(
         f"{summary.done} of {summary.planned} runs: medians with 95 % bootstrap intervals", ["log", "method"],
-        ["runs", "failed", "converged", "time", *_METRICS.values(), "J per\ndof"],
+        ["runs", "failed", "converged", "time", *_METRICS.values(), "J per\ndof", *["proven"] * proofs],
     )  # fmt: skip
     for line in summary.methods:
         failed = line.failed + line.timeouts
         time, ratio = line.figures["seconds"], line.figures["cost_per_dof"]
         _add(
             table, line.log, line.method, str(line.runs), Text(str(failed), style="bold red" if failed else ""),
-            NOTHING if line.converged is None else f"{line.converged:.0%}",
+            _share(line.converged),
             seconds(None if time is None else time.median), *_intervals(line.figures),
-            number(None if ratio is None else ratio.median, 2),
+            number(None if ratio is None else ratio.median, 2), *[_share(line.proven)] * proofs,
         )  # fmt: skip
     tables: list[Table] = [table]
     if summary.differences:
@@ -101,6 +102,10 @@ def summary_tables(summary: Summary) -> Tables:
     if len(errors) > _MOST_ERRORS:
         remarks.append(f"... and {len(errors) - _MOST_ERRORS} other errors; --csv and --json list all of them.")
     return tables, remarks
+
+
+def _share(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.0%}"
 
 
 def _add(table: Table, log: str, *cells: str | Text) -> None:
@@ -151,7 +156,7 @@ def survey_tables(survey: Survey) -> Tables:
 
 
 def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
-    """The numbers of the noise models with their standard errors, a row each."""
+    """The numbers of the noise models with their standard errors or upper bounds, a row each."""
     from ..option import options_of
     from ..options import NoiseOptions
 
@@ -159,19 +164,18 @@ def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
     table = LeanTable(
         f"{name}: noise models from {source}" if name else f"noise models from {source}",
         ["number", "unit"],
-        ["value", "± error"],
+        ["value", "± error, or bound"],
     )
     for number_of, value in calibration.numbers.items():
-        error = calibration.errors.get(number_of, np.nan)
-        known = f"{error:.2g}" if np.isfinite(error) else NOTHING
-        # a bias may be zero, but no other number
-        if error > value and number_of != "range_bias":
+        error, bound = calibration.errors.get(number_of, np.nan), calibration.bounds.get(number_of, np.nan)
+        known = f"{error:.2g}" if np.isfinite(error) else f"< {bound:.2g}" if np.isfinite(bound) else NOTHING
+        if np.isposinf(bound):
             known = "not identifiable"
         table.add_row(number_of, Text(options_of(NoiseOptions)[number_of].unit), f"{value:.4g}", known)
     names = {"motion": "motions", "sensor": "sightings"}
     counts = " and ".join(f"{count} {names[part]}" for part, count in calibration.counts.items())
     return [table], [
-        f'From {counts}. Measured range = range_scale * range + range_bias. "{NOTHING}": zero or not estimated; '
-        '"not identifiable": the standard error exceeds the value.',
+        f'From {counts}. Measured range = range_scale * range + range_bias. "<": near zero, with the upper '
+        f'95 % bound; "not identifiable": the log gives no bound; "{NOTHING}": not estimated.',
         *(f"{note}." for note in calibration.notes),
     ]
