@@ -362,5 +362,5 @@ def describe(log: Log, source: Path | None = None) -> dict[str, Any]:
 
 
 def _noise(model: MotionModel | SensorModel) -> dict[str, Any]:
-    """The noise of a model: not where the sensor is, which is known of a robot whose noise is not."""
-    return {name: value for name, value in vars(model).items() if name != "offset"}
+    """The noise of a model: not where the sensor is and what it can see, which is known of robots whose noise is not."""
+    return {name: value for name, value in vars(model).items() if name not in getattr(model, "GEOMETRY", ())}

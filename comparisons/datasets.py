@@ -17,6 +17,7 @@ from typing import Any
 
 from graphslam import Graph, SlamError, load
 from graphslam.edges import AnchorEdges
+from graphslam.files import check_path
 from graphslam.formats import FORMATS, mrclam
 
 from .display import Displayed
@@ -106,8 +107,12 @@ def survey(folder: str | PathLike[str] | None = None, *, progress: Callable[[Pat
     Args:
         folder: with the folders below it, to `DEPTH`.
         progress: called with the path of each log or pose graph before it is read.
+
+    Raises:
+        FormatError: the folder's path is impossible.
     """
     folder = data_folder() if folder is None else Path(folder)
+    check_path(folder)
     entries: dict[str, list[Found]] = {known.name: [] for known in DATA_SETS}
     for path, name in _below(folder):
         if progress is not None:

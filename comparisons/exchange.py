@@ -39,6 +39,21 @@ def times_of(log: Log) -> Array:
     return np.arange(log.num_poses, dtype=float) if log.times is None else log.times
 
 
+def elapsed_of(log: Log) -> Array:
+    """The time of each pose since the first one [s], (T+1,); the number of its step where the log has no times.
+
+    It is exact where `times_of` is not: seconds since 1970 leave no room for nanoseconds in a floating-point number.
+    """
+    if log.dt is None:
+        return np.arange(log.num_poses, dtype=float)
+    return np.concatenate([[0.0], np.cumsum(log.dt)])[log.control_starts]
+
+
+def time_axis(log: Log) -> str:
+    """The label of an axis of `elapsed_of`."""
+    return "step" if log.dt is None else "time since the first pose [s]"
+
+
 def tum_text(times: Array, poses: Array, note: str = "") -> str:
     """Poses (n, 3) at times (n,) as TUM text. An unknown heading (NaN) is written as 0, and said at the top, as is a note."""
     heading = wrap(poses[:, 2])

@@ -114,7 +114,7 @@ class GraphOptions(Options):
     )  # fmt: skip
     initialize: str = option(
         "auto", "Where the iteration starts; auto tries several starts.",
-        choices=("auto", "given", "dead-reckoning", "rotation-first"),
+        choices=("auto", "given", "dead-reckoning", "rotation-first", "grow"),
     )  # fmt: skip
     residual: str = option(
         RESIDUALS[0], "Residual of landmark nodes: the sighting as a position in the robot's axes, or as range and bearing.",
@@ -166,6 +166,10 @@ class OutputOptions(Options):
     out: Path | None = option(None, "Folder for the results.", metavar="DIR", default_text="results/<time>")
     figures: tuple[str, ...] = option(("png", "pdf"), "Formats of the figure.", choices=("png", "pdf", "svg"))
     html: Path | None = option(None, "Also write the interactive report, one HTML file.", metavar="FILE")
+    mcap: Path | None = option(
+        None, "Also write poses and maps as MCAP with messages of ROS 2, for Foxglove and RViz.", metavar="FILE"
+    )
+    rerun: Path | None = option(None, "Also write poses and maps as a recording of Rerun (.rrd).", metavar="FILE")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,7 +226,7 @@ class BackendOptions(Options):
         default_text="all that are installed",
     )  # fmt: skip
     initialize: str = option(
-        "auto", "Where graphslam starts.", choices=("auto", "given", "dead-reckoning", "rotation-first")
+        "auto", "Where graphslam starts.", choices=("auto", "given", "dead-reckoning", "rotation-first", "grow")
     )
     same_start: bool = option(False, "All solvers start from the rotation-first state, not from the file's values.")
     repeat: int = option(5, "The time is the median of this many runs.", minimum=1)

@@ -17,6 +17,7 @@ from graphslam.se2 import Array
 from .comparison import describe
 from .display import Displayed
 from .documents import ShowDocument, document
+from .exchange import elapsed_of
 from .options import ReadingOptions
 from .reading import read_log
 
@@ -64,8 +65,7 @@ class Overview(Displayed):
     @cached_property
     def times(self) -> Array:
         """The time of each pose since the first (T+1,) [s]."""
-        times = self.log.times
-        return np.arange(self.log.num_poses, dtype=float) if times is None else times - times[0]
+        return elapsed_of(self.log)
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from graphslam import FormatError, OptionError
-from graphslam.files import check_place, write_whole
+from graphslam.files import check_path, check_place, write_whole
 
 #: the default folder of the results folders
 RESULTS = Path("results")
@@ -92,6 +92,7 @@ def check_can_write(path: Path, *, endings: tuple[str, ...] = ()) -> None:
 
 def check_can_make(directory: Path) -> None:
     """Raise `FormatError` now rather than after minutes of work if ``directory`` cannot be made or written into."""
+    check_path(directory)
     for place in (directory, *directory.absolute().parents):
         if place.is_dir():
             if not os.access(place, os.W_OK | os.X_OK):

@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
+from . import precision
 from .checks import listed
 from .edges import (
     ANCHOR_INFORMATION,
@@ -48,6 +49,7 @@ def parts_of_log(
     """The parts of the graph of a log; arguments and errors as in `Graph.from_log`, ``scale`` for the motion edges."""
     with_motion = edges.endswith("+motion")
     _check_log(log, with_motion)
+    precision.check_log(log, motion, sensor)
     sighted: EdgeFamily
     parts: dict[str, Any] = {"trajectory": log.initial_poses, "log": log, "sensor": sensor}
     if edges.startswith("landmark"):
@@ -139,8 +141,12 @@ def parts_of_file(data: PoseGraphFile, path: Path) -> dict[str, Any]:
     """The parts of the graph that a pose-graph file holds; see `Graph.from_g2o`.
 
     Raises:
-        GraphError: the graph falls into several pieces.
+        GraphError: the graph falls into several pieces, or a number is too large.
     """
+    for name in ("poses", "landmarks", "pose_measured", "point_measured"):
+        precision.check_size(f"{path}: {name.replace('_', ' ')}", getattr(data, name))
+    for name in ("pose_information", "point_information"):
+        precision.check_size(f"{path}: {name.replace('_', ' ')}", getattr(data, name), most=precision.LARGEST**2)
     num_poses = len(data.pose_ids)
     families: list[RelativePoseEdges | RelativePointEdges] = []
     if len(data.pose_edges):

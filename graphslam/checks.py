@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import sys
 from collections.abc import Collection
 from dataclasses import field
 from numbers import Integral, Real
@@ -31,14 +32,14 @@ def option(default: Any, help: str, unit: str = "", **more: Any) -> Any:
 
 def check_choice(name: str, value: str, allowed: Collection[str]) -> None:
     """Raise `OptionError` unless ``value`` is one of ``allowed``."""
-    if value not in allowed:
+    if not isinstance(value, str) or value not in allowed:
         raise OptionError(f"{name} must be one of {', '.join(allowed)}, not {value!r}")
 
 
 def check_positive(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is a positive finite number."""
     for name, value in values.items():
-        if not isinstance(value, Real) or not 0 < value < float("inf"):
+        if not isinstance(value, Real) or not 0 < value <= sys.float_info.max:
             raise OptionError(f"{name} must be a positive number, not {value!r}")
 
 

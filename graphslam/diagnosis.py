@@ -6,19 +6,24 @@ import numpy as np
 
 from .errors import GraphError
 from .graph import Graph
-from .linear.cholesky import SingularPivot
+from .linear.cholesky import FactorizationError, SingularPivot
 from .se2 import Array
 
 #: the most edges that a message lists
 MOST = 4
 
 
-def undetermined(graph: Graph, state: Array, error: SingularPivot) -> GraphError:
-    """The error for a zero pivot of Omega at a state (n, 3).
+def undetermined(graph: Graph, state: Array, error: FactorizationError) -> GraphError:
+    """The error for an Omega at a state (n, 3) that is singular, or not finite.
 
     The null vector v of Omega (Omega v = 0) is a motion that does not change the cost; its large entries are the nodes
     that move.
     """
+    if not isinstance(error, SingularPivot):
+        return GraphError(
+            f"the information matrix of the graph is not finite at {graph.names(np.array([error.node]))}: the numbers there "
+            "leave the range of double precision; look for extreme noise, or for a pose that lies on a landmark"
+        )
     v = error.null_vector
     moving = np.flatnonzero(np.abs(v).max(axis=1) > 1e-6 * np.abs(v).max())
     what = _direction(v[moving], state[moving])

@@ -5,8 +5,21 @@ from __future__ import annotations
 from typing import Any
 
 
+def printable(text: str) -> str:
+    """A text on one line, for messages, tables and figures: characters that cannot be shown become escapes such as \\x1b.
+
+    Names are data: the name of a file or a log may hold line breaks, the escape sequences of terminals, or bytes that are
+    not UTF-8 (which Python keeps as surrogates, and no encoder takes).
+    """
+    line = " ".join(text.split())
+    return line if line.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+
+
 class SlamError(Exception):
     """Root of all errors that this project raises on purpose; the text is one sentence for the user."""
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class LogError(SlamError):

@@ -11,9 +11,27 @@ from pathlib import Path
 from .errors import FormatError
 
 
+def check_path(path: Path) -> None:
+    """Raise `FormatError` where the system refuses the path itself: it is too long, holds a zero byte or links to itself."""
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:
+        raise FormatError(_shortened(path), None, f"this path cannot be used: {error.strerror}") from None
+    except ValueError:
+        raise FormatError(_shortened(path), None, "this path cannot be used: it holds a zero byte") from None
+
+
+def _shortened(path: Path, most: int = 100) -> str:
+    text = str(path)
+    return text if len(text) <= most else f"{text[: most // 2]}...{text[-most // 2 :]}"
+
+
 def check_file(path: str | os.PathLike[str]) -> None:
     """Raise `FormatError` unless ``path`` is a file that can be read."""
     path = Path(path)
+    check_path(path)
     if not path.exists():
         raise FormatError(path, None, "there is no such file")
     if path.is_dir():
@@ -69,7 +87,8 @@ def write_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def check_place(path: Path) -> None:
-    """Raise `FormatError` if ``path`` is a folder, a pipe or a device, which a file must not replace."""
+    """Raise `FormatError` if ``path`` is a folder, a pipe or a device, which a file must not replace, or no possible path."""
+    check_path(path)
     if path.is_dir():
         raise FormatError(path, None, "this is a folder; give the name of a file to write")
     if path.exists() and not path.is_file():

@@ -164,6 +164,8 @@ class Graph:
         """The same graph with other initial values (n, 3)."""
         if np.shape(initial) != self.initial.shape:
             raise OptionError(f"initial must have shape {self.initial.shape}, not {np.shape(initial)}")
+        if not np.isfinite(initial).all():
+            raise OptionError("initial must be finite numbers")
         return replace(self, initial=np.array(initial, dtype=float))
 
     @property

@@ -12,6 +12,7 @@ from .edges.robust import Kernel, kernel_of
 from .errors import OptionError
 from .log import UNIDENTIFIED, Log
 from .models import SensorModel
+from .precision import check_log
 from .se2 import Array
 
 
@@ -51,6 +52,7 @@ def estimate_map(
 
     Raises:
         OptionError: the poses or the trust do not fit the log, or there is no such kernel.
+        GraphError: numbers of the log or the sensor are outside of what double precision can hold.
 
     Source: the lectures, section 9.1.2.
     """
@@ -68,6 +70,7 @@ def estimate_map(
     known = np.flatnonzero(log.landmarks != UNIDENTIFIED)
     if len(known) == 0:
         return LandmarkMap({}, {})
+    check_log(log, None, sensor)
     rows = known[np.argsort(log.landmarks[known], kind="stable")]
     ids, starts = np.unique(log.landmarks[rows], return_index=True)
     edges = MarginalEdges(

@@ -26,6 +26,7 @@ from .edges import (
     CartesianObservationEdges,
     EdgeFamily,
     ObservationEdges,
+    PolarObservationEdges,
     RelativePointEdges,
     RelativePoseEdges,
     SightingEdges,
@@ -67,10 +68,9 @@ def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
         return _weighted(_of_pairs(family), family, state)
     if isinstance(family, ObservationEdges):
         # a polar residual becomes the Cartesian one
-        seen = CartesianObservationEdges(
-            family.first, family.second, family.sightings, family.sensor, kernel=family.kernel, trust=family.trust
-        )
-        return _weighted(seen.relative, family, state)
+        seen = family.cartesian if isinstance(family, PolarObservationEdges) else family
+        assert isinstance(seen, CartesianObservationEdges)
+        return _weighted(replace(seen.relative, frame="body"), family, state)
     if isinstance(family, RelativePoseEdges):
         return replace(family, frame="body")
     if isinstance(family, (AnchorEdges, RelativePointEdges)):

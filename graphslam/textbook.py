@@ -20,10 +20,15 @@ from .checks import check_choice
 from .errors import GraphError, OptionError
 from .log import Log
 from .models import MotionModel, SensorModel
+from .precision import check_log
 from .se2 import Array
 
 #: slides 9.1.1 and 9.2: information of the anchor; they take an infinite one, the book's program 1e6 I
 OMEGA_0 = 1e6 * np.eye(3)
+#: the step norms at which the book's two programs stop
+THRESHOLDS = {"virtual": 0.01, "virtual+motion": 0.02}
+#: where the threshold is the book's, the program stops if the steps became shorter by less than this part in so many steps
+DRIFT, PATIENCE = 0.01, 10
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,8 @@ class TextbookSolution:
         iterations: the number of iterations.
         converged: whether the last step norm was below the threshold.
         num_edges: the number of virtual-motion edges.
+        threshold: the step norm below which the program stops.
+        reason: one sentence on why the program stopped.
     """
 
     poses: Array
@@ -49,13 +56,20 @@ class TextbookSolution:
     iterations: int
     converged: bool
     num_edges: int
+    threshold: float
+    reason: str
+
+    def __repr__(self) -> str:
+        """One line: outcome and sizes."""
+        outcome = "converged" if self.converged else "not converged"
+        return f"<TextbookSolution: {outcome}, {self.reason}; {len(self.poses)} poses, {len(self.landmarks)} landmarks>"
 
 
 def solve(
     log: Log,
     *,
     edges: str = "virtual",
-    threshold: float = 0.01,
+    threshold: float | None = None,
     motion: MotionModel | None = None,
     sensor: SensorModel | None = None,
     dimensions: int | None = None,
@@ -67,7 +81,9 @@ def solve(
     Args:
         log: the log of the robot.
         edges: "virtual", or "virtual+motion".
-        threshold: stop when the norm of the whole correction falls below this.
+        threshold: stop when the norm of the whole correction falls below this. Default: the book's, 0.01, and 0.02 with
+            motion edges. With the default the program also stops, not converged, where the drift is greater than the
+            threshold: when the steps became shorter by less than one percent in ten steps.
         motion, sensor: noise models; default: the book's.
         dimensions: 3 to use psi, 2 to ignore it; default: as the log has it.
         motion_copies: the number of times that each motion edge is counted (100 in the lectures' 2-D program).
@@ -77,7 +93,9 @@ def solve(
         GraphError: the log lacks what is needed, or Omega is singular.
         OptionError: an option has an impossible value.
     """
-    check_choice("edges", edges, ("virtual", "virtual+motion"))
+    check_choice("edges", edges, THRESHOLDS)
+    patience = PATIENCE if threshold is None else max_iterations
+    threshold = THRESHOLDS[edges] if threshold is None else threshold
     d = dimensions or log.sightings.shape[1]
     if d not in (2, 3) or d > log.sightings.shape[1]:
         raise OptionError(f"dimensions must be 2 or 3 and not more than the log has, not {dimensions!r}")
@@ -94,6 +112,7 @@ def solve(
     if with_motion and log.controls is None:
         raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")
 
+    check_log(log, motion, sensor)
     sightings = _by_landmark(log)
     pairs = [
         (t1, z1[:d], t2, z2[:d])
@@ -110,34 +129,48 @@ def solve(
 
     step_norms: list[float] = []
     costs: list[float] = []
-    converged = False
-    while len(step_norms) < max_iterations and not converged:
+    converged = drifts = False
+    while len(step_norms) < max_iterations and not (converged or drifts):
         Omega, xi, J = np.zeros((3 * len(steps), 3 * len(steps))), np.zeros(3 * len(steps)), 0.0
         # the anchor: in Omega only, as in the book
         Omega[:3, :3] += OMEGA_0
-        for t1, z1, t2, z2 in pairs:
-            e, Omega_e, B1, B2 = virtual_motion_edge(x[t1], z1, x[t2], z2, sensor)
-            _add(Omega, xi, row[t1], row[t2], e, Omega_e, B1, B2)
-            J += float(e @ Omega_e @ e)
-        if with_motion:
-            assert log.controls is not None and log.dt is not None
-            for t, (u, dt) in enumerate(zip(log.controls, log.dt.tolist()), start=1):
-                e, Omega_e, B1, B2 = motion_edge(x[t - 1], x[t], u, dt, motion)
-                for _ in range(motion_copies):
-                    _add(Omega, xi, row[t - 1], row[t], e, Omega_e, B1, B2)
-                    J += float(e @ Omega_e @ e)
         try:
+            for t1, z1, t2, z2 in pairs:
+                e, Omega_e, B1, B2 = virtual_motion_edge(x[t1], z1, x[t2], z2, sensor)
+                _add(Omega, xi, row[t1], row[t2], e, Omega_e, B1, B2)
+                J += float(e @ Omega_e @ e)
+            if with_motion:
+                assert log.controls is not None and log.dt is not None
+                for t, (u, dt) in enumerate(zip(log.controls, log.dt.tolist()), start=1):
+                    e, Omega_e, B1, B2 = motion_edge(x[t - 1], x[t], u, dt, motion)
+                    for _ in range(motion_copies):
+                        _add(Omega, xi, row[t - 1], row[t], e, Omega_e, B1, B2)
+                        J += float(e @ Omega_e @ e)
             Delta = np.linalg.solve(Omega, xi)
         except np.linalg.LinAlgError:
-            raise GraphError("Omega is singular: the edges do not determine every pose; add motion edges") from None
+            raise GraphError(
+                "Omega or the covariance of an edge is singular: the edges do not determine every pose (add motion edges), "
+                "or the noise is too small"
+            ) from None
+        if not np.isfinite(Delta).all():
+            raise GraphError(f"the iteration diverged: the step after {len(step_norms)} iterations is not finite")
         for t in steps:
             x[t] += Delta[row[t] : row[t] + 3]
         costs.append(J)
         step_norms.append(float(np.linalg.norm(Delta)))
         converged = step_norms[-1] < threshold
+        drifts = len(step_norms) > patience and min(step_norms[-patience:]) > (1 - DRIFT) * min(step_norms[:-patience])
+    last = f"the last step norm is {step_norms[-1]:.1e}" if step_norms else "no step was taken"
+    reason = f"{last}; the threshold is {threshold:g}"
+    if drifts:
+        reason += ", and the steps become no shorter: the graph drifts, because the anchor is not in xi"
+    elif not converged:
+        reason += f", and max_iterations = {max_iterations} is reached"
     landmarks = {j: solve_map([(x[t], z[:d]) for t, z in seen], sensor) for j, seen in sightings.items()}
     estimated = np.isin(np.arange(log.num_poses), steps)
-    return TextbookSolution(x, estimated, landmarks, step_norms, costs, len(step_norms), converged, len(pairs))
+    return TextbookSolution(
+        x, estimated, landmarks, step_norms, costs, len(step_norms), converged, len(pairs), threshold, reason
+    )
 
 
 def virtual_motion_edge(

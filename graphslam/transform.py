@@ -1,4 +1,4 @@
-"""Graphs made from graphs: without landmark nodes, and coarser.
+"""Graphs made from graphs: without landmark nodes, coarser, and of the first poses only.
 
 Landmark nodes can be replaced by virtual-motion edges or by marginal edges between the poses that saw them.
 
@@ -9,15 +9,17 @@ coarse graph, it takes few.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
 from .edges import (
     AnchorEdges,
     EdgeFamily,
+    LandmarkSightings,
     MarginalEdges,
     ObservationEdges,
+    PolarObservationEdges,
     RelativePointEdges,
     RelativePoseEdges,
     VirtualMotionEdges,
@@ -45,6 +47,14 @@ def without_landmarks(graph: Graph) -> Graph | None:
 
     families = [paired(f) if isinstance(f, ObservationEdges) else f for f in graph.families]
     return None if families == [*graph.families] else _poses_only(graph, families)
+
+
+def with_cartesian_sightings(graph: Graph) -> Graph | None:
+    """The graph with the Cartesian residual for its sightings of landmark nodes; None where none of them is polar."""
+    if not any(isinstance(family, PolarObservationEdges) for family in graph.families):
+        return None
+    families = [f.cartesian if isinstance(f, PolarObservationEdges) else f for f in graph.families]
+    return replace(graph, families=tuple(families))
 
 
 def with_landmarks_eliminated(graph: Graph) -> tuple[Graph, np.ndarray] | None:
@@ -82,33 +92,53 @@ def coarse(graph: Graph, every: int) -> tuple[Graph, np.ndarray] | None:
         return None
     poses = len(graph.steps)
     kept = np.unique(np.append(np.arange(0, poses, every), poses - 1))
+    used = _with_landmarks(graph, kept)
+    piece, nodes = _among(graph, used)
+    families = [_joined(chain, kept) if isinstance(f, RelativePoseEdges) else f for f in piece.families]
+    return replace(piece, families=tuple(families), steps=np.arange(len(kept))), nodes
+
+
+def first_poses(graph: Graph, count: int) -> tuple[Graph, np.ndarray]:
+    """The graph of the first poses and of the landmarks that they see, and the nodes of the whole graph that it keeps."""
+    return _among(graph, _with_landmarks(graph, np.arange(count)))
+
+
+def _with_landmarks(graph: Graph, poses: np.ndarray) -> np.ndarray:
+    """Which nodes (n,) are the given poses, or landmarks that they see."""
     used = np.zeros(graph.num_nodes, dtype=bool)
-    used[kept] = True
+    used[poses] = True
     for family in graph.families:
-        if isinstance(family, ObservationEdges):
+        if isinstance(family, ObservationEdges | RelativePointEdges):
             used[family.second[used[family.first]]] = True
-    nodes = np.flatnonzero(used)
+    return used
+
+
+def _among(graph: Graph, used: np.ndarray) -> tuple[Graph, np.ndarray]:
+    """The graph of the nodes that are used (n,) and of the edges between them, and these nodes."""
+    nodes, poses = np.flatnonzero(used), len(graph.steps)
     number = np.full(graph.num_nodes, -1)
     number[nodes] = np.arange(len(nodes))
-    families: list[EdgeFamily] = [_joined(chain, kept)]
-    for family in graph.families:
-        if isinstance(family, AnchorEdges):
-            here = used[family.nodes]
-            families.append(AnchorEdges(number[family.nodes[here]], family.values[here], family.information[here]))
-        elif isinstance(family, ObservationEdges):
-            here = used[family.first]
-            families.append(
-                replace(
-                    family, first=number[family.first[here]], second=number[family.second[here]],
-                    sightings=family.sightings[here], trust=None if family.trust is None else family.trust[here],
-                )
-            )  # fmt: skip
-    landmarks = nodes[len(kept) :] - poses
+    kept, landmarks = nodes[nodes < poses], nodes[nodes >= poses] - poses
     return replace(
-        graph, initial=graph.initial[nodes], families=tuple(families), steps=np.arange(len(kept)),
-        trajectory=graph.initial[kept], pose_ids=graph.pose_ids[kept], landmark_ids=graph.landmark_ids[landmarks],
-        fixed=number[graph.fixed[used[graph.fixed]]], log=None,
+        graph, initial=graph.initial[nodes], families=tuple(_edges_among(f, used, number) for f in graph.families),
+        steps=graph.steps[kept], trajectory=graph.initial[kept], pose_ids=graph.pose_ids[kept],
+        landmark_ids=graph.landmark_ids[landmarks], fixed=number[graph.fixed[used[graph.fixed]]], log=None,
     ), nodes  # fmt: skip
+
+
+def _edges_among(family: EdgeFamily, used: np.ndarray, number: np.ndarray) -> EdgeFamily:
+    """The edges between nodes that are used (n,), with the new number (n,) of each node."""
+    if isinstance(family, LandmarkSightings):
+        ends: tuple[str, ...] = ("nodes",)
+        counts = np.bincount(family.group[used[family.nodes]])
+        others = {"starts": np.concatenate([[0], np.cumsum(counts[counts > 0])])}
+    else:
+        ends, others = (("nodes",) if isinstance(family, AnchorEdges) else ("first", "second")), {}
+    here = np.all([used[getattr(family, end)] for end in ends], axis=0)
+    rows = {f.name: getattr(family, f.name) for f in fields(family)}  # type: ignore[arg-type]  # all families are dataclasses
+    kept = {name: row[here] for name, row in rows.items() if isinstance(row, np.ndarray) and len(row) == len(here)}
+    kept |= {end: number[kept[end]] for end in ends}
+    return replace(family, **(kept | others))  # type: ignore[type-var]
 
 
 def filled(graph: Graph, kept: np.ndarray, poses: Array) -> Array:

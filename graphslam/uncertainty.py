@@ -9,7 +9,7 @@ import numpy as np
 from .diagnosis import undetermined
 from .edges.base import Linearization
 from .graph import Graph
-from .linear.cholesky import Factor, SingularPivot
+from .linear.cholesky import Factor, FactorizationError
 from .se2 import Array
 
 
@@ -32,7 +32,7 @@ class Uncertainty:
         try:
             # a separate factor, because the next solve overwrites that of the system
             return system.symbolic.factorize(system.values.copy())
-        except SingularPivot as error:
+        except FactorizationError as error:
             raise undetermined(self._graph, self._state, error) from None
 
     @cached_property

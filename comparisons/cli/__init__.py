@@ -16,7 +16,6 @@ import typer
 from .checks import backends, solvers
 from .imports import import_, show
 from .logs import calibrate, datasets, simulate
-from .output import INTERRUPTED
 from .run import animate, report, run
 from .studies import consistency, particles, study, sweep
 from .verb import add_verb, list_verb, name_of
@@ -146,11 +145,7 @@ def __getattr__(name: str) -> typer.Typer:
 
 
 def main() -> None:
-    """Entry point of ``slam-compare``."""
-    try:
-        # only the verb that is called needs its options; completion in a shell needs those of all
-        words = None if "_SLAM_COMPARE_COMPLETE" in os.environ else sys.argv[1:]
-        make_app(words)(prog_name="slam-compare")
-    except KeyboardInterrupt:
-        # before a verb began, or while modules were being imported
-        sys.exit(INTERRUPTED)
+    """The command line on the words of ``sys.argv``."""
+    # only the verb that is called needs its options; completion in a shell needs those of all
+    words = None if "_SLAM_COMPARE_COMPLETE" in os.environ else sys.argv[1:]
+    make_app(words)(prog_name="slam-compare")

@@ -85,9 +85,12 @@ def datasets(
 ) -> None:
     """List the known data sets, where they are published and how they must be laid out; find and check local copies."""
     from graphslam import OptionError
+    from graphslam.files import check_path
 
     from ..datasets import survey
 
+    if folder is not None:
+        check_path(folder)
     if folder is not None and not folder.is_dir():
         raise OptionError(f"--folder {folder}: there is no such folder")
     with output.bar("data sets") as advance:

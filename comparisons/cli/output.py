@@ -37,6 +37,9 @@ def sentences(verbose: bool) -> Iterator[None]:
         typer.echo("interrupted", err=True)
         raise typer.Exit(INTERRUPTED) from None
     except Exception as error:
+        if _by_interrupt(error):
+            typer.echo("interrupted", err=True)
+            raise typer.Exit(INTERRUPTED) from None
         from graphslam.errors import SlamError
 
         if not isinstance(error, SlamError):
@@ -45,6 +48,13 @@ def sentences(verbose: bool) -> Iterator[None]:
             traceback.print_exc()
         typer.echo(f"error: {error}", err=True)
         raise typer.Exit(WRONG_INPUT) from None
+
+
+def _by_interrupt(error: BaseException | None) -> bool:
+    """Whether Ctrl-C caused an exception: a compiled module that is interrupted while it loads raises ImportError from it."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 class Output:

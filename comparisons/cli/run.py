@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -33,6 +34,7 @@ def run(
         from ..show.report import check_page
 
         check_page(saving.html)
+    writers = _recordings(saving)
     outcome = _compared(output, log, chosen, options)
     files = outcome.save(saving.out, figures=saving.figures)
     output.show(outcome)
@@ -40,10 +42,19 @@ def run(
         with noted(files.notes, "there is no interactive report"):
             _write_page(output, outcome, saving.html)
             files |= {"html": saving.html}
+    for kind, (path, write) in writers.items():
+        with noted(files.notes, f"there is no {path}"):
+            write(outcome, path)
+            files |= {kind: path}
+            output.hint(f"Wrote {path}.")
     output.say(*(f"{note[0].upper()}{note[1:]}." for note in files.notes))
     output.json(outcome.to_json(files))
     folder = files["json"].parent
-    named = [p.name for kind, p in files.items() if not kind.endswith((".tum", ".csv", ".g2o")) and kind != "html"]
+    named = [
+        p.name
+        for kind, p in files.items()
+        if not kind.endswith((".tum", ".csv", ".g2o")) and kind not in ("html", "mcap", "rerun")
+    ]
     named += ["trajectories (*.tum)", "maps (*-map.csv)", *(["graph.g2o"] if "graph.g2o" in files else [])]
     output.hint(f"Wrote {', '.join(named)} into {folder}{os.sep}")
     if "config" in files:
@@ -153,6 +164,31 @@ def _progress(output: Output, advance: Advance) -> Progress:
             output.detail(f"{name}: {outcome.seconds:.3g} s" + (f", {outcome.reason}" if outcome.reason else ""))
 
     return report
+
+
+def _recordings(saving: OutputOptions) -> dict[str, tuple[Path, Callable[[Comparison, Path], None]]]:
+    """The recordings to write: {kind: (path, its writer)}.
+
+    Raises:
+        OptionError: a package is missing, or the name of a file ends otherwise.
+        FormatError: a file cannot be written.
+    """
+    from ..saving import check_can_write
+
+    writers: dict[str, tuple[Path, Callable[[Comparison, Path], None]]] = {}
+    if saving.mcap is not None:
+        from ..recordings.mcap_file import check_mcap, write_mcap
+
+        check_can_write(saving.mcap, endings=(".mcap",))
+        check_mcap()
+        writers["mcap"] = saving.mcap, write_mcap
+    if saving.rerun is not None:
+        from ..recordings.rerun_file import check_rerun, write_rerun
+
+        check_can_write(saving.rerun, endings=(".rrd",))
+        check_rerun()
+        writers["rerun"] = saving.rerun, write_rerun
+    return writers
 
 
 def _write_page(output: Output, outcome: Comparison, page: Path) -> None:

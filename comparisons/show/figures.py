@@ -16,6 +16,7 @@ from graphslam.metrics import position_errors
 from graphslam.se2 import Array, compose
 
 from ..comparison import Comparison
+from ..exchange import elapsed_of, time_axis
 from ..results import EstimatorResult
 from .canvas import paper_figure, set_limits
 from .ellipses import ellipses
@@ -130,14 +131,14 @@ def _draw_landmarks(axes: Axes, result: EstimatorResult, placement: Array, solid
 
 
 def _draw_errors(axes: Axes, comparison: Comparison) -> None:
-    medians, truth = [], comparison.log.true_poses
+    medians, truth, elapsed = [], comparison.log.true_poses, elapsed_of(comparison.log)
     assert truth is not None
     for result in comparison.results:
         if np.count_nonzero(result.estimated & comparison.log.covered) >= 2:
             errors = position_errors(truth, comparison.log.at_truth(result.poses), mask=result.estimated)
             style = style_of(result.name, len(errors))
             # errors cross each other more often than paths do
-            axes.plot(np.arange(len(errors)), errors, **style | {"linewidth": 0.7 * style.get("linewidth", 1.0)})
+            axes.plot(elapsed, errors, **style | {"linewidth": 0.7 * style.get("linewidth", 1.0)})
             medians.append(float(np.nanmedian(errors)))
     positive = [median for median in medians if median > 0]
     if positive and max(positive) > 10 * min(positive):
@@ -146,7 +147,7 @@ def _draw_errors(axes: Axes, comparison: Comparison) -> None:
         axes.set_ylim(bottom=min(positive) / 10)
     else:
         axes.set_ylim(bottom=0)
-    axes.set(xlabel="step", ylabel="position error [m]", title="(b) position error of every step")
+    axes.set(xlabel=time_axis(comparison.log), ylabel="position error [m]", title="(b) position error of every pose")
     axes.margins(x=0.02)
 
 

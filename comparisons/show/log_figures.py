@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from ..exchange import time_axis
 from .canvas import WIDTH, paper_figure, set_limits
 from .figures import MOST_SIGHTINGS
 from .style import SIGHTING, START, TRUE_LANDMARK, TRUTH, colour_of, style_of
@@ -67,10 +68,7 @@ def _draw_times(axes: Axes, overview: Overview) -> None:
     axes.plot(times, row, "|", color=colour_of("gtsam"), markersize=4, rasterized=len(row) > 5000)
     if len(ids) <= 12:
         axes.set_yticks(range(len(ids)), [str(id) if id >= -(2**62) else "?" for id in ids.tolist()])
-    seconds = overview.seconds is not None
-    axes.set(
-        xlabel="time since the first pose [s]" if seconds else "step", ylabel="landmark", title="(b) when each is seen"
-    )
+    axes.set(xlabel=time_axis(log), ylabel="landmark", title="(b) when each is seen")
 
 
 def _draw_histogram(axes: Axes, histogram: Histogram, label: str, title: str) -> None:

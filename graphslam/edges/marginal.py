@@ -30,6 +30,7 @@ import numpy as np
 from numba import njit
 
 from ..linear.information import BlockSystem
+from ..precision import inverses
 from ..se2 import Array, perpendicular
 from . import kernels
 from .base import ConstantEdges, Linearization, linearization
@@ -86,11 +87,15 @@ class MarginalEdges(LandmarkSightings):
         """m̂ (G, d) of each landmark, and its covariance given the poses (G, d, d): (s sum of w Omega)^-1.
 
         w is the trust times the weight that the kernel gives the sighting at m̂, and s is `information_per_weight`.
+
+        Raises:
+            GraphError: the sum is singular to double precision.
         """
         _, W, factor, _, means, _ = self._around_means(poses, poses)
         d = self.sightings.shape[1]
         information = np.add.reduceat(W * factor[:, None], self.starts[:-1], axis=0)[:, _SYMMETRIC][:, :d, :d]
-        return means[:, :d], np.linalg.inv(self.information_per_weight * information)
+        remedy = "the sightings of this landmark do not determine it; change the noise of the sensor"
+        return means[:, :d], inverses(self.information_per_weight * information, "landmark", remedy)
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
         e, W, factor, lever, _, total = self._around_means(state, reference)

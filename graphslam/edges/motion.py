@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..models import MotionModel
+from ..precision import inverses
 from ..se2 import Array
 from .relative import RelativePoseEdges
 
@@ -39,10 +40,14 @@ def motion_edges(
         control_variances: (S, 2) more noise of single controls, as `Log.control_variances`.
         frame: "world" or "body".
         scale: lambda, multiplies the information of all motion edges (the book adds each edge lambda times).
+
+    Raises:
+        GraphError: a covariance is singular to double precision.
     """
     starts = np.arange(len(controls) + 1) if starts is None else starts
-    measured, covariances = motion.accumulate(controls, dt, starts, control_variances)
-    information = scale * np.linalg.inv(covariances)
-    # A M A' is symmetric; its computed inverse should not be less so
-    information = (information + np.swapaxes(information, 1, 2)) / 2
+    with np.errstate(over="ignore", invalid="ignore"):
+        # numbers that overflow make a covariance that is not finite, which is refused
+        measured, covariances = motion.accumulate(controls, dt, starts, control_variances)
+    remedy = "the motion is too large beside epsilon, or epsilon too small: raise epsilon"
+    information = scale * inverses(covariances, "motion", remedy)
     return RelativePoseEdges(nodes[:-1], nodes[1:], measured, information, frame=frame)

@@ -16,6 +16,7 @@ from ..linear.information import BlockSystem
 from ..se2 import Array, wrap
 from . import kernels
 from .base import ConstantEdges, Linearization
+from .cartesian import CartesianObservationEdges
 from .observation import ObservationEdges
 from .robust import loss, weight
 
@@ -23,6 +24,13 @@ from .robust import loss, weight
 @dataclass(frozen=True, eq=False)
 class PolarObservationEdges(ObservationEdges):
     """Sightings of landmark nodes with the residual h(x, m) - z; see `ObservationEdges` for the arguments."""
+
+    @property
+    def cartesian(self) -> CartesianObservationEdges:
+        """The same sightings with the Cartesian residual, in the body frame."""
+        return CartesianObservationEdges(
+            self.first, self.second, self.sightings, self.sensor, kernel=self.kernel, trust=self.trust
+        )
 
     def linearize(self, state: Array, reference: Array) -> Linearization:
         d = self.sightings.shape[1]

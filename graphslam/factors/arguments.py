@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from ..checks import check_choice
 from ..errors import OptionError
-from ..models import SensorModel
+from ..models import MotionModel, SensorModel
+from ..precision import SMALLEST, check_model, check_size
 from ..se2 import Array
 
 FRAMES = ("world", "body")
@@ -33,7 +34,7 @@ def numbers(name: str, value: Any, lengths: tuple[int, ...], rows: int | None = 
     """
     try:
         array = np.array(_coordinates(value), dtype=float)
-    except (TypeError, ValueError):
+    except Exception:  # objects that NumPy asks for numbers may raise anything
         array = np.empty(0)
     if rows == 1 and array.ndim == 1:
         array = array[None]
@@ -58,10 +59,12 @@ def sighting(name: str, value: ArrayLike) -> Array:
 
     Raises:
         OptionError: the value is no sighting, or its range is not above zero.
+        GraphError: the range is outside of what double precision can hold.
     """
     z = numbers(name, value, (2, 3))
     if z[0] <= 0:
         raise OptionError(f"the range of {name} must be above zero, not {z[0]:g} m")
+    check_size(f"the range of {name}", z[0], least=SMALLEST)
     return z
 
 
@@ -70,12 +73,29 @@ def sensor_of(sensor: Any) -> SensorModel:
 
     Raises:
         OptionError: the argument is neither.
+        GraphError: its numbers are outside of what double precision can hold.
     """
     if sensor is None:
         return SensorModel()
     if not isinstance(sensor, SensorModel):
         raise OptionError(f"sensor must be a SensorModel, not {sensor!r}")
+    check_model(sensor)
     return sensor
+
+
+def motion_of(motion: Any) -> MotionModel:
+    """The motion model given, or the book's for None.
+
+    Raises:
+        OptionError: the argument is neither.
+        GraphError: its numbers are outside of what double precision can hold.
+    """
+    if motion is None:
+        return MotionModel()
+    if not isinstance(motion, MotionModel):
+        raise OptionError(f"motion must be a MotionModel, not {motion!r}")
+    check_model(motion)
+    return motion
 
 
 def frozen_at(at: Any, needed: bool, rows: int | None = None) -> Array | None:
@@ -110,11 +130,15 @@ def positive_definite(information: ArrayLike, size: int = 3, name: str = "inform
     """
     try:
         omega = np.asarray(information, dtype=float)
-    except (TypeError, ValueError):
+    except Exception:  # as above
         omega = np.empty(0)
-    symmetric = omega.shape == (size, size) and np.allclose(omega, omega.T, rtol=0, atol=1e-9 * np.abs(omega).max())
+    symmetric = (
+        omega.shape == (size, size)
+        and size > 0
+        and np.allclose(omega, omega.T, rtol=0, atol=1e-9 * np.abs(omega).max())
+    )
     if not symmetric or not np.linalg.eigvalsh(omega)[0] > 0:
-        raise OptionError(f"{name} must be a symmetric positive definite {size} x {size} matrix")
+        raise OptionError(f"{name} must be a symmetric positive definite {size or 'd'} x {size or 'd'} matrix")
     return (omega + omega.T) / 2
 
 

@@ -8,9 +8,13 @@ turned into the pose's axes, and every mistake becomes a `FactorError` that name
 
 from __future__ import annotations
 
+import atexit
+import time
 from collections.abc import Callable, Mapping, Sequence
 from math import cos, floor, isfinite, pi, sin
 from operator import index
+from threading import Lock
+from threading import enumerate as enumerate_threads
 from typing import Any
 
 import gtsam
@@ -31,6 +35,23 @@ KernelLike = Kernel | str | None
 Coordinates = Sequence[float] | Array
 #: e, and for each key de/dx by the coordinates of its value
 Linearized = tuple[ArrayLike, Sequence[ArrayLike]]
+
+
+#: what a factor has from GTSAM: without `Factor.__init__` there is nothing behind it
+_OF_GTSAM = frozenset(dir(gtsam.CustomFactor)) - frozenset(dir(object))
+
+_python_ends = False
+_never = Lock()
+_never.acquire()
+
+
+@atexit.register
+def _stop_daemon_threads() -> None:
+    """Let daemon threads wait for ever in their next callback: Python stops them inside GTSAM, which ends the process."""
+    global _python_ends
+    _python_ends = True
+    if any(thread.daemon for thread in enumerate_threads()):
+        time.sleep(0.1)
 
 
 class Factor(gtsam.CustomFactor):
@@ -80,10 +101,21 @@ class Factor(gtsam.CustomFactor):
                 # a factor must not change when its maker goes on working with an array
                 value.flags.writeable = False
         named = keys if named_keys is None else map(index, named_keys)
+        description = FactorDescription(type(self).__name__, tuple(named), arguments)
+        super().__init__(noise, keys, _guarded(description, keys, kinds, noise.dim(), residual, in_own_axes, error))
         #: what the factor was made from; `describe` reads it also from a factor that only a graph holds
-        self.description = FactorDescription(type(self).__name__, tuple(named), arguments)
-        callback = _guarded(self.description, keys, kinds, noise.dim(), residual, in_own_axes, error)
-        super().__init__(noise, keys, callback)
+        self.description = description
+
+    def __getattribute__(self, name: str) -> Any:
+        value = super().__getattribute__(name)
+        if name in _OF_GTSAM and "description" not in super().__getattribute__("__dict__"):
+            raise FactorError(
+                f"this {type(self).__name__} was made without its constructor, so GTSAM has no factor for it"
+            )
+        return value
+
+    def __repr__(self, *how: Any) -> str:
+        return super().__repr__(*how) if "description" in self.__dict__ else f"<{type(self).__name__} without __init__>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return FactorDescription.build, (self.description,)
@@ -104,6 +136,8 @@ def _guarded(
 
     def callback(_this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> Array:
         at: list[Coordinates] = []
+        if _python_ends:
+            _never.acquire()
         try:
             try:
                 for key, is_pose in ends:
@@ -135,7 +169,10 @@ def _guarded(
                     jacobians[k] = jacobian
         except FactorError as problem:
             raise FactorError(str(problem), description) from problem.__cause__
-        except Exception as problem:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as problem:
+            # SystemExit, too: a residual must not end the program from inside GTSAM
             raise FactorError(f"its residual raised {type(problem).__name__}: {problem}", description) from problem
         return e
 
@@ -191,24 +228,31 @@ def checked_keys(name: str, keys: Sequence[Any]) -> list[int]:
     Raises:
         OptionError: a key is no integer, negative, or given twice.
     """
-    checked = []
-    for key in keys:
-        try:
-            number = -1 if isinstance(key, bool) else index(key)
-        except TypeError:
-            number = -1
-        if not 0 <= number < 2**64:
-            raise OptionError(f"{name}: a key must be an integer from 0 to 2^64 - 1 (gtsam.symbol), not {key!r}")
-        checked.append(number)
+    checked = [_checked_key(name, key) for key in keys]
     if len(set(checked)) < len(checked):
         raise OptionError(f"{name}: its keys must differ, but are {', '.join(map(key_name, checked))}")
     return checked
 
 
-def check_keys_listed(name: str, keys: Any) -> None:
-    """Raise `OptionError` unless ``keys`` is a sequence."""
-    if not hasattr(keys, "__len__") or isinstance(keys, str):
+def listed_keys(name: str, keys: Any) -> list[int]:
+    """The keys of a factor type that takes a list of them, as integers; one may be given twice.
+
+    Raises:
+        OptionError: the argument is no list, or a key is no integer or negative.
+    """
+    if not isinstance(keys, (Sequence, np.ndarray)) or isinstance(keys, (str, bytes)) or getattr(keys, "ndim", 1) != 1:
         raise OptionError(f"{name} takes a list of keys, not {keys!r}")
+    return [_checked_key(name, key) for key in keys]
+
+
+def _checked_key(name: str, key: Any) -> int:
+    try:
+        number = -1 if isinstance(key, bool) else index(key)
+    except TypeError:
+        number = -1
+    if not 0 <= number < 2**64:
+        raise OptionError(f"{name}: a key must be an integer from 0 to 2^64 - 1 (gtsam.symbol), not {key!r}")
+    return number
 
 
 def wrapped(angle: float) -> float:

@@ -11,9 +11,10 @@ from scipy.linalg import lapack
 from ..checks import check_choice
 from ..errors import OptionError
 from ..models import SensorModel
+from ..precision import SMALLEST, check_size
 from ..se2 import Array, rotation, wrap
 from .arguments import PoseLike, frozen_at, in_world_frame, numbers, sensor_of
-from .base import POSE, Coordinates, Factor, KernelLike, Linearized, check_keys_listed
+from .base import POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys
 from .landmark_kernels import pair_cost, pair_sums, placed
 
 WEIGHTS = ("pairs", "tempered", "marginal")
@@ -66,13 +67,14 @@ class LandmarkFactor(Factor):
     ) -> None:
         world = in_world_frame(frame)
         check_choice("weight", weight, WEIGHTS)
-        check_keys_listed("LandmarkFactor", keys)
+        keys = listed_keys("LandmarkFactor", keys)
         sensor = sensor_of(sensor)
         place = {key: k for k, key in enumerate(dict.fromkeys(keys))}
         node = np.array([place[key] for key in keys], dtype=int)
         z = numbers("sightings", sightings, (2, 3), rows=len(node))
         if len(z) == 0 or np.any(z[:, 0] <= 0):
             raise OptionError("LandmarkFactor needs at least one sighting, and ranges above zero")
+        check_size("ranges", z[:, 0], least=SMALLEST)
         trusted = np.ones(len(z)) if trust is None else numbers("trust", trust, (len(z),))
         if np.any(trusted <= 0):
             raise OptionError(f"trust must be above zero for every sighting, not {trust!r}")

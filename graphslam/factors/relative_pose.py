@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from ..checks import check_positive
 from ..errors import OptionError
 from ..models import MotionModel
+from ..precision import check_size, inverses
 from ..se2 import Array, rotation
-from .arguments import PoseLike, frozen_at, in_world_frame, numbers, positive_definite
+from .arguments import PoseLike, frozen_at, in_world_frame, motion_of, numbers, positive_definite
 from .base import POSE, Coordinates, Factor, KernelLike, Linearized, noise_model, wrapped
 
 
@@ -128,12 +129,14 @@ class MotionFactor(RelativePoseFactor):
         kernel: KernelLike = None,
     ) -> None:
         check_positive(dt=dt)
-        motion, u, origin = motion or MotionModel(), numbers("control", control, (2,)), np.zeros(3)
+        motion, u, origin = motion_of(motion), numbers("control", control, (2,)), np.zeros(3)
+        check_size("dt", dt)
+        check_size("control", u * dt)
         options = {"frame": frame, "at": at, "scale": scale, "kernel": kernel}
         arguments = {"control": u, "dt": dt, "motion": motion} | options
         # f and its covariance turn with the pose that they start from
-        information = np.linalg.inv(motion.covariance(origin, u, dt))
-        self._make([key_1, key_2], motion.f(origin, u, dt), (information + information.T) / 2, arguments)
+        information = inverses(motion.covariance(origin, u, dt)[None], "motion", "raise epsilon")[0]
+        self._make([key_1, key_2], motion.f(origin, u, dt), information, arguments)
 
 
 def _turned_information(information: Array, theta: float) -> Array:

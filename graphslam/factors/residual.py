@@ -12,7 +12,7 @@ from ..checks import check_choice
 from ..errors import OptionError
 from ..se2 import Array
 from .arguments import positive_definite
-from .base import KINDS, POSE, Coordinates, Factor, KernelLike, Linearized, check_keys_listed
+from .base import KINDS, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys
 
 #: the step of numeric derivatives [m, rad]
 STEP = 1e-6
@@ -49,7 +49,9 @@ class ResidualFactor(Factor):
         kinds: Sequence[str] | None = None,
         kernel: KernelLike = None,
     ) -> None:
-        check_keys_listed("ResidualFactor", keys)
+        keys = listed_keys("ResidualFactor", keys)
+        if not (kinds is None or isinstance(kinds, (list, tuple))):
+            raise OptionError(f"kinds must be a list of {' and '.join(KINDS)}, not {kinds!r}")
         kinds = [POSE] * len(keys) if kinds is None else list(kinds)
         for kind in kinds:
             check_choice("kinds", kind, tuple(KINDS))
@@ -57,9 +59,12 @@ class ResidualFactor(Factor):
             raise OptionError(f"ResidualFactor needs one kind per key, not {len(kinds)} for {len(keys)} keys")
         if not callable(residual):
             raise OptionError(f"residual must be a function, not {residual!r}")
-        if np.ndim(information) != 2:
-            raise OptionError("information must be a symmetric positive definite d x d matrix")
-        omega = positive_definite(information, len(np.asarray(information)))
+        try:
+            shape = np.shape(np.asarray(information, dtype=float))
+            rows = shape[0] if len(shape) == 2 else 0
+        except Exception:  # objects that NumPy asks for numbers may raise anything
+            rows = 0
+        omega = positive_definite(information, rows)
 
         def evaluated(*at: Coordinates) -> Linearized:
             values = [np.array(value, dtype=float) for value in at]

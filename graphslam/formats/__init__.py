@@ -13,7 +13,7 @@ from typing import Any
 
 from ..checks import check_choice
 from ..errors import FormatError, OptionError
-from ..files import check_file
+from ..files import check_file, check_path
 from ..keyframes import with_poses_every
 from ..log import Log
 from ..reading import ReadOptions
@@ -44,6 +44,7 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
     path = Path(path)
     if format is not None:
         check_choice("format", format, FORMATS)
+    check_path(path)
     if not path.is_dir():
         check_file(path)
     chosen = FORMATS[format] if format is not None else _recognised(path)

@@ -2,38 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from ..certificate import GLOBAL, prove
+from ..edges import SightingEdges
 from ..errors import GraphError
 from ..graph import Graph
+from ..se2 import Array
 from .iteration import Run, factorized
-from .starting import AUTO, starting_state
+from .starting import AUTO, GROWING, starting_state
 
 DAMPED = "levenberg-marquardt"
 #: graphs of at most so many nodes are always run from a second start: that takes milliseconds
 SMALL = 100
-#: J per degree of freedom beyond which an end is doubtful and compared with another start's
-DOUBTFUL = 3.0
+#: J per degree of freedom beyond which an end is doubtful and compared with another start's. The information in files is
+#: often a rough guess, whereas wrong minima of graphs of sightings were found from 1.15 on.
+DOUBTFUL, DOUBTFUL_SIGHTINGS = 3.0, 1.12
+#: an end that took more steps is doubtful, too: slow convergence comes from large residuals, which make several minima
+SLOW = 16
 #: ends whose costs differ by less than this part are one minimum
 SAME = 1e-6
 
 
 @dataclass(frozen=True)
-class _End:
-    """The end of one run and its cost; infinite where it is no number."""
+class End:
+    """The end of one run by a method."""
 
+    graph: Graph
     run: Run
-    cost: float
+    method: str
+
+    @cached_property
+    def cost(self) -> float:
+        """J, infinite where it is no number."""
+        return _finite(self.graph.cost(self.run.state))
+
+    @cached_property
+    def plausible(self) -> bool:
+        """Whether J per degree of freedom is as the noise models promise, and a graph of sightings took few steps."""
+        sighted = _sighted(self.graph)
+        limit = (DOUBTFUL_SIGHTINGS if sighted else DOUBTFUL) * self.graph.expected_cost
+        # re-weighted edges and damped steps take more steps in any case
+        quick = not sighted or self.method == DAMPED or self.graph.reweighted or self.graph.state_dependent_information
+        return self.cost <= limit and (quick or len(self.run.step_norms) <= SLOW)
+
+    @cached_property
+    def proven(self) -> bool:
+        """Whether no state has a lower cost."""
+        return prove(self.graph, self.run.state).status == GLOBAL
 
 
 def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
-    """The run with the lowest end among the starts of `AUTO`.
+    """The run with the lowest end among the starts of `AUTO`; `enough` decides when the search ends.
 
-    The search ends early where J per degree of freedom is plausible or two starts converge to the same cost; in small
-    graphs both must hold. An end with a higher cost than the given values never counts. If no run converges to a lower one,
+    An end with a higher cost than the given values never counts. If no run converges to a lower one,
     Levenberg-Marquardt runs from the given values and accepts only steps that lower J itself. (With state-dependent
     information a fixed point of the iteration may have a higher J.)
 
@@ -47,13 +73,9 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
         GraphError: the edges do not determine the nodes.
     """
     given = _finite(graph.cost(graph.initial))
-    ends: list[_End] = []
+    ends: list[End] = []
     error: GraphError | None = None
-    for initialize in AUTO:
-        try:
-            start = starting_state(graph, initialize)
-        except GraphError:
-            continue  # these edges do not allow that start
+    for initialize, start in _starts(graph):
         # a start that only serves for comparison is worth one attempt
         searches = (method,) if any(_allowed(end, given) and end.run.converged for end in ends) else (method, DAMPED)
         for search in dict.fromkeys(searches):
@@ -63,10 +85,10 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
                 error = failure
                 continue
             run.reason += f" (started {initialize}, {search})"
-            ends.append(_End(run, _finite(graph.cost(run.state))))
+            ends.append(End(graph, run, search))
             if run.converged:
                 break
-        if _enough(graph, [end.cost for end in ends if end.run.converged and _allowed(end, given)]):
+        if enough([end for end in ends if end.run.converged and _allowed(end, given)]):
             break
     if error is not None and not any(end.run.converged for end in ends):
         # if nodes are undetermined, Omega is singular at the given values as well, and this raises; if only a later state
@@ -81,16 +103,36 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
         run.reason += " (started given; J falls at every step, because all other ends are above the given values)"
         if not graph.cost(run.state) <= given:
             run.state, run.converged = graph.initial.copy(), False
-        allowed.append(_End(run, _finite(graph.cost(run.state))))
+        allowed.append(End(graph, run, DAMPED))
     return _best(graph, allowed)
 
 
-def _allowed(end: _End, given: float) -> bool:
+def _starts(graph: Graph) -> Iterator[tuple[str, Array]]:
+    """The starts that the edges allow, one after the other: their names and states (n, 3).
+
+    Where sightings are noisy, the starts that look at all poses at once often lead to the same wrong minimum, so that
+    growing the graph comes second. In small graphs the others are much faster and come first. Graphs from files have no
+    need of growing.
+    """
+    names, growing = [*AUTO], [*GROWING] if _sighted(graph) else []
+    if graph.num_nodes <= SMALL:
+        names, growing = names + growing, []
+    while names:
+        name = names.pop(0)
+        try:
+            state = starting_state(graph, name)
+        except GraphError:
+            continue
+        yield name, state
+        names, growing = growing + names, []
+
+
+def _allowed(end: End, given: float) -> bool:
     """Whether an end is not above the cost of the given values, but for rounding."""
     return end.cost <= given * (1 + 1e-9)
 
 
-def _best(graph: Graph, ends: list[_End]) -> Run:
+def _best(graph: Graph, ends: list[End]) -> Run:
     """The lowest end. One that has not converged must be lower than a converged one by more than `SAME`.
 
     With state-dependent information only a fixed point is a solution, and J on the way to it may be lower.
@@ -102,13 +144,23 @@ def _best(graph: Graph, ends: list[_End]) -> Run:
     return lowest.run
 
 
-def _enough(graph: Graph, costs: list[float]) -> bool:
-    """Whether the costs of converged ends leave no reason to try another start."""
-    if not costs:
+def enough(ends: list[End]) -> bool:
+    """Whether converged ends of a graph leave no reason to try another start.
+
+    The lowest end is confirmed if another start has led to it, or two others where ends differ. It is enough that it is
+    plausible or confirmed, in small graphs both, or that it is proven to be a global minimum.
+    """
+    if not ends:
         return False
-    plausible = min(costs) <= DOUBTFUL * graph.expected_cost
-    agreed = sum(cost <= min(costs) * (1 + SAME) for cost in costs) > 1
-    return (plausible and agreed) if graph.num_nodes <= SMALL else (plausible or agreed)
+    lowest = min(ends, key=lambda end: end.cost)
+    same = sum(end.cost <= lowest.cost * (1 + SAME) for end in ends)
+    confirmed = same > (1 if same == len(ends) else 2)
+    small = lowest.graph.num_nodes <= SMALL
+    return (lowest.plausible and confirmed if small else lowest.plausible or confirmed) or lowest.proven
+
+
+def _sighted(graph: Graph) -> bool:
+    return any(isinstance(family, SightingEdges) for family in graph.families)
 
 
 def _finite(cost: float) -> float:

@@ -1,31 +1,29 @@
 """The same graph solved by GTSAM: the factor types of this package, and GTSAM's Levenberg-Marquardt.
 
-The two solvers share the noise models, the initial state and Anderson acceleration; residuals, Jacobians and linear solvers
-are separate.
+The two solvers share the noise models, the initial states, the choice among ends and Anderson acceleration; residuals,
+Jacobians and linear solvers are separate.
 """
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator
-from itertools import pairwise
 
 import gtsam
 import numpy as np
 
 from .. import edges
 from .. import factors as factor_types
-from ..checks import check_choice, check_count, check_positive
+from ..checks import check_count, check_positive
 from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array, wrap
 from ..solution import Solution, make_solution
+from .auto import DAMPED, best_run
+from .gtsam_factors import to_gtsam
+from .iteration import Run
 from .mixing import AndersonMixing
 from .starting import starting_state
-
-#: how virtual-motion edges become factors
-FACTORS = ("fastest", "per-edge")
 
 
 def solve_with_gtsam(
@@ -48,11 +46,13 @@ def solve_with_gtsam(
         graph: what to solve.
         tolerance: converged when the Euclidean norm of a whole correction is below this.
         max_iterations: the most steps to take.
-        initialize: the state to start from, as for `graphslam.solve`. "auto" takes the first state that `solve` would
-            try, and no other if the end is bad.
-        factors: "fastest", one `LandmarkFactor` for all edges of a landmark; or "per-edge", one `VirtualMotionFactor`
-            for each, which has the same cost and takes about ten times as long. If each edge has a robust kernel,
-            the factors are per edge in any case. A note of the solution names the factors that were used.
+        initialize: the state to start from, as for `graphslam.solve`. "auto" compares the ends of several starts, by
+            the same rules.
+        factors: "fastest", GTSAM's own factor types where they are exactly equal, one `RelativeEdgesFactor` for the motions
+            and Cartesian sightings of some consecutive poses, and one `LandmarkFactor` for all virtual-motion edges of a
+            landmark; or "per-edge", which has the same cost and takes about ten times as long. If each virtual-motion edge
+            has a robust kernel, their factors are per edge in any case. A note of the solution names the factors that were
+            used.
 
     Raises:
         GraphError: GTSAM finds the system indeterminate, or the edges do not allow the start.
@@ -60,28 +60,32 @@ def solve_with_gtsam(
     """
     check_positive(tolerance=tolerance)
     check_count(max_iterations=max_iterations)
+    made = to_gtsam(graph, factors=factors)
     begin = time.perf_counter()
-    started = graph.with_initial(starting_state(graph, initialize))
-    starting = time.perf_counter() - begin
-    made = to_gtsam(started, factors=factors)
-    begin = time.perf_counter()
-    try:
-        if graph.state_dependent_information:
-            state, norms, converged = _refrozen(started, tolerance, max_iterations, factors)
+
+    def run_from(start: Array, _: str = DAMPED, descend: bool = False) -> Run:  # noqa: ARG001  # always lowers J
+        started, run = graph.with_initial(start), Run(start, tolerance, max_iterations)
+        try:
+            if graph.state_dependent_information:
+                ends = _refrozen(started, tolerance, max_iterations, factors)
+            else:
+                ends = _optimize(started, made, tolerance, max_iterations)
+        except RuntimeError as error:
+            raise GraphError(f"gtsam failed: {str(error).strip().splitlines()[0]}") from None
+        run.state, run.step_norms, run.converged = ends
+        if run.converged:
+            run.reason = f"step norm {run.step_norms[-1]:.1e} below the tolerance {tolerance:g}"
+        elif len(run.step_norms) >= max_iterations:
+            run.reason = f"max_iterations = {max_iterations} reached"
         else:
-            state, norms, converged = _optimize(started, made, tolerance, max_iterations)
-    except RuntimeError as error:
-        raise GraphError(f"gtsam failed: {str(error).strip().splitlines()[0]}") from None
-    seconds = starting + time.perf_counter() - begin
-    if converged:
-        reason = f"step norm {norms[-1]:.1e} below the tolerance {tolerance:g}"
-    elif len(norms) >= max_iterations:
-        reason = f"max_iterations = {max_iterations} reached"
-    else:
-        reason = "stuck: gtsam finds no step that lowers the cost"
+            run.reason = "stuck: gtsam finds no step that lowers the cost"
+        return run
+
+    run = best_run(graph, run_from, DAMPED) if initialize == "auto" else run_from(starting_state(graph, initialize))
+    seconds = time.perf_counter() - begin
     return make_solution(
-        graph, state, step_norms=norms, costs=[], converged=converged, reason=reason, seconds=seconds, solver="gtsam",
-        notes=(_contents(made),),
+        graph, run.state, step_norms=run.step_norms, costs=[], converged=run.converged, reason=run.reason,
+        seconds=seconds, solver="gtsam", notes=(_contents(made),),
     )  # fmt: skip
 
 
@@ -92,90 +96,6 @@ def _contents(factors: gtsam.NonlinearFactorGraph) -> str:
         factor_types.describe(f).kind if isinstance(f, gtsam.CustomFactor) else type(f).__name__ for f in each
     )
     return "graph: " + ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in kinds.items())
-
-
-def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fastest") -> gtsam.NonlinearFactorGraph:
-    """The factors of a graph, keyed by node number.
-
-    Args:
-        graph: what to translate.
-        reference: the state (n, 3) at which state-dependent information is frozen; default: the initial values.
-        factors: see `solve_with_gtsam`.
-
-    Marginal edges with a robust kernel get landmark nodes of their own, after the graph's; see `eliminated_landmarks`.
-    """
-    check_choice("factors", factors, FACTORS)
-    reference = graph.initial if reference is None else reference
-    made = gtsam.NonlinearFactorGraph()
-    for family in graph.families:
-        for factor in _factors_of(family, reference, graph.num_nodes, factors):
-            made.add(factor)
-    for node in graph.fixed.tolist():
-        made.add(gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node])))
-    return made
-
-
-def _factors_of(
-    family: edges.EdgeFamily, reference: Array, num_nodes: int, factors: str
-) -> Iterator[gtsam.NonlinearFactor]:
-    if isinstance(family, edges.AnchorEdges):
-        yield from map(factor_types.AnchorFactor, family.nodes.tolist(), family.values, family.information)
-    elif isinstance(family, edges.RelativePoseEdges):
-        for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
-            yield factor_types.RelativePoseFactor(i, j, z, information, frame=family.frame, at=reference[i])
-    elif isinstance(family, edges.RelativePointEdges):
-        for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
-            yield factor_types.RelativePointFactor(i, j, z, information)
-    elif isinstance(family, edges.CartesianObservationEdges):
-        for i, j, z, trust in _rows(family.first, family.second, family.sightings, family.trusted):
-            yield factor_types.InverseObservationFactor(
-                i, j, z, family.sensor, frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel
-            )
-    elif isinstance(family, edges.PolarObservationEdges):
-        for i, j, z, trust in _rows(family.first, family.second, family.sightings, family.trusted):
-            factor = factor_types.ObservationFactor(
-                i, j, z, family.sensor, residual="polar", scale=trust, kernel=family.kernel
-            )
-            yield factor.fastest()
-    elif isinstance(family, edges.MarginalEdges) and family.kernel is not None:
-        for i, j, z, trust in _rows(family.nodes, num_nodes + family.group, family.sightings, family.trusted):
-            yield factor_types.InverseObservationFactor(
-                i, j, z, family.sensor, frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel
-            )
-    elif isinstance(family, edges.MarginalEdges):
-        yield from _landmark_factors(family, reference, "marginal")
-    elif isinstance(family, edges.VirtualMotionEdges) and family.kernel is None and factors == "fastest":
-        yield from _landmark_factors(family, reference, "tempered" if family.tempered else "pairs")
-    elif isinstance(family, edges.VirtualMotionEdges):
-        a, b, group = family.pairs()
-        tempering = family.group_weights[group]
-        scales = tempering * family.trusted[a] * family.trusted[b]
-        z, nodes = family.sightings, family.nodes
-        for i, j, z_1, z_2, scale, factor in _rows(nodes[a], nodes[b], z[a], z[b], scales, tempering):
-            yield factor_types.VirtualMotionFactor(
-                i, j, z_1, z_2, family.sensor,
-                frame=family.frame, at=(reference[i], reference[j]), scale=scale,
-                kernel=family.kernel and family.kernel.scaled(factor),
-            )  # fmt: skip
-    else:
-        raise GraphError(f"no gtsam factor is known for {type(family).__name__}")
-
-
-def _rows(*columns: Array) -> Iterator[tuple]:
-    """The rows of several columns, one per edge; numbers as Python's own."""
-    return zip(*(column.tolist() if column.ndim == 1 else column for column in columns))
-
-
-def _landmark_factors(
-    family: edges.LandmarkSightings, reference: Array, weight: str
-) -> Iterator[factor_types.LandmarkFactor]:
-    for start, end in pairwise(family.starts.tolist()):
-        nodes = family.nodes[start:end]
-        if len(np.unique(nodes)) > 1 or weight == "marginal":
-            yield factor_types.LandmarkFactor(
-                nodes.tolist(), family.sightings[start:end], family.sensor,
-                frame=family.frame, weight=weight, at=reference[nodes], trust=family.trusted[start:end],
-            )  # fmt: skip
 
 
 def eliminated_landmarks(graph: Graph, state: Array) -> gtsam.Values:
@@ -234,6 +154,8 @@ def _optimize(
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setVerbosityLM("SILENT")
     parameters.setlambdaUpperBound(1e12)
+    # Cholesky refuses cliques whose pivots differ by 2^12 even where they are well determined (Huang 8240)
+    parameters.setLinearSolverType("MULTIFRONTAL_QR")
     optimizer: gtsam.NonlinearOptimizer = gtsam.LevenbergMarquardtOptimizer(factors, values, parameters)
     state = from_values(graph, optimizer.values())
     norms: list[float] = []
@@ -251,7 +173,9 @@ def _optimize(
             # The remaining decrease is below the rounding error of the cost, so Levenberg-Marquardt refuses to move.
             # Gauss-Newton, which compares no costs, takes the last steps; damping would hide how long they are.
             polishing = True
-            optimizer = gtsam.GaussNewtonOptimizer(factors, optimizer.values())
+            plain = gtsam.GaussNewtonParams()
+            plain.setLinearSolverType("MULTIFRONTAL_QR")
+            optimizer = gtsam.GaussNewtonOptimizer(factors, optimizer.values(), plain)
         elif polishing and norms[-1] < tolerance:
             return state, norms, True
         elif polishing and len(norms) > 2 and norms[-1] > 1e3 * max(norms[-2], tolerance):

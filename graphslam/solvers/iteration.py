@@ -10,7 +10,7 @@ from numba import njit
 
 from ..diagnosis import undetermined
 from ..graph import Graph
-from ..linear.cholesky import Factor, SingularPivot
+from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..se2 import Array
 from .mixing import AndersonMixing
@@ -64,6 +64,11 @@ class Run:
     converged: bool = False
     reason: str = ""
 
+    @property
+    def mixed(self) -> bool:
+        """Whether the last step was a mixture of iterates."""
+        return self.mixing is not None and self.mixing.active
+
     def step(self, cost: float, delta: Array) -> None:
         """Take the correction (n, 3) from a state with this cost."""
         self.state = self.state + delta if self.mixing is None else self.mixing.next(self.state, delta)
@@ -100,7 +105,7 @@ class Run:
         steps may grow for a while and shrink again, so ten of them are compared.
         """
         self.predicted = predicted
-        norm, window = self.step_norms[-1], 1 if self.mixing is None else 10
+        norm, window = self.step_norms[-1], 10 if self.mixed else 1
         before = self.step_norms[-1 - window : -1]
         if norm < self.tolerance and self.negligible(predicted, system):
             self._converge(f"step norm {norm:.1e} below the tolerance {self.tolerance:g}")
@@ -132,7 +137,7 @@ def factorized(graph: Graph, state: Array, damping: float = 0.0) -> Factor:
     """
     try:
         return graph.system.factorize(damping)
-    except SingularPivot as error:
+    except FactorizationError as error:
         raise undetermined(graph, state, error) from None
 
 

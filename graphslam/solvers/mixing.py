@@ -27,6 +27,11 @@ class AndersonMixing:
         self._x: list[Array] = []
         self._f: list[Array] = []
 
+    @property
+    def active(self) -> bool:
+        """Whether the last iterate was mixed."""
+        return len(self._x) > 1
+
     def next(self, x: Array, f: Array) -> Array:
         """The next iterate, from x and f = g(x) - x (same shape)."""
         rms = float(np.sqrt(np.mean(f * f)))

@@ -43,11 +43,11 @@ def solve(
             the correction is predicted to lower J by a negligible part only.
         max_iterations: the most steps to take.
         initialize: "given", the graph's own initial values; "dead-reckoning" along the motion edges; "rotation-first",
-            headings by linear least squares and then positions; or "auto". "auto" starts landmark nodes from
-            virtual-motion edges, and other graphs rotation-first where the edges allow it. Where that does not converge,
-            or ends above the cost of the given values or at an implausible J, and for small graphs always, it tries further
-            starts until a result is plausible or two agree. It returns the converged solution with the lowest cost, which
-            is never above that of the given values.
+            headings by linear least squares and then positions; "grow", solve the first poses, add ten more, solve again,
+            and so on; or "auto". "auto" starts landmark nodes from virtual-motion edges, and other graphs rotation-first
+            where the edges allow it. Where that does not converge, or ends above the cost of the given values, at an
+            implausible J or after many steps, it tries further starts until ends agree, or an end is proven to be the global
+            minimum. It returns the converged solution with the lowest cost, which is never above that of the given values.
         callback: called after each step with an `Iteration`; with "auto" only after the search, once for each step of the
             run that is returned.
         cost_tolerance: the iteration has also converged when a step changes J, or is predicted to change it, by less

@@ -18,7 +18,7 @@ from ..edges import AnchorEdges, ObservationEdges, RelativePoseEdges, kernels
 from ..edges.base import Relations
 from ..errors import GraphError
 from ..graph import Graph
-from ..linear.cholesky import SingularPivot
+from ..linear.cholesky import FactorizationError
 from ..linear.information import BlockSystem
 from ..se2 import Array, compose
 
@@ -71,19 +71,29 @@ def dead_reckoning(graph: Graph) -> Array:
     Raises:
         GraphError: there is no chain of motion edges through all poses.
     """
-    state = graph.initial.copy()
+    state, step = graph.initial.copy(), odometry(graph, "dead-reckoning")
+    for k in range(1, len(graph.steps)):
+        state[k] = compose(state[k - 1], step[k])
+    return state
+
+
+def odometry(graph: Graph, initialize: str) -> Array:
+    """The measured motion (P, 3) to each pose from the pose before it; zero for the first pose.
+
+    Raises:
+        GraphError: no motion edge leads to a pose; the message names the option's value ``initialize``.
+    """
     step = np.full((len(graph.steps), 3), np.nan)
+    step[:1] = 0.0
     for family in graph.families:
         if isinstance(family, RelativePoseEdges):
             # several edges may lead to the next pose; the first in the file is the odometry
             following = np.flatnonzero(family.second == family.first + 1)[::-1]
             step[family.second[following]] = family.measured[following]
-    missing = np.flatnonzero(np.isnan(step[1:, 0])) + 1
+    missing = np.flatnonzero(np.isnan(step[:, 0]))
     if len(missing):
-        raise GraphError(f"initialize='dead-reckoning' needs motion edges; none leads to {graph.names(missing)}")
-    for k in range(1, len(graph.steps)):
-        state[k] = compose(state[k - 1], step[k])
-    return state
+        raise GraphError(f"initialize={initialize!r} needs motion edges; none leads to {graph.names(missing)}")
+    return step
 
 
 def place_landmarks(graph: Graph, poses: Array) -> Array:
@@ -127,7 +137,7 @@ def _solved(graph: Graph, system: BlockSystem, held: np.ndarray) -> Array:
     system.hold(held)
     try:
         return system.factorize().solve(system.xi)[:, :2]
-    except SingularPivot as error:
+    except FactorizationError as error:
         raise GraphError(
             f"initialize='rotation-first' needs edges that tie all nodes; nothing holds {graph.names(np.array([error.node]))}"
         ) from None

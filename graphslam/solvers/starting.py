@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 from ..checks import check_choice
 from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array
-from ..transform import coarse, filled, without_landmarks
+from ..transform import coarse, filled, with_cartesian_sightings, without_landmarks
 from .gauss_newton import gauss_newton
+from .growing import grown
 from .iteration import Run
 from .start import dead_reckoning, place_landmarks, rotation_first
 
 #: the choices of the option ``initialize``
-INITIALIZE = ("given", "dead-reckoning", "rotation-first", "auto")
+INITIALIZE = ("given", "dead-reckoning", "rotation-first", "grow", "auto")
 #: the starts that "auto" tries, in this order
-AUTO = ("virtual-motion", "rotation-first", "given")
+AUTO = ("cartesian", "virtual-motion", "rotation-first", "given")
+#: the starts that grow the graph, and by how many poses at a time; "auto" tries them where ends are doubtful
+GROWING = {"grow": 10, "grow by 3": 3, "grow by 1": 1}
 #: longer trajectories are first solved for every eighth pose, recursively
 LONG, EVERY = 5_000, 8
 
@@ -26,22 +31,38 @@ def starting_state(graph: Graph, initialize: str) -> Array:
 
     Args:
         graph: the graph to solve.
-        initialize: one of `INITIALIZE`, or "virtual-motion".
+        initialize: one of `INITIALIZE`, `AUTO` or `GROWING`.
 
     Raises:
         GraphError: the edges do not allow this start.
         OptionError: there is no such start.
     """
-    check_choice("initialize", initialize, (*INITIALIZE, "virtual-motion"))
-    starts = {
+    check_choice("initialize", initialize, dict.fromkeys((*INITIALIZE, *AUTO, *GROWING)))
+    starts: dict[str, Callable[[Graph], Array]] = {
         "dead-reckoning": dead_reckoning,
         "rotation-first": rotation_first,
         "virtual-motion": virtual_motion_first,
+        "cartesian": cartesian_first,
+        **{name: partial(grown, poses=poses) for name, poses in GROWING.items()},
     }
     for choice in AUTO if initialize == "auto" else ():
         with suppress(GraphError):
             return starting_state(graph, choice)
     return starts[initialize](graph) if initialize in starts else graph.initial
+
+
+def cartesian_first(graph: Graph) -> Array:
+    """The optimum (n, 3) with the Cartesian residual, for a graph whose landmark nodes have the polar one.
+
+    Raises:
+        GraphError: there are no polar residuals, or the edges do not determine the nodes.
+    """
+    easier = with_cartesian_sightings(graph)
+    if easier is None:
+        raise GraphError("there are no sightings with a polar residual")
+    run = Run(starting_state(easier, "auto"), tolerance=_roughly(graph))
+    gauss_newton(easier, run)
+    return run.state
 
 
 def virtual_motion_first(graph: Graph) -> Array:
@@ -57,7 +78,11 @@ def virtual_motion_first(graph: Graph) -> Array:
         smaller, nodes = coarser
         poses = virtual_motion_first(smaller)[: len(smaller.steps)]
         easier = easier.with_initial(filled(graph, nodes[: len(poses)], poses))
-    # a starting state needs little accuracy
-    run = Run(easier.initial.copy(), tolerance=1e-3 * len(graph.steps) ** 0.5)
+    run = Run(easier.initial.copy(), tolerance=_roughly(graph))
     gauss_newton(easier, run)
     return place_landmarks(graph, run.state)
+
+
+def _roughly(graph: Graph) -> float:
+    """The tolerance of steps on the way to a starting state, which needs little accuracy."""
+    return 1e-3 * len(graph.steps) ** 0.5

@@ -43,6 +43,14 @@ class Table(ABC):
     def words(self, column: int) -> np.ndarray:
         """A column (N,) as text, or as whole numbers where the table has these."""
 
+    def texts(self, column: int) -> np.ndarray:
+        """A column (N,) as bytes of ASCII, or as whole numbers where the table has these."""
+        words = self.words(column)
+        return words if words.dtype.kind in "iu" else np.char.encode(words, "ascii", "replace")
+
+    def prepare(self, columns: Sequence[int]) -> None:  # noqa: B027  # only where it saves time
+        """Columns that will be needed, so that they can be read at once."""
+
     @abstractmethod
     def error(self, row: int | None, message: str) -> LogError:
         """The error of a row, counted from 0, or of the whole table."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -38,9 +39,10 @@ class TextTable(Table):
         text = read_text(path)
         if not text.strip():
             raise FormatError(path, None, "the file is empty; a table with a row for each time is needed here")
-        lines = text.splitlines()
+        lines = text.strip("\r\n").splitlines()
         comments, self._quoted = "#" in text, '"' in text
-        rows = [line for line in lines if line and not line.isspace()]
+        blank = re.search(r"\n[ \t\r\f\v]*\n", text) or lines[0].isspace()
+        rows = [line for line in lines if line and not line.isspace()] if blank else lines
         if comments:
             rows = [line for line in rows if not line.lstrip().startswith("#")]
         if not rows:
@@ -55,32 +57,52 @@ class TextTable(Table):
         self.width = len(first)
         if not self._rows:
             raise FormatError(path, 1, "there is a header, but no row below it")
+        self._known: dict[int, Array] = {}
+        self._checked = False
         decimal = f"{path.name}: commas were read as decimal points"
         self.notes = (decimal,) if self._decimal_comma else ()
 
     def __len__(self) -> int:
         return len(self._rows)
 
-    def numbers(self, columns: Sequence[int]) -> Array:
-        rows = [row.replace(",", ".") for row in self._rows] if self._decimal_comma else self._rows
+    def prepare(self, columns: Sequence[int]) -> None:
         try:
-            numbers = np.loadtxt(rows, delimiter=self._separator, usecols=columns, ndmin=2, quotechar='"')
+            numbers = self._loaded(columns)
+        except ValueError:
+            return  # `numbers` reads column by column, and says what is wrong
+        self._known = dict(zip(columns, numbers.T))
+
+    def _loaded(self, columns: Sequence[int]) -> Array:
+        rows = [row.replace(",", ".") for row in self._rows] if self._decimal_comma else self._rows
+        return np.loadtxt(rows, delimiter=self._separator, usecols=columns, ndmin=2, quotechar='"')
+
+    def numbers(self, columns: Sequence[int]) -> Array:
+        self._check_widths(columns)
+        if self._known.keys() >= set(columns):
+            return np.column_stack([self._known[column] for column in columns])
+        try:
+            return self._loaded(columns)
         except ValueError:
             self._refuse(columns)
             # what loadtxt refuses though every cell is a number: missing cells, and words for NaN
-            numbers = np.array([[self._number(self._cells(row)[k]) for k in columns] for row in self._rows])
-        if self._separator is not None and not self._quoted:
-            # loadtxt ignores further cells of a row
-            counts = {row.count(self._separator) for row in self._rows}
-            if counts != {self.width - 1}:
-                self._refuse(columns)
-        return numbers
+            return np.array([[self._number(self._cells(row)[k]) for k in columns] for row in self._rows])
+
+    def _check_widths(self, columns: Sequence[int]) -> None:
+        """Raise the error of a row with other columns, which loadtxt ignores where they are more."""
+        if self._separator is None or self._quoted or self._checked:
+            return
+        if {row.count(self._separator) for row in self._rows} != {self.width - 1}:
+            self._refuse(columns)
+        self._checked = True
 
     def words(self, column: int) -> np.ndarray:
         texts = np.loadtxt(
             self._rows, delimiter=self._separator, usecols=[column], ndmin=1, quotechar='"', dtype=str,
         )  # fmt: skip
         return np.char.strip(texts)
+
+    def texts(self, column: int) -> np.ndarray:
+        return np.loadtxt(self._rows, delimiter=self._separator, usecols=[column], ndmin=1, quotechar='"', dtype="S40")
 
     def error(self, row: int | None, message: str) -> FormatError:
         return FormatError(self.path, None if row is None else self._line(row), message)

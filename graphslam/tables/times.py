@@ -29,13 +29,13 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
     factor = UNITS[unit or by_size(values)]
     if np.all(np.abs(values) * factor < _EXACT):
         return np.rint(values * factor).astype(np.int64)
-    words = table.words(column)
+    words = table.texts(column)
     if words.dtype.kind in "iu":
         return words.astype(np.int64) * factor
     digits = len(str(factor)) - 1
-    whole, _, fraction = np.moveaxis(np.char.partition(words.astype(str), "."), -1, 0)
+    whole, _, fraction = np.moveaxis(np.char.partition(words, b"."), -1, 0)
     try:
-        beneath = np.char.ljust(fraction, digits, "0").astype(f"U{digits}") if digits else np.full(len(whole), "0")
+        beneath = np.char.ljust(fraction, digits, b"0").astype(f"S{digits}") if digits else np.full(len(whole), b"0")
         return whole.astype(np.int64) * factor + beneath.astype(np.int64)
     except (ValueError, OverflowError):
         # with exponents or beyond 64 bits

@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 from collections.abc import Callable
 from functools import partial
@@ -335,6 +336,33 @@ def test_an_interrupted_run_says_so(invoke: Invoke, log_file: Path, monkeypatch:
     result = invoke("run", log_file)
     assert result.exit_code == 130
     assert result.stderr == "interrupted\n"
+
+
+def test_an_interrupt_within_an_import_is_an_interrupt(
+    invoke: Invoke, log_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def half_imported(*_: object, **__: object) -> None:
+        # so does a module of pybind11, such as gtsam, that is interrupted while it loads
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.setattr("comparisons.comparison.compare", half_imported)
+    result = invoke("run", log_file)
+    assert result.exit_code == 130
+    assert result.stderr == "interrupted\n"
+
+
+def test_ctrl_c_while_the_command_line_is_imported(tmp_path: Path) -> None:
+    code = """
+        import sys
+        def stop(name, *_):
+            if name == "typer":
+                raise KeyboardInterrupt
+        sys.meta_path.insert(0, type("Finder", (), {"find_spec": staticmethod(stop)}))
+        from comparisons.__main__ import main
+        main()
+    """
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, cwd=ROOT)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
 
 
 # -- solvers -----------------------------------------------------------------------------------------------------------

@@ -94,7 +94,7 @@ def test_gtsam_solves_the_same_graph(log: Log) -> None:
 
 def test_textbook_is_the_books_program(log: Log) -> None:
     result = ESTIMATORS["textbook"].run(log, OPTIONS)
-    expected = textbook.solve(log, edges="virtual+motion", threshold=0.02)
+    expected = textbook.solve(log, edges="virtual+motion")
     np.testing.assert_allclose(result.step_norms, expected.step_norms)
     np.testing.assert_allclose(result.poses[:, :2], expected.poses[:, :2])
     assert ESTIMATORS["textbook"].run(log, replace(OPTIONS, edges="virtual")).options["threshold"] == 0.01
@@ -147,14 +147,17 @@ def test_pairs_are_counted() -> None:
 
 
 def test_slow_estimators_say_so(log: Log) -> None:
-    entry = Estimator(ESTIMATORS["graph"].run, seconds_per_iteration=lambda _: 30.0)
-    reason = entry.too_slow(log)
+    entry = Estimator(ESTIMATORS["graph"].run, seconds_per_iteration=lambda *_: 30.0)
+    reason = entry.too_slow(log, OPTIONS)
     assert reason is not None
     assert "30 s" in reason
-    assert all(estimator.too_slow(log) is None for estimator in ESTIMATORS.values())
+    assert all(estimator.too_slow(log, OPTIONS) is None for estimator in ESTIMATORS.values())
     crowded = log.replace(steps=np.full(2000, 3), landmarks=np.zeros(2000, int), sightings=np.ones((2000, 3)))
-    assert ESTIMATORS["gtsam"].too_slow(crowded)
-    assert ESTIMATORS["textbook"].too_slow(crowded)
+    assert ESTIMATORS["gtsam"].too_slow(crowded, OPTIONS)
+    assert ESTIMATORS["textbook"].too_slow(crowded, OPTIONS)
+    # one edge for each sighting of a landmark node, in place of one for each pair
+    assert not ESTIMATORS["gtsam"].too_slow(crowded, replace(OPTIONS, edges="landmark+motion"))
+    assert not ESTIMATORS["gtsam"].too_slow(crowded.without_orientation(), OPTIONS)
 
 
 @pytest.mark.parametrize(

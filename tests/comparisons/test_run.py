@@ -143,7 +143,7 @@ def test_without_the_graph_there_is_no_comparison(log: Log) -> None:
 
 def test_slow_ones_run_only_when_named(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     registered(
-        monkeypatch, "slow", lambda log, _: made_up("slow", log.initial_poses), seconds_per_iteration=lambda _: 9.0
+        monkeypatch, "slow", lambda log, _: made_up("slow", log.initial_poses), seconds_per_iteration=lambda *_: 9.0
     )
     outcome = run(log, particles=50)
     assert outcome.skipped == (Skipped("slow", outcome.skipped[0].reason),)

@@ -1,6 +1,7 @@
 # ruff: noqa: E501  (a table of one-line abuses)
 """What all factors share: mistakes become exceptions and never a crash, no memory leaks, and arguments are checked."""
 
+import inspect
 import subprocess
 import sys
 import textwrap
@@ -9,7 +10,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from graphslam import FactorError, OptionError
+from graphslam import FactorError, OptionError, SlamError
 from graphslam.factors import (
     AnchorFactor,
     InverseObservationFactor,
@@ -208,3 +209,99 @@ def test_poses_and_points_of_gtsam_are_taken():
         assert describe(given) == describe(expected)
     with pytest.raises(OptionError, match="pose must be 3 finite numbers"):
         AnchorFactor(X1, point)
+
+
+@pytest.mark.parametrize("problem", [SystemExit, GeneratorExit, ZeroDivisionError])
+def test_a_residual_cannot_end_the_program(problem):
+    def residual(a):
+        raise problem("3")
+
+    values = gtsam.Values()
+    values.insert(X1, gtsam.Pose2())
+    with pytest.raises(FactorError, match=f"its residual raised {problem.__name__}: 3") as caught:
+        ResidualFactor([X1], residual, np.eye(3)).error(values)
+    assert isinstance(caught.value.__cause__, problem)
+
+
+def test_ctrl_c_within_a_residual_stays_ctrl_c():
+    def residual(a):
+        raise KeyboardInterrupt
+
+    values = gtsam.Values()
+    values.insert(X1, gtsam.Pose2())
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(ResidualFactor([X1], residual, np.eye(3)))
+    with pytest.raises(KeyboardInterrupt):
+        gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+
+
+def test_an_object_without_its_constructor_is_refused_and_does_not_crash():
+    crashes = """
+        factor = VirtualMotionFactor.__new__(VirtualMotionFactor)
+        print(repr(factor))
+        for use in (lambda: factor.keys(), lambda: factor.error(gtsam.Values()), lambda: describe(factor)):
+            try:
+                use()
+            except (FactorError, OptionError) as error:
+                print(error)
+    """
+    done = subprocess.run([sys.executable, "-c", HEAD + textwrap.dedent(crashes)], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("<VirtualMotionFactor without __init__>")
+    assert done.stdout.count("made without its constructor") == 2
+
+
+def test_a_daemon_thread_does_not_abort_the_end_of_python():
+    threads = """
+        import threading, time
+        values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()
+        values.insert(0, gtsam.Pose2())
+        graph.add(AnchorFactor(0, [0, 0, 0]))
+        def work():
+            while True:
+                graph.error(values)
+        for _ in range(3):
+            threading.Thread(target=work, daemon=True).start()
+        time.sleep(0.2)
+    """
+    done = subprocess.run([sys.executable, "-c", HEAD + textwrap.dedent(threads)], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+WRONG = [
+    None,
+    "abc",
+    [],
+    [[]],
+    np.zeros((0, 0)),
+    np.nan,
+    np.inf,
+    10**400,
+    1e300,
+    [1e300, 0, 0],
+    1j,
+    object(),
+    np.eye(3) * np.nan,
+]
+GOOD = {
+    VirtualMotionFactor: {"key_1": 1, "key_2": 2, "z_1": [2, 0.3, 1.2], "z_2": [1.6, 0.1, 1.3]},
+    LandmarkFactor: {"keys": [1, 2], "sightings": [[2, 0.3, 1.2], [1.6, 0.1, 1.3]]},
+    ObservationFactor: {"pose_key": 1, "landmark_key": 2, "z": [2, 0.3, 1.2]},
+    InverseObservationFactor: {"pose_key": 1, "landmark_key": 2, "z": [2, 0.3, 1.2]},
+    MotionFactor: {"key_1": 1, "key_2": 2, "control": [0.2, 0.1], "dt": 3.0},
+    RelativePoseFactor: {"key_1": 1, "key_2": 2, "measured": [1, 0, 0.1], "information": np.eye(3)},
+    RelativePointFactor: {"pose_key": 1, "landmark_key": 2, "measured": [1, 0], "information": np.eye(2)},
+    AnchorFactor: {"key": 1, "pose": [0, 0, 0]},
+    ResidualFactor: {"keys": [1], "residual": lambda a: a, "information": np.eye(3)},
+}
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("kind", GOOD)
+def test_every_wrong_argument_is_refused_in_a_sentence(kind):
+    for name in inspect.signature(kind.__init__).parameters:
+        for wrong in WRONG if name != "self" else ():
+            try:
+                kind(**{**GOOD[kind], name: wrong})
+            except SlamError as error:
+                assert "\n" not in str(error)

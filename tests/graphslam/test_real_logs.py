@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from graphslam import Graph, Log, SensorModel, load, solve
+from graphslam.metrics import ate
 from graphslam.se2 import between, wrap
 
 Find = Callable[[str], Path]
@@ -36,6 +37,16 @@ def test_mrclam(shared_data: Find, robot: int, poses: int, sightings: int) -> No
     assert np.abs(np.median(e[:, 1])) < 0.003
     # dead reckoning leaves the truth by metres in a quarter of an hour, not by tens of them
     assert np.hypot(*(log.initial_poses - log.true_poses)[log.covered, :2].T).max() < 10
+
+
+def test_mrclam_with_the_books_noise(shared_data: Find) -> None:
+    """Where the polar residual ends with poses on landmarks, unconverged and 0.8 m off, the Cartesian one converges."""
+    log = load(shared_data("mrclam6"), robot=3)
+    solution = solve(Graph.from_log(log, edges="landmark+motion"))
+    assert solution.converged
+    assert log.true_poses is not None
+    assert ate(log.true_poses, solution.poses) < 0.3
+    assert solution.covariance(log.num_poses - 1)[0, 0] > 0
 
 
 def test_lost_in_the_woods(shared_data: Find) -> None:

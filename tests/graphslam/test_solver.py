@@ -137,7 +137,7 @@ def test_running_out_of_iterations_is_not_convergence(book_log):
 def test_divergence_is_not_convergence(book_log, method):
     initial = book_log.initial_poses.copy()
     initial[30:, 0] += 1e200
-    solution = solve(Graph.from_log(book_log.replace(initial_poses=initial)), method=method, initialize="given")
+    solution = solve(Graph.from_log(book_log).with_initial(initial), method=method, initialize="given")
     assert not solution.converged
     assert "diverged" in solution.reason
 

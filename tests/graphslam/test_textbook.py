@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from graphslam import GraphError, OptionError, load, textbook
+from graphslam import GraphError, OptionError, SensorModel, load, sample_log_path, textbook
 
 CASES = [
     {"edges": "virtual", "threshold": 0.01},
@@ -54,3 +54,25 @@ def test_impossible_requests(book_log, shared_data):
         textbook.solve(book_log, edges="landmark")
     with pytest.raises(OptionError, match="dimensions"):
         textbook.solve(book_log.without_orientation(), dimensions=3)
+
+
+def test_by_default_the_threshold_is_that_of_the_books_program():
+    # the program with motion edges stops at 0.02; at 0.01 it would drift for 100 iterations
+    result = textbook.solve(load(sample_log_path()), edges="virtual+motion")
+    assert result.converged
+    assert result.iterations < 12
+    assert result.threshold == 0.02
+    assert "0.02" in result.reason
+
+
+def test_a_drift_above_the_threshold_ends_the_program_and_is_named(book_log):
+    # with precise sensors the drift, 0.036, is greater than the book's threshold
+    sensor = SensorModel(range_rate=0.03, bearing_std=0.01, orientation_std=0.01)
+    result = textbook.solve(book_log, edges="virtual", sensor=sensor)
+    assert not result.converged
+    assert result.iterations < 40
+    assert "drifts" in result.reason
+    given = textbook.solve(book_log, edges="virtual", sensor=sensor, threshold=result.threshold, max_iterations=45)
+    assert given.iterations == 45
+    assert "max_iterations = 45" in given.reason
+    assert "not converged" in repr(result)

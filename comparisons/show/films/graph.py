@@ -29,6 +29,7 @@ _STARTS = {
     "given": "",
     "virtual-motion": "where virtual-motion edges put the poses",
     "rotation-first": "from the headings",
+    "grow": "where growing the graph puts the poses",
 }
 
 

@@ -1,6 +1,7 @@
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
 """Public classes: analyse once per graph, factorise once per iteration, solve."""
 
+import warnings
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -8,10 +9,10 @@ import numpy as np
 import scipy.sparse as sp
 from numba import njit
 from numpy.typing import NDArray
-from scipy.sparse.linalg import spsolve
+from scipy.sparse.linalg import MatrixRankWarning, spsolve
 
 from .dense import DenseStore
-from .errors import SingularPivot
+from .errors import NotFinite, SingularPivot
 from .multifrontal import MultifrontalStore
 from .ordering import amd
 from .symbolic import Layout, layout
@@ -76,7 +77,8 @@ class Factor:
             damping: lambda >= 0 of a Levenberg-Marquardt step.
 
         Raises:
-            ValueError: wrong shape, values not finite, negative damping.
+            ValueError: wrong shape, negative damping.
+            NotFinite: the values hold NaN or infinity.
             SingularPivot: a pivot is not greater than 1e-12 times the (damped) diagonal entry it came from.
         """
         expected = (self.symbolic.indices.size, 3, 3)
@@ -99,7 +101,7 @@ class Factor:
         if not finite.all():
             p = int(np.argmin(finite))
             j = int(np.searchsorted(self.symbolic.indptr, p, side="right")) - 1
-            raise ValueError(f"values hold NaN or infinity in block ({int(self.symbolic.indices[p])}, {j})")
+            raise NotFinite(int(self.symbolic.indices[p]), j)
         # the vector with a one at the bad pivot that the rows eliminated before it map to zero
         order = (3 * self.symbolic.order[:, None] + np.arange(3)).ravel()
         omega = symmetric(self.symbolic.indptr, self.symbolic.indices, values)
@@ -107,7 +109,12 @@ class Factor:
         head, pivot, vector = order[:bad], order[bad], np.zeros(order.size)
         vector[pivot] = 1.0
         if bad:
-            vector[head] = -spsolve(omega[head][:, head], omega[head, pivot].toarray().ravel())
+            with warnings.catch_warnings():
+                # the part before the pivot may be singular to rounding, too
+                warnings.simplefilter("ignore", MatrixRankWarning)
+                vector[head] = -spsolve(omega[head][:, head], omega[head, pivot].toarray().ravel())
+            if not np.isfinite(vector).all():
+                vector[head] = 0.0
         raise SingularPivot(int(pivot) // 3, int(pivot) % 3, vector.reshape(-1, 3) / np.abs(vector).max())
 
     def _check(self) -> None:

@@ -1,0 +1,178 @@
+"""Many relative poses and points in one factor: one callback for all of them."""
+
+# mypy: disable-error-code="no-untyped-def"
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from ..edges.robust import code_and_width, kernel_of, loss, weight
+from ..errors import OptionError
+from ..se2 import Array
+from .arguments import in_world_frame, numbers, positive_definite
+from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, check_keys_listed
+
+
+class RelativeEdgesFactor(Factor):
+    """Nodes measured in the frames of poses: the sum of a `RelativePoseFactor` or `RelativePointFactor` for each edge.
+
+    A graph of many such edges is evaluated faster with some of them in one factor, above all because GTSAM's optimisers
+    copy all values of the graph for every call of a Python factor. Put edges together that share nodes: the factor connects
+    all its keys. e is whitened already, L' (R(theta_i)' (p_j - p_i) - t, theta_j - theta_i - theta_z) with
+    Omega = L L', and a kernel acts on each edge: the cost, its gradient and the Gauss-Newton matrix are those of the single
+    factors.
+
+    Args:
+        keys: the nodes, each a `gtsam.Pose2` or a `gtsam.Point2`.
+        first, second: (E,) the places of each edge's ends among the keys; the first is a pose.
+        measured: (E, 3) z = (x, y, theta); theta is not used where the second end is a point.
+        information: (E, 3, 3) in the axes of the first end; for a point only the leading 2 x 2 part counts.
+        points: the number of points; they are the last keys.
+        frame: "body" or "world", as in `RelativePoseFactor`.
+        at: (E,) the heading of each first end at which the world frame freezes the information.
+        edge_kernel: a robust kernel on each edge of which ``robust`` is true; see `graphslam.edges.robust`.
+        robust: (E,) bool; default: all edges.
+        kernel: a robust kernel around all edges as a whole.
+
+    Raises:
+        OptionError: an argument has an impossible value.
+    """
+
+    keys_in_list = True
+
+    def __init__(
+        self,
+        keys: Sequence[int],
+        first: ArrayLike,
+        second: ArrayLike,
+        measured: ArrayLike,
+        information: ArrayLike,
+        *,
+        points: int = 0,
+        frame: str = "body",
+        at: ArrayLike | None = None,
+        edge_kernel: KernelLike = None,
+        robust: ArrayLike | None = None,
+        kernel: KernelLike = None,
+    ) -> None:
+        check_keys_listed("RelativeEdgesFactor", keys)
+        poses, world = len(keys) - points, in_world_frame(frame)
+        i, j = (np.array(ends, dtype=np.int64) for ends in (first, second))
+        if len(i) == 0 or i.shape != j.shape or min(i.min(), j.min()) < 0 or i.max() >= poses or j.max() >= len(keys):
+            raise OptionError("first and second must be places of keys, one of a pose and one of any node per edge")
+        z = numbers("measured", measured, (3,), rows=len(i))
+        omega = np.array(information, dtype=float)
+        rows = np.where(j < poses, 3, 2)
+        if omega.shape != (len(i), 3, 3):
+            raise OptionError(f"information must be {len(i)} matrices of 3 x 3, not {omega.shape}")
+        root = np.zeros_like(omega)
+        for edge, d in enumerate(rows.tolist()):
+            root[edge, :d, :d] = np.linalg.cholesky(positive_definite(omega[edge, :d, :d], d)).T
+        frozen = numbers("at", at, (len(i),)) if world else np.zeros(len(i))
+        edge_kernel = kernel_of(edge_kernel)
+        # a kernel without a width takes that of the dimension
+        of_rows = {d: code_and_width(edge_kernel and edge_kernel.of_dimension(d)) for d in (2, 3)}
+        code, widths = of_rows[3][0], np.array([of_rows[d][1] for d in rows.tolist()])
+        robust = np.ones(len(i), dtype=bool) if robust is None else np.array(robust, dtype=bool)
+        starts = np.concatenate([[0], np.cumsum(rows)])
+        edges = (i, j, starts, z, root, frozen, world, np.where(robust, code, 0), widths)
+
+        def stacked(nodes: tuple[Coordinates, ...]) -> Array:
+            at = np.zeros((len(nodes), 3))
+            at[:poses] = nodes[:poses]
+            if points:
+                at[poses:, :2] = nodes[poses:]
+            return at
+
+        def error(*nodes: Coordinates) -> Array:
+            return _residuals(stacked(nodes), *edges)
+
+        def residual(*nodes: Coordinates) -> Linearized:
+            e, jacobians = _linearized(stacked(nodes), poses, *edges)
+            return e, [jacobian[: 3 if k < poses else 2].T for k, jacobian in enumerate(jacobians)]
+
+        options = {"points": points, "frame": frame, "at": frozen if world else None, "kernel": kernel}
+        arguments = {"first": i, "second": j, "measured": z, "information": omega} | options
+        super().__init__(
+            keys, [POSE] * poses + [POINT] * points, residual,
+            arguments | {"edge_kernel": edge_kernel, "robust": robust},
+            covariance=np.eye(int(starts[-1])), in_own_axes=True, error=error,
+        )  # fmt: skip
+
+
+@njit(inline="always", error_model="numpy")
+def _edge(k, x, i, j, z, frozen, world):
+    """e of edge k before whitening, the cosine and sine of its axes, and its derivative by the heading of the first end."""
+    a, b = x[i[k]], x[j[k]]
+    axes = frozen[k] if world else a[2]
+    c, s, ahead = np.cos(axes), np.sin(axes), a[2] - axes
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    sx, sy = c * dx + s * dy, -s * dx + c * dy
+    mx, my = np.cos(ahead) * z[k, 0] - np.sin(ahead) * z[k, 1], np.sin(ahead) * z[k, 0] + np.cos(ahead) * z[k, 1]
+    turn = b[2] - a[2] - z[k, 2]
+    turn -= 2 * np.pi * np.floor((turn + np.pi) / (2 * np.pi))
+    # the world's axes stay, and the measurement turns; the robot's axes turn, and the measurement stays
+    ux, uy = (my, -mx) if world else (sy, -sx)
+    return (sx - mx, sy - my, turn), c, s, ux, uy
+
+
+@njit(cache=True, error_model="numpy")
+def _residuals(x, i, j, starts, z, root, frozen, world, codes, widths):
+    """Whitened residuals (rows,), those of an edge with a kernel scaled so that their squares sum to its loss."""
+    out = np.empty(starts[-1])
+    for k in range(len(i)):
+        e, _, _, _, _ = _edge(k, x, i, j, z, frozen, world)
+        start, rows = starts[k], starts[k + 1] - starts[k]
+        squares = 0.0
+        for r in range(rows):
+            value = 0.0
+            for v in range(r, rows):
+                value += root[k, r, v] * e[v]
+            out[start + r] = value
+            squares += value * value
+        if codes[k] and squares > 0:
+            out[start : start + rows] *= np.sqrt(loss(codes[k], widths[k], squares) / squares)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _linearized(x, poses, i, j, starts, z, root, frozen, world, codes, widths):
+    """Whitened residuals (rows,) and Jacobians (keys, 3, rows), each key's by its own axes; a kernel as a weight."""
+    out, jacobians = np.empty(starts[-1]), np.zeros((len(x), 3, starts[-1]))
+    by_first, by_second = np.zeros((3, 3)), np.zeros((3, 3))
+    by_first[2, 2], by_second[2, 2] = -1.0, 1.0
+    for k in range(len(i)):
+        e, c, s, ux, uy = _edge(k, x, i, j, z, frozen, world)
+        start, rows = starts[k], starts[k + 1] - starts[k]
+        # a pose moves in its own axes, a point in the world's
+        theta = x[i[k], 2]
+        ca, sa = np.cos(theta) * c + np.sin(theta) * s, np.sin(theta) * c - np.cos(theta) * s
+        by_first[0, 0], by_first[0, 1], by_first[0, 2] = -ca, sa, ux
+        by_first[1, 0], by_first[1, 1], by_first[1, 2] = -sa, -ca, uy
+        theta = x[j[k], 2] if j[k] < poses else 0.0
+        ca, sa = np.cos(theta) * c + np.sin(theta) * s, np.sin(theta) * c - np.cos(theta) * s
+        by_second[0, 0], by_second[0, 1] = ca, -sa
+        by_second[1, 0], by_second[1, 1] = sa, ca
+        squares = 0.0
+        for r in range(rows):
+            value = 0.0
+            for v in range(r, rows):
+                value += root[k, r, v] * e[v]
+            out[start + r] = value
+            squares += value * value
+        factor = np.sqrt(weight(codes[k], widths[k], squares)) if codes[k] else 1.0
+        for r in range(rows):
+            out[start + r] *= factor
+            for column in range(3):
+                first, second = 0.0, 0.0
+                for v in range(r, rows):
+                    first += root[k, r, v] * by_first[v, column]
+                    second += root[k, r, v] * by_second[v, column]
+                jacobians[i[k], column, start + r] += factor * first
+                if column < rows:
+                    jacobians[j[k], column, start + r] += factor * second
+    return out, jacobians

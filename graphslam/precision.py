@@ -1,0 +1,104 @@
+"""What double precision can hold: limits of lengths and noise, and the inverses of covariances.
+
+Graphs multiply up to six lengths and standard deviations with one another, and a determinant multiplies three of these
+products. Between 1e-20 and 1e20 none of that leaves the range of floating point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import numpy as np
+
+from .checks import first
+from .errors import GraphError
+from .log import Log
+from .models import MotionModel, SensorModel
+from .se2 import Array
+
+SMALLEST, LARGEST = 1e-20, 1e20
+#: a matrix is singular to double precision where elimination leaves less than this part of a diagonal entry
+PART = 1e-13
+
+
+def check_log(log: Log, motion: MotionModel | None, sensor: SensorModel) -> None:
+    """Raise `GraphError` where numbers of a log and its noise models are too large, too small or too far apart.
+
+    The variances of a sighting along the line of sight and across it must not differ by more than 1 / `PART`, nor may
+    those of bearing and orientation: their sum in other axes would lose the smaller one.
+    """
+    for model in (motion, sensor):
+        if model is not None:
+            check_model(model)
+    check_size(f"the initial poses of {log.name}", log.initial_poses)
+    ranges = log.sightings[:, 0]
+    check_size(f"the ranges of {log.name}", ranges, least=SMALLEST)
+    along = np.hypot(ranges * sensor.range_rate, sensor.range_std)
+    across = ranges * sensor.bearing_std
+    if (k := first(np.maximum(along / across, across / along) > PART**-0.5)) is not None:
+        raise GraphError(
+            f"{log.name}: the noise of sighting {k} is {along[k]:.2g} m along the line of sight and {across[k]:.2g} m "
+            f"across it, and double precision holds a ratio of {PART**-0.5:.0e} at most; change range_rate, range_std or "
+            "bearing_std"
+        )
+    if log.has_orientation and sensor.orientation_std < PART**0.5 * sensor.bearing_std:
+        raise GraphError(
+            f"orientation_std, {sensor.orientation_std:.2g} rad, is too small beside bearing_std, "
+            f"{sensor.bearing_std:.2g} rad, for double precision; their ratio may be {PART**0.5:.0e} at least"
+        )
+
+
+def check_model(model: MotionModel | SensorModel) -> None:
+    """Raise `GraphError` where numbers of a noise model are too large or too small."""
+    # limits of sight may be infinite; the offset is a number of the equations
+    limits = [name for name in getattr(model, "GEOMETRY", ()) if name != "offset"]
+    for name, value in asdict(model).items():
+        if name in limits:
+            continue
+        # a small noise of the motion, or epsilon, is judged by the inverse of its covariance
+        least = SMALLEST if isinstance(model, SensorModel) and name != "offset" else 0.0
+        for number in np.atleast_1d(value).tolist():
+            check_size(f"{name} of the noise model", number, least=least if number else 0.0)
+
+
+def check_size(what: str, numbers: object, *, least: float = 0.0, most: float = LARGEST) -> None:
+    """Raise `GraphError` unless the magnitudes of all numbers lie between two limits."""
+    size = np.abs(np.asarray(numbers, dtype=float)).ravel()
+    if (k := first((size > most) | (size < least))) is not None:
+        raise GraphError(
+            f"{what}: {size[k]:g} is too {'large' if size[k] > most else 'small'} for double precision; the limit is "
+            f"{most if size[k] > most else least:g}"
+        )
+
+
+def inverses(covariances: Array, noun: str, remedy: str) -> Array:
+    """The inverses (E, d, d) of covariances, symmetric and positive definite.
+
+    Rows and columns are scaled to a diagonal of ones first, so that metres and radians of different size lose no digits.
+
+    Args:
+        covariances: (E, d, d).
+        noun: what has these covariances, for the message, such as "motion".
+        remedy: what to do, for the message.
+
+    Raises:
+        GraphError: one of them is not finite, or singular to double precision.
+    """
+    with np.errstate(all="ignore"):
+        size = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+        unit = covariances / (size[:, :, None] * size[:, None, :])
+    wrong = ~np.isfinite(unit).all(axis=(1, 2))
+    if not wrong.any():
+        wrong = ~(_smallest_pivots(unit) > PART)
+    if (k := first(wrong)) is not None:
+        raise GraphError(f"the uncertainty of {noun} {k} is singular to double precision; {remedy}")
+    inverse = np.linalg.inv(unit) / (size[:, :, None] * size[:, None, :])
+    return (inverse + np.swapaxes(inverse, 1, 2)) / 2
+
+
+def _smallest_pivots(unit: Array) -> Array:
+    """What elimination leaves, at least, of the diagonal of ones of matrices (E, d, d)."""
+    try:
+        return np.diagonal(np.linalg.cholesky(unit), axis1=1, axis2=2).min(axis=1) ** 2
+    except np.linalg.LinAlgError:
+        return np.linalg.eigvalsh(unit)[:, 0]

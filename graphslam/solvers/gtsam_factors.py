@@ -1,0 +1,181 @@
+"""The factors of a graph in GTSAM: its own types where they are exactly equal, otherwise those of this package.
+
+A factor of this package is a Python function that GTSAM calls, with a copy of all values of the graph at each call of an
+optimiser. Therefore edges that share nodes share factors where that leaves the cost and its derivatives as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import TypeVar
+
+import gtsam
+import numpy as np
+
+from .. import edges
+from .. import factors as factor_types
+from ..checks import check_choice
+from ..edges.robust import Kernel
+from ..errors import GraphError
+from ..graph import Graph
+from ..se2 import Array
+
+#: how edges become factors
+FACTORS = ("fastest", "per-edge")
+#: the motions of so many consecutive poses, and what these poses see, share a factor
+TOGETHER = 16
+
+_Relative = TypeVar("_Relative", bound=edges.RelativePoseEdges | edges.RelativePointEdges)
+_Part = tuple[edges.RelativePoseEdges | edges.RelativePointEdges, np.ndarray]
+
+
+def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fastest") -> gtsam.NonlinearFactorGraph:
+    """The factors of a graph, keyed by node number.
+
+    Args:
+        graph: what to translate.
+        reference: the state (n, 3) at which state-dependent information is frozen; default: the initial values.
+        factors: see `solve_with_gtsam`.
+
+    Marginal edges with a robust kernel get landmark nodes of their own, after the graph's; see `eliminated_landmarks`.
+    """
+    check_choice("factors", factors, FACTORS)
+    reference = graph.initial if reference is None else reference
+    made = gtsam.NonlinearFactorGraph()
+    joined, families = _joined(graph, reference) if factors == "fastest" else ([], graph.families)
+    for family in families:
+        for factor in _factors_of(family, reference, graph.num_nodes, factors):
+            made.add(factor)
+    for factor in joined:
+        made.add(factor)
+    for node in graph.fixed.tolist():
+        made.add(gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node])))
+    return made
+
+
+def _joined(graph: Graph, reference: Array) -> tuple[list[gtsam.NonlinearFactor], Sequence[edges.EdgeFamily]]:
+    """One factor for the motions of `TOGETHER` poses and what they see, and the families of all other edges.
+
+    Edges between poses that do not follow each other stay alone: in one factor they would connect all its poses with all
+    their other ends, and so fill the factorisation.
+    """
+    poses = len(graph.steps)
+    seen = [family for family in graph.families if isinstance(family, edges.CartesianObservationEdges)]
+    # a factor has one kernel for its edges; so does every graph of a log
+    kernel = next((family.kernel for family in seen if family.kernel is not None), None)
+    rest: list[edges.EdgeFamily] = []
+    parts: dict[str, list[_Part]] = {}
+    for family in graph.families:
+        relative, robust = family, False
+        if isinstance(family, edges.CartesianObservationEdges) and family.kernel in (None, kernel):
+            relative, robust = family.relative, family.kernel is not None
+        if not isinstance(relative, (edges.RelativePoseEdges, edges.RelativePointEdges)):
+            rest.append(family)
+            continue
+        near = (relative.first < poses) & ((relative.second == relative.first + 1) | (relative.second >= poses))
+        if not near.all():
+            rest.append(_chosen(relative, ~near))
+        if near.any():
+            parts.setdefault(relative.frame, []).append((_chosen(relative, near), np.full(int(near.sum()), robust)))
+    made: list[gtsam.NonlinearFactor] = []
+    for frame, members in parts.items():
+        made += _stacked(members, graph, reference, frame, kernel)
+    return made, rest
+
+
+def _stacked(
+    parts: list[_Part], graph: Graph, reference: Array, frame: str, kernel: Kernel | None
+) -> Iterator[factor_types.RelativeEdgesFactor]:
+    """The edges of several families, those from `TOGETHER` consecutive poses in one factor each."""
+    first, second, robust = (
+        np.concatenate(column) for column in zip(*((f.first, f.second, robust) for f, robust in parts))
+    )
+    measured, information = np.zeros((len(first), 3)), np.tile(np.eye(3), (len(first), 1, 1))
+    start = 0
+    for f, _ in parts:
+        end, d = start + f.count, f.measured.shape[1]
+        measured[start:end, :d], information[start:end, :d, :d] = f.measured, f.information
+        start = end
+    group = first // TOGETHER
+    order = np.argsort(group, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
+        keys, places = np.unique(np.concatenate([first[rows], second[rows]]), return_inverse=True)
+        i, j = places.reshape(2, -1)
+        points = 0 if graph.landmark_dimension == 3 else int(np.sum(keys >= len(graph.steps)))
+        yield factor_types.RelativeEdgesFactor(
+            keys.tolist(), i, j, measured[rows], information[rows], points=points, frame=frame,
+            at=reference[first[rows], 2], edge_kernel=kernel, robust=robust[rows],
+        )  # fmt: skip
+
+
+def _chosen(family: _Relative, rows: np.ndarray) -> _Relative:
+    """Some of the edges."""
+    return replace(
+        family, first=family.first[rows], second=family.second[rows], measured=family.measured[rows],
+        information=family.information[rows],
+    )  # fmt: skip
+
+
+def _factors_of(
+    family: edges.EdgeFamily, reference: Array, num_nodes: int, factors: str
+) -> Iterator[gtsam.NonlinearFactor]:
+    if isinstance(family, edges.AnchorEdges):
+        yield from map(factor_types.AnchorFactor, family.nodes.tolist(), family.values, family.information)
+    elif isinstance(family, edges.RelativePoseEdges):
+        for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
+            yield factor_types.RelativePoseFactor(i, j, z, information, frame=family.frame, at=reference[i])
+    elif isinstance(family, edges.RelativePointEdges):
+        for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
+            yield factor_types.RelativePointFactor(i, j, z, information)
+    elif isinstance(family, edges.CartesianObservationEdges):
+        for i, j, z, trust in _rows(family.first, family.second, family.sightings, family.trusted):
+            yield factor_types.InverseObservationFactor(
+                i, j, z, family.sensor, frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel
+            )
+    elif isinstance(family, edges.PolarObservationEdges):
+        for i, j, z, trust in _rows(family.first, family.second, family.sightings, family.trusted):
+            factor = factor_types.ObservationFactor(
+                i, j, z, family.sensor, residual="polar", scale=trust, kernel=family.kernel
+            )
+            yield factor.fastest()
+    elif isinstance(family, edges.MarginalEdges) and family.kernel is not None:
+        for i, j, z, trust in _rows(family.nodes, num_nodes + family.group, family.sightings, family.trusted):
+            yield factor_types.InverseObservationFactor(
+                i, j, z, family.sensor, frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel
+            )
+    elif isinstance(family, edges.MarginalEdges):
+        yield from _landmark_factors(family, reference, "marginal")
+    elif isinstance(family, edges.VirtualMotionEdges) and family.kernel is None and factors == "fastest":
+        yield from _landmark_factors(family, reference, "tempered" if family.tempered else "pairs")
+    elif isinstance(family, edges.VirtualMotionEdges):
+        a, b, group = family.pairs()
+        tempering = family.group_weights[group]
+        scales = tempering * family.trusted[a] * family.trusted[b]
+        z, nodes = family.sightings, family.nodes
+        for i, j, z_1, z_2, scale, factor in _rows(nodes[a], nodes[b], z[a], z[b], scales, tempering):
+            yield factor_types.VirtualMotionFactor(
+                i, j, z_1, z_2, family.sensor,
+                frame=family.frame, at=(reference[i], reference[j]), scale=scale,
+                kernel=family.kernel and family.kernel.scaled(factor),
+            )  # fmt: skip
+    else:
+        raise GraphError(f"no gtsam factor is known for {type(family).__name__}")
+
+
+def _rows(*columns: Array) -> Iterator[tuple]:
+    """The rows of several columns, one per edge; numbers as Python's own."""
+    return zip(*(column.tolist() if column.ndim == 1 else column for column in columns))
+
+
+def _landmark_factors(
+    family: edges.LandmarkSightings, reference: Array, weight: str
+) -> Iterator[factor_types.LandmarkFactor]:
+    for start, end in pairwise(family.starts.tolist()):
+        nodes = family.nodes[start:end]
+        if len(np.unique(nodes)) > 1 or weight == "marginal":
+            yield factor_types.LandmarkFactor(
+                nodes.tolist(), family.sightings[start:end], family.sensor,
+                frame=family.frame, weight=weight, at=reference[nodes], trust=family.trusted[start:end],
+            )  # fmt: skip
