@@ -14,7 +14,7 @@ from ..edges.robust import code_and_width, kernel_of, loss, weight
 from ..errors import OptionError
 from ..se2 import Array
 from .arguments import in_world_frame, numbers, positive_definite
-from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, check_keys_listed
+from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys
 
 
 class RelativeEdgesFactor(Factor):
@@ -59,7 +59,7 @@ class RelativeEdgesFactor(Factor):
         robust: ArrayLike | None = None,
         kernel: KernelLike = None,
     ) -> None:
-        check_keys_listed("RelativeEdgesFactor", keys)
+        keys = listed_keys("RelativeEdgesFactor", keys)
         poses, world = len(keys) - points, in_world_frame(frame)
         i, j = (np.array(ends, dtype=np.int64) for ends in (first, second))
         if len(i) == 0 or i.shape != j.shape or min(i.min(), j.min()) < 0 or i.max() >= poses or j.max() >= len(keys):
