@@ -12,6 +12,7 @@ from graphslam.metrics import position_errors
 from graphslam.se2 import Array, perpendicular, turn_matrix
 
 from ...comparison import Comparison
+from ...exchange import elapsed_of, time_axis
 from ...results import EstimatorResult
 from ..placement import (
     aligned_to,
@@ -85,7 +86,7 @@ class View:
     @property
     def abscissa(self) -> tuple[Array, str]:
         """The horizontal axis of curves over the drive (S,), and its name with the unit."""
-        return (self.steps.astype(float), "step") if self.times is None else (self.times, "time [s]")
+        return (self.steps.astype(float) if self.times is None else self.times), time_axis(self.log)
 
 
 def view_of(comparison: Comparison) -> View:
@@ -111,7 +112,7 @@ def view_of(comparison: Comparison) -> View:
         log=log,
         aligned_to=aligned_to(log),
         steps=steps,
-        times=None if log.times is None else log.times[steps] - log.times[0],
+        times=None if log.times is None else elapsed_of(log)[steps],
         truth=None if log.true_poses is None else log.true_poses[steps],
         true_line=line,
         estimates=tuple(_estimate(comparison, result, steps, path, between) for result in comparison.results),
