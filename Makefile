@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
-.PHONY: compare test check lint clean
+.PHONY: compare test check lint docs clean
 
 compare: .venv/.compiled
 	$(BIN)/slam-compare run
@@ -12,7 +12,7 @@ compare: .venv/.compiled
 # two processes; the tests of a file stay together, because they share its fixtures
 PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
-test: lint .venv/.compiled
+test: lint docs .venv/.compiled
 	$(PYTEST)
 
 check: lint .venv/.compiled
@@ -42,5 +42,14 @@ lint: .venv/.installed-test
 	$(PIP) install --no-compile --editable '.[test]'
 	touch $@ .venv/.installed
 
+# the documentation site in English and Japanese; the results of its code are kept in .cache
+docs: .venv/.installed-docs .venv/.compiled
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo "open site/index.html, or run: $(BIN)/mkdocs serve"
+
+.venv/.installed-docs: pyproject.toml | .venv/bin/python
+	$(PIP) install --no-compile --editable '.[docs]'
+	touch $@ .venv/.installed
+
 clean:
-	rm -rf .venv build *.egg-info
+	rm -rf .cache site .venv build *.egg-info

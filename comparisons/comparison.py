@@ -20,7 +20,7 @@ from .attempt import Skipped, attempts
 from .config import config_text
 from .display import Displayed
 from .documents import EstimatorDocument, LogDocument, RunDocument, document
-from .estimators import ESTIMATORS, check_estimators, make_graph
+from .estimators import ESTIMATORS, check_estimators, default_estimators, make_graph
 from .exchange import texts, write_pose_graph
 from .failures import noted
 from .options import MODELS, LimitOptions, OutputOptions, RunOptions
@@ -303,8 +303,8 @@ def compare(
         _check_graph(data, options)
     results: list[EstimatorResult] = []
     skipped: list[Skipped] = []
-    with attempts(names or tuple(ESTIMATORS), time_limit) as attempt:
-        for name in names or ESTIMATORS:
+    with attempts(names or default_estimators(), time_limit) as attempt:
+        for name in names or default_estimators():
             if progress is not None:
                 progress(name, None)
             outcome: EstimatorResult | Skipped

@@ -82,6 +82,7 @@ class LogDocument(Document):
     sightings: Annotated[Count, about("number of sightings")]
     landmarks: Annotated[Count, about("number of landmarks seen")]
     dimensions: Dimensions
+    simulated: Annotated[bool, about("whether `simulate` made it; all others count as real data")]
     has_controls: Annotated[bool, about("whether there is odometry")]
     controls: Annotated[Count | None, about("number of controls")]
     poses_covered: Annotated[Count, about("number of poses whose ground truth is known")]
@@ -116,6 +117,10 @@ class EstimatorDocument(Document):
         about("what the estimate is aligned to the ground truth by: landmarks where no true poses are known"),
     ]
     nees: Annotated[float | None, about("mean NEES of the poses per degree of freedom; 1: consistent")]
+    weighed_down: Annotated[
+        Count | None,
+        about("number of sightings that a robust kernel gives less than half of their weight; null without one"),
+    ]
     poses_counted: Annotated[Count | None, about("number of poses that the metrics are of")]
     poses: Annotated[list[Pose] | None, about("the trajectory, T + 1 poses")]
     estimated: Annotated[list[bool] | None, about("false where a pose is only the initial guess")]
@@ -483,7 +488,10 @@ class CalibrateDocument(Document):
     sensor: Annotated[dict[str, Any], about("fields of `graphslam.SensorModel`")]
     range_scale: Annotated[float, about("measured range = range_scale * range + range_bias")]
     range_bias: Annotated[float, about("the bias of that line [m]")]
-    errors: Annotated[dict[str, float | None], about("standard error of each number, by its name")]
+    errors: Annotated[dict[str, float | None], about("standard error of each number, by its name; null near zero")]
+    bounds: Annotated[
+        dict[str, float | None], about("upper 95 % bound of each number near zero; null where the log gives none")
+    ]
     degrees: Annotated[dict[str, float | None], about("degrees of freedom of Student's t; null: normal distribution")]
     counts: Annotated[dict[str, Count], about("number of motions and sightings that were used")]
     notes: Annotated[list[str], about("remarks of the calibration")]

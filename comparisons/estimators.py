@@ -25,6 +25,10 @@ from .results import EstimatorResult
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
 PATIENCE = 0.5
+#: the robust kernel on real data unless the options name one
+DEFAULT_KERNEL = "cauchy"
+#: a sighting to which the kernel gives less weight than this counts as weighed down
+WEIGHED_DOWN = 0.5
 
 
 @dataclass(frozen=True)
@@ -36,12 +40,14 @@ class Estimator:
         uses: the names of the graph and filter options that it uses.
         seconds_per_iteration: a forecast for estimators that are slow on large logs, or None.
         repeats: why another estimator gives the same result with these options, or None.
+        on_request: whether it runs only where it is asked for by name.
     """
 
     run: Callable[[Log, RunOptions], EstimatorResult]
     uses: tuple[str, ...] = ()
     seconds_per_iteration: Callable[[Log, RunOptions], float] | None = None
     repeats: Callable[[Log, RunOptions], str | None] = lambda _log, _options: None
+    on_request: bool = False
 
     def reason_to_omit(self, log: Log, options: RunOptions) -> str | None:
         """Why the estimator should be left out unless asked for by name, or None."""
@@ -65,10 +71,21 @@ def make_graph(log: Log, options: RunOptions) -> Graph:
 
 def graph_keywords(log: Log, options: RunOptions) -> dict[str, Any]:
     """The keywords of `Graph.from_log` that the options ask for."""
+    options = chosen(log, options)
     given = {name: getattr(options, name) for name in _GRAPH if name != "initialize"}
     kernel = None if options.kernel in ("none", "gnc") else options.kernel
     models = {"motion": options.motion, "sensor": options.sensor}
-    return given | models | {"edges": options.edges or default_edges(log), "kernel": kernel}
+    return given | models | {"kernel": kernel}
+
+
+def chosen(log: Log, options: RunOptions) -> RunOptions:
+    """The options with the edges and the kernel that suit the log, where they name none.
+
+    Real data have wrong sightings, and a kernel costs next to nothing (docs/decisions.md). All logs count as real data, but
+    those that `graphslam.simulate` made.
+    """
+    kernel = options.kernel or ("none" if log.simulated else DEFAULT_KERNEL)
+    return replace(options, edges=options.edges or default_edges(log), kernel=kernel)
 
 
 def default_edges(log: Log) -> str:
@@ -136,9 +153,14 @@ def graph_marginal(log: Log, options: RunOptions) -> EstimatorResult:
 
 def _counted_once(log: Log, options: RunOptions) -> str | None:
     """Why the graph counts each sighting once in any case, or None."""
-    if (options.edges or default_edges(log)).startswith("landmark"):
+    if str(chosen(log, options).edges).startswith("landmark"):
         return "the landmarks of graph are nodes, which already counts each sighting once"
     return "graph has marginal weights already" if options.weight == "marginal" else None
+
+
+def graph_no_kernel(log: Log, options: RunOptions) -> EstimatorResult:
+    """``graph`` without its robust kernel: every sighting counts fully, wrong ones too."""
+    return _by_hand("graph-no-kernel", log, replace(options, kernel="none"))
 
 
 def _by_hand(name: str, log: Log, options: RunOptions) -> EstimatorResult:
@@ -281,12 +303,18 @@ ESTIMATORS: dict[str, Estimator] = {
     "graph-marginal": Estimator(
         graph_marginal, tuple(name for name in _GRAPH if name != "weight"), repeats=_counted_once
     ),
+    "graph-no-kernel": Estimator(graph_no_kernel, tuple(name for name in _GRAPH if name != "kernel"), on_request=True),
     "gtsam": Estimator(gtsam_estimator, _GRAPH, _gtsam_seconds),
     "isam2": Estimator(isam2, tuple(name for name in _GRAPH if name != "initialize"), _isam2_seconds),
     "mcl": Estimator(mcl, _LOCALISATION),
     "fastslam1": Estimator(fastslam1, _FILTER),
     "fastslam2": Estimator(fastslam2, _FILTER),
 }
+
+
+def default_estimators() -> tuple[str, ...]:
+    """The estimators that run unless others are named."""
+    return tuple(name for name, estimator in ESTIMATORS.items() if not estimator.on_request)
 
 
 def check_estimators(names: Any) -> tuple[str, ...]:
@@ -308,14 +336,24 @@ def check_estimators(names: Any) -> tuple[str, ...]:
 
 
 def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -> EstimatorResult:
-    used = {name: getattr(options, name) for name in _GRAPH} | {"edges": options.edges or default_edges(log)}
+    options = chosen(log, options)
     # the fields that both have under the same names
     shared = {f.name for f in fields(EstimatorResult)} & {f.name for f in fields(Solution)}
     values = {field: getattr(solution, field) for field in shared}
     notes = list(solution.notes)
     with noted(notes, "the covariances of the map are not known"):
         values["landmark_covariances"] = solution.landmark_covariances
-    return EstimatorResult(**values | {"name": name, "options": used, "origin": solution, "notes": tuple(notes)})
+    weighed_down = None
+    if solution.graph is not None and (kernel := solution.graph.verdict[0]) is not None:
+        weights = solution.graph.sighting_weights(solution.state)
+        weighed_down = int(np.count_nonzero(weights < WEIGHED_DOWN))
+        usual = kernel.share_below(WEIGHED_DOWN, log.sightings.shape[1])
+        notes.append(
+            f"the kernel {kernel.name} gives {weighed_down} of {len(weights)} sightings less than half of their weight "
+            f"({weighed_down / len(weights):.1%}; {usual:.1%} would be usual if none were wrong)"
+        )
+    values |= {"name": name, "origin": solution, "notes": tuple(notes), "weighed_down": weighed_down}
+    return EstimatorResult(**values, options={name: getattr(options, name) for name in _GRAPH})
 
 
 def _with_map(source: Log, sensor: SensorModel | None, poses: Any, **rest: Any) -> EstimatorResult:

@@ -108,9 +108,10 @@ class GraphOptions(Options):
         choices=("pairs", "tempered", "marginal"),
     )  # fmt: skip
     motion_weight: float = option(1.0, "Factor lambda on the motion edges.", positive=True)
-    kernel: str = option(
-        "none", "Robust kernel against wrong sightings; gnc is graduated non-convexity.",
+    kernel: str | None = option(
+        None, "Robust kernel against wrong sightings; gnc is graduated non-convexity.",
         choices=("none", "huber", "cauchy", "geman-mcclure", "gnc"), alias="robust",
+        default_text="cauchy on real data, none on logs of simulate",
     )  # fmt: skip
     initialize: str = option(
         "auto", "Where the iteration starts; auto tries several starts.",
@@ -153,8 +154,9 @@ class EstimatorOptions(LimitOptions):
     """Which estimators run, and for how long."""
 
     estimators: tuple[str, ...] | None = option(
-        None, "Estimators to run: dead-reckoning, textbook, graph, graph-marginal, gtsam, isam2, mcl, fastslam1, fastslam2.",
-        metavar="NAME,...", default_text="all that can run on the log",
+        None, "Estimators to run: dead-reckoning, textbook, graph, graph-marginal, graph-no-kernel, gtsam, isam2, mcl, "
+        "fastslam1, fastslam2.",
+        metavar="NAME,...", default_text="all that can run on the log, without graph-no-kernel",
     )  # fmt: skip
 
 

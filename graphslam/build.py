@@ -10,7 +10,6 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from . import precision
 from .checks import listed
 from .edges import (
     ANCHOR_INFORMATION,
@@ -31,6 +30,7 @@ from .formats.pose_graph import PoseGraphFile
 from .log import Log
 from .mapping import estimate_map
 from .models import MotionModel, SensorModel
+from .precision import LARGEST, check_log, check_size
 from .se2 import Array
 
 
@@ -49,7 +49,7 @@ def parts_of_log(
     """The parts of the graph of a log; arguments and errors as in `Graph.from_log`, ``scale`` for the motion edges."""
     with_motion = edges.endswith("+motion")
     _check_log(log, with_motion)
-    precision.check_log(log, motion, sensor)
+    check_log(log, motion, sensor)
     sighted: EdgeFamily
     parts: dict[str, Any] = {"trajectory": log.initial_poses, "log": log, "sensor": sensor}
     if edges.startswith("landmark"):
@@ -87,7 +87,7 @@ def parts_of_log(
         families.append(
             motion_edges(
                 steps, log.controls, log.dt, motion, starts=log.control_starts,
-                control_variances=log.control_variances, frame=frame, scale=scale,
+                control_variances=log.control_variances, recorded_dt=log.recorded_dt, frame=frame, scale=scale,
             )
         )  # fmt: skip
     return parts | {
@@ -144,9 +144,9 @@ def parts_of_file(data: PoseGraphFile, path: Path) -> dict[str, Any]:
         GraphError: the graph falls into several pieces, or a number is too large.
     """
     for name in ("poses", "landmarks", "pose_measured", "point_measured"):
-        precision.check_size(f"{path}: {name.replace('_', ' ')}", getattr(data, name))
+        check_size(f"{path}: {name.replace('_', ' ')}", getattr(data, name))
     for name in ("pose_information", "point_information"):
-        precision.check_size(f"{path}: {name.replace('_', ' ')}", getattr(data, name), most=precision.LARGEST**2)
+        check_size(f"{path}: {name.replace('_', ' ')}", getattr(data, name), most=LARGEST**2)
     num_poses = len(data.pose_ids)
     families: list[RelativePoseEdges | RelativePointEdges] = []
     if len(data.pose_edges):

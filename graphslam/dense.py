@@ -83,7 +83,8 @@ def control_path(
     pieces = np.maximum(1, np.ceil(np.abs(log.controls[:, 1]) * log.dt / most_turn)).astype(np.int64)
     controls, dt = np.repeat(log.controls, pieces, axis=0), np.repeat(log.dt / pieces, pieces)
     rows = np.concatenate([[0], np.cumsum(pieces)])[log.control_starts]
-    M = motion.M(controls, dt)
+    recorded = log.dt if log.recorded_dt is None else log.recorded_dt
+    M = motion.M(controls, dt, np.repeat(recorded, pieces))
     if log.control_variances is not None:
         M[:, [0, 1], [0, 1]] += np.repeat(log.control_variances, pieces, axis=0)
 

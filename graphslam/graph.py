@@ -11,7 +11,7 @@ import numpy as np
 
 from .build import file_of_parts, node_names, parts_of_file, parts_of_log
 from .checks import check_choice, check_positive
-from .edges import AnchorEdges, EdgeFamily, SightingEdges
+from .edges import AnchorEdges, EdgeFamily, LandmarkSightings, MarginalEdges, SightingEdges
 from .edges.robust import Kernel, kernel_of
 from .errors import GraphError, OptionError
 from .formats.pose_graph import read_pose_graph, write_g2o
@@ -168,6 +168,13 @@ class Graph:
             raise OptionError("initial must be finite numbers")
         return replace(self, initial=np.array(initial, dtype=float))
 
+    def with_trust(self, trust: Array) -> Graph:
+        """The same graph with another trust (M,) in the sightings of its edges. Both write Omega and xi into one `system`."""
+        families = tuple(f.with_trust(trust) if isinstance(f, SightingEdges) else f for f in self.families)
+        changed = replace(self, families=families)
+        vars(changed)["system"] = self.system
+        return changed
+
     @property
     def num_nodes(self) -> int:
         """The number n of nodes."""
@@ -211,7 +218,7 @@ class Graph:
         Pairs count every sighting of a landmark up to K/2 times, and their J grows likewise.
         """
         rows = sum(family.numbers[0] for family in self.families)
-        expected = sum(family.numbers[1] for family in self.families)
+        expected = sum(_expected_cost(family) for family in self.families)
         return expected * max(self.degrees_of_freedom / max(rows, 1), 1e-3)
 
     def linearize(self, state: Array, reference: Array | None = None) -> tuple[BlockSystem, float]:
@@ -252,6 +259,21 @@ class Graph:
         """The names of nodes in a sentence: 'poses 3 and 4', 'landmark 7', 'pose 2 and landmark 5'."""
         return node_names(nodes, self.pose_ids, self.landmark_ids)
 
+    def sighting_weights(self, state: Array) -> Array:
+        """The weights (M,) that the robust kernel gives the sightings of the edges at a state (n, 3); 1 without a kernel.
+
+        With pairs these are not the weights of the edges: each sighting is compared with the place of its landmark.
+        """
+        family = next(family for family in self.families if isinstance(family, SightingEdges))
+        if family.kernel is None:
+            return np.ones(len(family.sightings))
+        if isinstance(family, LandmarkSightings):
+            by_landmark = family.starts, family.nodes, family.sightings, family.sensor
+            squares = MarginalEdges(*by_landmark, kernel=family.kernel, trust=family.trust).squares(state, state)
+        else:
+            squares = family.linearize(state, state).mahalanobis
+        return family.kernel.weight(squares)
+
     @property
     def verdict(self) -> tuple[Kernel | None, Array]:
         """The robust kernel on the edges from sightings, and the trust (M,) in each sighting of the log, 1 by default."""
@@ -273,6 +295,15 @@ class Graph:
         poses[self.steps] = state[: len(self.steps)]
         estimated[self.steps] = True
         return poses, estimated
+
+
+def _expected_cost(family: EdgeFamily) -> float:
+    """The mean cost of the edges at the true state; a robust kernel lowers it even where the noise is Gaussian."""
+    mean, kernel = family.numbers[1], getattr(family, "kernel", None)
+    if kernel is None or not isinstance(family, SightingEdges):
+        return mean
+    dimension = family.sightings.shape[1]
+    return mean * float(kernel.mean_loss(dimension)) / dimension
 
 
 def _with_dimensions(log: Log, dimensions: int | None) -> Log:

@@ -49,6 +49,7 @@ def with_poses_every(log: Log, seconds: float) -> Log:
     whole = np.bincount(control, minlength=len(log.dt))[control] == 1
     dt = np.where(whole, log.dt[control], np.diff(cuts))
     changes: dict[str, Any] = {"dt": dt, "controls": log.controls[control]}
+    changes["recorded_dt"] = (log.dt if log.recorded_dt is None else log.recorded_dt)[control]
     if log.control_variances is not None:
         # a variance V of a control that lasts D moves the robot by V D², and its parts together by as much
         changes["control_variances"] = log.control_variances[control] * (log.dt[control] / dt)[:, None]

@@ -30,6 +30,8 @@ class Log:
         control_starts: (T+1,), increasing, from 0 to S; default: one control per motion, row t moves pose t to pose t+1.
         control_variances: (S, 2) variances of single controls [m²/s², rad²/s²] in addition to those of the motion model,
             for example across a gap in the odometry; or None.
+        recorded_dt: (S,) the duration [s] of the recorded control of which each control is a piece, where sightings cut
+            controls; its pieces share the variance that the motion model gives it (`MotionModel.M`). Default: ``dt``.
         steps: the step of each sighting, (M,), not decreasing.
         landmarks: the id of the landmark of each sighting, (M,) integers; `UNIDENTIFIED` where the sensor gives none.
         sightings: (l, phi) or (l, phi, psi) [m, rad, rad], (M, 2) or (M, 3); angles are wrapped to [-pi, pi).
@@ -46,6 +48,7 @@ class Log:
         start_time: the time of step 0 [s].
         motion, sensor: the noise models published with the data, the default of all estimators; None where there are
             none.
+        simulated: whether `simulate` made the log. All other logs count as real data, whose sightings may be wrong.
         name: the name of the log in messages and tables.
         notes: remarks of the reader about the data, one sentence each.
 
@@ -67,8 +70,10 @@ class Log:
     start_time: float = 0.0
     control_starts: np.ndarray = None  # type: ignore[assignment]  # None stays only where there are no controls
     control_variances: Array | None = None
+    recorded_dt: Array | None = None
     motion: MotionModel | None = None
     sensor: SensorModel | None = None
+    simulated: bool = field(default=False, compare=False)
     name: str = field(default="log", compare=False)
     notes: tuple[str, ...] = field(default=(), compare=False)
 
@@ -138,11 +143,11 @@ class Log:
         return cls(**parts_of_tables(odometry, sightings, truth, map, name, keep_every, options, **changes))
 
     def _checked_controls(self) -> dict[str, Any]:
-        """dt, controls, control_starts and control_variances, checked and complete."""
+        """dt, controls, control_starts, control_variances and recorded_dt, checked and complete."""
         if (self.controls is None) != (self.dt is None):
             raise LogError("dt and controls belong together: give both, or neither for a log without controls")
         if self.controls is None:
-            for name in ("control_starts", "control_variances"):
+            for name in ("control_starts", "control_variances", "recorded_dt"):
                 if getattr(self, name) is not None:
                     raise LogError(f"{name} without controls: there is nothing that they belong to")
             return {"control_starts": None}
@@ -160,6 +165,13 @@ class Log:
             )
             if np.any(variances < 0):
                 raise LogError(f"control_variances has the entry {variances.min():g}, but a variance is not negative")
+        if self.recorded_dt is not None:
+            recorded = _floats("recorded_dt", self.recorded_dt, (len(controls),))
+            if (k := first(recorded < dt * (1 - 1e-9))) is not None:
+                raise LogError(f"recorded_dt[{k}] is {recorded[k]:g} s, less than dt[{k}], {dt[k]:g} s, a piece of it")
+            # whole controls need no mention
+            whole = np.allclose(recorded, dt, rtol=1e-9, atol=0)
+            return values | {"recorded_dt": None if whole else recorded}
         return values
 
     def _checked_sightings(self, poses: int) -> dict[str, Any]:
@@ -217,9 +229,11 @@ class Log:
 
     @property
     def composite(self) -> bool:
-        """Whether some motion consists of several controls, or has additional variances."""
+        """Whether some motion consists of several controls, or of a piece of one, or has additional variances."""
         return self.controls is not None and (
-            len(self.controls) != len(self.control_starts) - 1 or self.control_variances is not None
+            len(self.controls) != len(self.control_starts) - 1
+            or self.control_variances is not None
+            or self.recorded_dt is not None
         )
 
     @property
@@ -276,7 +290,7 @@ class Log:
             LogError: the log has no controls.
         """
         controls, dt, motion = self._driven(motion)
-        return motion.accumulate(controls, dt, self.control_starts, self.control_variances)
+        return motion.accumulate(controls, dt, self.control_starts, self.control_variances, self.recorded_dt)
 
     def _driven(self, motion: MotionModel | None) -> tuple[Array, Array, MotionModel]:
         if self.controls is None or self.dt is None:
@@ -331,7 +345,7 @@ class Log:
             path = self.true_poses if self.true_path is None and not self.composite else self.true_path
             if path is not None:
                 changes["true_path"] = path[starts[0] : starts[-1] + 1]
-            for name in ("controls", "dt", "control_variances"):
+            for name in ("controls", "dt", "control_variances", "recorded_dt"):
                 if (rows := getattr(self, name)) is not None:
                     changes[name] = rows[starts[0] : starts[-1]]
             changes |= {"control_starts": starts - starts[0], "start_time": float(times[kept[0]])}
@@ -342,13 +356,14 @@ class Log:
     def replace(self, **changes: Any) -> Log:
         """The same log with some arguments replaced.
 
-        A different number of controls needs its own ``control_starts``, ``control_variances`` and ``true_path``, and other
-        ``true_poses`` need their own ``true_path``; the old ones are dropped.
+        A different number of controls needs its own ``control_starts``, ``control_variances``, ``recorded_dt`` and
+        ``true_path``, and other ``true_poses`` need their own ``true_path``; the old ones are dropped.
         """
         if "controls" in changes and (
             changes["controls"] is None or self.controls is None or len(changes["controls"]) != len(self.controls)
         ):
-            changes = {"control_starts": None, "control_variances": None, "true_path": None} | changes
+            of_controls = ("control_starts", "control_variances", "recorded_dt", "true_path")
+            changes = dict.fromkeys(of_controls) | changes
         if "true_poses" in changes:
             changes = {"true_path": None} | changes
         return replace(self, **changes)

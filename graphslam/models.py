@@ -75,9 +75,11 @@ class MotionModel(NoiseModel):
 
     The noise of the control is Gaussian. ``nn``, ``no``, ``on`` and ``oo`` describe noise that grows with the motion, as
     standard deviations per square root of the metre or radian. ``sigma_v`` and ``sigma_omega`` are standard deviations
-    that every control has, whatever its size and duration; `constant` has only these. Errors of different controls are
-    independent, so with ``sigma_v`` and ``sigma_omega`` k controls of dt seconds have a variance of k (sigma dt)²:
-    these two values belong to the rate at which controls are recorded. (The other four do not depend on it.)
+    that every recorded control has, whatever its size and duration; `constant` has only these. Errors of different
+    controls are independent, so with ``sigma_v`` and ``sigma_omega`` k controls of dt seconds have a variance of
+    k (sigma dt)²: these two values belong to the rate at which controls are recorded. (The other four do not depend on
+    it.) Where a sighting cuts a control, its pieces share the variance: a piece of d seconds of a control of D seconds
+    has the variance sigma² D / d, so that the displacements of all pieces together have (sigma D)², however many there are.
     ``epsilon`` is added to the diagonal of the pose covariance, because A M A' has only rank 2.
 
     Raises:
@@ -92,10 +94,10 @@ class MotionModel(NoiseModel):
     oo: float = option(0.2, "Noise of the turn rate per angle turned", "rad/√rad")
     epsilon: float = option(1e-4, "Variance added to the pose after each motion", "m², rad²")
     sigma_v: float = option(
-        0.0, "Standard deviation of the speed, the same for every control. " + _REPLACES_MOTION, "m/s"
+        0.0, "Standard deviation of the speed, the same for every recorded control. " + _REPLACES_MOTION, "m/s"
     )
     sigma_omega: float = option(
-        0.0, "Standard deviation of the turn rate, the same for every control. " + _REPLACES_MOTION, "rad/s"
+        0.0, "Standard deviation of the turn rate, the same for every recorded control. " + _REPLACES_MOTION, "rad/s"
     )
 
     def __post_init__(self) -> None:
@@ -148,16 +150,18 @@ class MotionModel(NoiseModel):
         jacobian[..., 2, 1] = dt
         return jacobian
 
-    def M(self, control: ArrayLike, dt: ArrayLike) -> Array:
+    def M(self, control: ArrayLike, dt: ArrayLike, recorded_dt: ArrayLike | None = None) -> Array:
         """The covariance of the control noise; (..., 2, 2).
 
-        diag(nn² |nu|/dt + no² |omega|/dt + sigma_v², on² |nu|/dt + oo² |omega|/dt + sigma_omega²).
+        diag(nn² |nu|/dt + no² |omega|/dt + sigma_v² D/dt, on² |nu|/dt + oo² |omega|/dt + sigma_omega² D/dt), where D is
+        ``recorded_dt``, the duration of the recorded control of which this one is a piece; default: dt, a whole control.
         """
         control, dt = np.asarray(control, dtype=float), np.asarray(dt, dtype=float)
+        pieces = 1.0 if recorded_dt is None else np.asarray(recorded_dt, dtype=float) / dt
         nu, omega = np.abs(control[..., 0]), np.abs(control[..., 1])
         covariance = np.zeros((*np.broadcast_shapes(nu.shape, dt.shape), 2, 2))
-        covariance[..., 0, 0] = (self.nn**2 * nu + self.no**2 * omega) / dt + self.sigma_v**2
-        covariance[..., 1, 1] = (self.on**2 * nu + self.oo**2 * omega) / dt + self.sigma_omega**2
+        covariance[..., 0, 0] = (self.nn**2 * nu + self.no**2 * omega) / dt + self.sigma_v**2 * pieces
+        covariance[..., 1, 1] = (self.on**2 * nu + self.oo**2 * omega) / dt + self.sigma_omega**2 * pieces
         return covariance
 
     def covariance(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
@@ -166,7 +170,12 @@ class MotionModel(NoiseModel):
         return A @ self.M(control, dt) @ np.swapaxes(A, -1, -2) + self.epsilon * np.eye(3)
 
     def accumulate(
-        self, controls: ArrayLike, dt: ArrayLike, starts: np.ndarray, control_variances: ArrayLike | None = None
+        self,
+        controls: ArrayLike,
+        dt: ArrayLike,
+        starts: np.ndarray,
+        control_variances: ArrayLike | None = None,
+        recorded_dt: ArrayLike | None = None,
     ) -> tuple[Array, Array]:
         """Motions that consist of several controls each: relative poses and their covariances.
 
@@ -179,6 +188,7 @@ class MotionModel(NoiseModel):
             dt: (S,) [s].
             starts: (T+1,), increasing, from 0 to S.
             control_variances: (S, 2) additional variances of single controls [m²/s², rad²/s²], added to M; or None.
+            recorded_dt: (S,) the duration of the recorded control that each control is a piece of [s], as for `M`; or None.
 
         Returns:
             The motions (T, 3), headings not wrapped, and their covariances (T, 3, 3), in the frame of each motion's start.
@@ -190,7 +200,7 @@ class MotionModel(NoiseModel):
         # with the heading it has within its motion, each control starts from the origin: f is affine in (x, y)
         steps = self.f(before, controls, dt) - before
         motions = np.add.reduceat(steps, first, axis=0) if len(first) else np.zeros((0, 3))
-        A, M = self.A(before, controls, dt), self.M(controls, dt)
+        A, M = self.A(before, controls, dt), self.M(controls, dt, recorded_dt)
         if control_variances is not None:
             M[:, [0, 1], [0, 1]] += control_variances
         left = np.repeat(motions[:, :2], count, axis=0) - steps[:, :2]

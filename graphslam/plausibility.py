@@ -8,7 +8,7 @@ way already, which takes milliseconds and depends on no noise model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,8 @@ _FEWEST, _ENOUGH = 20, 4000
 #: another reading is reported where the median error of the pairs [ranges] is above the first number, another reading
 #: lowers it to less than the second part, and is better for at least the third part of the pairs
 _WRONG, _BETTER, _SHARE = 0.08, 0.5, 0.65
+#: readings whose errors differ by less than this factor fit alike
+_ALIKE = 1.3
 #: sightings that no reading fits better than this [ranges] contradict the odometry
 _CONTRADICTION = 0.4
 
@@ -134,7 +136,12 @@ def _readings(log: Log) -> Iterator[Finding]:
     ]
     given = max(each.given for each in readings)
     if likely:
-        best = min(likely, key=lambda reading: reading.error)
+        least = min(reading.error for reading in likely)
+        # of readings that fit about as well, the plain one: a quarter turn before one of 75 degrees, a clock last
+        best = min(
+            (reading for reading in likely if reading.error <= _ALIKE * least),
+            key=lambda reading: ("about" in reading.message, reading.check == "clock", reading.error),
+        )
         times = f"{best.given / best.error:.1f}" if best.error > 0 else "infinitely many"
         yield Finding(best.check, f"{best.message}: read like this, they fit the odometry {times} times better")
     elif given > _CONTRADICTION:
@@ -188,31 +195,27 @@ class Pairs:
 
     def _others(self, poses: Array) -> Iterator[tuple[str, str, Array, Array]]:
         log, z = self.log, self.log.sightings
-
-        def turned(change: Callable[[Array], Array]) -> Array:
-            other = z.copy()
-            other[:, 1] = change(z[:, 1])
-            return other
-
-        sign = "the bearings, or else the turn rates, have the wrong sign (--bearings clockwise)"
-        yield "bearing sign", sign, poses, turned(lambda b: -b)
-        swapped = "x and y of the sightings are swapped (--axes left-forward)"
-        yield "axes swapped", swapped, poses, turned(lambda b: np.pi / 2 - b)
-        for angle, option, where in ((90, "1.5708", "left"), (-90, "-1.5708", "right"), (180, "3.1416", "back")):
-            message = f"the sensor looks to the {where} (--sensor-yaw {option})"
-            yield "sensor direction", message, poses, turned(lambda b, a=angle: b + np.deg2rad(a))  # type: ignore[misc]
-        message = "bearings count from the left, clockwise (--bearings clockwise --sensor-yaw 1.5708)"
-        yield "bearing zero", message, poses, turned(lambda b: -b + np.pi / 2)
+        for sign in (1, -1):
+            for degrees in range(-165, 181, 15):
+                if (sign, degrees) != (1, 0):
+                    other = z.copy()
+                    other[:, 1] = sign * z[:, 1] + np.deg2rad(degrees)
+                    yield *_direction(sign, degrees), poses, other
         assert log.controls is not None
-        slow = log.replace(
-            controls=log.controls * [1.0, np.pi / 180], initial_poses=None, control_starts=log.control_starts
-        )
-        message = "the turn rates are in degrees per second (--angles odometry=degrees)"
-        yield "turn rate unit", message, slow.dead_reckoning(), z
-        for factor, unit in ((1 / 1000, "mm/s"), (1 / 100, "cm/s"), (1 / 3.6, "km/h"), (1000.0, ""), (100.0, "")):
-            scaled = poses * [factor, factor, 1.0]
-            where = f"speeds are in {unit}" if unit else f"ranges are in {'mm' if factor > 500 else 'cm'}"
-            yield "scale", f"the {where}, against the other lengths", scaled, z
+        for check, message, controls in (
+            (
+                "turn rate unit", "the turn rates are in degrees per second (--angles odometry=degrees)",
+                log.controls * [1.0, np.pi / 180],
+            ),
+            ("odometry swapped", "the columns of speed and turn rate are swapped (--columns)", log.controls[:, ::-1]),
+        ):  # fmt: skip
+            changed = log.replace(controls=controls, initial_poses=None, control_starts=log.control_starts)
+            yield check, message, changed.dead_reckoning(), z
+        for factor, message in (
+            (1 / 1000, "the speeds are in mm/s"), (1 / 100, "the speeds are in cm/s"), (1 / 3.6, "the speeds are in km/h"),
+            (1 / 0.3048, "the ranges are in feet"), (100.0, "the ranges are in cm"), (1000.0, "the ranges are in mm"),
+        ):  # fmt: skip
+            yield "scale", f"{message}, against the other lengths", poses * [factor, factor, 1.0], z
         yield from self._clocks(poses)
 
     def _clocks(self, poses: Array) -> Iterator[tuple[str, str, Array, Array]]:
@@ -226,6 +229,24 @@ class Pairs:
                 moved = np.column_stack([np.interp(log.times + shift, times, path[:, k]) for k in range(3)])
                 message = f"the clock of the sightings is about {late:g} s {'fast' if shift < 0 else 'slow'}"
                 yield "clock", f"{message} (--clocks sightings={shift:g})", moved, log.sightings
+
+
+def _direction(sign: int, degrees: int) -> tuple[str, str]:
+    """The name of the check, and what is said about a sensor whose bearings b are read as sign * b + degrees."""
+    yaw = f"--sensor-yaw {np.deg2rad(degrees):.4f}"
+    if (sign, degrees) == (-1, 0):
+        return "bearing sign", "the bearings, or else the turn rates, have the wrong sign (--bearings clockwise)"
+    if (sign, degrees) == (-1, 90):
+        others = f"or bearings count clockwise from the left (--bearings clockwise {yaw})"
+        return "axes swapped", f"x and y of the sightings are swapped (--axes left-forward), {others}"
+    if sign < 0:
+        message = f"bearings grow clockwise, from about {degrees} degrees left of ahead (--bearings clockwise {yaw})"
+        return "bearing sign", message.replace("about ", "") if degrees % 90 == 0 else message
+    if degrees == 180:
+        return "sensor direction", f"the sensor looks to the back ({yaw}), or the speeds have the wrong sign"
+    side = "left" if degrees > 0 else "right"
+    about = "" if degrees % 90 == 0 else "about "
+    return "sensor direction", f"the sensor looks {about}{abs(degrees)} degrees to the {side} ({yaw})"
 
 
 def pairs_of(log: Log, *, slower: float = 1.0) -> Pairs | None:

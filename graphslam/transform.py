@@ -1,6 +1,6 @@
-"""Graphs made from graphs: without landmark nodes, coarser, and of the first poses only.
+"""Graphs made from graphs: with and without landmark nodes, coarser, and of the first poses only.
 
-Landmark nodes can be replaced by virtual-motion edges or by marginal edges between the poses that saw them.
+Landmark nodes can be replaced by virtual-motion edges between the poses that saw them, and the other way round.
 
 A coarse graph keeps every N-th pose and joins the motions between them. Where dead reckoning has drifted for kilometres,
 Gauss-Newton takes a dozen steps to straighten the trajectory, each over all poses. Starting from the solution of a
@@ -15,13 +15,14 @@ import numpy as np
 
 from .edges import (
     AnchorEdges,
+    CartesianObservationEdges,
     EdgeFamily,
     LandmarkSightings,
-    MarginalEdges,
     ObservationEdges,
     PolarObservationEdges,
     RelativePointEdges,
     RelativePoseEdges,
+    SightingEdges,
     VirtualMotionEdges,
 )
 from .graph import Graph
@@ -46,7 +47,7 @@ def without_landmarks(graph: Graph) -> Graph | None:
         )
 
     families = [paired(f) if isinstance(f, ObservationEdges) else f for f in graph.families]
-    return None if families == [*graph.families] else _poses_only(graph, families)
+    return None if families == [*graph.families] else poses_only(graph, families)
 
 
 def with_cartesian_sightings(graph: Graph) -> Graph | None:
@@ -57,25 +58,29 @@ def with_cartesian_sightings(graph: Graph) -> Graph | None:
     return replace(graph, families=tuple(families))
 
 
-def with_landmarks_eliminated(graph: Graph) -> tuple[Graph, np.ndarray] | None:
-    """The graph with its landmark nodes replaced by marginal edges, and the sighting behind each of theirs (M,).
+def with_landmark_nodes(graph: Graph) -> Graph | None:
+    """The graph with landmark nodes and Cartesian residuals in place of its edges from sightings; these keep their order.
 
-    None where there are no sightings of landmark nodes.
+    Robust kernels are left out. New landmarks are numbered from 0, and at the origin. None where there are no sightings.
     """
-    edges = next((family for family in graph.families if isinstance(family, ObservationEdges)), None)
-    if edges is None:
+    sighted = next((family for family in graph.families if isinstance(family, SightingEdges)), None)
+    if sighted is None:
         return None
-    order = np.lexsort((edges.first, edges.second))
-    _, starts = np.unique(edges.second[order], return_index=True)
-    trust = None if edges.trust is None else edges.trust[order]
-    marginal = MarginalEdges(
-        np.append(starts, len(order)), edges.first[order], edges.sightings[order], edges.sensor, trust=trust
-    )
-    others = [family for family in graph.families if not isinstance(family, ObservationEdges)]
-    return _poses_only(graph, [marginal, *others]), order
+    if isinstance(sighted, ObservationEdges):
+        parts, first, second = {}, sighted.first, sighted.second
+    else:
+        assert isinstance(sighted, LandmarkSightings)
+        count, first, second = len(sighted.starts) - 1, sighted.nodes, graph.num_nodes + sighted.group
+        parts = {
+            "initial": np.concatenate([graph.initial, np.zeros((count, 3))]), "landmark_ids": np.arange(count),
+            "landmark_dimension": sighted.sightings.shape[1],
+        }  # fmt: skip
+    edges = CartesianObservationEdges(first, second, sighted.sightings, sighted.sensor, trust=sighted.trust)
+    return replace(graph, families=tuple(edges if f is sighted else f for f in graph.families), **parts)
 
 
-def _poses_only(graph: Graph, families: list[EdgeFamily]) -> Graph:
+def poses_only(graph: Graph, families: list[EdgeFamily]) -> Graph:
+    """The graph of the poses alone, with these edges but for those to landmarks that are measured as points."""
     return replace(
         graph, initial=graph.initial[: len(graph.steps)], landmark_ids=graph.landmark_ids[:0], log=None,
         families=tuple(family for family in families if not isinstance(family, RelativePointEdges)),

@@ -143,9 +143,9 @@ def log_and_file(words: list[str], form: str) -> tuple[Path | None, Path]:
 
 def _compared(output: Output, log: Path | None, chosen: EstimatorOptions, options: RunOptions) -> Comparison:
     from ..comparison import compare
-    from ..estimators import ESTIMATORS
+    from ..estimators import default_estimators
 
-    with output.bar("estimators", len(chosen.estimators or ESTIMATORS)) as advance:
+    with output.bar("estimators", len(chosen.estimators or default_estimators())) as advance:
         return compare(
             log,
             options,

@@ -151,7 +151,7 @@ def survey_tables(survey: Survey) -> Tables:
 
 
 def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
-    """The numbers of the noise models with their standard errors, a row each."""
+    """The numbers of the noise models with their standard errors or upper bounds, a row each."""
     from ..option import options_of
     from ..options import NoiseOptions
 
@@ -159,19 +159,18 @@ def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
     table = LeanTable(
         f"{name}: noise models from {source}" if name else f"noise models from {source}",
         ["number", "unit"],
-        ["value", "± error"],
+        ["value", "± error, or bound"],
     )
     for number_of, value in calibration.numbers.items():
-        error = calibration.errors.get(number_of, np.nan)
-        known = f"{error:.2g}" if np.isfinite(error) else NOTHING
-        # a bias may be zero, but no other number
-        if error > value and number_of != "range_bias":
+        error, bound = calibration.errors.get(number_of, np.nan), calibration.bounds.get(number_of, np.nan)
+        known = f"{error:.2g}" if np.isfinite(error) else f"< {bound:.2g}" if np.isfinite(bound) else NOTHING
+        if np.isposinf(bound):
             known = "not identifiable"
         table.add_row(number_of, Text(options_of(NoiseOptions)[number_of].unit), f"{value:.4g}", known)
     names = {"motion": "motions", "sensor": "sightings"}
     counts = " and ".join(f"{count} {names[part]}" for part, count in calibration.counts.items())
     return [table], [
-        f'From {counts}. Measured range = range_scale * range + range_bias. "{NOTHING}": zero or not estimated; '
-        '"not identifiable": the standard error exceeds the value.',
+        f'From {counts}. Measured range = range_scale * range + range_bias. "<": near zero, with the upper '
+        f'95 % bound; "not identifiable": the log gives no bound; "{NOTHING}": not estimated.',
         *(f"{note}." for note in calibration.notes),
     ]

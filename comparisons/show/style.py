@@ -15,6 +15,7 @@ ESTIMATORS: dict[str, dict[str, Any]] = {
     "textbook": {"color": "#D55E00", "linestyle": "none", "marker": "x", "markersize": 3.6, "zorder": 3.4},
     "graph": {"color": "#56B4E9", "linestyle": "-", "linewidth": 2.3, "zorder": 2.3},
     "graph-marginal": {"color": "#663333", "linestyle": (0, (8, 1.5)), "linewidth": 1.2, "zorder": 2.75},
+    "graph-no-kernel": {"color": "#666633", "linestyle": (0, (2, 1, 2, 1)), "linewidth": 1.0, "zorder": 2.75},
     "gtsam": {"color": "#0072B2", "linestyle": "none", "marker": "o", "markerfacecolor": "none", "zorder": 3.5},
     "isam2": {"color": "#332288", "linestyle": (0, (2, 2)), "linewidth": 1.0, "zorder": 2.8},
     "mcl": {"color": "#CC79A7", "linestyle": (0, (1, 1.2)), "linewidth": 1.4, "zorder": 2.5},

@@ -14,7 +14,7 @@ from typing import Any
 
 from graphslam import FormatError, OptionError
 
-from ..estimators import ESTIMATORS
+from ..estimators import ESTIMATORS, default_estimators
 from ..noise_files import read_noise
 from ..option import Option, options_of
 from ..options import MODELS, LogOptions, RunOptions, SimulationOptions
@@ -28,7 +28,7 @@ _KEYS = {
     for each in (
         Option(name="database", kind=Path, each=Path, default=None),
         Option(name="time_limit", kind=float, each=float, default=600.0, positive=True),
-        Option(name="estimators", kind=tuple, each=str, default=tuple(ESTIMATORS), choices=tuple(ESTIMATORS)),
+        Option(name="estimators", kind=tuple, each=str, default=default_estimators(), choices=tuple(ESTIMATORS)),
         Option(name="logs", kind=tuple, each=str, default=()),
     )
 }

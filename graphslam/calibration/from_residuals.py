@@ -26,15 +26,15 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ..edges import ObservationEdges, RelativePoseEdges
-from ..errors import GraphError
+from ..errors import GraphError, LogError
 from ..graph import Graph
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from ..solvers.solve import solve
 from ..uncertainty import Uncertainty
-from .parts import LEAST_EPSILON, motion_parts, ordinary, sensor_parts, variances_of, with_variances
-from .variances import FEWEST, MOST, VarianceFit, slope_by_nu, standard_errors
+from .parts import LEAST, motion_parts, ordinary, sensor_parts, variances_of, with_variances
+from .variances import FEWEST, MOST, VarianceFit, fit_of_solution, slope_by_nu
 
 #: converged when no variance, made e times larger or smaller, would change the log likelihood by more than this
 SETTLED = 0.1
@@ -56,6 +56,7 @@ class _Share:
     degrees: float | None
     weights: Array
     nu: float = 10.0
+    residuals: Array = field(default_factory=lambda: np.empty(0))
     leverage: Array = field(default_factory=lambda: np.empty(0))
 
     @property
@@ -65,7 +66,7 @@ class _Share:
 
     def improve(self, residuals: Array, leverage: Array) -> float:
         """One round on residuals (E, d) with P_e (E, d, d); the steepest slope of the log likelihood by a log variance."""
-        self.leverage = leverage
+        self.residuals, self.leverage = residuals, leverage
         W = np.linalg.inv(self.covariances)
         pulled = np.einsum("eij,ej->ei", W, residuals)
         d = residuals.shape[1]
@@ -83,26 +84,20 @@ class _Share:
             whole = float(np.einsum("e,eij,eji->", self.counted.astype(float), W, C, optimize=True))
             expected = whole - float(np.einsum("e,eij,eji->", u, fitted, C, optimize=True))
             after = before * float(np.clip(actual / expected if expected > 0 else 1.0, 1 / FASTEST, FASTEST))
-            if name == "epsilon":
-                after = max(after, LEAST_EPSILON)
-            elif after * whole < NEGLIGIBLE * len(u) * d:
-                after = 0.0
+            least = LEAST.get(name, 0.0)
+            after = max(after, least) if after * whole >= NEGLIGIBLE * len(u) * d or name == "epsilon" else 0.0
             if after != before:
                 steepest = max(steepest, 0.5 * before * abs(actual - expected))
             self.variances[name] = after
         return steepest
 
     def fit(self) -> VarianceFit:
-        """The variances, with standard errors from the information reduced by the leverage."""
-        names = list(self.parts)
-        W = np.linalg.inv(self.covariances)[self.counted]
-        reduced = W - W @ self.leverage[self.counted] @ W
-        C = np.stack([self.parts[name][self.counted] for name in names])
-        errors = standard_errors(reduced, C, np.array([self.variances[name] for name in names]), self.nu)
-        return VarianceFit(
-            self.variances, dict(zip(names, errors.tolist())), self.nu, float("nan"), self.weights,
-            int(self.counted.sum()),
-        )  # fmt: skip
+        """The variances, with errors and bounds from the information reduced by the leverage."""
+        here = self.counted
+        parts = {name: C[here] for name, C in self.parts.items()}
+        return fit_of_solution(
+            self.residuals[here], parts, self.variances, self.nu, least=LEAST, leverage=self.leverage[here]
+        )
 
 
 def noise_from_residuals(
@@ -139,19 +134,32 @@ def noise_from_residuals(
 
     current, state = graph, solve(graph, tolerance=1e-4).state
     for rounds in range(MAX_ROUNDS):
-        if rounds > 0:
-            current = models().with_initial(state)
-            state = solve(current, tolerance=1e-6, max_iterations=20, initialize="given").state
-            if not np.all(np.isfinite(state)):
-                raise GraphError(f"{log.name}: the graph cannot be solved with the current estimate of the noise")
-        uncertainty = Uncertainty(current, state)
-        slope = 0.0
-        for share, family in ((sighted, current.families[1]), (moved, current.families[2])):
-            taken = family.linearize(state, state)
-            slope = max(slope, share.improve(taken.residuals, uncertainty.of_edges(taken)))
+        try:
+            if rounds > 0:
+                current = models().with_initial(state)
+                state = solve(current, tolerance=1e-6, max_iterations=20, initialize="given").state
+            uncertainty = Uncertainty(current, state)
+            slope = 0.0
+            for share, family in ((sighted, current.families[1]), (moved, current.families[2])):
+                taken = family.linearize(state, state)
+                slope = max(slope, share.improve(taken.residuals, uncertainty.of_edges(taken)))
+        except (GraphError, np.linalg.LinAlgError):
+            if rounds == 0:
+                raise
+            # the edges determined the nodes with the first noise models
+            raise LogError(_lost(log, sighted.variances | moved.variances)) from None
         if slope < SETTLED:
             break
     return moved.fit(), sighted.fit(), slope < SETTLED
+
+
+def _lost(log: Log, variances: Mapping[str, float]) -> str:
+    """Why a search was given up."""
+    reached = ", ".join(f"{n} {v if n == 'epsilon' else v**0.5:.2g}" for n, v in variances.items() if v > 0)
+    return (
+        f"{log.name}: the residuals do not determine the noise: the search came to {reached}, with which the graph cannot "
+        "be solved; give the noise by hand, or calibrate from the ground truth"
+    )
 
 
 def degrees_of_freedom(squares: Array, d: int) -> float:

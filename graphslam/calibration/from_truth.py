@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..errors import LogError
 from ..log import Log
 from ..models import MotionModel, SensorModel, sinc
 from ..se2 import Array, between, wrap
-from .parts import motion_parts, ordinary, sensor_parts
+from .parts import LEAST, motion_parts, ordinary, sensor_parts
 from .variances import VarianceFit, fit_variances
 
 #: scale and bias have converged when they change by less than this
@@ -38,12 +40,12 @@ def motion_noise(log: Log, degrees: float | None = None) -> VarianceFit:
     e[:, 2] = wrap(e[:, 2])
     counted = np.isfinite(e).all(axis=1) & ordinary(log)
     parts = {name: C[counted] for name, C in motion_parts(log).items()}
-    fit = fit_variances(e[counted], parts, degrees=degrees)
-    if log.composite:
-        return fit
+    ways = [e] if log.composite else [e, straightened(log, moved, e)]
     # the noise may enter by the controls or at the poses: the better explanation of the motions counts
-    other = fit_variances(straightened(log, moved, e)[counted], parts, degrees=degrees)
-    return max(fit, other, key=lambda each: each.log_likelihood)
+    options: dict[str, Any] = {"degrees": degrees, "least": LEAST}
+    fits = [fit_variances(way[counted], parts, **options, bounds=False) for way in ways]
+    best = max(range(len(ways)), key=lambda k: fits[k].log_likelihood)
+    return fit_variances(ways[best][counted], parts, **options, start=fits[best])
 
 
 def straightened(log: Log, moved: Array, e: Array) -> Array:
@@ -97,21 +99,26 @@ def sensor_noise(
     z = log.sightings[counted]
     seen = sensor.h(truth[log.steps[counted]], np.array([place[:n] for place in places]))
     lines, parts = np.column_stack([seen[:, 0], np.ones(len(z))]), sensor_parts(seen)
-    scale, bias, fit = 1.0, 0.0, None
+    line, fit = np.array([1.0, 0.0]), None
+    options: dict[str, Any] = {"degrees": degrees, "least": LEAST}
+    e = z - seen
+    e[:, 1:] = wrap(e[:, 1:])
     for _ in range(100):
-        e = z - seen
-        e[:, 0] = (z[:, 0] - bias) / scale - seen[:, 0]
-        e[:, 1:] = wrap(e[:, 1:])
-        fit = fit_variances(e, parts, degrees=degrees, start=fit)
+        e[:, 0] = (z[:, 0] - line[1]) / line[0] - seen[:, 0]
+        fit = fit_variances(e, parts, **options, start=fit, bounds=False)
         variance = np.sum([fit.variances[name] * C[:, 0, 0] for name, C in parts.items()], axis=0)
-        weighted = lines * (fit.weights / variance)[:, None]
-        before = scale, bias
-        scale, bias = np.linalg.solve(lines.T @ weighted, weighted.T @ z[:, 0]).tolist()
-        if max(abs(scale - before[0]), abs(bias - before[1])) < SETTLED:
+        weighted = lines * np.sqrt(fit.weights / variance)[:, None]
+        # the nearest line to (1, 0), where all ranges are the same and do not determine one
+        change = np.linalg.lstsq(weighted, np.sqrt(fit.weights / variance) * (z[:, 0] - lines @ line), rcond=1e-9)[0]
+        line = line + change
+        if np.abs(change).max() < SETTLED:
             break
-    assert fit is not None
+    fit = fit_variances(e, parts, **options, start=fit)
     # the expected information of Student's t, as a fraction of the Gaussian one
     share = 1.0 if np.isinf(fit.degrees) else (fit.degrees + n) / (fit.degrees + n + 2)
-    covariance = np.linalg.inv(lines.T @ (lines * (share / variance)[:, None])) * scale**2
-    names, errors = ("range_scale", "range_bias"), np.sqrt(np.diag(covariance)).tolist()
-    return fit, dict(zip(names, (scale, bias))), dict(zip(names, errors))
+    weighted = lines * np.sqrt(share / variance)[:, None]
+    errors = np.full(2, np.nan)
+    if np.linalg.matrix_rank(weighted, rtol=1e-9) == 2:
+        errors = np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted))) * line[0]
+    names = ("range_scale", "range_bias")
+    return fit, dict(zip(names, line.tolist())), dict(zip(names, errors.tolist()))

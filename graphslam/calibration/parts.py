@@ -24,6 +24,8 @@ OF_SENSOR = tuple(f.name for f in fields(SensorModel) if f.name not in SensorMod
 
 #: the least epsilon [m², rad²] that a calibrated model has, because A M A' has only rank 2
 LEAST_EPSILON = 1e-9
+#: the least variances of calibrated models: noise that is smaller counts as this, (0.01 mm)² or (0.01 mrad)²
+LEAST = {"epsilon": LEAST_EPSILON, "range_std": 1e-10, "bearing_std": 1e-10, "orientation_std": 1e-10}
 
 #: the model without noise, and one whose variances, 1e-18, vanish beside 1
 _STILL = MotionModel(**dict.fromkeys(OF_MOTION, 0.0), epsilon=LEAST_EPSILON)
@@ -37,7 +39,8 @@ def motion_parts(log: Log) -> dict[str, Array]:
     identity, parts = np.eye(3), {}
     for name in OF_MOTION:
         alone = replace(_STILL, **{name: 1.0})
-        parts[name] = alone.accumulate(log.controls, log.dt, log.control_starts)[1] - LEAST_EPSILON * identity
+        covariances = alone.accumulate(log.controls, log.dt, log.control_starts, recorded_dt=log.recorded_dt)[1]
+        parts[name] = covariances - LEAST_EPSILON * identity
     parts["epsilon"] = np.broadcast_to(identity, (log.num_poses - 1, 3, 3)).copy()
     return parts
 

@@ -5,7 +5,12 @@ that all residuals share. The noise of a motion is such a sum (`MotionModel.accu
 and so is that of a sighting. The distribution is Student's t with nu degrees of freedom, which are estimated, too: a
 few wrong residuals make nu small and hardly change the variances; where the residuals are Gaussian nu becomes large.
 
-Source: Lange, Little and Taylor, *Robust statistical modeling using the t distribution*, JASA 84(408), 1989.
+A variance near zero has no useful standard error, because the likelihood is not quadratic there. For a variance of less
+than two standard errors the upper end of its 95 % interval is given instead: the largest value at which the profile
+likelihood, the maximum over all other variances, is not lower than the maximum by more than 1.645² / 2.
+
+Sources: Lange, Little and Taylor, *Robust statistical modeling using the t distribution*, JASA 84(408), 1989; Pawitan,
+*In all likelihood*, 2001, section 3.4 (the profile likelihood).
 """
 
 from __future__ import annotations
@@ -14,7 +19,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import brentq, minimize
 from scipy.special import digamma, gammaln
 
 from ..errors import LogError
@@ -29,6 +34,9 @@ STARTS = ((1.0, 10.0), (0.1, 4.0))
 #: a part that explains less than the first fraction of the typical variance is zero; the second one is the upper limit
 NEGLIGIBLE, MOST_EXPLAINED = 1e-7, 100.0
 
+#: the drop of the log likelihood at a one-sided 95 % bound; variances below this many standard errors have a bound
+DROP, FEW_ERRORS = 1.645**2 / 2, 2.0
+
 
 @dataclass(frozen=True)
 class VarianceFit:
@@ -36,7 +44,9 @@ class VarianceFit:
 
     Attributes:
         variances: {name of the part: theta_p}; 0 for parts that the data do not need.
-        errors: {name: standard error of theta_p}, from the expected information of the Gaussian; NaN where theta_p is 0.
+        errors: {name: standard error of theta_p}, from the expected information of the Gaussian; NaN where it has no
+            meaning, because theta_p is less than `FEW_ERRORS` of them.
+        bounds: {name: the upper 95 % bound of theta_p} of these parts; infinite where the data give none.
         degrees: nu, infinite where the tails are Gaussian.
         log_likelihood: at the maximum.
         weights: (E,) the weight of each residual, (nu + d) / (nu + e' C^-1 e); 1 in the Gaussian case.
@@ -45,6 +55,7 @@ class VarianceFit:
 
     variances: dict[str, float]
     errors: dict[str, float]
+    bounds: dict[str, float]
     degrees: float
     log_likelihood: float
     weights: Array
@@ -57,9 +68,19 @@ class VarianceFit:
             for name, value in self.variances.items()
         }
 
+    def bounds_of_model(self) -> dict[str, float]:
+        """The upper bounds of the model's numbers."""
+        return {name: bound if name == "epsilon" else bound**0.5 for name, bound in self.bounds.items()}
+
 
 def fit_variances(
-    residuals: Array, parts: Mapping[str, Array], *, degrees: float | None = None, start: VarianceFit | None = None
+    residuals: Array,
+    parts: Mapping[str, Array],
+    *,
+    degrees: float | None = None,
+    least: Mapping[str, float] | None = None,
+    start: VarianceFit | None = None,
+    bounds: bool = True,
 ) -> VarianceFit:
     """The variances theta_p with the highest likelihood of the residuals.
 
@@ -67,70 +88,217 @@ def fit_variances(
         residuals: (E, d).
         parts: {name: C_p (E, d, d)}, each symmetric and not negative; their sum must be invertible.
         degrees: of freedom nu; None to estimate them, infinity for Gaussian residuals.
+        least: {name: the least theta_p}, for parts without which the covariance might not be invertible.
         start: a fit of similar residuals, to start from.
+        bounds: whether to compute the upper bounds.
 
     Raises:
         LogError: there are fewer residuals than unknowns, or the residuals are all zero.
     """
-    names, C = list(parts), np.stack(list(parts.values()))
     count, d = residuals.shape
-    if count * d <= len(names) + 1:
-        raise LogError(f"{count} residuals are too few to estimate {len(names)} variances from")
-    typical = np.mean(residuals**2)
-    if typical == 0:
+    if count * d <= len(parts) + 1:
+        raise LogError(f"{count} residuals are too few to estimate {len(parts)} variances from")
+    if not residuals.any():
         raise LogError("all residuals are exactly zero, so there is no noise to estimate")
-    # the unit of each part is its share in the variance of the coordinate where it is largest
-    size = np.einsum("peii->pi", C) / count
-    used = size.max(axis=1) > 0
-    C, size, live = C[used], size[used], [name for name, use in zip(names, used) if use]
-    spread = np.maximum(np.mean(residuals**2, axis=0), 1e-12 * typical)
-    unit = spread[size.argmax(axis=1)] / size.max(axis=1)
-
-    def negative(q: Array) -> tuple[float, Array]:
-        theta = unit * np.exp(q[:-1])
-        nu = np.exp(q[-1]) if degrees is None else degrees
-        value, by_theta, by_nu = _log_likelihood(residuals, C, theta, nu)
-        by_nu = by_nu * nu if degrees is None else 0.0
-        return -value / count, -np.append(by_theta * theta, by_nu) / count
-
-    bounds = [(np.log(NEGLIGIBLE), np.log(MOST_EXPLAINED))] * len(unit) + [(np.log(FEWEST), np.log(MOST))]
-    best = None
+    likelihood = _Likelihood(residuals, parts, least or {}, degrees)
+    begins = likelihood.starts() if start is None else [likelihood.position(start.variances, start.degrees)]
     # the likelihood may have several maxima, for example where parts are similar
-    begins = [np.append(np.full(len(unit), np.log(share / len(unit))), np.log(nu)) for share, nu in STARTS]
-    if start is not None:
-        before = np.array([start.variances[name] for name in live]) / unit
-        begins = [np.append(np.log(np.maximum(before, 10 * NEGLIGIBLE)), np.log(min(start.degrees, MOST)))]
-    for begin in begins:
-        search = minimize(negative, begin, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 500})
-        if best is None or search.fun < best.fun:
-            best = search
-    assert best is not None
-    theta = unit * np.exp(best.x[:-1])
-    theta[best.x[:-1] <= np.log(10 * NEGLIGIBLE)] = 0.0
-    nu = float(np.exp(best.x[-1])) if degrees is None else degrees
-    nu = nu if nu < 0.9 * MOST else np.inf
-    covariance = np.tensordot(theta, C, 1)
-    information = np.linalg.inv(covariance)
-    squares = np.einsum("ei,eij,ej->e", residuals, information, residuals)
-    errors = standard_errors(information, C, theta, nu)
+    lowest, q = min((likelihood.search(begin) for begin in begins), key=lambda found: found[0])
+    theta, nu = likelihood.theta(q), likelihood.nu(q)
+    errors, upper = likelihood.errors_and_bounds(theta, nu, q, bounds=bounds)
     return VarianceFit(
-        variances=dict.fromkeys(names, 0.0) | dict(zip(live, theta.tolist())),
-        errors=dict.fromkeys(names, float("nan")) | dict(zip(live, errors.tolist())),
+        variances=dict.fromkeys(parts, 0.0) | likelihood.named(theta),
+        errors=dict.fromkeys(parts, float("nan")) | errors,
+        bounds=upper,
         degrees=nu,
-        log_likelihood=-float(best.fun) * count,
-        weights=np.ones(count) if np.isinf(nu) else (nu + d) / (nu + squares),
+        log_likelihood=-lowest * count,
+        weights=likelihood.weights(theta, nu),
         count=count,
     )
 
 
-def _log_likelihood(e: Array, C: Array, theta: Array, nu: float) -> tuple[float, Array, float]:
-    """The log likelihood, its derivatives (P,) by theta, and the one by nu."""
-    count, d = e.shape
-    covariance = np.tensordot(theta, C, 1)
-    information = np.linalg.inv(covariance)
+def fit_of_solution(
+    residuals: Array,
+    parts: Mapping[str, Array],
+    variances: Mapping[str, float],
+    nu: float,
+    *,
+    least: Mapping[str, float],
+    leverage: Array,
+) -> VarianceFit:
+    """The errors and bounds of variances (and nu) that were estimated from the residuals of a solution.
+
+    Args:
+        residuals, parts, least: as for `fit_variances`.
+        variances, nu: the estimates.
+        leverage: P_e (E, d, d), the part of the covariance of each residual that the solution has fitted. Errors come from
+            the information that it leaves. The likelihood, with e e' + P_e in place of e e', is too steep by about
+            (1 - h)^-2, h the mean of tr(C_e^-1 P_e) / d.
+    """
+    likelihood = _Likelihood(residuals, parts, least, nu, leverage)
+    theta = np.array([variances[name] for name in likelihood.names])
+    _, q = likelihood.search(likelihood.position(variances, nu))
+    errors, upper = likelihood.errors_and_bounds(theta, nu, q)
+    return VarianceFit(
+        variances=dict(variances),
+        errors=dict.fromkeys(parts, float("nan")) | errors,
+        bounds=upper,
+        degrees=nu,
+        log_likelihood=float("nan"),
+        weights=likelihood.weights(theta, nu),
+        count=len(residuals),
+    )
+
+
+class _Likelihood:
+    """The likelihood as a function of q: the logarithms of the variances, in units of their own, and that of nu.
+
+    Args:
+        residuals, parts, least, degrees: as for `fit_variances`.
+        leverage: as for `fit_of_solution`; None for residuals to which nothing was fitted.
+    """
+
+    def __init__(
+        self,
+        residuals: Array,
+        parts: Mapping[str, Array],
+        least: Mapping[str, float],
+        degrees: float | None,
+        leverage: Array | None = None,
+    ) -> None:
+        self.names = [name for name, C in parts.items() if C.any()]
+        self.residuals, self.degrees, self.leverage = residuals, degrees, leverage
+        self.C = np.stack([parts[name] for name in self.names])
+        self.floors = np.array([least.get(name, 0.0) for name in self.names])
+        # the unit of each part is its share in the variance of the coordinate where it is largest
+        size = np.einsum("peii->pi", self.C) / len(residuals)
+        spread = np.mean(residuals**2, axis=0)
+        if leverage is not None:
+            spread = spread + np.einsum("eii->i", leverage) / len(residuals)
+        spread = np.maximum(np.maximum(spread, 1e-12 * spread.mean()), self.floors @ size)
+        self.unit = spread[size.argmax(axis=1)] / size.max(axis=1)
+        self.low = np.log(np.maximum(NEGLIGIBLE, self.floors / self.unit))
+
+    def named(self, values: Array) -> dict[str, float]:
+        """{name of the part: value}."""
+        return dict(zip(self.names, values.tolist()))
+
+    def starts(self) -> list[Array]:
+        """Where the search begins."""
+        parts = len(self.names)
+        return [np.append(np.full(parts, np.log(share / parts)), np.log(nu)) for share, nu in STARTS]
+
+    def position(self, variances: Mapping[str, float], nu: float) -> Array:
+        """The q of given variances and nu."""
+        theta = np.array([variances[name] for name in self.names])
+        return np.append(np.log(np.maximum(theta / self.unit, 10 * NEGLIGIBLE)), np.log(min(nu, MOST)))
+
+    def theta(self, q: Array) -> Array:
+        """The variances. One at its lower limit becomes zero, or the least if the covariance is singular without it."""
+        theta = self.unit * np.exp(q[:-1])
+        for p in np.flatnonzero(q[:-1] <= self.low + np.log(10)):
+            rest = np.tensordot(np.delete(theta, p), np.delete(self.C, p, axis=0), 1)
+            own = self.floors[p] * np.einsum("eii->ei", self.C[p]).max(axis=1)
+            theta[p] = 0.0 if np.all(np.linalg.eigvalsh(rest)[:, 0] > own) else self.unit[p] * np.exp(self.low[p])
+        return theta
+
+    def nu(self, q: Array) -> float:
+        """The degrees of freedom."""
+        nu = float(np.exp(q[-1])) if self.degrees is None else self.degrees
+        return nu if nu < 0.9 * MOST else np.inf
+
+    def information(self, theta: Array) -> Array:
+        """C_e^-1 (E, d, d)."""
+        return _inverse(np.tensordot(theta, self.C, 1))[0]
+
+    def weights(self, theta: Array, nu: float) -> Array:
+        """The weight (E,) of each residual."""
+        squares, _ = _moments(self.residuals, self.information(theta), self.leverage)
+        return np.ones(len(squares)) if np.isinf(nu) else (nu + self.C.shape[-1]) / (nu + squares)
+
+    def search(self, begin: Array, fixed: int | None = None) -> tuple[float, Array]:
+        """The lowest negative log likelihood per residual, and its q; the part ``fixed`` stays where it begins."""
+        limits = [(low, np.log(MOST_EXPLAINED)) for low in self.low] + [(np.log(FEWEST), np.log(MOST))]
+        if fixed is not None:
+            limits[fixed] = (begin[fixed], begin[fixed])
+        found = minimize(self._negative, begin, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 500})
+        return float(found.fun), np.asarray(found.x)
+
+    def errors_and_bounds(
+        self, theta: Array, nu: float, q: Array, *, bounds: bool = True
+    ) -> tuple[dict[str, float], dict[str, float]]:
+        """The errors of `VarianceFit`, and its bounds where asked for, at the maximum q."""
+        information, share = self.information(theta), 1.0
+        if self.leverage is not None:
+            reduced = information - information @ self.leverage @ information
+            share = max(1 - np.einsum("eij,eji->", information, self.leverage) / self.residuals.size, 0.01)
+        errors = standard_errors(information if self.leverage is None else reduced, self.C, theta, nu)
+        near_zero = ~(theta > np.maximum(FEW_ERRORS * errors, 1.001 * self.floors))
+        errors[near_zero] = np.nan
+        if not bounds:
+            return self.named(errors), {}
+        return self.named(errors), {
+            name: self._bound(p, q, DROP / share**2) for p, name in enumerate(self.names) if near_zero[p]
+        }
+
+    def _bound(self, p: int, q: Array, drop: float) -> float:
+        """The largest theta_p whose profile likelihood is lower than the maximum by at most ``drop``."""
+        lowest, _ = self._negative(q)
+
+        def excess(at: float) -> float:
+            begin = q.copy()
+            begin[p] = at
+            return (self.search(begin, fixed=p)[0] - lowest) * len(self.residuals) - drop
+
+        high = np.log(MOST_EXPLAINED)
+        if excess(high) < 0:
+            return float("inf")
+        return float(self.unit[p] * np.exp(brentq(excess, q[p], high, xtol=0.02)))
+
+    def _negative(self, q: Array) -> tuple[float, Array]:
+        theta, count = self.unit * np.exp(q[:-1]), len(self.residuals)
+        nu = np.exp(q[-1]) if self.degrees is None else self.degrees
+        value, by_theta, by_nu = _log_likelihood(self.residuals, self.C, theta, nu, self.leverage)
+        by_nu = by_nu * nu if self.degrees is None else 0.0
+        return -value / count, -np.append(by_theta * theta, by_nu) / count
+
+
+def _moments(e: Array, information: Array, leverage: Array | None) -> tuple[Array, Array]:
+    """tr(W M) (E,) and W M W (E, d, d) with W = C_e^-1 and M = e e', plus P_e where there is a leverage."""
     pulled = np.einsum("eij,ej->ei", information, e)
-    squares = np.einsum("ei,ei->e", e, pulled)
-    logdet = float(np.sum(np.linalg.slogdet(covariance)[1]))
+    squares, outer = np.einsum("ei,ei->e", e, pulled), pulled[:, :, None] * pulled[:, None, :]
+    if leverage is not None:
+        fitted = information @ leverage
+        squares, outer = squares + np.einsum("eii->e", fitted), outer + fitted @ information
+    return squares, outer
+
+
+def _inverse(C: Array) -> tuple[Array, Array]:
+    """The inverses (E, d, d) and determinants (E,) of symmetric matrices, d at most 3, by cofactors.
+
+    `numpy.linalg.inv` and `slogdet` together take five times as long for so many matrices that are so small.
+    """
+    if C.shape[1] == 1:
+        return 1 / C, C[:, 0, 0]
+    if C.shape[1] == 2:
+        (a, b), (_, c) = C.transpose(1, 2, 0)
+        cofactors = np.array([[c, -b], [-b, a]])
+    else:
+        (a, b, c), (_, d, e), (_, _, f) = C.transpose(1, 2, 0)
+        u, v, w = d * f - e * e, c * e - b * f, b * e - c * d
+        cofactors = np.array([[u, v, w], [v, a * f - c * c, b * c - a * e], [w, b * c - a * e, a * d - b * b]])
+    determinants = np.sum(C[:, 0] * cofactors[0].T, axis=1)
+    return (cofactors / determinants).transpose(2, 0, 1), determinants
+
+
+def _log_likelihood(
+    e: Array, C: Array, theta: Array, nu: float, leverage: Array | None = None
+) -> tuple[float, Array, float]:
+    """The log likelihood, its derivatives (P,) by theta, and the one by nu; ``leverage`` as for `fit_of_solution`."""
+    count, d = e.shape
+    information, determinants = _inverse(np.tensordot(theta, C, 1))
+    squares, outer = _moments(e, information, leverage)
+    logdet = float(np.sum(np.log(np.maximum(determinants, 1e-300))))
     if np.isinf(nu):
         value = -0.5 * (logdet + float(squares.sum()) + count * d * np.log(2 * np.pi))
         weights, by_nu = np.ones(count), 0.0
@@ -140,8 +308,7 @@ def _log_likelihood(e: Array, C: Array, theta: Array, nu: float) -> tuple[float,
         value = count * float(constant) - 0.5 * logdet - (nu + d) / 2 * float(tails.sum())
         weights = (nu + d) / (nu + squares)
         by_nu = slope_by_nu(squares, d, nu)
-    by_theta = 0.5 * np.einsum("e,ei,peij,ej->p", weights, pulled, C, pulled, optimize=True)
-    by_theta -= 0.5 * np.einsum("eij,peji->p", information, C)
+    by_theta = 0.5 * np.einsum("eij,peij->p", weights[:, None, None] * outer - information, C)
     return value, by_theta, by_nu
 
 
@@ -166,5 +333,8 @@ def standard_errors(information: Array, C: Array, theta: Array, nu: float) -> Ar
     if not np.isinf(nu):
         traces = np.einsum("peii->pe", scaled)
         fisher = (nu + d) / (nu + d + 2) * fisher - traces @ traces.T / (2 * (nu + d + 2))
-    errors[live] = np.sqrt(np.diag(np.linalg.pinv(fisher, hermitian=True)))
+    # parts that are nearly alike make a singular matrix: their errors are large, not zero as in a pseudo-inverse
+    unit = np.sqrt(np.maximum(np.diag(fisher), 1e-300))
+    values, vectors = np.linalg.eigh(fisher / unit / unit[:, None])
+    errors[live] = np.sqrt(np.sum(vectors**2 / np.maximum(values, 1e-12), axis=1)) / unit
     return errors

@@ -26,6 +26,7 @@ def motion_edges(
     *,
     starts: np.ndarray | None = None,
     control_variances: Array | None = None,
+    recorded_dt: Array | None = None,
     frame: str = "body",
     scale: float = 1.0,
 ) -> RelativePoseEdges:
@@ -38,6 +39,7 @@ def motion_edges(
         motion: gives f, F, A, M and epsilon.
         starts: (T+1,) the first control of each motion, as `Log.control_starts`; default: one control a motion.
         control_variances: (S, 2) more noise of single controls, as `Log.control_variances`.
+        recorded_dt: (S,) [s] the durations of the recorded controls, as `Log.recorded_dt`.
         frame: "world" or "body".
         scale: lambda, multiplies the information of all motion edges (the book adds each edge lambda times).
 
@@ -47,7 +49,7 @@ def motion_edges(
     starts = np.arange(len(controls) + 1) if starts is None else starts
     with np.errstate(over="ignore", invalid="ignore"):
         # numbers that overflow make a covariance that is not finite, which is refused
-        measured, covariances = motion.accumulate(controls, dt, starts, control_variances)
+        measured, covariances = motion.accumulate(controls, dt, starts, control_variances, recorded_dt)
     remedy = "the motion is too large beside epsilon, or epsilon too small: raise epsilon"
     information = scale * inverses(covariances, "motion", remedy)
     return RelativePoseEdges(nodes[:-1], nodes[1:], measured, information, frame=frame)

@@ -30,6 +30,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
+from scipy.special import gammaincinv
 
 from ..checks import check_choice, check_positive
 from ..errors import OptionError
@@ -81,6 +82,14 @@ class Kernel:
         """
         mean_weight, slope, square = _expectations(self.code, self.of_dimension(dimension).width, dimension)
         return slope**2 / square / mean_weight
+
+    def mean_loss(self, dimension: int) -> float:
+        """E[2 rho(r)] for Gaussian noise; d for plain squares."""
+        return float(np.mean(self.of_dimension(dimension).loss(_gaussian_squares(dimension))))
+
+    def share_below(self, least: float, dimension: int) -> float:
+        """The share of residuals with a weight below ``least`` where the noise is Gaussian."""
+        return float(np.mean(self.of_dimension(dimension).weight(_gaussian_squares(dimension)) < least))
 
     def loss(self, squares: ArrayLike) -> Array:
         """2 rho(r), from r² of any shape.
@@ -150,6 +159,13 @@ def kernel_of(kernel: Kernel | str | None) -> Kernel | None:
 def code_and_width(kernel: Kernel | None) -> tuple[int, float]:
     """The arguments of `loss` and `weight` for a kernel with a width; (0, 1) for plain squares."""
     return (SQUARES, 1.0) if kernel is None else (kernel.code, kernel._checked_width)
+
+
+@cache
+def _gaussian_squares(dimension: int) -> Array:
+    """10,000 values of r², evenly spread over the quantiles of chi-square with ``dimension`` degrees of freedom."""
+    quantiles = (np.arange(10_000) + 0.5) / 10_000
+    return np.asarray(2 * gammaincinv(dimension / 2, quantiles))
 
 
 @cache

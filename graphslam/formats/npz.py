@@ -4,8 +4,9 @@ Arrays (absent = None): ``format`` ("graphslam-log-1"), ``dt`` (T,), ``controls`
 (M,), ``sightings`` (M, 2 or 3), ``initial_poses`` (T+1, 3), ``true_poses`` (T+1, 3), ``truth_offset`` (2,; absent = at
 the robot's pose), ``true_landmark_ids`` (L,), ``true_landmark_poses`` (L, 3; a third column of NaN marks a landmark
 without heading), ``start_time``, and for logs with several controls per motion ``control_starts`` (T+1,),
-``control_variances`` (S, 2) and ``true_path`` (S+1, 3); ``motion`` and ``sensor``, the fields of the noise models in
-their order, where the log has such models; ``notes`` (N,), texts. No pickles.
+``control_variances`` (S, 2), ``recorded_dt`` (S,) and ``true_path`` (S+1, 3); ``motion`` and ``sensor``, the fields of the
+noise models in their order, where the log has such models; ``notes`` (N,), texts; ``simulated``, where `simulate` made
+the log. No pickles.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ from .base import Format
 VERSION = "graphslam-log-1"
 _REQUIRED = ("steps", "landmarks", "sightings", "initial_poses")
 _MODELS: dict[str, type[MotionModel | SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
-_OPTIONAL = ("dt", "controls", "control_starts", "control_variances", "true_poses", "true_path", "truth_offset")
+_OPTIONAL = (
+    "dt", "controls", "control_starts", "control_variances", "recorded_dt", "true_poses", "true_path", "truth_offset",
+)  # fmt: skip
 
 
 def _read(path: Path, _: ReadOptions) -> Log:
@@ -66,6 +69,7 @@ def _read(path: Path, _: ReadOptions) -> Log:
             true_landmarks=truth,
             start_time=float(content.get("start_time", 0.0)),
             notes=tuple(map(str, content.get("notes", ()))),
+            simulated=bool(content.get("simulated", False)),
             name=path.stem,
         )
     except (SlamError, TypeError, ValueError) as error:
@@ -84,6 +88,8 @@ def _write(log: Log, path: Path) -> None:
         content["true_landmark_ids"] = np.array(list(log.true_landmarks), dtype=np.int64)
         poses = [np.append(m, np.nan)[:3] for m in log.true_landmarks.values()]
         content["true_landmark_poses"] = np.array(poses).reshape(-1, 3)
+    if log.simulated:
+        content["simulated"] = np.array(True)
     if log.notes:
         content["notes"] = np.array(log.notes)
     with write_whole(path) as temporary, temporary.open("wb") as stream:

@@ -8,9 +8,9 @@ large). For each mu the graph is solved with a trust w between 0 and 1 in every 
     w = 1 for r² <= mu / (mu + 1) c²,   w = 0 for r² >= (mu + 1) / mu c²,   w = c sqrt(mu (mu + 1)) / r - mu between.
 
 Each sighting has one trust, not each edge: one wrong sighting affects K - 1 pair edges, and its trust reduces the weight of
-all of them. Therefore r² is computed with the landmarks eliminated (`edges.marginal`), whatever the edges of the
-graph, and the resulting trust is applied to the graph itself. Headings make even the squares non-convex, so a sequence may
-end in a poor minimum. Two sequences are computed, on marginal and on pair edges; the lower truncated cost counts.
+all of them. Therefore the sequence is computed with landmark nodes and Cartesian residuals, whatever the edges of the graph,
+and the resulting trust is applied to the graph itself. Headings make even the squares non-convex, so a sequence may end in a
+poor minimum. Where there are few pairs, a second sequence is computed on pair edges; the lower truncated cost counts.
 
 Source: Yang, Antonante, Tzoumas and Carlone, *Graduated non-convexity for robust spatial perception*, RA-L 2020.
 """
@@ -23,17 +23,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gammaincinv
 
-from ..edges import LandmarkSightings, MarginalEdges, SightingEdges, VirtualMotionEdges
+from ..edges import EdgeFamily, MarginalEdges, ObservationEdges, VirtualMotionEdges
 from ..errors import GraphError, OptionError
 from ..graph import Graph
 from ..se2 import Array
 from ..solution import Solution
-from ..transform import with_landmarks_eliminated
+from ..transform import poses_only, with_landmark_nodes
+from .iteration import Run
+from .levenberg_marquardt import levenberg_marquardt
 from .solve import solve
 from .start import place_landmarks
 
 #: mu grows by this factor from one graph to the next
 GROWTH = 1.4
+#: the most damped steps in a round: the next one changes the problem anyway
+STEPS = 5
+#: a second sequence is computed where there are at most so many pairs of sightings
+PAIRS = 5_000
 #: the most rounds in which the trust is computed anew after a sequence on other edges
 LAST_ROUNDS = 20
 #: a sighting with less trust than this counts as rejected
@@ -71,13 +77,9 @@ def solve_gnc(
     if max_rounds < 1:
         raise OptionError(f"max_rounds must be at least 1, not {max_rounds}")
     begin = time.perf_counter()
-    eliminated, order = _eliminated(graph)
-    # this accuracy is enough to tell correct sightings from wrong ones
-    best = _best_sequence(eliminated, probability, max(tolerance, 1e-6), max_rounds, initialize)
-    trust = np.empty(len(order))
-    trust[order] = best.trust
-    weighted = _with_trust(graph, trust)
-    start = weighted.with_initial(place_landmarks(weighted, best.solution.state))
+    best = _best_sequence(graph, probability, max_rounds, initialize)
+    trust, weighted = best.trust, graph.with_trust(best.trust)
+    start = weighted.with_initial(place_landmarks(weighted, best.state[: len(graph.steps)]))
     solution = solve(start, tolerance=tolerance, initialize="given")
     rejected = int(np.count_nonzero(trust < REJECTED))
     note = f"graduated non-convexity rejected {rejected} of {len(trust)} sightings in {best.rounds} rounds"
@@ -99,74 +101,115 @@ def solve_gnc(
 class _Sequence:
     """The end of a sequence of surrogates; ``settled`` where every sighting is fully trusted or rejected."""
 
-    solution: Solution
+    state: Array
     trust: Array
     rounds: int
     settled: bool
 
 
-def _best_sequence(graph: Graph, probability: float, tolerance: float, max_rounds: int, initialize: str) -> _Sequence:
-    """The better of two sequences on a graph with marginal edges."""
-    f = _sighting_edges(graph)
-    assert isinstance(f, MarginalEdges)
-    # the quantile of chi-square with d degrees of freedom
-    limit = float(2 * gammaincinv(f.sightings.shape[1] / 2, probability))
-    sequences = [_sequence(graph, limit, tolerance, max_rounds, initialize)]
+@dataclass(frozen=True, eq=False)
+class _Sightings:
+    """The residuals of the sightings of a graph, about the landmarks that the trusted ones give, and the other edges.
+
+    Attributes:
+        edges: the sightings grouped by landmark, in the order ``order`` (M,).
+        others: the other edges.
+        limit: c², at which squares are truncated.
+    """
+
+    edges: MarginalEdges
+    order: np.ndarray
+    others: tuple[EdgeFamily, ...]
+    limit: float
+
+    @classmethod
+    def of(cls, graph: Graph, probability: float) -> _Sightings:
+        """Those of a graph with landmark nodes."""
+        edges = next(family for family in graph.families if isinstance(family, ObservationEdges))
+        order = np.lexsort((edges.first, edges.second))
+        _, starts = np.unique(edges.second[order], return_index=True)
+        grouped = MarginalEdges(np.append(starts, len(order)), edges.first[order], edges.sightings[order], edges.sensor)
+        # the quantile of chi-square with d degrees of freedom
+        limit = float(2 * gammaincinv(edges.sightings.shape[1] / 2, probability))
+        return cls(grouped, order, tuple(family for family in graph.families if family is not edges), limit)
+
+    def squares(self, state: Array, trust: Array) -> Array:
+        """r² (M,) of every sighting, as if it were fully trusted itself."""
+        squares = np.empty(len(self.order))
+        squares[self.order] = replace(self.edges, trust=trust[self.order]).squares(state, state)
+        return squares
+
+    def cost(self, sequence: _Sequence) -> float:
+        """The truncated squares of the sightings, and the cost of all other edges."""
+        state = sequence.state
+        squares = np.minimum(self.squares(state, sequence.trust), self.limit)
+        return float(squares.sum() + sum(other.cost(state, state) for other in self.others))
+
+
+def _best_sequence(graph: Graph, probability: float, max_rounds: int, initialize: str) -> _Sequence:
+    """The better of two sequences, one on landmark nodes, one on pair edges."""
+    nodes = with_landmark_nodes(graph)
+    if nodes is None:
+        raise GraphError("graduated non-convexity needs edges from sightings, and this graph has none")
+    nodes = nodes.with_initial(place_landmarks(nodes, nodes.initial[: len(nodes.steps)]))
+    sightings = _Sightings.of(nodes, probability)
+    best = _sequence(nodes, np.arange(len(sightings.order)), sightings, max_rounds, initialize)
+    f = sightings.edges
     pairs = VirtualMotionEdges(f.starts, f.nodes, f.sightings, f.sensor)
+    if best.rounds == 0 or pairs.count > PAIRS:
+        return best
     try:
-        other = _sequence(_exchanged(graph, pairs), limit, tolerance, max_rounds, initialize)
+        other = _sequence(
+            poses_only(nodes, [pairs, *sightings.others]), sightings.order, sightings, max_rounds, initialize
+        )
     except GraphError:
-        pass  # without psi, pair edges may leave poses undetermined that marginal ones determine
-    else:
-        sequences.append(_finished(graph, other, limit, tolerance))
+        return best  # without psi, pair edges may leave poses undetermined that landmark nodes determine
+    other = _finished(nodes, other, sightings)
     # a sequence that has not settled is used only where none has
-    return min(sequences, key=lambda each: (not each.settled, _truncated_cost(graph, each, limit)))
+    return min(best, other, key=lambda each: (not each.settled, sightings.cost(each)))
 
 
-def _sequence(graph: Graph, limit: float, tolerance: float, max_rounds: int, initialize: str) -> _Sequence:
-    """From plain squares to squares truncated at ``limit`` = c²."""
-    family = _sighting_edges(graph)
-    rough = max(tolerance, 1e-4)
-    trust = np.ones(len(family.sightings))
-    solution = solve(_with_trust(graph, trust), tolerance=rough, initialize=initialize)
-    squares = _squares(family, trust, solution.state)
+def _sequence(graph: Graph, order: np.ndarray, sightings: _Sightings, max_rounds: int, initialize: str) -> _Sequence:
+    """From plain squares to squares truncated at c², on a graph whose edges have the sightings in an order (M,)."""
+    limit, trust = sightings.limit, np.ones(len(order))
+    state = solve(graph, tolerance=_rough(graph), initialize=initialize).state
+    squares = sightings.squares(state, trust)
     largest = float(squares.max(initial=0.0))
     mu = limit / (2 * largest - limit) if 2 * largest > limit else np.inf
-    rounds, settled = 0, False
+    rounds, settled = 0, largest <= limit
     while rounds < max_rounds and not settled:
         rounds += 1
         trust = truncated_trust(squares, limit, mu)
         settled = bool(np.all((trust == 0) | (trust == 1)))
-        solution = _damped(graph, trust, solution, tolerance if settled else rough)
-        squares = _squares(family, trust, solution.state)
+        state = _damped(graph, trust[order], state)
+        squares = sightings.squares(state, trust)
         mu *= GROWTH
-    return _Sequence(solution, trust, rounds, settled)
+    return _Sequence(state, trust, rounds, settled)
 
 
-def _finished(graph: Graph, sequence: _Sequence, limit: float, tolerance: float) -> _Sequence:
-    """The end of another graph's sequence, taken on to the nearest minimum of this graph's truncated squares."""
+def _finished(graph: Graph, sequence: _Sequence, sightings: _Sightings) -> _Sequence:
+    """The end of another graph's sequence, taken on to the nearest minimum of the truncated squares with landmark nodes."""
     if not sequence.settled:
         return sequence
-    family, trust, solution = _sighting_edges(graph), sequence.trust, sequence.solution
+    trust, state = sequence.trust, place_landmarks(graph.with_trust(sequence.trust), sequence.state)
     for _ in range(LAST_ROUNDS):
-        solution = _damped(graph, trust, solution, tolerance)
-        before, trust = trust, truncated_trust(_squares(family, trust, solution.state), limit, np.inf)
+        state = _damped(graph, trust, state)
+        before, trust = trust, truncated_trust(sightings.squares(state, trust), sightings.limit, np.inf)
         if np.array_equal(trust, before):
             break
-    return replace(sequence, trust=trust, solution=solution)
+    return replace(sequence, trust=trust, state=state)
 
 
-def _damped(graph: Graph, trust: Array, start: Solution, tolerance: float) -> Solution:
-    """The solution of the graph with this trust, by damped steps from another solution."""
-    weighted = _with_trust(graph, trust).with_initial(start.state)
-    return solve(weighted, tolerance=tolerance, method="levenberg-marquardt", initialize="given")
+def _damped(graph: Graph, trust: Array, state: Array) -> Array:
+    """The state (n, 3) after some damped steps with this trust."""
+    run = Run(state, _rough(graph), STEPS)
+    levenberg_marquardt(graph.with_trust(trust), run)
+    return run.state
 
 
-def _truncated_cost(graph: Graph, sequence: _Sequence, limit: float) -> float:
-    """The squares of the sightings, each at most ``limit``, and the cost of all other edges."""
-    family, state = _sighting_edges(graph), sequence.solution.state
-    others = sum(other.cost(state, state) for other in graph.families if other is not family)
-    return float(np.minimum(_squares(family, sequence.trust, state), limit).sum() + others)
+def _rough(graph: Graph) -> float:
+    """A step norm that is short enough to tell correct sightings from wrong ones."""
+    return 1e-3 * len(graph.steps) ** 0.5
 
 
 def truncated_trust(squares: Array, limit: float, mu: float) -> Array:
@@ -177,38 +220,3 @@ def truncated_trust(squares: Array, limit: float, mu: float) -> Array:
     return np.where(
         squares <= mu / (mu + 1) * limit, 1.0, np.where(squares >= (mu + 1) / mu * limit, 0.0, np.clip(between, 0, 1))
     )
-
-
-def _eliminated(graph: Graph) -> tuple[Graph, np.ndarray]:
-    """The graph with marginal edges instead of its own, and the sighting (M,) that each of them belongs to."""
-    exchanged = with_landmarks_eliminated(graph)
-    if exchanged is not None:
-        return exchanged
-    f = _sighting_edges(graph)
-    assert isinstance(f, LandmarkSightings)
-    marginal = MarginalEdges(f.starts, f.nodes, f.sightings, f.sensor)
-    return _exchanged(graph, marginal), np.arange(len(f.sightings))
-
-
-def _sighting_edges(graph: Graph) -> SightingEdges:
-    for family in graph.families:
-        if isinstance(family, SightingEdges):
-            return family
-    raise GraphError("graduated non-convexity needs edges from sightings, and this graph has none")
-
-
-def _exchanged(graph: Graph, edges: SightingEdges) -> Graph:
-    """The graph with other edges from its sightings."""
-    families = [edges if isinstance(f, SightingEdges) else f for f in graph.families]
-    return replace(graph, families=tuple(families))
-
-
-def _with_trust(graph: Graph, trust: Array) -> Graph:
-    return _exchanged(graph, _sighting_edges(graph).with_trust(trust))
-
-
-def _squares(family: SightingEdges, trust: Array, state: Array) -> Array:
-    """r² (M,) of every sighting at full trust, about the landmark that the trusted sightings give."""
-    assert isinstance(family, LandmarkSightings)
-    marginal = MarginalEdges(family.starts, family.nodes, family.sightings, family.sensor, trust=trust)
-    return marginal.squares(state, state)

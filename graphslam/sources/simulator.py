@@ -124,6 +124,7 @@ def simulate(
         biases |= of_sensor
     columns = 3 if world.orientation else 2
     return Log(
+        simulated=True,
         dt=np.full(world.steps, float(world.dt)),
         controls=controls,
         steps=at[keep],

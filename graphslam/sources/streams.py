@@ -76,7 +76,7 @@ def parts_of_streams(
     times = np.unique(seen)
     if options is not None and options.keep_every is not None:
         times = _filled(times, options.keep_every)
-    controls, dt, starts, variances, gaps = divide(odometry, times)
+    controls, dt, recorded_dt, starts, variances, gaps = divide(odometry, times)
     if gaps:
         remarks.append(gap_note(gaps))
         warnings.warn(f"{name}: {remarks[-1]}", UserWarning, stacklevel=4)
@@ -101,6 +101,7 @@ def parts_of_streams(
         controls=controls,
         control_starts=starts,
         control_variances=variances,
+        recorded_dt=recorded_dt,
         steps=np.searchsorted(times, seen),
         landmarks=landmarks[inside],
         sightings=sightings.rows[inside],
@@ -135,11 +136,12 @@ def _in_order(what: str, stream: Stream, remarks: list[str]) -> tuple[Stream, np
     return Stream(stream.times[order], stream.rows[order]), order
 
 
-def divide(odometry: Stream, times: Array) -> tuple[Array, Array, np.ndarray, Array | None, list[float]]:
+def divide(odometry: Stream, times: Array) -> tuple[Array, Array, Array, np.ndarray, Array | None, list[float]]:
     """The pieces of the controls between poses at ``times`` (T+1,), which increase and lie within those of the odometry.
 
     Returns:
-        controls (S, 2), dt (S,), control_starts (T+1,), control_variances (S, 2) or None, and the bridged gaps [s].
+        controls (S, 2), dt (S,), recorded_dt (S,), control_starts (T+1,), control_variances (S, 2) or None, and the
+        bridged gaps [s].
 
     Raises:
         LogError: a gap is longer than `LONGEST_GAP`.
@@ -155,7 +157,7 @@ def divide(odometry: Stream, times: Array) -> tuple[Array, Array, np.ndarray, Ar
     bridged = silence > BRIDGED_GAP
     gaps = silence[bridged][np.unique(row[bridged], return_index=True)[1]].tolist()
     variances = bridging(odometry.rows, silence, lasting) if gaps else None
-    return odometry.rows[row], lasting, np.searchsorted(cuts, times), variances, gaps
+    return odometry.rows[row], lasting, silence, np.searchsorted(cuts, times), variances, gaps
 
 
 def check_gaps(silence: Array, after: Array) -> None:

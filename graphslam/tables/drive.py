@@ -181,10 +181,11 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     rows = rows[order]
     dt = np.diff(ns) / 1e9
     if len(dt) and not reader.stated("t") and (middle := float(np.median(dt))) > SLOWEST:
+        unit, word = ("ms", "milli") if middle < 5e3 else ("us", "micro") if middle < 5e6 else ("ns", "nano")
         raise table.error(
             None,
-            f"neighbouring rows are {middle:g} s apart (median): are the times in milliseconds? Then add --time "
-            "odometry=ms; if they are seconds, add --time odometry=s",
+            f"neighbouring rows are {middle:g} s apart (median): are the times in {word}seconds? Then add --time "
+            f"odometry={unit}; if they are seconds, add --time odometry=s",
         )
     if rows.shape[1] == 3:
         rows, ns, more = _controls(reader, rows, ns)

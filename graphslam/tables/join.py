@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
+import numpy as np
+
 from ..checks import checked_offset, suggestion
 from ..errors import LogError, OptionError
 from ..models import SensorModel
@@ -44,6 +46,14 @@ class Drive:
         named = {"odometry": self.odometry, "sightings": self.sightings, "truth": self.truth}
         return {name: stream for name, stream in named.items() if stream is not None}
 
+    def _covered(self) -> list[str]:
+        """A note where the sightings cover little of the odometry."""
+        spans = [float(stream.times[-1] - stream.times[0]) for stream in (self.odometry, self.sightings)]
+        if len(self.sightings.times) < 2 or spans[1] > _FEW * spans[0]:
+            return []
+        share = f"{spans[1] / 1e9:.1f} s of the {spans[0] / 1e9:.1f} s of the odometry"
+        return [f"the sightings cover {share}; the times of one of them may be in another unit, or count rows"]
+
     def parts(self, reading: ReadOptions, name: str) -> dict[str, Any]:
         """The arguments of the `Log` of this drive.
 
@@ -54,7 +64,8 @@ class Drive:
             if stream is not None:
                 check_overlap(self.odometry, stream)
         origin = int(self.odometry.times[0])
-        remarks = [note for stream in self.streams.values() for note in (*stream.table.notes, *stream.notes)]
+        remarks = self._covered()
+        remarks += [note for stream in self.streams.values() for note in (*stream.table.notes, *stream.notes)]
         models: dict[str, Any] = {}
         if self.sensor_offset is not None:
             models["sensor"] = SensorModel(offset=self.sensor_offset)  # type: ignore[arg-type]  # checked there
@@ -109,11 +120,26 @@ def parts_of_tables(
     return drive.parts(ReadOptions(keep_every=keep_every), name)
 
 
+#: sightings or truth with less than this part within the time of the odometry, and this many times as long, are refused
+_FEW, _LONGER = 0.1, 20.0
+
+
 def check_overlap(odometry: Timed, other: Timed) -> None:
     """Raise `LogError` where two clocks have no time in common; the message has both intervals and the likely cause."""
     begin, end = int(odometry.times[0]), int(odometry.times[-1])
     first, last = int(other.times[0]), int(other.times[-1])
+    kind = "sightings" if len(other.ids) else "truth"
+    if begin == end:
+        raise odometry.table.error(None, f"all {len(odometry.times)} rows have the time {begin / 1e9:.3f} s")
     if first <= end and last >= begin:
+        inside = int(np.sum((other.times >= begin) & (other.times <= end)))
+        longer = (last - first) / (end - begin)
+        if inside < _FEW * len(other.times) and longer > _LONGER:
+            raise LogError(
+                f"{other.table.source} lasts {longer:.0f} times as long as {odometry.table.source}, and only {inside} of "
+                f"{len(other.times)} rows are within its time ({_interval(begin, end)}): are its times in milliseconds? Then "
+                f"add --time {kind}=ms"
+            )
         return
     offset = (begin - first) / 1e9
     hours = offset / 3600
@@ -121,11 +147,10 @@ def check_overlap(odometry: Timed, other: Timed) -> None:
         cause = f"they differ by about {abs(round(hours))} h, as two time zones do"
     elif min(begin, first) < 1e16 < max(begin, first):
         cause = "one counts from 1970 and the other from its own start"
-    elif begin > 0 and first > 0 and (ratio := _unit_ratio(end - begin, last - first)):
+    elif (ratio := _unit_ratio(end - begin, last - first)) is not None:
         cause = f"one seems to be in units {ratio} times as large"
     else:
         cause = "they are of different drives, or one clock was not set"
-    kind = "sightings" if len(other.ids) else "truth"
     raise LogError(
         f"the clocks of {odometry.table.source} ({_interval(begin, end)}) and {other.table.source} "
         f"({_interval(first, last)}) do not overlap: {cause}; --clocks {kind}={offset:.6g} lets both begin together"

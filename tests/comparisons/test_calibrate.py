@@ -132,3 +132,16 @@ def test_wrong_use(invoke: Invoke, log_file: Path) -> None:
     assert result.exit_code == 2
     assert "no sightings" in result.stderr
     assert not Path("n.toml").exists()
+
+
+def test_numbers_near_zero_have_bounds(invoke: Invoke, log_file: Path) -> None:
+    result = invoke("calibrate", "log.npz", "--json", "c.json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(Path("c.json").read_text())
+    near_zero = [name for name, error in found["errors"].items() if error is None and found["bounds"].get(name)]
+    assert near_zero
+    for name in near_zero:
+        row = next(line for line in result.stdout.splitlines() if line.startswith(f"{name} "))
+        assert f"< {found['bounds'][name]:.2g}" in row
+    # a number has an error or a bound, not both
+    assert all(found["errors"][name] is None for name in found["bounds"])

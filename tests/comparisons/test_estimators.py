@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from comparisons.comparison import compare
-from comparisons.estimators import ESTIMATORS, Estimator, default_edges, make_graph, pair_count
+from comparisons.estimators import (
+    ESTIMATORS,
+    Estimator,
+    default_edges,
+    default_estimators,
+    make_graph,
+    pair_count,
+)
 from comparisons.options import RunOptions
 from graphslam import (
     Log,
@@ -75,6 +82,54 @@ def test_graph_marginal_counts_each_sighting_once(log: Log) -> None:
     assert pairs.cost > 2 * once.cost
     for result in (pairs, once, nodes):
         assert result.cost_per_dof == pytest.approx(1.0, abs=0.3)
+
+
+def test_real_data_have_a_kernel_by_default(log: Log) -> None:
+    real, few = log.replace(simulated=False), ["graph"]
+    (simulated,) = compare(log, OPTIONS, estimators=few).results
+    (default,) = compare(real, OPTIONS, estimators=few).results
+    (cauchy,) = compare(log, replace(OPTIONS, kernel="cauchy"), estimators=few).results
+    (asked,) = compare(real, OPTIONS, estimators=["graph-no-kernel"]).results
+    assert (simulated.options["kernel"], default.options["kernel"]) == ("none", "cauchy")
+    np.testing.assert_array_equal(default.poses, cauchy.poses)
+    np.testing.assert_array_equal(asked.poses, simulated.poses)
+    assert simulated.weighed_down is None
+    # every other estimator of the graph follows
+    assert ESTIMATORS["gtsam"].run(real, OPTIONS).cost == pytest.approx(default.cost, rel=1e-9)
+    assert make_graph(real, OPTIONS).verdict[0] == make_graph(log, replace(OPTIONS, kernel="cauchy")).verdict[0]
+    assert "graph-no-kernel" not in default_estimators()
+
+
+def test_a_kernel_says_how_many_sightings_it_weighs_down(log: Log) -> None:
+    wrong = log.sightings.copy()
+    wrong[[5, 15, 25], 0] += 40.0
+    for edges in ("virtual+motion", "landmark+motion"):
+        options = replace(OPTIONS, kernel="cauchy", edges=edges)
+        before, after = (ESTIMATORS["graph"].run(each, options) for each in (log, log.replace(sightings=wrong)))
+        assert before.weighed_down is not None and after.weighed_down is not None
+        assert after.graph is not None and after.state is not None
+        weights = np.empty(len(log.steps))
+        weights[after.graph.sighting_rows] = after.graph.sighting_weights(after.state)
+        assert np.all(weights[[5, 15, 25]] < 0.5)
+        assert after.weighed_down == np.count_nonzero(weights < 0.5)
+        # Gaussian noise: chi-square with 3 degrees of freedom above the square of the width, 2.666
+        assert any(f"gives {after.weighed_down} of {len(log.steps)} sightings" in note for note in after.notes)
+        assert any("6.9% would be usual" in note for note in after.notes)
+
+
+@pytest.mark.parametrize("kernel", ["huber", "cauchy", "geman-mcclure"])
+def test_j_per_degree_of_freedom_is_about_one_with_every_kernel(kernel: str) -> None:
+    ratios = []
+    for seed in range(5):
+        clean = simulate(seed=seed, clean=True)
+        for edges, weight in (
+            ("virtual+motion", "pairs"),
+            ("virtual+motion", "marginal"),
+            ("landmark+motion", "pairs"),
+        ):
+            options = replace(OPTIONS, kernel=kernel, edges=edges, weight=weight)
+            ratios.append(ESTIMATORS["graph"].run(clean, options).cost_per_dof)
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.12)  # type: ignore[arg-type]
 
 
 def test_graph_marginal_is_left_out_where_it_repeats_the_graph(log: Log) -> None:

@@ -44,7 +44,7 @@ def registered(monkeypatch: pytest.MonkeyPatch, name: str, function: object, **r
 
 
 def test_all_estimators_run_on_a_full_log(comparison: Comparison, log: Log) -> None:
-    assert [r.name for r in comparison.results] == list(estimators.ESTIMATORS)
+    assert [r.name for r in comparison.results] == list(estimators.default_estimators())
     assert comparison.skipped == ()
     rows = {row.name: row for row in comparison.table}
     assert rows["graph"].ate_m == ate(log.true_poses, comparison["graph"].poses)  # type: ignore[arg-type]
@@ -121,7 +121,7 @@ def test_those_that_cannot_run_are_rows_with_their_reason(log: Log) -> None:
     assert [entry.name for entry in outcome.skipped] == ["mcl"]
     row = next(row for row in outcome.table if row.name == "mcl")
     assert "map" in str(row.skipped)
-    assert [row.name for row in outcome.table] == list(estimators.ESTIMATORS)
+    assert [row.name for row in outcome.table] == list(estimators.default_estimators())
     entry = next(e for e in outcome.to_json()["estimators"] if e["name"] == "mcl")
     assert entry.keys() >= PROMISED
     assert entry["poses"] is None

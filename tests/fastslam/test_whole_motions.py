@@ -116,3 +116,21 @@ def test_the_lectures_filters_take_one_control_a_step() -> None:
     for version in (textbook.fastslam1, textbook.fastslam2):
         with pytest.raises(LogError, match="one control a step"):
             next(version(drive(CENTRED), rng=np.random.default_rng(0)))
+
+
+@pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
+@pytest.mark.parametrize("pieces", [1, 4])
+def test_particles_spread_as_far_where_sightings_cut_the_controls(kind: type[ParticleFilter], pieces: int) -> None:
+    """50 controls of 0.1 s with sigma_omega 0.3 rad/s: a heading variance of 50 (0.3 0.1)², however they are cut."""
+    blind = SensorModel.constant(1e3, 1e3)
+    controls = np.tile([0.2, 0.1], (50 * pieces, 1))
+    log = Log(
+        dt=0.1 / pieces, controls=controls, recorded_dt=np.full(len(controls), 0.1), steps=np.arange(len(controls)),
+        landmarks=np.zeros(len(controls), dtype=int), sightings=np.tile([5.0, 0.0], (len(controls), 1)),
+        motion=MotionModel.constant(0.1, 0.3, epsilon=1e-9), sensor=blind,
+    )  # fmt: skip
+    slam = kind(log, particles=20_000, seed=1)
+    slam.run()
+    headings = slam.state.poses[:, 2]
+    assert np.var(wrap(headings - np.mean(headings))) == pytest.approx(50 * 0.03**2, rel=0.05)
+    np.testing.assert_allclose(np.sum(log.motions()[1][:, 2, 2]), 50 * 0.03**2, rtol=1e-4)

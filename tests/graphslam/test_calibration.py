@@ -38,6 +38,14 @@ def errors_in_sigmas(found, motion: MotionModel, sensor: SensorModel) -> dict[st
     }
 
 
+def assert_found(found, name: str, true: float) -> None:
+    """A number lies within four of its errors, or below 1.3 times its 95 % bound."""
+    if np.isfinite(found.errors[name]):
+        assert abs(found.numbers[name] - true) < 4 * found.errors[name], name
+    else:
+        assert true < 1.3 * found.bounds[name], name
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_from_truth(seed: int) -> None:
     found = calibrate(drive(seed, orientation=True))
@@ -235,4 +243,84 @@ def test_noise_that_enters_by_the_controls(seed):
     found = calibrate(log)
     assert found.degrees["motion"] > 20
     for name in ("nn", "no", "on", "oo", "sigma_v", "sigma_omega"):
-        assert abs(found.numbers[name] - getattr(true, name)) < 4 * found.errors[name], name
+        assert_found(found, name, getattr(true, name))
+
+
+# -- noise near zero ---------------------------------------------------------------------------------------------------
+
+
+def arcs(seed: int, epsilon: float, bearing: float = 0.05) -> Log:
+    """300 motions whose noise enters by the controls, almost nothing sideways, and three landmarks."""
+    rng, steps = np.random.default_rng(seed), 300
+    true = MotionModel(nn=0.05, no=0.02, on=0.04, oo=0.06, sigma_v=0.03, sigma_omega=0.05)
+    u = np.column_stack([np.abs(rng.normal(0.5, 0.3, steps)), rng.normal(0, 0.5, steps)])
+    noise = rng.normal(size=(steps, 2)) * np.sqrt(np.diagonal(true.M(u, 0.5), axis1=1, axis2=2))
+    poses = np.zeros((steps + 1, 3))
+    for t in range(steps):
+        poses[t + 1] = true.f(poses[t], u[t] + noise[t], 0.5) + rng.normal(size=3) * epsilon**0.5
+    marks = np.array([[3.0, 4.0, 0.5], [-3.0, 2.0, 0.0], [5.0, -5.0, 1.0]])
+    at, ids = np.repeat(np.arange(steps + 1), 3), np.arange(3 * (steps + 1)) % 3
+    z = SensorModel().h(poses[at], marks[ids]) + rng.normal(size=(len(at), 3)) * [0.05, bearing, 0.05]
+    z[:, 0] = np.abs(z[:, 0]) + 1e-3
+    return Log(dt=0.5, controls=u, steps=at, landmarks=ids, sightings=z, true_poses=poses,
+               true_landmarks=dict(enumerate(marks)))  # fmt: skip
+
+
+@pytest.mark.parametrize(("seed", "epsilon"), [(0, 1e-10), (1, 1e-10), (2, 1e-12), (5, 0.0)])
+def test_noise_that_enters_only_by_the_controls(seed: int, epsilon: float) -> None:
+    found = calibrate(arcs(seed, epsilon))
+    true = {"nn": 0.05, "no": 0.02, "on": 0.04, "oo": 0.06, "sigma_v": 0.03, "sigma_omega": 0.05}
+    for name, value in true.items():
+        assert_found(found, name, value)
+    # the least epsilon that a model has, and a bound in place of an error
+    assert found.motion.epsilon == pytest.approx(1e-9, rel=0.1)
+    assert np.isnan(found.errors["epsilon"]) and found.bounds["epsilon"] < 2e-9
+
+
+@pytest.mark.parametrize("source", ["truth", "residuals"])
+def test_a_bearing_without_noise(source: str) -> None:
+    log = arcs(0, 1e-10, bearing=0.0).without_orientation()
+    found = calibrate(log, source=source)
+    assert found.sensor.bearing_std == pytest.approx(1e-5, rel=0.1)
+    assert np.isnan(found.errors["bearing_std"]) and found.bounds["bearing_std"] < 2e-5
+    assert found.sensor.Q([3.0, 0.0])[0, 0] == pytest.approx(0.05**2, rel=0.2)
+
+
+def test_ranges_that_are_all_the_same_determine_no_line() -> None:
+    """A robot that turns on the spot before one landmark: the correction is the least that explains the range."""
+    rng, steps = np.random.default_rng(0), 80
+    poses = np.column_stack([np.zeros((steps + 1, 2)), 0.1 * np.arange(steps + 1)])
+    z = SensorModel().h(poses, np.array([2.0, 0.0])) + rng.normal(size=(steps + 1, 2)) * 0.03
+    log = Log(initial_poses=poses, steps=np.arange(steps + 1), landmarks=np.zeros(steps + 1, dtype=int),
+              sightings=z, true_poses=poses, true_landmarks={0: [2.0, 0.0]})  # fmt: skip
+    found = calibrate(log)
+    assert 2 * found.range_scale + found.range_bias == pytest.approx(np.mean(z[:, 0]), abs=1e-3)
+    assert np.isnan(found.errors["range_scale"])
+
+
+def test_parts_that_are_alike_have_bounds() -> None:
+    """At a constant speed nn and sigma_v say the same: together they are known, each alone has only a bound."""
+    log = simulate(seed=1, steps=200, clean=True)
+    found = calibrate(log)
+    along = np.diagonal(found.motion.M(log.controls, log.dt), axis1=1, axis2=2)[:, 0]
+    assert along == pytest.approx(np.diagonal(MotionModel().M(log.controls, log.dt), axis1=1, axis2=2)[:, 0], rel=0.3)
+    assert np.isnan(found.errors["nn"]) and 0.19 < found.bounds["nn"] < 0.25
+    assert np.isnan(found.errors["sigma_v"]) and 0.03 < found.bounds["sigma_v"] < 0.08
+
+
+def test_a_bound_is_where_the_profile_likelihood_has_dropped() -> None:
+    """Variances a in one group of numbers and a + b in another: the best a for each b, by a fine grid."""
+    rng = np.random.default_rng(2)
+    one, other = rng.normal(size=150), rng.normal(size=50) * 1.05**0.5
+    e = np.concatenate([one, other])[:, None]
+    parts = {"a": np.ones((200, 1, 1)), "b": np.repeat([0.0, 1.0], [150, 50])[:, None, None]}
+    fit = fit_variances(e, parts, degrees=np.inf)
+    assert np.isnan(fit.errors["b"]) and fit.variances["b"] < fit.bounds["b"]
+    a = np.linspace(0.5, 2, 3001)
+
+    def profile(b: float) -> float:
+        first = 150 * np.log(a) + np.sum(one**2) / a
+        return float(np.max(-0.5 * (first + 50 * np.log(a + b) + np.sum(other**2) / (a + b))))
+
+    best = max(map(profile, np.linspace(0, 2, 2001)))
+    assert best - profile(fit.bounds["b"]) == pytest.approx(1.645**2 / 2, abs=0.1)

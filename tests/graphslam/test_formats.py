@@ -50,6 +50,10 @@ def test_npz_keeps_everything(log, tmp_path_factory):
     path = tmp_path_factory.mktemp("npz") / "log.npz"
     save(log, path)
     assert load(path).equals(log)
+    # whether it is simulated is no part of the data, but decides about the default kernel of a run
+    assert not load(path).simulated
+    save(log.replace(simulated=True), path)
+    assert load(path).simulated
 
 
 @settings(max_examples=50)

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphslam import Graph, GraphError, OptionError, simulate, solve, solve_gnc
+from graphslam import WORLDS, Graph, GraphError, OptionError, simulate, solve, solve_gnc
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
 from graphslam.solvers.gnc import truncated_trust
+from graphslam.transform import with_landmark_nodes
 
 SEEDS = range(10)
 
@@ -67,6 +68,27 @@ def test_nothing_wrong_nothing_changed(book_log):
     plain, robust = solve(Graph.from_log(book_log)), solve_gnc(Graph.from_log(book_log), probability=1 - 1e-9)
     assert robust.converged and np.all(robust.trust == 1)
     np.testing.assert_allclose(robust.poses, plain.poses, atol=1e-7)
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+@pytest.mark.parametrize("weight", ["pairs", "marginal"])
+def test_with_landmark_nodes_the_cost_is_that_of_marginal_edges(book_log, weight, dimensions):
+    """The sequence is computed on them, because their number of blocks is linear in the number of sightings."""
+    marginal = solve(Graph.from_log(book_log, weight="marginal", dimensions=dimensions))
+    nodes = with_landmark_nodes(Graph.from_log(book_log, weight=weight, dimensions=dimensions))
+    assert nodes.num_edges == len(book_log.steps) + book_log.num_poses - 1
+    assert solve(nodes).cost == pytest.approx(marginal.cost, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_all_good_sightings_need_no_round(seed):
+    """Where no residual is beyond the limit, plain squares are the truncated squares already."""
+    graph = Graph.from_log(
+        simulate(WORLDS["garden"], seed=seed, clean=True, orientation=False), edges="landmark+motion"
+    )
+    solution = solve_gnc(graph, probability=1 - 1e-9)
+    assert "rejected 0 of" in solution.notes[-1] and "in 0 rounds" in solution.notes[-1]
+    assert solution.cost == pytest.approx(solve(graph).cost, rel=1e-9)
 
 
 def test_trust_goes_from_squares_to_all_or_nothing():

@@ -229,6 +229,23 @@ MISTAKES = {
         r"odometry.csv: neighbouring rows are 100 s apart \(median\): are the times in milliseconds\? Then add --time "
         "odometry=ms",
     ),
+    "microseconds": (
+        {"odometry": text("t,nu,omega", [(1e6 * t, v, w) for t, v, w in ODOMETRY])},
+        r"odometry.csv: neighbouring rows are 100000 s apart \(median\): are the times in microseconds\?",
+    ),
+    "milliseconds of the sightings alone": (
+        {"sightings": text("t,id,range,bearing", [(1000 * t, *row) for t, *row in SEEN])},
+        r"sightings.csv \(200.000 to 12000.000 s\) do not overlap: one seems to be in units 1000 times as large",
+    ),
+    "milliseconds that begin at zero": (
+        {"sightings": text("t,id,range,bearing", [(0, 3, 2.0, 0.1), *((1000 + 999 * k, 3, 2.0, 0.1) for k in range(19))])},
+        r"sightings.csv lasts 949 times as long as .*odometry.csv, and only 1 of 20 rows are within its time \(0.000 to "
+        r"20.000 s\): are its times in milliseconds\? Then add --time sightings=ms",
+    ),
+    "one time for all rows": (
+        {"odometry": text("t,nu,omega", [(5.0, v, w) for _, v, w in ODOMETRY])},
+        "odometry.csv: all 201 rows have the time 5.000 s",
+    ),
     "order of columns": (
         {"sightings": "\n".join(",".join(map(repr, (t, r, b, j))) for t, j, r, b in changed(SEEN, 0, 2, 2.5))},
         r"sightings.csv:1: the id column 2 is 2.5, but ids are whole numbers or words: is the order of the columns t, id, "

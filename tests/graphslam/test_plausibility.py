@@ -40,6 +40,9 @@ MISTAKES = {
     "one landmark": lambda log: log.replace(landmarks=np.full_like(log.landmarks, 4)),
     "ids jump": lambda log: log.replace(landmarks=np.arange(len(log.landmarks))),
     "no motion": lambda log: controls(log, 0),
+    "odometry swapped": lambda log: log.replace(controls=log.controls[:, ::-1], initial_poses=None),
+    "scale": lambda log: controls(log, [3.6, 1]),
+    "sensor direction (right)": lambda log: bearings(log, lambda b: b + np.pi / 2),
     "time unit": lambda log: log.replace(dt=1000 * log.dt),
 }
 
@@ -80,7 +83,8 @@ def test_real_logs_are_left_alone_and_their_mistakes_found(shared_data, name, ro
     assert "axes swapped" in checks(bearings(log, lambda b: np.pi / 2 - b))
 
 
-def test_a_clock_that_is_late_is_found():
+def precise(late=0.0):
+    """A log without noise whose robot meanders, with sightings whose clock is late."""
     t = np.arange(0, 120, 0.05)
     u = np.column_stack([0.5 + 0 * t, 0.6 * np.sin(t / 2)])
     path = MotionModel().dead_reckoning(np.zeros(3), u[:-1], np.diff(t))
@@ -90,13 +94,27 @@ def test_a_clock_that_is_late_is_found():
     for k in range(0, len(t) - 40, 5):
         d = marks - path[k, :2]
         for j in np.flatnonzero(np.hypot(*d.T) < 4):
-            at.append(t[k] + 1.2)
+            at.append(t[k] + late)
             ids.append(j)
             rows.append((np.hypot(*d[j]), np.arctan2(d[j, 1], d[j, 0]) - path[k, 2]))
-    log = synchronize(Stream(t, u), Stream(np.array(at), np.array(rows)), np.array(ids))
-    (finding,) = plausibility(log)
+    return synchronize(Stream(t, u), Stream(np.array(at), np.array(rows)), np.array(ids))
+
+
+def test_a_clock_that_is_late_is_found():
+    assert not checks(precise())
+    (finding,) = plausibility(precise(1.2))
     assert finding.check == "clock"
     assert "the clock of the sightings is about 1.2 s fast (--clocks sightings=-1.2)" in finding.message
+
+
+def test_other_units_and_directions_are_found():
+    log = precise()
+    (finding,) = plausibility(log.replace(sightings=log.sightings / [0.3048, 1]))
+    assert finding.message.startswith("the ranges are in feet, against the other lengths")
+    (finding,) = plausibility(bearings(log, lambda b: b - np.pi / 3))
+    assert finding.message.startswith("the sensor looks about 60 degrees to the left (--sensor-yaw 1.0472)")
+    (finding,) = plausibility(bearings(log, lambda b: np.pi / 2 - b))
+    assert finding.check == "axes swapped"
 
 
 def test_truth_that_does_not_fit(sample):

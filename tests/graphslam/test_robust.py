@@ -122,3 +122,15 @@ def test_a_kernel_acts_before_tempering(kernel, book_log):
     expected = factor @ plain.kernel.loss(squares)
     assert tempered.cost(state, state) == pytest.approx(expected, rel=1e-10)
     np.testing.assert_allclose(tempered.kernel_weights(state), plain.kernel_weights(state), rtol=1e-9)
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 3])
+def test_means_for_gaussian_noise(dimension: int) -> None:
+    squares = np.sum(np.random.default_rng(0).standard_normal((400_000, dimension)) ** 2, axis=1)
+    for kernel in KERNELS.values():
+        of_dimension = kernel.of_dimension(dimension)
+        assert kernel.mean_loss(dimension) == pytest.approx(np.mean(of_dimension.loss(squares)), rel=0.01)
+        assert kernel.share_below(0.5, dimension) == pytest.approx(
+            np.mean(of_dimension.weight(squares) < 0.5), abs=2e-3
+        )
+    assert Huber(width=1e6).mean_loss(dimension) == pytest.approx(dimension, rel=1e-3)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from graphslam import LogError, MotionModel, OptionError
+from graphslam import Log, LogError, MotionModel, OptionError, load, save
 from graphslam.formats import ReadOptions
 from graphslam.sources.streams import Stream, divide, truth_at
 from graphslam.sources.synchronize import synchronize
@@ -39,15 +39,16 @@ def test_motions_between_events_are_integrated_exactly():
 
 
 def test_a_control_holds_until_the_next():
-    controls, dt, starts, variances, gaps = divide(DRIVE, np.array([0.2, 0.7, 0.9]))
+    controls, dt, recorded_dt, starts, variances, gaps = divide(DRIVE, np.array([0.2, 0.7, 0.9]))
     np.testing.assert_allclose(dt, [0.3, 0.2, 0.2])
+    np.testing.assert_allclose(recorded_dt, 0.5)
     np.testing.assert_allclose(controls, DRIVE.rows[[0, 1, 1]])
     assert (starts.tolist(), variances, gaps) == ([0, 2, 3], None, [])
 
 
 def test_of_several_rows_with_one_time_the_last_holds():
     odometry = Stream(np.array([0.0, 1.0, 1.0, 2.0]), np.array([[1.0, 0], [2, 0], [3, 0], [4, 0]]))
-    controls, dt, _, _, _ = divide(odometry, np.array([0.5, 1.5]))
+    controls, dt, *_ = divide(odometry, np.array([0.5, 1.5]))
     np.testing.assert_allclose(controls[:, 0], [1, 3])
     np.testing.assert_allclose(dt, [0.5, 0.5])
 
@@ -158,3 +159,47 @@ def test_rows_that_run_backwards_a_little_are_sorted_and_said():
         "1 row of the odometry runs backwards, by at most 0.1 s: sorted by time",
         "1 row of the sightings runs backwards, by at most 0.5 s: sorted by time",
     )
+
+
+CONSTANT = MotionModel.constant(0.1, 0.3, epsilon=1e-12)
+
+
+def cut(every: float) -> Log:
+    """The same minute of odometry at 10 Hz, with a sighting of nothing in particular at each multiple of a time."""
+    t = np.arange(0.0, 60.05, 0.1)
+    odometry = Stream(t, np.column_stack([np.full(len(t), 0.2), 0.1 * np.sin(t)]))
+    times = np.append(np.arange(0.0, 60.0, every), 60.0)
+    seen = Stream(times, np.tile([5.0, 0.0], (len(times), 1)))
+    return synchronize(odometry, seen, np.zeros(len(times), dtype=int), name="cut")
+
+
+def heading_variance(log: Log) -> float:
+    return float(np.sum(log.motions(CONSTANT)[1][:, 2, 2]))
+
+
+def test_cutting_controls_changes_neither_their_noise_nor_their_motion():
+    """600 controls of 0.1 s: a heading variance of 600 (0.3 rad/s 0.1 s)², 0.73 rad, however often something is seen."""
+    whole = cut(60.0)
+    assert whole.recorded_dt is None and whole.composite
+    for every in (0.03, 0.07, 1.05):
+        log = cut(every)
+        assert len(log.controls) > 600
+        assert heading_variance(log) == pytest.approx(600 * 0.03**2, rel=1e-6)
+        # and so for whatever part of the pieces is joined to one motion
+        joined = log.at_steps(np.arange(0, log.num_poses, 7))
+        assert heading_variance(joined) == pytest.approx(np.sum(joined.recorded_dt * joined.dt) * 0.3**2, rel=1e-6)
+        # the noise along the way, too, up to the shape of the arcs
+        end, (P,) = whole.motions(CONSTANT)[0], whole.motions(CONSTANT)[1]
+        start, (Q,) = (at[-1:] for at in (log.at_steps([0, log.num_poses - 1]).motions(CONSTANT)))
+        np.testing.assert_allclose(start, end, atol=1e-6)
+        np.testing.assert_allclose(Q, P, rtol=0.01, atol=1e-4)
+
+
+def test_pieces_of_controls_in_files_and_in_errors(tmp_path):
+    log = cut(0.07)
+    save(log, tmp_path / "cut.npz")
+    assert load(tmp_path / "cut.npz").equals(log)
+    assert log.replace(controls=log.controls[:10], dt=log.dt[:10], initial_poses=None, steps=[], landmarks=[],
+                       sightings=np.zeros((0, 2)), true_poses=None).recorded_dt is None  # fmt: skip
+    with pytest.raises(LogError, match="a piece of it"):
+        log.replace(recorded_dt=log.dt / 2)

@@ -28,7 +28,9 @@ class Calibration:
         motion: the motion model; None from a log without controls.
         sensor: the sensor model, for ranges that are corrected by the line below.
         range_scale, range_bias: measured range = range_scale * range + range_bias [m]; 1 and 0 without ground truth.
-        errors: standard errors of all numbers, {"nn": ..., "range_bias": ...}; NaN for those that came out as zero.
+        errors: standard errors of all numbers, {"nn": ..., "range_bias": ...}; NaN for those near zero.
+        bounds: upper 95 % bounds of the numbers near zero, whose variance is less than two of its standard errors;
+            infinite where the log gives no bound.
         degrees: {"motion": nu, "sensor": nu}, the degrees of freedom of Student's t; infinite where Gaussian. Where there
             are few, the models describe typical motions and sightings, without the outliers, and a robust kernel is
             needed.
@@ -42,6 +44,7 @@ class Calibration:
     range_scale: float = 1.0
     range_bias: float = 0.0
     errors: dict[str, float] = field(default_factory=dict)
+    bounds: dict[str, float] = field(default_factory=dict)
     degrees: dict[str, float] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
     source: str = "truth"
@@ -144,6 +147,7 @@ def calibrate(
         sensor=with_variances(sensor, seen.variances),
         **line,
         errors={name: error for fit in fits.values() for name, error in fit.errors_of_model().items()} | line_errors,
+        bounds={name: bound for fit in fits.values() for name, bound in fit.bounds_of_model().items()},
         degrees={name: fit.degrees for name, fit in fits.items()},
         counts={name: fit.count for name, fit in fits.items()},
         source=source,

@@ -1,0 +1,156 @@
+"""What MkDocs calls while it builds the site: code, results of cells and formulas are put into the pages.
+
+A page may have these lines, indented as the text around them:
+
+    {{ code graphslam/textbook.py virtual_motion_edge }}   the present source of functions or classes
+    {{ cell NAME "alternative text" }}                     a cell's code, what it printed, and its figure
+    {{ output NAME "alternative text" }}                   the same with the code folded
+    {{ figure NAME "alternative text" }}                   only the figure, a slider if the cell drew several
+    {{ slides }}                                           where the site explains each formula of the lectures
+
+The cells are described in `cells`. The alternative text describes the figure for readers who do not see it.
+"""
+
+from __future__ import annotations
+
+import ast
+import html
+import re
+import shlex
+import shutil
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import cells
+import mathml
+from mkdocs.exceptions import PluginError
+
+_MARKER = re.compile(r"^([ \t]*)\{\{ (code|cell|output|figure|slides)(?: (.+?))? \}\}$", re.MULTILINE)
+#: the words on the page, by language
+WORDS = {
+    "en": {"code": "Show the code", "lines": "lines", "slides": "| Section | Explained in | Function | Test |"},
+    "ja": {"code": "コードを表示", "lines": "行", "slides": "| 節 | 説明 | 関数 | テスト |"},
+}
+
+
+class PageError(PluginError):
+    """A page that cannot be made, with the reason."""
+
+
+def on_pre_build(config: Any) -> None:
+    """Run the cells of all pages."""
+    try:
+        cells.run_all()
+    except cells.CellError as error:
+        raise PageError(str(error)) from None
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
+    """Replace the markers of a page."""
+    language = "ja" if page.file.src_uri.endswith(".ja.md") else "en"
+    source = cells.DOCS / re.sub(r"(\.ja)?\.md$", ".py", page.file.src_uri)
+
+    def text(found: re.Match[str]) -> str:
+        indent, kind, arguments = found[1], found[2], shlex.split(found[3] or "")
+        if kind == "code":
+            made = _code(*arguments, language=language)
+        elif kind == "slides":
+            made = _slides(Path(page.file.src_uri).parent, language)
+        else:
+            made = _cell(kind, source, arguments, page, language)
+        return "\n".join(indent + line if line else line for line in made.splitlines())
+
+    return _MARKER.sub(text, markdown)
+
+
+def on_page_content(html: str, page: Any, config: Any, files: Any) -> str:
+    """Show the formulas of a page as MathML."""
+    try:
+        return mathml.replace(html)
+    except mathml.FormulaError as error:
+        raise PageError(f"{page.file.src_uri}: {error}") from None
+
+
+def on_post_build(config: Any) -> None:
+    """Copy the figures of all pages into the site."""
+    for source in cells.sources():
+        target = Path(config["site_dir"]) / _place(source)
+        shutil.copytree(cells.folder(source), target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*.json"))
+
+
+def _place(source: Path) -> str:
+    return f"figures/{source.relative_to(cells.DOCS).with_suffix('').as_posix()}"
+
+
+def _code(path: str, *names: str, language: str) -> str:
+    """Return the present source of functions or classes as a block of code with its place as the title."""
+    file = cells.ROOT / path
+    lines, tree = file.read_text().splitlines(), ast.parse(file.read_text())
+    made = []
+    for name in names:
+        nodes: list[Any] = [tree]
+        for part in name.split("."):
+            nodes = [node for parent in nodes for node in parent.body if getattr(node, "name", None) == part]
+        if not nodes:
+            raise PageError(f"{path} has no {name}; functions that pages show must not be renamed without the page")
+        node = nodes[0]
+        first = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
+        title = f"{path}, {WORDS[language]['lines']} {first}-{node.end_lineno}"
+        made += [f'```python title="{title}"', *lines[first - 1 : node.end_lineno], "```", ""]
+    return "\n".join(made)
+
+
+def _slides(folder: Path, language: str) -> str:
+    """Return the table of the lectures' formulas: section, heading of the page, function, test."""
+    rows = [WORDS[language]["slides"], "|---|---|---|---|"]
+    for slide in tomllib.loads((cells.DOCS / "_site" / "slides.toml").read_text())["slide"]:
+        page = slide["page"].replace(".md", ".ja.md") if language == "ja" else slide["page"]
+        text = (cells.DOCS / page).read_text()
+        heading = re.search(rf"^#+ (.*?) \{{#{slide['anchor']}\}}$", text, re.MULTILINE)
+        if not heading:
+            raise PageError(f"{page} has no heading with the id {slide['anchor']!r}, which slides.toml names")
+        title = re.match(r"# (.*)", text)
+        link = f"{Path(slide['page']).relative_to(folder).as_posix()}#{slide['anchor']}"
+        where = f"{title[1] if title else ''}: [{heading[1]}]({link})"
+        rows.append(f"| {slide['section']} | {where} | `{slide['function'].split()[-1]}` | `tests/{slide['test']}` |")
+    return "\n".join(rows)
+
+
+def _cell(kind: str, source: Path, arguments: list[str], page: Any, language: str) -> str:
+    """Return a cell as the marker asks for it."""
+    name, alternative = arguments[0], arguments[1] if len(arguments) > 1 else ""
+    results = cells.run(source)
+    if name not in results:
+        raise PageError(f"{page.file.src_uri}: {source.name} has no cell {name!r}; it has {', '.join(results)}")
+    cell = results[name]
+    if cell.figures and not alternative:
+        raise PageError(f"{page.file.src_uri}: the figure of cell {name!r} needs an alternative text")
+    made, code = [], ["```python", *cell.code.splitlines(), "```", ""]
+    if kind == "cell":
+        made += code
+    if kind != "figure" and cell.output:
+        made += ["```text", *cell.output.rstrip().splitlines(), "```", ""]
+    if cell.figures:
+        made += [_figures(cell, source, alternative, page), ""]
+    if kind != "cell":
+        made += [f'??? note "{WORDS[language]["code"]}"', "", *(f"    {line}" for line in code)]
+    return "\n".join(made)
+
+
+def _figures(cell: cells.Cell, source: Path, alternative: str, page: Any) -> str:
+    from mkdocs.utils import get_relative_url
+
+    alternative = html.escape(alternative, quote=True)
+    urls = [get_relative_url(f"{_place(source)}/{file}", page.file.url) for _, file in cell.figures]
+    if len(urls) == 1:
+        return f'<figure class="drawn"><img src="{urls[0]}" alt="{alternative}" loading="lazy"></figure>'
+    labels = [html.escape(label) for label, _ in cell.figures]
+    images = "".join(
+        f'<img src="{url}" alt="{alternative} ({label})" data-label="{label}" loading="lazy">'
+        for url, label in zip(urls, labels, strict=True)
+    )
+    return f'<figure class="drawn slider">{images}<figcaption>{labels[0]} – {labels[-1]}</figcaption></figure>'

@@ -1,0 +1,49 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from graphslam import SensorModel, simulate
+
+log = simulate(seed=3, steps=20, clean=True)  # the book's world
+sensor = SensorModel()
+
+# %% independent
+# one landmark seen from a known pose, another one, too: with the pose known, their errors have nothing in common
+rng = np.random.default_rng(0)
+known, unknown = [], []
+for _ in range(2000):
+    noise = rng.standard_normal((2, 3)) * [0.14 * 2.0, 0.05, 0.05]
+    turn = rng.normal(0, 0.2)  # the uncertainty of the heading
+    a, b = np.array([2.0, 0.4, 0.0]) + noise[0], np.array([2.0, -0.4, 0.0]) + noise[1]
+    known.append([sensor.h_inverse(np.zeros(3), a)[1], sensor.h_inverse(np.zeros(3), b)[1]])
+    unknown.append([sensor.h_inverse(np.array([0, 0, turn]), a)[1], sensor.h_inverse(np.array([0, 0, turn]), b)[1]])
+known, unknown = np.array(known), np.array(unknown)
+print(f"correlation of the two landmarks, pose known:        {abs(np.corrcoef(known.T)[0, 1]):.2f}")
+print(f"correlation of the two landmarks, heading uncertain: {np.corrcoef(unknown.T)[0, 1]:.2f}")
+
+# %% figure
+fig, axes = plt.subplots(1, 2, figsize=(7, 3.4), sharex=True, sharey=True)
+for ax, places, name in ((axes[0], known, "pose known"), (axes[1], unknown, "heading uncertain")):
+    ax.plot(places[:, 0], places[:, 1], "C0.", ms=2)
+    ax.set(title=name, xlabel="y of landmark 1 [m]")
+axes[0].set_ylabel("y of landmark 2 [m]")
+
+# %% numbers
+landmarks = 6
+for steps in (10, 60):
+    joint = 3 * steps + 2 * landmarks
+    print(f"{steps} steps, {landmarks} landmarks: one Gaussian has {joint * (joint + 1) // 2 + joint} numbers,")
+    print(f"    a particle {3 * steps} for the trajectory and {landmarks * 5} for the map")
+
+# %% average
+# Rao-Blackwell: replacing a sampled quantity by its mean given the others never makes an estimate worse
+rng = np.random.default_rng(1)
+sampled, exact = [], []
+for _ in range(400):
+    x = rng.standard_normal(50)  # particles of the trajectory
+    m = 0.8 * x + 0.6 * rng.standard_normal(50)  # and of the landmark given the trajectory
+    sampled.append(m.mean())
+    exact.append((0.8 * x).mean())  # the mean of the landmark given the trajectory
+print(
+    f"standard deviation of the estimate: landmark sampled {np.std(sampled):.3f}, landmark computed {np.std(exact):.3f}"
+)

@@ -1,0 +1,43 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from fastslam import textbook
+from graphslam import MotionModel, SensorModel, simulate
+
+log, motion, sensor = simulate(seed=3, steps=20, clean=True), MotionModel(), SensorModel()
+
+# %% figure
+# the belief about the position, before and after a sighting
+rng = np.random.default_rng(0)
+particles = textbook.start(150, log.initial_poses[0])
+textbook.observation_update(particles, log.landmarks[log.steps == 0].tolist(), log.sightings[log.steps == 0], sensor)
+fig, ax = plt.subplots()
+for t in range(1, 9):
+    textbook.motion_update(particles, log.controls[t - 1], log.dt[t - 1], motion, rng)
+    seen = log.steps == t
+    before = np.array([p.pose[:2] for p in particles])
+    textbook.observation_update(particles, log.landmarks[seen].tolist(), log.sightings[seen], sensor)
+weights = np.exp([p.log_weight for p in particles])
+ax.scatter(before[:, 0], before[:, 1], s=4 + 2000 * weights, alpha=0.5, label="particles, area by weight")
+ax.plot(*log.true_poses[8, :2], "k+", ms=14, label="true position")
+ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+ax.legend()
+
+# %% bayes
+# Bayes' theorem on a grid: a landmark on a line, one range of 2.0 m with a standard deviation of 0.28 m
+m = np.linspace(0, 4, 401)
+prior = np.exp(-0.5 * ((m - 2.5) / 0.5) ** 2)
+likelihood = np.exp(-0.5 * ((2.0 - m) / 0.28) ** 2)
+posterior = prior * likelihood
+posterior /= posterior.sum()
+mean = (m * posterior).sum()
+print(f"posterior mean {mean:.3f}, Kalman filter {2.5 + 0.25 / (0.25 + 0.0784) * (2.0 - 2.5):.3f}")
+
+# %% order
+# sightings of one step can be processed in any order, because each multiplies the belief by its likelihood
+start = textbook.initialize_landmark(np.zeros(3), np.array([2.0, 0.1, 0.0]), sensor)
+z1, z2 = np.array([2.1, 0.12, 0.02]), np.array([1.9, 0.05, -0.01])
+ab = textbook.update_landmark(np.zeros(3), textbook.update_landmark(np.zeros(3), start, z1, sensor), z2, sensor)
+ba = textbook.update_landmark(np.zeros(3), textbook.update_landmark(np.zeros(3), start, z2, sensor), z1, sensor)
+print("means:", np.round(ab.mean, 3), np.round(ba.mean, 3))

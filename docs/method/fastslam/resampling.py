@@ -1,0 +1,56 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from fastslam import FastSLAM1, textbook
+from graphslam import simulate
+
+log = simulate(seed=3, steps=40, clean=True)
+rng = np.random.default_rng(0)
+
+# %% run
+states = {}
+for t, particles in enumerate(textbook.fastslam1(log, particles=40, rng=rng)):
+    if t % 8 == 0:
+        best = max(particles, key=lambda p: p.log_weight)
+        states[t] = ([np.array(p.path) for p in particles], {j: m.mean for j, m in best.map.items()})
+
+
+def draw(step):
+    """All trajectories after resampling, and the map of the best particle."""
+    paths, landmarks = states[step]
+    _, ax = plt.subplots(figsize=(5, 5))
+    for path in paths:
+        ax.plot(path[:, 0], path[:, 1], "C0-", lw=0.6, alpha=0.5)
+    ax.plot(log.true_poses[: step + 1, 0], log.true_poses[: step + 1, 1], "k--", lw=0.8)
+    for m in landmarks.values():
+        ax.plot(m[0], m[1], "C1o")
+    for m in log.true_landmarks.values():
+        ax.plot(m[0], m[1], "k*")
+    ax.set(xlim=(-6, 6), ylim=(-6, 6), xlabel="x [m]", ylabel="y [m]", aspect="equal")
+
+
+slider("step", list(states), draw)  # noqa: F821  # given by the site: one figure for each value
+
+# %% copies
+weights = np.array([0.5, 0.3, 0.15, 0.05])
+particles = [textbook.Particle([np.zeros(3)], float(np.log(w)), {}) for w in weights]
+for k, particle in enumerate(particles):
+    particle.path[0] = np.array([float(k), 0.0, 0.0])
+counts = np.zeros(4)
+for seed in range(2000):
+    for survivor in textbook.resample(particles, np.random.default_rng(seed)):
+        counts[int(survivor.pose[0])] += 1
+print("share of the copies:", np.round(counts / counts.sum(), 3), " weights:", weights)
+
+# %% ess
+for w in ([0.25] * 4, [0.5, 0.3, 0.15, 0.05], [0.97, 0.01, 0.01, 0.01]):
+    particles = [textbook.Particle([np.zeros(3)], float(np.log(v)), {}) for v in w]
+    print(w, "effective sample size", round(textbook.effective_sample_size(particles), 2))
+
+# %% number
+from graphslam.metrics import ate  # noqa: E402
+
+for count in (10, 100, 1000, 10_000):
+    errors = [ate(log.true_poses, FastSLAM1(log, particles=count, seed=s).run().poses) for s in range(5)]
+    print(f"{count:6} particles: trajectory error {np.median(errors):.3f} m (median of five runs)")

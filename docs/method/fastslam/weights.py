@@ -1,0 +1,51 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from fastslam import textbook
+from graphslam import SensorModel
+
+sensor = SensorModel()
+pose = np.zeros(3)
+landmark = textbook.Gaussian(np.array([2.0, 0.5, 0.3]), np.diag([0.02, 0.04, 0.01]))
+z = np.array([2.2, 0.3, 0.05])
+
+# %% integral
+# <p(z | m)> over the landmark's Gaussian, by two million random landmarks, and by the formula
+rng = np.random.default_rng(0)
+m = landmark.mean + rng.standard_normal((2_000_000, 3)) * np.sqrt(np.diag(landmark.covariance))
+Q = np.diag(sensor.Q(z))
+predicted = sensor.h(np.tile(pose, (len(m), 1)), m)
+e = z - predicted
+likelihoods = np.exp(-0.5 * np.sum(e**2 / Q, axis=1)) / np.sqrt((2 * np.pi) ** 3 * np.prod(Q))
+print(f"mean of the likelihoods {likelihoods.mean():.4f}")
+print(f"formula                 {np.exp(textbook.log_likelihood(pose, landmark, z, sensor)):.4f}")
+
+# %% figure
+# the likelihood of a range, for a landmark that is known well and for one that is not
+ranges = np.linspace(1, 3.5, 200)
+fig, ax = plt.subplots()
+for variance, colour in ((0.001, "C0"), (0.3, "C1")):
+    uncertain = textbook.Gaussian(np.array([2.0, 0.0]), variance * np.eye(2))
+    V = textbook.innovation_covariance(pose, uncertain, np.array([2.0, 0.0]), sensor)[0, 0]
+    ax.plot(
+        ranges,
+        np.exp(-0.5 * (ranges - 2.0) ** 2 / V) / np.sqrt(2 * np.pi * V),
+        colour,
+        label=f"standard deviation of the landmark {np.sqrt(variance):.2f} m",
+    )
+ax.set(xlabel="measured range [m]", ylabel="density of the sighting")
+ax.legend()
+
+# %% determinant
+# two particles with the same residual; the second knows the landmark less well
+for name, S in (("certain", 0.01 * np.eye(3)), ("uncertain", 0.5 * np.eye(3))):
+    particle = textbook.Gaussian(landmark.mean, S)
+    r = textbook.residual(pose, particle, z, sensor)
+    V = textbook.innovation_covariance(pose, particle, z, sensor)
+    exponential, weight = np.exp(-0.5 * r @ np.linalg.solve(V, r)), np.exp(textbook.log_density(r, V))
+    print(f"{name:10} exp(-r' V^-1 r / 2) = {exponential:.3f}, with the determinant {weight:.3f}")
+
+# %% logarithms
+# 400 sightings with a density of 0.1 each
+print("product:", 0.1**400, " sum of logarithms:", round(400 * np.log(0.1), 1))

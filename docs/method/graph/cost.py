@@ -1,0 +1,50 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from graphslam import Graph, SensorModel, load, sample_log_path, solve, textbook
+
+log = load(sample_log_path())
+sensor = SensorModel()
+
+# %% ellipses
+# which residuals (x, y) have the same cost? one edge with a distant landmark, one with a near one
+fig, ax = plt.subplots()
+angle = np.linspace(0, 2 * np.pi, 200)
+for length, colour in ((4.0, "C0"), (1.0, "C1")):
+    z = np.array([length, 0.3, 0.0])
+    _, Omega, *_ = textbook.virtual_motion_edge(np.zeros(3), z, np.array([0.5, 0.0, 0.2]), z, sensor)
+    Omega_xy = np.linalg.inv(np.linalg.inv(Omega)[:2, :2])
+    root = np.linalg.cholesky(np.linalg.inv(Omega_xy))
+    for distance in (1, 2, 3):
+        x, y = distance * root @ np.array([np.cos(angle), np.sin(angle)])
+        ax.plot(x, y, colour, label=f"landmark {length:g} m away" if distance == 1 else None)
+ax.plot(*(0.3, 0.0), "ko")
+ax.annotate("the same residual, 0.3 m", (0.3, 0.0), (0.5, -0.6), arrowprops={"arrowstyle": "->"})
+ax.set(xlabel="residual in x [m]", ylabel="residual in y [m]", aspect="equal")
+ax.legend()
+
+# %% distances
+e = np.array([0.3, 0.0, 0.0])
+for length in (4.0, 1.0):
+    z = np.array([length, 0.3, 0.0])
+    _, Omega, *_ = textbook.virtual_motion_edge(np.zeros(3), z, np.array([0.5, 0.0, 0.2]), z, sensor)
+    print(f"landmark {length:g} m away: e'e = {e @ e:.2f}, e' Omega e = {e @ Omega @ e:6.2f}")
+
+# %% product
+# the product of densities and J order trajectories in the same way
+graph = Graph.from_log(log, edges="virtual+motion")
+best = solve(graph)
+for factor in (0.0, 0.5, 1.0):
+    poses = factor * log.initial_poses + (1 - factor) * best.poses
+    J = graph.cost(poses)
+    print(
+        f"{factor:.0%} dead reckoning: J = {J:10.1f}, log of the product = -J/2 + constant = {-J / 2:10.1f} + constant"
+    )
+
+# %% lambda
+from graphslam.metrics import ate  # noqa: E402
+
+for motion_weight in (0.01, 1.0, 100.0):
+    poses = solve(Graph.from_log(log, edges="virtual+motion", motion_weight=motion_weight)).poses
+    print(f"lambda = {motion_weight:6g}: absolute trajectory error {ate(log.true_poses, poses):.3f} m")

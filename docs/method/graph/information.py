@@ -1,0 +1,69 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.patches import Ellipse
+
+from graphslam import SensorModel, textbook
+
+sensor = SensorModel()  # the book's: range 14 %, bearing and orientation 0.05 rad
+x1, z1 = np.array([0.0, 0.0, 0.0]), np.array([4.0, 0.5, 0.2])  # pose, sighting (range, bearing, psi)
+x2, z2 = np.array([3.0, -1.0, 0.8]), np.array([2.0, 0.9, 1.1])
+
+
+# %% covariance
+def covariance(x, z):
+    """R Q R': the covariance of h^-1(x, z) that the noise of the sighting causes."""
+    R = textbook.sighting_derivative(x, z)
+    return R @ textbook.sighting_covariance(z, sensor) @ R.T
+
+
+C1, C2 = covariance(x1, z1), covariance(x2, z2)
+print("standard deviations of h^-1(x1, z1):", np.round(np.sqrt(np.diag(C1)), 3))
+print("standard deviations of h^-1(x2, z2):", np.round(np.sqrt(np.diag(C2)), 3))
+print("Omega of the edge:")
+print(np.round(np.linalg.inv(C1 + C2), 1))
+
+
+# %% ellipses
+def draw_ellipse(ax, centre, C, **style):
+    """Draw the ellipse of three standard deviations of a position."""
+    values, vectors = np.linalg.eigh(C[:2, :2])
+    angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
+    ax.add_patch(Ellipse(centre, *(6 * np.sqrt(values[::-1])), angle=angle, fill=False, lw=2, **style))
+
+
+fig, ax = plt.subplots()
+for x, z, C, colour, name in ((x1, z1, C1, "C0", "1"), (x2, z2, C2, "C1", "2")):
+    place = textbook.inverse_observation(x, z)
+    ax.plot(x[0], x[1], "o", color=colour, label=f"pose {name}")
+    ax.plot([x[0], place[0]], [x[1], place[1]], ":", color=colour)
+    draw_ellipse(ax, place[:2], C, color=colour, label=f"landmark from pose {name}")
+e = textbook.inverse_observation(x2, z2) - textbook.inverse_observation(x1, z1)
+ax.annotate(
+    "",
+    textbook.inverse_observation(x2, z2)[:2],
+    textbook.inverse_observation(x1, z1)[:2],
+    arrowprops={"arrowstyle": "->"},
+)
+ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=(-0.5, 8))
+ax.legend(loc="lower right")
+
+# %% sampled
+rng = np.random.default_rng(0)
+
+
+def sample(x, z, count=20_000):
+    """Draw sightings around z and return the landmarks that they place."""
+    std = np.sqrt(np.diag(textbook.sighting_covariance(z, sensor)))
+    return np.array([textbook.inverse_observation(x, z + std * n) for n in rng.standard_normal((count, 3))])
+
+
+sampled = np.cov((sample(x2, z2) - sample(x1, z1)).T)
+print("sampled:", np.round(np.diag(sampled), 3))
+print("formula:", np.round(np.diag(C1 + C2), 3))
+
+# %% wrong
+R1, R2 = textbook.sighting_derivative(x1, z1), textbook.sighting_derivative(x2, z2)
+Q1, Q2 = textbook.sighting_covariance(z1, sensor), textbook.sighting_covariance(z2, sensor)
+slide = R1 @ Q1 @ R1.T + R1 @ Q2 @ R1.T  # as printed
+print("variance of y, as printed:", round(slide[1, 1], 3), " right:", round((C1 + C2)[1, 1], 3))

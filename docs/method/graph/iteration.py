@@ -1,0 +1,54 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from graphslam import simulate, textbook
+
+log = simulate(seed=3, clean=True)  # the book's world: six landmarks, 62 motions, psi is measured
+solution = textbook.solve(log, edges="virtual")
+
+# %% norms
+print("norms of the steps:", [float(f"{norm:.3g}") for norm in solution.step_norms])
+print("J before each step:", [float(f"{cost:.4g}") for cost in solution.costs])
+
+# %% slider
+results = {0: log.initial_poses} | {
+    n: textbook.solve(log, edges="virtual", threshold=0.0, max_iterations=n).poses for n in (1, 2, 3, 5, 10)
+}
+
+
+def draw(iterations):
+    """The trajectory after some iterations, with the places of the landmarks that its sightings give."""
+    poses = results[iterations]
+    _, ax = plt.subplots(figsize=(5.2, 5.2))
+    ax.plot(log.true_poses[:, 0], log.true_poses[:, 1], "k-", lw=0.8, label="ground truth")
+    ax.plot(poses[:, 0], poses[:, 1], "C0.-", lw=0.8, label="estimate")
+    places = np.array([textbook.inverse_observation(poses[t], z) for t, z in zip(log.steps, log.sightings)])
+    ax.plot(places[:, 0], places[:, 1], "C1.", ms=3, label="landmarks from each sighting")
+    ax.set(xlim=(-6, 6), ylim=(-6, 6), xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    ax.legend(loc="lower left", fontsize=8)
+
+
+slider("iterations:", list(results), draw)  # noqa: F821  # given by the site: one figure for each value
+
+# %% isolated
+seen = np.isin(np.arange(log.num_poses), log.steps)
+print(f"{log.num_poses} poses, {np.sum(~seen)} of them saw nothing")
+print(
+    "poses of the graph:",
+    solution.estimated.sum(),
+    " with motion edges:",
+    textbook.solve(log, edges="virtual+motion").estimated.sum(),
+)
+
+# %% drift
+# the book's anchor is reset at every step: the graph drifts by a constant step
+long = textbook.solve(log, edges="virtual", threshold=1e-9, max_iterations=30)
+print("norm of steps 10, 20, 30:", [float(f"{long.step_norms[k]:.3g}") for k in (9, 19, 29)])
+
+# %% fast
+from graphslam import Graph, solve  # noqa: E402
+
+for frame in ("world", "body"):
+    fast = solve(Graph.from_log(log, edges="virtual+motion", frame=frame), initialize="given")
+    print(f"{frame}: {fast.iterations} iterations, last step {fast.step_norms[-1]:.1e}, converged: {fast.converged}")

@@ -1,0 +1,47 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from graphslam import SensorModel, textbook
+
+x1, z1 = np.array([0.0, 0.0, 0.2]), np.array([3.0, 0.4, 0.3])
+x2, z2 = np.array([1.0, 0.5, 0.9]), np.array([2.2, -0.1, 0.5])
+e, Omega, B1, B2 = textbook.virtual_motion_edge(x1, z1, x2, z2, SensorModel())
+
+# %% jacobians
+print("B_1 =\n", np.round(B1, 3))
+print("B_2 =\n", np.round(B2, 3))
+
+# %% figure
+# the first component of e while pose 2 turns, and its tangent
+turns = np.linspace(-1.2, 1.2, 121)
+exact = [textbook.virtual_motion_edge(x1, z1, x2 + [0, 0, turn], z2, SensorModel())[0][0] for turn in turns]
+fig, ax = plt.subplots()
+ax.plot(turns, exact, label="e_x")
+ax.plot(turns, e[0] + B2[0, 2] * turns, "--", label="linearised: e_x + B_2 Delta x_2")
+ax.axvline(0, color="k", lw=0.5)
+ax.set(xlabel="turn of pose 2 [rad]", ylabel="residual in x [m]")
+ax.legend()
+
+
+# %% differences
+# central differences of the residual, one column for each component of a pose
+def numerical(which, step=1e-6):
+    columns = []
+    for k in range(3):
+        d = np.zeros(3)
+        d[k] = step
+        poses = [(x1 + s * d, x2) if which == 1 else (x1, x2 + s * d) for s in (1, -1)]
+        plus, minus = (textbook.virtual_motion_edge(a, z1, b, z2, SensorModel())[0] for a, b in poses)
+        columns.append((plus - minus) / (2 * step))
+    return np.column_stack(columns)
+
+
+print("agrees with B_1:", np.abs(numerical(1) - B1).max() < 1e-8)
+print("agrees with B_2:", np.abs(numerical(2) - B2).max() < 1e-8)
+
+# %% range
+for turn in (0.01, 0.1, 1.0):
+    exact = textbook.virtual_motion_edge(x1, z1, x2 + [0, 0, turn], z2, SensorModel())[0]
+    linear = e + B2 @ [0, 0, turn]
+    print(f"turn {turn:4g} rad: error of the linear formula {np.linalg.norm((exact - linear)[:2]):.4f} m")

@@ -1,0 +1,74 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from graphslam import load, sample_log_path, simulate, textbook
+
+log = load(sample_log_path())  # made by this project's simulator, with psi
+print(log)
+
+# %% raw
+# dead reckoning, and where each sighting puts its landmark if dead reckoning is believed
+fig, ax = plt.subplots(figsize=(6.4, 5))
+ax.plot(log.initial_poses[:, 0], log.initial_poses[:, 1], "k.-", lw=0.8, label="dead reckoning")
+for j in log.landmark_ids:
+    rows = np.flatnonzero(log.landmarks == j)
+    places = np.array([textbook.inverse_observation(log.initial_poses[log.steps[k]], log.sightings[k]) for k in rows])
+    ax.plot(places[:, 0], places[:, 1], ".", ms=4)
+    truth = log.true_landmarks[int(j)]
+    ax.plot(truth[0], truth[1], "k*", ms=9)
+ax.plot([], [], "k*", label="true landmarks")
+ax.plot([], [], "C0.", label="sightings, one colour for each landmark")
+ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+ax.legend(fontsize=8)
+
+# %% psi
+# a landmark with a heading of 0.6 rad, seen from two poses
+landmark = np.array([2.0, 1.0, 0.6])
+fig, ax = plt.subplots()
+ax.plot(landmark[0], landmark[1], "k*", ms=12)
+ax.annotate("", landmark[:2] + [np.cos(0.6), np.sin(0.6)], landmark[:2], arrowprops={"arrowstyle": "->", "lw": 2})
+for pose, colour in ((np.array([0.0, 0.0, 0.3]), "C0"), (np.array([2.5, -1.2, 1.4]), "C1")):
+    difference = landmark[:2] - pose[:2]
+    direction = np.arctan2(difference[1], difference[0])
+    length, phi, psi = np.hypot(*difference), direction - pose[2], direction - landmark[2]
+    ax.plot(*pose[:2], "o", color=colour)
+    ax.annotate(
+        "",
+        pose[:2] + 0.6 * np.array([np.cos(pose[2]), np.sin(pose[2])]),
+        pose[:2],
+        arrowprops={"arrowstyle": "->", "color": colour},
+    )
+    ax.plot(
+        *np.column_stack([pose[:2], landmark[:2]]),
+        ":",
+        color=colour,
+        label=f"l = {length:.2f} m, phi = {phi:.2f}, psi = {psi:.2f}",
+    )
+    print("h^-1:", np.round(textbook.inverse_observation(pose, np.array([length, phi, psi])), 6))
+ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+ax.legend()
+
+# %% pairs
+from itertools import combinations  # noqa: E402
+
+by_landmark = {int(j): log.steps[log.landmarks == j].tolist() for j in log.landmark_ids}
+for j, seen in list(by_landmark.items())[:3]:
+    print(f"landmark {j}: seen {len(seen)} times, {len(list(combinations(seen, 2)))} virtual-motion edges")
+print("all:", sum(len(list(combinations(seen, 2))) for seen in by_landmark.values()))
+
+# %% spread
+# how far apart are the places of one landmark, for dead reckoning and for the true poses?
+for name, poses in (("dead reckoning", log.initial_poses), ("true poses", log.true_poses)):
+    spreads = []
+    for j in log.landmark_ids:
+        rows = np.flatnonzero(log.landmarks == j)
+        places = np.array([textbook.inverse_observation(poses[log.steps[k]], log.sightings[k])[:2] for k in rows])
+        spreads.append(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    print(f"{name}: {np.median(spreads):.2f} m")
+
+# %% more
+for steps in (20, 40, 80):
+    short = simulate(seed=1, steps=steps)
+    count = sum(np.sum(short.landmarks == j) * (np.sum(short.landmarks == j) - 1) // 2 for j in short.landmark_ids)
+    print(f"{steps} steps: {len(short.sightings)} sightings, {count} edges")

@@ -1,0 +1,76 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.patches import Ellipse
+
+from graphslam import SensorModel, simulate, textbook
+
+log = simulate(seed=3, clean=True)
+solution = textbook.solve(log, edges="virtual+motion")
+sensor = SensorModel()
+
+# %% map
+for j, m in solution.landmarks.items():
+    print(
+        f"landmark {j}: ({m[0]:6.2f}, {m[1]:6.2f}), true ({log.true_landmarks[j][0]:6.2f}, {log.true_landmarks[j][1]:6.2f})"
+    )
+
+# %% figure
+j = max(solution.landmarks, key=lambda j: np.sum(log.landmarks == j))
+fig, ax = plt.subplots()
+for t, z in zip(log.steps[log.landmarks == j], log.sightings[log.landmarks == j]):
+    x = solution.poses[t]
+    R = textbook.sighting_derivative(x, z)
+    C = R @ textbook.sighting_covariance(z, sensor) @ R.T
+    values, vectors = np.linalg.eigh(C[:2, :2])
+    angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
+    place = textbook.inverse_observation(x, z)
+    ax.add_patch(Ellipse(place[:2], *(2 * np.sqrt(values[::-1])), angle=angle, fill=False, color="C1", lw=0.8))
+    ax.plot(place[0], place[1], "C1.", ms=4)
+ax.plot(*solution.landmarks[j][:2], "C0*", ms=14, label="m*, the weighted mean")
+ax.plot(*log.true_landmarks[j][:2], "k+", ms=14, label="true landmark")
+ax.plot([], [], "C1-", label="sightings, one standard deviation")
+ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+ax.legend(fontsize=8)
+
+# %% mean
+weighted, plain = [], []
+for j in solution.landmarks:
+    rows = np.flatnonzero(log.landmarks == j)
+    places = [textbook.inverse_observation(log.true_poses[log.steps[k]], log.sightings[k]) for k in rows]
+    best = textbook.solve_map([(log.true_poses[log.steps[k]], log.sightings[k]) for k in rows], sensor)
+    truth = log.true_landmarks[j]
+    weighted.append(np.hypot(*(best[:2] - truth[:2])))
+    plain.append(np.hypot(*(np.mean(places, axis=0)[:2] - truth[:2])))
+print(f"on the true poses: weighted mean {np.mean(weighted):.3f} m off, plain mean {np.mean(plain):.3f} m off")
+
+# %% minimum
+rows = np.flatnonzero(log.landmarks == j)
+sightings = [(solution.poses[log.steps[k]], log.sightings[k]) for k in rows]
+
+
+def cost(m):
+    """Sum of (m - h^-1)' Omega (m - h^-1) over the sightings, positions only."""
+    total = 0.0
+    for x, z in sightings:
+        e = m[:2] - textbook.inverse_observation(x, z[:2])
+        R = textbook.sighting_derivative(x, z[:2])
+        total += e @ np.linalg.inv(R @ textbook.sighting_covariance(z[:2], sensor) @ R.T) @ e
+    return total
+
+
+Omegas = [
+    np.linalg.inv(R @ textbook.sighting_covariance(z[:2], sensor) @ R.T)
+    for x, z in sightings
+    for R in [textbook.sighting_derivative(x, z[:2])]
+]
+best = np.linalg.solve(
+    sum(Omegas), sum(W @ textbook.inverse_observation(x, z[:2]) for W, (x, z) in zip(Omegas, sightings))
+)
+rng = np.random.default_rng(0)
+print(
+    "J(m*) =",
+    round(cost(best), 3),
+    " smaller than at 1000 places around it:",
+    all(cost(best + d) > cost(best) for d in rng.normal(0, 0.1, (1000, 2))),
+)

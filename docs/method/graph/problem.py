@@ -1,0 +1,32 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from graphslam import Graph, load, sample_log_path, solve
+
+log = load(sample_log_path())
+graph = Graph.from_log(log, edges="virtual+motion")
+best = solve(graph)
+
+# %% trajectories
+fig, ax = plt.subplots()
+ax.plot(log.true_poses[:, 0], log.true_poses[:, 1], "k-", label="ground truth")
+ax.plot(log.initial_poses[:, 0], log.initial_poses[:, 1], "C7--", label="initial values: dead reckoning")
+ax.plot(best.poses[:, 0], best.poses[:, 1], "C0-", label="x*, the most probable trajectory")
+places = np.array(list(best.landmarks.values()))
+ax.plot(places[:, 0], places[:, 1], "C1*", ms=10, label="m*, the most probable map")
+ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+ax.legend(fontsize=8)
+
+# %% likely
+bent = best.poses.copy()
+bent[:, 1] += 0.02 * np.arange(len(bent))  # the same trajectory, shifted more and more to the left
+candidates = {"dead reckoning": log.initial_poses, "x*, bent to the left": bent, "x*": best.poses}
+for name, poses in candidates.items():
+    print(f"{name:22} J = {graph.cost(poses):14.1f}")
+
+# %% count
+poses, landmarks = log.num_poses - 1, len(log.landmark_ids)
+print(f"unknown: {poses} poses and {landmarks} landmarks, {3 * (poses + landmarks)} numbers")
+print(f"without the landmarks: {3 * poses} numbers")
+print(f"measured: {log.controls.size + log.sightings.size} numbers")

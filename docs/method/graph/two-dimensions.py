@@ -1,0 +1,50 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from graphslam import Graph, SensorModel, simulate, solve, textbook
+from graphslam.metrics import ate
+
+log = simulate(seed=3, steps=30, clean=True).without_orientation()  # sightings (range, bearing)
+
+# %% rows
+e, Omega, B1, B2 = textbook.virtual_motion_edge(
+    np.zeros(3), np.array([2.0, 0.3]), np.array([1.0, 0.2, 0.5]), np.array([1.5, 0.1]), SensorModel()
+)
+print("residual", np.round(e, 3), " Omega", Omega.shape, " B_1", B1.shape)
+
+# %% undetermined
+# a pose that shares one landmark with another pose can turn around this landmark
+fig, ax = plt.subplots()
+landmark, z = np.array([0.0, 0.0]), np.array([2.0, 0.4])
+for angle in np.linspace(0, 2 * np.pi, 13)[:-1]:
+    position = landmark - 2.0 * np.array([np.cos(angle), np.sin(angle)])
+    heading = angle - z[1]
+    ax.annotate(
+        "",
+        position + 0.5 * np.array([np.cos(heading), np.sin(heading)]),
+        position,
+        arrowprops={"arrowstyle": "->", "color": "C0"},
+    )
+    ax.plot([position[0], 0], [position[1], 0], "C0:", lw=0.8)
+ax.plot(0, 0, "k*", ms=14, label="landmark")
+ax.plot([], [], "C0-", label="poses with the same sighting (2 m, 0.4 rad)")
+ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+ax.legend(loc="lower right", fontsize=8)
+
+# %% solved
+solution = textbook.solve(log, edges="virtual+motion", motion_copies=100)
+error = ate(log.true_poses, solution.poses)
+print(f"textbook, motion edges counted 100 times: {solution.iterations} iterations, error {error:.3f} m")
+fast = solve(Graph.from_log(log, edges="landmark+motion"))
+print(f"landmarks as nodes: {fast.iterations} iterations, error {ate(log.true_poses, fast.poses):.3f} m")
+
+# %% copies
+for copies in (1, 10, 100):
+    solution = textbook.solve(log, edges="virtual+motion", motion_copies=copies, max_iterations=40)
+    error = ate(log.true_poses, solution.poses)
+    print(f"motion edges counted {copies:3} times: converged {solution.converged}, error {error:.3f} m")
+
+# %% rank
+# the information of one edge about pose 2, with pose 1 fixed: rank 2 of 3
+print("rank:", np.linalg.matrix_rank(B2.T @ Omega @ B2))

@@ -1,0 +1,87 @@
+"""The built site in a real browser: every page in both languages, light and dark, on a desktop and on a phone."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+from chromium import Chromium, find_browser
+
+SITE = Path(__file__).parents[2] / "site"
+BROWSER = find_browser()
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.browser,
+    pytest.mark.skipif(BROWSER is None, reason="needs a browser: apt-get install chromium"),
+    pytest.mark.skipif(not (SITE / "index.html").exists(), reason="needs the site: make docs"),
+]
+PAGES = sorted(path.parent.relative_to(SITE).as_posix() for path in SITE.rglob("index.html"))
+LARGEST = 2_000_000
+
+#: what is wrong with a page, as a list of sentences
+FAULTS = """(() => {
+    const faults = [], text = document.querySelector("article").innerText;
+    if (document.documentElement.scrollWidth > innerWidth) faults.push("wider than the window");
+    for (const image of document.querySelectorAll("article img")) {
+        if (!image.alt) faults.push("no alternative text: " + image.src);
+        if (image.complete && !image.naturalWidth && !image.hidden) faults.push("not loaded: " + image.src);
+    }
+    if (document.querySelector("article .arithmatex, article merror")) faults.push("a formula is not rendered");
+    if (/[{]{2} |\\\\\\\\[a-z]+[{]/.test(text.replace(/[`]/g, ""))) faults.push("raw markup is visible");
+    return faults; })()"""
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    """A handler that writes no log."""
+
+    def log_message(self, *_: object) -> None:
+        """Write nothing."""
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(SITE)))
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
+    assert BROWSER is not None
+    with Chromium(BROWSER, Path(tmp_path_factory.mktemp("profile"))) as chromium:
+        yield chromium
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_page(page: str, address: str, browser: Chromium) -> None:
+    browser.events.clear()
+    browser.resize(1280, 900)
+    browser.send("Page.navigate", url=f"{address}/{page}/")
+    browser.wait_for("document.readyState === 'complete' && document.querySelector('article') !== null")
+    assert browser.evaluate("document.documentElement.lang") == ("ja" if page.split("/")[0] == "ja" else "en")
+    for scheme in ("light", "dark"):
+        browser.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        for width, height in ((1280, 900), (390, 844)):
+            browser.resize(width, height)
+            assert browser.evaluate(FAULTS) == [], (scheme, width)
+    assert browser.complaints() == []
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_size(page: str) -> None:
+    """The page with its figures is below 2 MB."""
+    html = (SITE / page / "index.html").read_text()
+    figures = [SITE / "figures" / place for place in set(_figures(html))]
+    assert len(html.encode()) + sum(figure.stat().st_size for figure in figures) < LARGEST
+
+
+def _figures(html: str) -> list[str]:
+    return [part.split('"')[0] for part in html.split("figures/")[1:] if part.split('"')[0].endswith((".svg", ".png"))]

@@ -1,0 +1,66 @@
+"""The sources of the site: every formula of the lectures has its place, and both languages have the same content."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+SLIDES = tomllib.loads((DOCS / "_site" / "slides.toml").read_text())["slide"]
+PAGES = sorted(
+    page
+    for folder in ("method", "beyond", "tutorials")
+    for page in (DOCS / folder).rglob("*.md")
+    if not page.name.endswith(".ja.md")
+)
+#: pages of which both languages exist, besides those above
+TRANSLATED = [DOCS / "index.md"]
+MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure) (.+?) \}\}$", re.MULTILINE)
+
+
+def markers(page: Path) -> list[tuple[str, ...]]:
+    """The markers of a page, without the alternative texts, which are translated."""
+    return [(kind, re.sub(r' "[^"]*"$', "", arguments)) for kind, arguments in MARKER.findall(page.read_text())]
+
+
+@pytest.mark.parametrize("slide", SLIDES, ids=[f"{slide['section']}-{slide['anchor']}" for slide in SLIDES])
+def test_every_formula_of_the_slides_is_on_a_page(slide):
+    where, _, function = slide["function"].rpartition(" ")
+    lecture = "graphslam" if "/graph/" in slide["page"] else "fastslam"
+    shown = f"{where or lecture + '/textbook.py'}", function
+    for name in (slide["page"], slide["page"].replace(".md", ".ja.md")):
+        text = (DOCS / name).read_text()
+        # the heading, with the derivation below it
+        section = re.search(rf"^#+ .*\{{ ?#{slide['anchor']} ?\}}\n(.*?)(?=^#+ |\Z)", text, re.MULTILINE | re.DOTALL)
+        assert section, f"{name} has no heading {{#{slide['anchor']}}}"
+        assert "$" in section[1] or "{{" in section[1]
+        assert any(
+            kind == "code" and shown[0] in what and shown[1] in what.split() for kind, what in markers(DOCS / name)
+        )
+        assert any(kind in ("cell", "output", "figure") for kind, _ in markers(DOCS / name))
+    assert (ROOT / "tests" / slide["test"]).exists()
+
+
+@pytest.mark.parametrize("page", [*PAGES, *TRANSLATED], ids=lambda page: str(page.relative_to(DOCS)))
+def test_both_languages_have_the_same_content(page):
+    translation = page.with_name(page.name.replace(".md", ".ja.md"))
+    assert translation.exists()
+    assert markers(translation) == markers(page)
+    formulas = [len(re.findall(r"^\$\$$", path.read_text(), re.MULTILINE)) for path in (page, translation)]
+    assert formulas[0] == formulas[1]
+    headings = [len(re.findall(r"^#+ ", path.read_text(), re.MULTILINE)) for path in (page, translation)]
+    assert headings[0] == headings[1]
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if page.parent.name in ("graph", "fastslam")], ids=lambda page: page.stem
+)
+def test_steps_have_two_exercises_with_solutions_that_run(page):
+    text = page.read_text()
+    exercises = re.split(r"^\?\?\? question ", text, flags=re.MULTILINE)[1:]
+    assert len(exercises) >= 2
+    for exercise in exercises:
+        assert '??? success "' in exercise
+        assert re.search(r"\{\{ (cell|output) ", exercise)
