@@ -113,10 +113,11 @@ def test_further_poses_change_neither_the_drive_nor_what_is_known_of_it(log, sec
     np.testing.assert_allclose(more.true_poses[known], more.dead_reckoning()[known], atol=0.02)
     # joined again, the motions and their noise are those of before
     back = more.at_steps(kept)
-    (motions, noise), (expected, before) = back.motions(motion), log.motions(motion)
-    np.testing.assert_allclose(motions, expected, atol=1e-10)
-    # across the drive the noise of parts of a control is a little different, because they are independent
-    np.testing.assert_allclose(noise[:, 2, 2], before[:, 2, 2], rtol=1e-9)
+    for model in (motion, MotionModel.constant(0.1, 0.3, epsilon=1e-12)):
+        (motions, noise), (expected, before) = back.motions(model), log.motions(model)
+        np.testing.assert_allclose(motions, expected, atol=1e-10)
+        # across the drive the noise of parts of a control is a little different, because they are independent
+        np.testing.assert_allclose(noise[:, 2, 2], before[:, 2, 2], rtol=1e-9)
     assert with_poses_every(log, 60.0) is log
 
 
