@@ -177,6 +177,8 @@ def _map_note(view: View) -> str:
         )
     if view.truth is not None and (where := view.log.truth_place):
         note += f" Paths are those of the point that the ground truth is of, {where} of the robot's pose."
+    if view.log.composite:
+        note += " Between its poses a path follows the recorded controls."
     if len(view.steps) < view.log.num_poses:
         note += f" {len(view.steps)} of {view.log.num_poses} steps are shown; the table counts all of them."
     return note
