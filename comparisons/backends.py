@@ -12,10 +12,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from graphslam import Graph, GraphError, OptionError, solve
+from graphslam import Certificate, Graph, GraphError, OptionError, certify, solve
 from graphslam.solvers.solve import starting_state
 
 from .display import Displayed
+from .documents import certificate_document
 from .kernels import factorisation
 from .options import BackendOptions
 from .peers import PEERS, PeerRun
@@ -44,6 +45,7 @@ class BackendRow:
         chi2_per_dof: chi2 per degree of freedom, about 1 where the information in the file fits the errors.
         native: whether all factors are evaluated by the backend itself. False where GTSAM calls factors in Python, so that
             the time is mostly that of the callbacks.
+        certificate: whether the state is proven to be the global minimum of chi2; None if the backend gave up.
     """
 
     file: str
@@ -56,6 +58,7 @@ class BackendRow:
     trace: tuple[tuple[float, float], ...] = field(default=(), repr=False)
     chi2_per_dof: float | None = None
     native: bool = True
+    certificate: Certificate | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,9 @@ class BackendComparison(Displayed):
     def to_json(self) -> dict[str, Any]:
         """The comparison as plain data: {"rows": [fields of `BackendRow` and "ratio"], "geometric_means"}."""
         rows = [
-            {k: v for k, v in asdict(row).items() if k != "trace"} | {"ratio": self.ratio(row)} for row in self.rows
+            {k: v for k, v in asdict(row).items() if k != "trace"}
+            | {"ratio": self.ratio(row), "certificate": certificate_document(row.certificate)}
+            for row in self.rows
         ]
         names = dict.fromkeys(row.backend for row in self.rows if row.backend != "graphslam")
         return jsonable({"rows": rows, "geometric_means": {name: self.geometric_mean(name) for name in names}})
@@ -172,6 +177,10 @@ def _row(file: str, name: str, graph: Graph, runs: Sequence[PeerRun]) -> Backend
     steps = max(len(last.costs) - 1, 1)
     trace = tuple((seconds * k / steps, cost) for k, cost in enumerate(last.costs))
     chi2 = graph.cost(last.state)
+    certificate = None
+    if math.isfinite(chi2):
+        certificate = certify(graph, last.state).of_run(last.converged, last.reason)
     return BackendRow(
-        file, name, chi2, last.iterations, seconds, last.converged, last.reason, trace, of_expected(chi2, graph), last.native
+        file, name, chi2, last.iterations, seconds, last.converged, last.reason, trace, of_expected(chi2, graph),
+        last.native, certificate,
     )  # fmt: skip

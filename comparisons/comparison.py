@@ -11,7 +11,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from graphslam import GraphError, Log, MotionModel, OptionError, SensorModel, SlamError
+from graphslam import Certificate, GraphError, Log, MotionModel, OptionError, SensorModel, SlamError
 from graphslam.metrics import Metrics, evaluate
 from graphslam.plausibility import Finding, plausibility
 from graphslam.se2 import wrap
@@ -19,7 +19,7 @@ from graphslam.se2 import wrap
 from .attempt import Skipped, attempts
 from .config import config_text
 from .display import Displayed
-from .documents import EstimatorDocument, LogDocument, RunDocument, document
+from .documents import EstimatorDocument, LogDocument, RunDocument, certificate_document, document
 from .estimators import ESTIMATORS, check_estimators, default_estimators, make_graph
 from .exchange import texts, write_pose_graph
 from .failures import noted
@@ -34,6 +34,7 @@ class Row:
     """One line of the table; None where a value does not exist or cannot be known.
 
     ``cost_per_dof`` is J per degree of freedom, about 1 where the noise models fit; see `results.of_expected`.
+    ``certificate`` says whether the end is proven to be the global minimum of J; see `graphslam.Certificate`.
     ``nees`` is the mean normalised error squared of the poses, 1 means consistent; see `EstimatorResult.nees`.
     """
 
@@ -49,6 +50,7 @@ class Row:
     nees: float | None = None
     skipped: str | None = None
     cost_per_dof: float | None = None
+    certificate: Certificate | None = None
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,8 @@ class Comparison(Displayed):
         """
         by_name = {
             r.name: document(
-                EstimatorDocument, r, self.metrics[r.name], nees=self.nees[r.name], notes=self.notes_of(r)
+                EstimatorDocument, r, self.metrics[r.name], nees=self.nees[r.name], notes=self.notes_of(r),
+                certificate=certificate_document(r.certificate),
             )
             for r in self.results
         }  # fmt: skip

@@ -94,6 +94,26 @@ class LogDocument(Document):
     notes: Annotated[list[str], about("remarks of the reader")]
 
 
+class CertificateDocument(Document):
+    """Whether the end of a solver is proven to be the global minimum of its cost; see docs/certificate.md."""
+
+    status: Annotated[
+        Literal["global", "not proven", "not applicable"],
+        about(
+            "global: no state has a lower cost, up to `relative_gap`; not applicable: the theory does not cover the graph"
+        ),
+    ]
+    lower_bound: Annotated[float | None, about("no state has a lower cost; null where not applicable")]
+    relative_gap: Annotated[float | None, about("(J - lower_bound) / J; null where not applicable")]
+    reason: Annotated[str, about("one sentence")]
+    seconds: Annotated[float, about("time of the check [s]")]
+
+
+def certificate_document(certificate: object | None) -> dict[str, Any] | None:
+    """A `graphslam.Certificate` as plain data, or None."""
+    return None if certificate is None else document(CertificateDocument, certificate)
+
+
 class EstimatorDocument(Document):
     """The result of one estimator. Every metric is null where it cannot be known, or the estimator did not run."""
 
@@ -127,6 +147,7 @@ class EstimatorDocument(Document):
     landmarks: Annotated[dict[Id, Position] | None, about("the map, by id")]
     landmark_covariances: Annotated[dict[Id, Covariance] | None, about("covariances of the map, by id")]
     options: Annotated[dict[str, Any], about("the options that the estimator used")]
+    certificate: Annotated[CertificateDocument | None, about("proof of global optimality; null without a graph")]
     reason: Annotated[str, about("why it ended, or why it did not run")]
     notes: Annotated[list[str], about("remarks of the estimator")]
 
@@ -173,6 +194,8 @@ class VariantDocument(Document):
     gtsam_seconds: Annotated[float | None, about("of GTSAM [s]")]
     converged: Annotated[bool, about("whether the hand-written solver converged")]
     gtsam_converged: Annotated[bool, about("whether GTSAM converged")]
+    certificate: Annotated[CertificateDocument | None, about("proof for the end of the hand-written solver")]
+    gtsam_certificate: Annotated[CertificateDocument | None, about("proof for the end of GTSAM")]
     failure: Annotated[str | None, about("why a solver failed")]
     agree: Annotated[bool, about("poses differ by less than 1e-6 and J by less than 1e-9 of it")]
 
@@ -204,6 +227,9 @@ class BackendDocument(Document):
     seconds: Annotated[float | None, about("from the initial values to the stop rule [s], median")]
     converged: Annotated[bool, about("whether it met its stop rule")]
     reason: Annotated[str, about("why it ended")]
+    certificate: Annotated[
+        CertificateDocument | None, about("proof of global optimality; null where the solver failed")
+    ]
     native: Annotated[bool, about("false where factors are evaluated in Python, so that the time is that of callbacks")]
     ratio: Annotated[float | None, about("time of graphslam over this time, where both reached the best chi2")]
 
@@ -344,6 +370,9 @@ class MethodDocument(Document):
     failed: Annotated[Count, about("number of runs that failed")]
     timeouts: Annotated[Count, about("number of runs that exceeded the time limit")]
     converged: Annotated[float | None, about("share of the runs that converged, of those that iterate")]
+    proven: Annotated[
+        float | None, about("share of the runs proven to end at the global minimum, of those that the theory covers")
+    ]
     figures: Annotated[MedianFiguresDocument, about("medians of the metrics")]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fastslam.state import FilterResult
-from graphslam import Graph, Log, MotionModel, Solution
+from graphslam import Certificate, Graph, Log, MotionModel, Solution, certify
 from graphslam.se2 import Array, compose, inverse, rotation, wrap
 from graphslam.textbook import TextbookSolution
 from graphslam.uncertainty import Uncertainty
@@ -74,6 +74,15 @@ class EstimatorResult:
     def cost_per_dof(self) -> float | None:
         """J per degree of freedom, with J of pairs divided by the times that they count a sighting; see `of_expected`."""
         return None if self.graph is None or self.cost is None else of_expected(self.cost, self.graph)
+
+    @cached_property
+    def certificate(self) -> Certificate | None:
+        """Whether the end is proven to be the global minimum of the graph's J; None without a graph."""
+        if self.graph is None or self.state is None:
+            return None
+        if isinstance(self.origin, Solution) and self.origin.graph is not None:
+            return self.origin.certificate
+        return certify(self.graph, self.state).of_run(bool(self.converged), self.reason)
 
     @cached_property
     def pose_covariances(self) -> Array | None:

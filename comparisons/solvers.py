@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from graphslam import Graph, GraphError, Log, LogError, Solution, simulate, solve, solve_with_gtsam
+from graphslam import Certificate, Graph, GraphError, Log, LogError, Solution, simulate, solve, solve_with_gtsam
 from graphslam.graph import FRAMES, WEIGHTS
 from graphslam.se2 import wrap
 from graphslam.solvers.solve import starting_state
 
 from .display import Displayed
+from .documents import certificate_document
 from .kernels import factorisation
 from .option import options_of
 from .options import GraphOptions, SolverCheckOptions
@@ -67,6 +68,7 @@ class VariantResult:
         cost_difference: |J - J_gtsam| / max(J, J_gtsam).
         cost, cost_per_dof: J of the hand-written solver, and J per degree of freedom (`results.of_expected`).
         iterations, gtsam_iterations; seconds, gtsam_seconds; converged, gtsam_converged: of each.
+        certificate, gtsam_certificate: whether the end of each is proven to be the global minimum of J.
         failure: the error of a solver that failed where the other did not; the figures are NaN or 0 then.
     """
 
@@ -82,6 +84,8 @@ class VariantResult:
     gtsam_converged: bool
     failure: str | None = None
     cost_per_dof: float | None = None
+    certificate: Certificate | None = None
+    gtsam_certificate: Certificate | None = None
 
     @property
     def problem(self) -> str | None:
@@ -121,7 +125,15 @@ class SolverComparison(Displayed):
 
     def to_json(self) -> dict[str, Any]:
         """The comparison as plain data: {"variants": [...], "skipped": [{"name", "reason"}]}."""
-        variants = [asdict(v) | {"agree": v.problem is None} for v in self.variants]
+        variants = [
+            asdict(v)
+            | {
+                "agree": v.problem is None,
+                "certificate": certificate_document(v.certificate),
+                "gtsam_certificate": certificate_document(v.gtsam_certificate),
+            }
+            for v in self.variants
+        ]
         return jsonable({"variants": variants, "skipped": [asdict(s) for s in self.skipped]})
 
 
@@ -222,7 +234,10 @@ def _solve_both(variant: Variant, log: Log, models: dict[str, Any]) -> VariantRe
         compare = compare_solutions if variant.plain else partial(_compare_robust, graph=graph)
         outcome = compare(variant.name, ours=ours, theirs=theirs)
         if isinstance(outcome, VariantResult):
-            outcome = replace(outcome, cost_per_dof=of_expected(ours.cost, graph))
+            outcome = replace(
+                outcome, cost_per_dof=of_expected(ours.cost, graph), certificate=ours.certificate,
+                gtsam_certificate=theirs.certificate,
+            )  # fmt: skip
         return outcome
     if ours is None and theirs is None:
         return SkippedVariant(variant.name, str(our_error))

@@ -11,7 +11,7 @@ from .lazy import lazy_names
 
 if TYPE_CHECKING:
     from . import edges, factors, formats, metrics, se2, textbook
-    from .calibration.calibrate import Calibration, calibrate
+    from .calibration import Calibration, calibrate
     from .certificate import Certificate
     from .certify import certify
     from .edges.robust import Cauchy, GemanMcClure, Huber

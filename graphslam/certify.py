@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
+import time
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .certificate import Certificate, prove
-from .errors import OptionError
+from .certificate import NOT_APPLICABLE, Certificate, prove, prove_edges
+from .errors import GraphError, OptionError
 from .graph import Graph
 from .solution import Solution
 
+if TYPE_CHECKING:
+    import gtsam
 
-def certify(graph: Graph, solution: Solution | ArrayLike) -> Certificate:
+
+def certify(graph: Graph | gtsam.NonlinearFactorGraph, solution: Solution | ArrayLike | gtsam.Values) -> Certificate:
     """Check whether a solution is the global minimum of the cost of a graph. docs/certificate.md explains what is proven.
 
     Args:
-        graph: with the edges whose cost is minimised.
+        graph: with the edges whose cost is minimised; or a GTSAM graph of the factors of `graphslam.factors`, in which
+            `gtsam.NonlinearEqualityPose2` may hold poses. Its cost J is twice GTSAM's error.
         solution: a `Solution` of this graph, a state (n, 3) of its nodes, or, where no landmarks are nodes, all poses
-            (T+1, 3) of the trajectory.
+            (T+1, 3) of the trajectory; for a GTSAM graph its `gtsam.Values`.
 
     Raises:
-        OptionError: the state has another shape.
+        OptionError: the state has another shape, or the values lack a key.
     """
+    if not isinstance(graph, Graph):
+        return _certify_factors(graph, solution)
     if isinstance(solution, Solution):
         if solution.graph is graph:
             return solution.certificate
@@ -32,3 +41,15 @@ def certify(graph: Graph, solution: Solution | ArrayLike) -> Certificate:
     if state.shape != graph.initial.shape:
         raise OptionError(f"the state must have shape {graph.initial.shape}, one row for each node, not {state.shape}")
     return prove(graph, state)
+
+
+def _certify_factors(factors: Any, values: Any) -> Certificate:
+    # here, so that only those who use GTSAM load it
+    from .solvers.gtsam_edges import constant_edges
+
+    begin = time.perf_counter()
+    try:
+        edges, state, fixed = constant_edges(factors, values)
+    except GraphError as error:
+        return Certificate(NOT_APPLICABLE, np.nan, np.nan, str(error), time.perf_counter() - begin)
+    return prove_edges(edges, state, fixed)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from numbers import Integral
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .certificate import GLOBAL, NOT_PROVEN, Certificate, prove
+from .certificate import Certificate, prove
 from .errors import OptionError
 from .graph import Graph
 from .mapping import LandmarkMap
@@ -75,10 +75,7 @@ class Solution:
 
         Computed at the first use. The status of a run that has not converged is "not proven", also where the bound is tight.
         """
-        certificate = prove(self._solved_graph, self.state)
-        if certificate.status == GLOBAL and not self.converged:
-            return replace(certificate, status=NOT_PROVEN, reason=f"the solver has not converged: {self.reason}")
-        return certificate
+        return prove(self._solved_graph, self.state).of_run(self.converged, self.reason)
 
     def covariance(self, id: int) -> Array:
         """The covariance (3, 3) of a pose in world axes (x, y, theta): a diagonal block of Omega^-1.

@@ -11,6 +11,8 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Column, Table
 from rich.text import Text
 
+from graphslam import Certificate
+
 NOTHING = "–"
 #: columns of names wrap in a narrow terminal, but each keeps this width where it needs it
 NAMES = 18
@@ -41,6 +43,15 @@ def yes_no(value: bool | None, more: str = "") -> Text:
     return (Text("yes", style="green") if value else Text("no", style="bold red")).append(
         more, style="not bold default"
     )
+
+
+def optimum(certificate: Certificate | None) -> Text:
+    """Whether a solver's end is proven to be the global minimum, with the relative gap; a dash where no proof applies."""
+    if certificate is None or not certificate.applicable:
+        return Text(NOTHING)
+    if certificate.status == "global":
+        return Text("proven", style="green").append(f", {certificate.relative_gap:.0e}", style="default")
+    return Text("not proven")
 
 
 class LeanTable(Table):

@@ -70,18 +70,19 @@ def _band(limits: tuple[float, float]) -> str:
 
 def summary_tables(summary: Summary) -> Tables:
     """Medians with their intervals, then the differences from the baseline, and the errors with their counts."""
+    proofs = any(line.proven is not None for line in summary.methods)
     table = LeanTable(
         f"{summary.done} of {summary.planned} runs: medians with 95 % bootstrap intervals", ["log", "method"],
-        ["runs", "failed", "converged", "time", *_METRICS.values(), "J per\ndof"],
+        ["runs", "failed", "converged", "time", *_METRICS.values(), "J per\ndof", *["proven"] * proofs],
     )  # fmt: skip
     for line in summary.methods:
         failed = line.failed + line.timeouts
         time, ratio = line.figures["seconds"], line.figures["cost_per_dof"]
         _add(
             table, line.log, line.method, str(line.runs), Text(str(failed), style="bold red" if failed else ""),
-            NOTHING if line.converged is None else f"{line.converged:.0%}",
+            _share(line.converged),
             seconds(None if time is None else time.median), *_intervals(line.figures),
-            number(None if ratio is None else ratio.median, 2),
+            number(None if ratio is None else ratio.median, 2), *[_share(line.proven)] * proofs,
         )  # fmt: skip
     tables: list[Table] = [table]
     if summary.differences:
@@ -101,6 +102,10 @@ def summary_tables(summary: Summary) -> Tables:
     if len(errors) > _MOST_ERRORS:
         remarks.append(f"... and {len(errors) - _MOST_ERRORS} other errors; --csv and --json list all of them.")
     return tables, remarks
+
+
+def _share(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.0%}"
 
 
 def _add(table: Table, log: str, *cells: str | Text) -> None:

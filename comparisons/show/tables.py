@@ -20,7 +20,7 @@ from rich.text import Text
 
 from graphslam.metrics import exchanged
 
-from .cells import NOTHING, LeanTable, number, seconds, yes_no
+from .cells import NOTHING, LeanTable, number, optimum, seconds, yes_no
 from .placement import placement_of_result
 
 if TYPE_CHECKING:
@@ -110,16 +110,17 @@ def _plain(cell: object) -> str:
 
 
 def result_tables(results: ResultTable) -> Tables:
-    """The rows of a comparison, one per estimator; the NEES only where the truth is known."""
+    """The rows of a comparison, one per estimator; NEES only where the truth is known, optimum only where a proof applies."""
     metrics = {"ate_m": "ATE\n[m]", "rpe_m": "RPE\n[m]", "rpe_rad": "RPE\n[rad]", "landmark_rmse_m": "map\n[m]"}
     known = any(row.nees is not None for row in results)
-    headings = ["converged,\niterations", "time", "cost J", "J per\ndof", *metrics.values(), *["NEES"] * known]
-    table = LeanTable(results.title, ["estimator"], headings)
+    proofs = any(row.certificate is not None and row.certificate.applicable for row in results)
+    headings = ["converged,\niterations", "time", "cost J", "J per\ndof", *["optimum"] * proofs]
+    table = LeanTable(results.title, ["estimator"], [*headings, *metrics.values(), *["NEES"] * known])
     for row in results:
         values = (number(getattr(row, metric)) for metric in metrics)
-        converged = yes_no(row.converged, f", {row.iterations}")
-        costs = number(row.cost, 2), number(row.cost_per_dof, 2)
-        table.add_row(row.name, converged, seconds(row.seconds), *costs, *values, *[number(row.nees, 2)] * known)
+        cells: list[Text | str] = [yes_no(row.converged, f", {row.iterations}"), seconds(row.seconds)]
+        cells += [number(row.cost, 2), number(row.cost_per_dof, 2), *[optimum(row.certificate)] * proofs]
+        table.add_row(row.name, *cells, *values, *[number(row.nees, 2)] * known)
     return [table], []
 
 
@@ -202,7 +203,17 @@ def _noise_remarks(comparison: Comparison) -> list[str]:
 
 def solver_tables(comparison: SolverComparison) -> Tables:
     """A row per variant; below, what disagrees and what was left out, reason by reason."""
-    headings = ("poses\ndiffer", "costs\ndiffer", "J per\ndof", "steps /\ngtsam", "time", "time of\ngtsam", "agree")
+    headings = (
+        "poses\ndiffer",
+        "costs\ndiffer",
+        "J per\ndof",
+        "steps /\ngtsam",
+        "time",
+        "time of\ngtsam",
+        "optimum",
+        "of\ngtsam",
+        "agree",
+    )
     table = LeanTable("hand-written solver against GTSAM", ["variant"], headings)
     for variant in comparison.variants:
         table.add_row(
@@ -213,6 +224,8 @@ def solver_tables(comparison: SolverComparison) -> Tables:
             f"{variant.iterations} / {variant.gtsam_iterations}",
             seconds(variant.seconds),
             seconds(variant.gtsam_seconds),
+            optimum(variant.certificate),
+            optimum(variant.gtsam_certificate),
             yes_no(variant.problem is None),
         )
     reasons: dict[str, list[str]] = {}
@@ -231,7 +244,7 @@ def backend_tables(comparison: BackendComparison) -> Tables:
     """A row per file and solver; below, the mean ratios of the times and the runs that did not reach the best chi2."""
     table = LeanTable(
         "pose graphs: chi2 by one evaluator, time from the initial values until the stop rule holds",
-        ["file", "solver"], ["chi2", "chi2\n/ dof", "best", "steps", "time", "ours /\ntheirs"],
+        ["file", "solver"], ["chi2", "chi2\n/ dof", "best", "optimum", "steps", "time", "ours /\ntheirs"],
     )  # fmt: skip
     ours, previous, remarks = "graphslam", None, []
     for row in comparison.rows:
@@ -242,6 +255,7 @@ def backend_tables(comparison: BackendComparison) -> Tables:
             number(row.chi2, 6),
             number(row.chi2_per_dof, 2),
             yes_no(comparison.reached(row)),
+            optimum(row.certificate),
             str(row.iterations),
             seconds(row.seconds),
             NOTHING if ratio is None or row.backend == ours else f"1/{1 / ratio:.1f}",

@@ -27,7 +27,7 @@ from .plan import Run, Study
 
 #: "SLAM" in ASCII, in the head of the file: the place where SQLite keeps the application of a database
 APPLICATION = 0x534C414D
-VERSION = 2
+VERSION = 3
 
 _TYPES = {"int | None": "INTEGER", "bool | None": "INTEGER", "float | None": "REAL"}
 _FIGURES = [(f.name, _TYPES.get(str(f.type), "TEXT")) for f in fields(Outcome) if f.name != "key"]
@@ -98,9 +98,12 @@ class StudyDatabase:
         (version,) = self._connection.execute("PRAGMA user_version").fetchone()
         if application != APPLICATION:
             raise FormatError(self.path, None, "this SQLite file is no study of slam-compare; name another one")
-        if version == 1:
-            # version 2 has one more figure, which is not known of the rows of version 1
-            self._connection.execute("ALTER TABLE runs ADD COLUMN cost_per_dof REAL")
+        if 1 <= version < VERSION:
+            # later versions have more figures, which are not known of older rows
+            present = {row[1] for row in self._connection.execute("PRAGMA table_info(runs)")}
+            for name, kind in _FIGURES:
+                if name not in present:
+                    self._connection.execute(f"ALTER TABLE runs ADD COLUMN {name} {kind}")
             self._connection.execute(f"PRAGMA user_version = {VERSION}")
         elif version != VERSION:
             raise FormatError(self.path, None, f"a study of version {version}; this program reads version {VERSION}")
@@ -175,7 +178,8 @@ class StudyDatabase:
 
 def _row(values: Iterable[Any]) -> dict[str, Any]:
     row = dict(zip(COLUMNS, values, strict=True))
-    row["converged"] = None if row["converged"] is None else bool(row["converged"])
+    for name in ("converged", "proven"):
+        row[name] = None if row[name] is None else bool(row[name])
     return row | {"source": json.loads(row["source"]), "options": json.loads(row["options"])}
 
 

@@ -63,4 +63,7 @@ def _execute(run: Run) -> dict[str, Any]:
     # not the rows of the table: they have NEES, too, for which covariances would be computed
     sources = (result, comparison.metrics[result.name])
     figures = {f.name: getattr(each, f.name) for each in sources for f in fields(Outcome) if hasattr(each, f.name)}
+    certificate = result.certificate
+    if certificate is not None and certificate.applicable:
+        figures["proven"] = certificate.status == "global"
     return figures | {"poses_sha256": hashlib.sha256(result.poses.tobytes()).hexdigest()[:16]}

@@ -20,6 +20,7 @@ class Outcome:
         status: `DONE`, `ERROR` or `TIMEOUT`.
         error: one sentence where the status is not `DONE`.
         converged, iterations, cost, cost_per_dof: as in `comparisons.comparison.Row`.
+        proven: whether the end is proven to be the global minimum of J; None where no proof applies.
         ate_m, rpe_m, rpe_rad, landmark_rmse_m: errors against the ground truth, see `graphslam.metrics`.
         seconds: the estimation alone.
         total_seconds: the whole run, with reading the log, setting up and computing the errors.
@@ -35,6 +36,7 @@ class Outcome:
     iterations: int | None = None
     cost: float | None = None
     cost_per_dof: float | None = None
+    proven: bool | None = None
     ate_m: float | None = None
     rpe_m: float | None = None
     rpe_rad: float | None = None

@@ -46,6 +46,7 @@ class MethodSummary:
         log, method: which.
         runs: the number of rows; ``failed`` of them raised, ``timeouts`` took too long.
         converged: the share of runs that converged; None where nothing is iterated.
+        proven: the share of runs proven to end at the global minimum of J; None where no proof applies.
         figures: the median of each of `METRICS`; None where it is not known.
     """
 
@@ -56,6 +57,7 @@ class MethodSummary:
     timeouts: int
     converged: float | None
     figures: Mapping[str, Median | None]
+    proven: float | None = None
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,7 @@ def summarise(study: str | PathLike[str] | StudyDatabase | Sequence[Row], *, bas
 def _method(log: str, name: str, rows: Sequence[Row]) -> MethodSummary:
     status = Counter(row["status"] for row in rows)
     converged = [row["converged"] for row in rows if row["converged"] is not None]
+    proven = [row["proven"] for row in rows if row.get("proven") is not None]
     return MethodSummary(
         log=log,
         method=name,
@@ -150,6 +153,7 @@ def _method(log: str, name: str, rows: Sequence[Row]) -> MethodSummary:
         failed=len(rows) - status[DONE] - status[TIMEOUT],
         timeouts=status[TIMEOUT],
         converged=sum(converged) / len(converged) if converged else None,
+        proven=sum(proven) / len(proven) if proven else None,
         figures={metric: _median([(row[metric], _unit(row, log)) for row in _measured(rows)]) for metric in METRICS},
     )
 

@@ -1,5 +1,6 @@
 """A proof that the end of a solver is the global minimum of its cost; see docs/certificate.md."""
 
-from .proof import GLOBAL, NOT_APPLICABLE, NOT_PROVEN, PROVEN, Certificate, prove
+from .descent import descents
+from .proof import GLOBAL, NOT_APPLICABLE, NOT_PROVEN, PROVEN, Certificate, prove, prove_edges
 
-__all__ = ["GLOBAL", "NOT_APPLICABLE", "NOT_PROVEN", "PROVEN", "Certificate", "prove"]
+__all__ = ["GLOBAL", "NOT_APPLICABLE", "NOT_PROVEN", "PROVEN", "Certificate", "descents", "prove", "prove_edges"]

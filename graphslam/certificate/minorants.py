@@ -34,6 +34,29 @@ HALF_TURN = np.pi - 1e-6
 MORE_SHARES = (0.5, 0.8, 0.95, 0.99)
 
 
+class Forces(NamedTuple):
+    """The edges at a candidate state: p (E,) complex, g (E,), and where the end lies in the axes of the first node (E,).
+
+    ``p_error`` (E,) bounds the rounding error of p. ``cost`` (E,) is the cost of each edge, ``slack`` (E,) a bound on the
+    rounding errors of the function that touches it.
+    """
+
+    p: Array
+    p_error: Array
+    g: Array
+    reached: Array
+    cost: Array
+    slack: Array
+
+
+class Curvature(NamedTuple):
+    """beta (E,) and A (E,) of each edge, and a bound (E,) on A's rounding error in units; beta = -1: edge left out."""
+
+    beta: Array
+    A: Array
+    error: Array
+
+
 class Minorant(NamedTuple):
     """The function below J at a candidate state of N nodes, in the variables (z, t) of the nodes that are free.
 
@@ -41,10 +64,8 @@ class Minorant(NamedTuple):
         values: (nnzb, 2, 2) complex, the blocks of S on the pattern of the graph.
         gradient: (N, 2) complex, half the gradient at the candidate; zero at a stationary point.
         scale: (N, 2) the sums of the absolute values that were added to each diagonal entry of S, or more.
-        error: (N, 2) a bound on the rounding error of ``gradient``.
+        error: (N, 2) a bound on the rounding error of ``gradient``, in units.
         slack: a bound on the rounding error of the cost at the candidate, and the cost of edges that were left out.
-        cost: J at the candidate.
-        omitted: the number of edges that were left out, because their information is singular to rounding or abs(u) >= pi.
     """
 
     values: Array
@@ -52,8 +73,6 @@ class Minorant(NamedTuple):
     scale: Array
     error: Array
     slack: float
-    cost: float
-    omitted: int
 
 
 @njit(inline="always", error_model="numpy")
@@ -109,79 +128,97 @@ def _split(o00, o01, o11, o02, o12, o22, share):
 
 
 @njit(cache=True, error_model="numpy")
-def minorant(state, first, second, start, end, turn, oriented, information, free, indptr, indices, share):
-    """The `Minorant` at a state (N, 3) for edges (E,), with ``information`` (E, 6) as rows of upper triangles.
+def forces(state, first, second, start, end, turn, oriented, information):
+    """The `Forces` at a state (N, 3) for edges (E,), with ``information`` (E, 6) as rows of upper triangles."""
+    count = len(first)
+    c, s = np.cos(state[:, 2]), np.sin(state[:, 2])
+    p, p_error, g = np.empty(count, np.complex128), np.empty(count), np.empty(count)
+    reached, cost, slack = np.empty(count, np.complex128), np.empty(count), np.empty(count)
+    for e in range(count):
+        a, b, w = first[e], second[e], information[e]
+        za, ta, heading = 1 + 0j, 0j, 0.0
+        if a >= 0:
+            za, ta, heading = complex(c[a], s[a]), complex(state[a, 0], state[a, 1]), state[a, 2]
+        zb, tb = complex(c[b], s[b]), complex(state[b, 0], state[b, 1])
+        d_a, d_b = complex(start[e, 0], start[e, 1]), complex(end[e, 0], end[e, 1])
+        reached[e] = np.conj(za) * (tb + zb * d_b - ta)
+        v, h = reached[e] - d_a, 0.0
+        if oriented[e]:
+            h = wrap(state[b, 2] - heading - turn[e])
+        x, y = v.real, v.imag
+        p[e] = complex(_dot(w[0], w[1], w[3], x, y, h), _dot(w[1], w[2], w[4], x, y, h))
+        g[e] = _dot(w[3], w[4], w[5], x, y, h)
+        cost[e] = p[e].real * x + p[e].imag * y + g[e] * h
+        # The function touches J_e at the computed residual, which is the state's up to its rounding. Errors of g count by
+        # the range of e_theta; those of p are absorbed by beta.
+        size = abs(ta) + abs(tb) + abs(d_a) + 2 * abs(d_b) + abs(reached[e]) + abs(v)
+        turned = abs(heading) + abs(state[b, 2]) + np.pi
+        products = abs(w[0]) + 2 * abs(w[1]) + abs(w[2]) + abs(w[3]) + abs(w[4])
+        p_error[e] = 2 * ROUNDOFF * abs(p[e]) + 1e-31 * products * (abs(v) + abs(h))
+        g_error = 1e-31 * ((abs(w[3]) + abs(w[4])) * abs(v) + w[5] * abs(h))
+        slack[e] = ROUNDOFF * (16 * abs(p[e]) * size + (16 * turned + 96) * abs(g[e])) + 16 * g_error
+    return p, p_error, g, reached, cost, slack
 
-    The cost is constant in nodes that are not ``free`` (N,) and in the world's origin, node -1.
-    """
+
+@njit(cache=True, error_model="numpy")
+def curvature(information, oriented, g, share):
+    """The `Curvature` of edges (E,) for one share."""
+    count = len(g)
+    beta, A, error = np.empty(count), np.zeros(count), np.zeros(count)
+    for e in range(count):
+        w, known = information[e], oriented[e]
+        coupled = w[3] != 0 or w[4] != 0
+        beta[e], kappa = _split(w[0], w[1], w[2], w[3], w[4], w[5], share)
+        k = 0
+        while known and coupled and beta[e] > 0 and not abs(g[e]) < HALF_TURN * kappa and k < len(MORE_SHARES):
+            if MORE_SHARES[k] > share:
+                beta[e], kappa = _split(w[0], w[1], w[2], w[3], w[4], w[5], MORE_SHARES[k])
+            k += 1
+        # an edge may measure the heading alone, or nothing about it
+        if w[0] == 0 and w[1] == 0 and w[2] == 0 and not coupled:
+            beta[e] = 0.0
+        elif beta[e] > 0:
+            beta[e] *= 1 - ABSORBED
+        if not known or (g[e] == 0 and kappa == 0):
+            continue
+        if not abs(g[e]) < HALF_TURN * kappa:
+            beta[e] = -1.0
+            continue
+        u = g[e] / kappa
+        if abs(u) < 1e-4:
+            # u / tan u >= 1 - u² for these u
+            A[e], error[e] = kappa * (1 - u * u), kappa
+        else:
+            A[e] = kappa * u / np.tan(u)
+            error[e] = kappa + abs(A[e]) + kappa * (u / np.sin(u)) ** 2
+    return beta, A, error
+
+
+@njit(cache=True, error_model="numpy")
+def minorant(state, first, second, end, oriented, free, indptr, indices, force, curve):
+    """The `Minorant` from `Forces` and `Curvature`. The cost is constant in nodes that are not ``free`` (N,)."""
+    p_of, p_error_of, g_of, reached_of, cost, slack_of = force
+    beta_of, A_of, error_of = curve
     n = len(state)
     c, s = np.cos(state[:, 2]), np.sin(state[:, 2])
     values = np.zeros((len(indices), 2, 2), np.complex128)
     gradient = np.zeros((n, 2), np.complex128)
     scale, error = np.zeros((n, 2)), np.zeros((n, 2))
-    slack, cost, omitted = 0.0, 0.0, 0
+    slack = 0.0
     for e in range(len(first)):
-        a, b = first[e], second[e]
-        if a < 0:
-            za, ta, heading = 1 + 0j, 0j, 0.0
-        else:
-            za, ta, heading = complex(c[a], s[a]), complex(state[a, 0], state[a, 1]), state[a, 2]
-        zb, tb = complex(c[b], s[b]), complex(state[b, 0], state[b, 1])
-        d_a, d_b = complex(start[e, 0], start[e, 1]), complex(end[e, 0], end[e, 1])
-        w = information[e]
-        # where the end of the edge lies in the axes of a, and the residual
-        reached = np.conj(za) * (tb + zb * d_b - ta)
-        v = reached - d_a
-        x, y, h = v.real, v.imag, 0.0
-        if oriented[e]:
-            h = wrap(state[b, 2] - heading - turn[e])
-        p = complex(_dot(w[0], w[1], w[3], x, y, h), _dot(w[1], w[2], w[4], x, y, h))
-        g = _dot(w[3], w[4], w[5], x, y, h)
-        part = p.real * x + p.imag * y + g * h
-        cost += part
-        beta, kappa = _split(w[0], w[1], w[2], w[3], w[4], w[5], share)
-        k = 0
-        while (
-            oriented[e]
-            and beta > 0
-            and not abs(g) < HALF_TURN * kappa
-            and k < len(MORE_SHARES)
-            and (w[3] != 0 or w[4] != 0)
-        ):
-            if MORE_SHARES[k] > share:
-                beta, kappa = _split(w[0], w[1], w[2], w[3], w[4], w[5], MORE_SHARES[k])
-            k += 1
-        # an edge may measure the heading alone, or nothing about it
-        flat = w[0] == 0 and w[1] == 0 and w[2] == 0 and w[3] == 0 and w[4] == 0
-        level = g == 0 and kappa == 0
-        if (beta <= 0 and not flat) or (oriented[e] and not level and not abs(g) < HALF_TURN * kappa):
+        a, b, beta, A, p, g = first[e], second[e], beta_of[e], A_of[e], p_of[e], g_of[e]
+        if beta < 0:
             # J_e >= 0 is the bound that remains
-            slack += part
-            omitted += 1
+            slack += cost[e]
             continue
-        beta = 0.0 if flat else beta * (1 - ABSORBED)
-        A, steep = 0.0, 0.0
-        if oriented[e] and kappa > 0:
-            u = g / kappa
-            A = kappa if abs(u) < 1e-4 else kappa * u / np.tan(u)
-            if abs(u) < 1e-4:
-                # u / tan u >= 1 - u² for these u
-                A = kappa * (1 - u * u)
-                steep = kappa
-            else:
-                steep = kappa * (1 + abs(u / np.tan(u)) + (u / np.sin(u)) ** 2)
-        # Rounding. The function touches J_e at the computed residual v, which is the state's up to its rounding. Errors of p
-        # are absorbed by beta (1 - ABSORBED), those of g by the bounded range of e_theta.
-        size = abs(ta) + abs(tb) + abs(d_a) + abs(d_b)
-        products = abs(w[0]) + 2 * abs(w[1]) + abs(w[2]) + abs(w[3]) + abs(w[4])
-        p_error = 2 * ROUNDOFF * abs(p) + 1e-31 * products * (abs(v) + abs(h))
-        g_error = 2 * ROUNDOFF * abs(g) + 1e-31 * ((abs(w[3]) + abs(w[4])) * abs(v) + w[5] * abs(h))
-        turned = abs(heading) + abs(state[b, 2]) + np.pi
-        slack += ROUNDOFF * (16 * abs(p) * (size + abs(v)) + (16 * turned + 64) * abs(g)) + 16 * g_error
-        if p_error > 0:
-            slack += p_error * p_error / (ABSORBED * beta)
-        curved = 4 * steep + 4 * abs(g) + (abs(p) ** 2 / beta if beta > 0 else 0.0)
-        pulled = abs(p) * (abs(reached) + abs(d_b))
+        reached, d_b = reached_of[e], complex(end[e, 0], end[e, 1])
+        za = complex(c[a], s[a]) if a >= 0 else 1 + 0j
+        zb = complex(c[b], s[b])
+        pulled, strength = abs(p) * (abs(reached) + abs(d_b)), abs(p)
+        slack += slack_of[e] + 8 * ROUNDOFF * pulled
+        if beta > 0:
+            slack += p_error_of[e] ** 2 / (ABSORBED * beta)
+        curved = 4 * error_of[e] + 4 * abs(g) + (strength**2 / beta if beta > 0 else 0.0)
         if a >= 0 and free[a]:
             slot = indptr[a + 1] - 1
             corner = beta * np.conj(reached) - np.conj(p)
@@ -194,24 +231,23 @@ def minorant(state, first, second, start, end, turn, oriented, information, free
             scale[a, 0] += 4 * beta * abs(reached) ** 2 + curved + 2 * pulled
             scale[a, 1] += 8 * beta
             error[a, 0] += 2 * pulled + abs(g)
-            error[a, 1] += 2 * abs(p)
-            slack += 4 * ROUNDOFF * pulled
+            error[a, 1] += 2 * strength
         if free[b]:
             slot = indptr[b + 1] - 1
-            force = np.conj(zb) * za * p * np.conj(d_b)
+            force_b = np.conj(zb) * za * p * np.conj(d_b)
             corner = beta * np.conj(d_b)
-            values[slot, 0, 0] += beta * abs(d_b) ** 2 + A - force.real
+            values[slot, 0, 0] += beta * abs(d_b) ** 2 + A - force_b.real
             values[slot, 0, 1] += corner
             values[slot, 1, 0] += np.conj(corner)
             values[slot, 1, 1] += beta
-            gradient[b, 0] += zb * complex(0, force.imag + g)
+            gradient[b, 0] += zb * complex(0, force_b.imag + g)
             gradient[b, 1] += p * za
+            # without a heading row and a lever, the node has no heading
             if oriented[e] or d_b != 0:
                 scale[b, 0] += 4 * beta * abs(d_b) ** 2 + curved + 2 * pulled
             scale[b, 1] += 8 * beta
             error[b, 0] += 2 * pulled + abs(g)
-            error[b, 1] += 2 * abs(p)
-            slack += 4 * ROUNDOFF * pulled
+            error[b, 1] += 2 * strength
         if a >= 0 and free[a] and free[b]:
             to = np.conj(p) - beta * np.conj(reached)
             q00 = to * d_b + complex(-A, -g) * za * np.conj(zb)
@@ -228,4 +264,21 @@ def minorant(state, first, second, start, end, turn, oriented, information, free
                 V[1, 0] += np.conj(to)
                 V[0, 1] -= np.conj(beta * d_b)
                 V[1, 1] -= beta
-    return values, gradient, scale, error, slack, cost, omitted
+    return values, gradient, scale, error, slack
+
+
+@njit(cache=True, error_model="numpy")
+def strains(state, first, second, end, reached, x):
+    """By how much a change x (N, 2) of (z, t) stretches and turns each edge: what multiplies beta and A in x^H S x."""
+    count = len(first)
+    c, s = np.cos(state[:, 2]), np.sin(state[:, 2])
+    stretched, turned = np.empty(count), np.empty(count)
+    for e in range(count):
+        a, b, d_b = first[e], second[e], complex(end[e, 0], end[e, 1])
+        za, xa, ta = 1 + 0j, 0j, 0j
+        if a >= 0:
+            za, xa, ta = complex(c[a], s[a]), x[a, 0], x[a, 1]
+        zb = complex(c[b], s[b])
+        stretched[e] = abs(x[b, 1] - ta + x[b, 0] * d_b - xa * reached[e]) ** 2
+        turned[e] = abs(x[b, 0] * za * np.conj(zb) - xa) ** 2
+    return stretched, turned

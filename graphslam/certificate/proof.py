@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
+from numba import njit
 
 from ..edges import ConstantEdges
 from ..errors import GraphError
@@ -16,15 +17,17 @@ from ..linear.cholesky import amd
 from ..linear.hermitian import ROUNDOFF, HermitianFactor, HermitianSymbolic, analyze_hermitian, factorize
 from ..linear.information import BlockSystem
 from ..se2 import Array
-from .minorants import Minorant, minorant
+from .minorants import Curvature, Forces, Minorant, curvature, forces, minorant, strains
 
 GLOBAL, NOT_PROVEN, NOT_APPLICABLE = "global", "not proven", "not applicable"
 #: the relative gap up to which a state counts as a global minimum
 PROVEN = 1e-6
-#: the splits of the information to try; see `minorants`
-SHARES = (0.3, 0.1, 0.6)
+#: the split of the information that is tried first, see `minorants`, and those among which each edge may choose
+SHARE, SHARES = 0.3, (0.02, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 0.95)
+#: the most times that the edges choose again
+ROUNDS = 8
 #: factorisations spent on a lower bound where S is not positive definite
-ATTEMPTS = 12
+ATTEMPTS = 9
 
 
 @dataclass(frozen=True)
@@ -49,49 +52,83 @@ class Certificate:
     seconds: float
     direction: Array | None = field(default=None, repr=False)
 
+    @property
+    def applicable(self) -> bool:
+        """Whether the theory covers the graph."""
+        return self.status != NOT_APPLICABLE
 
-def prove(graph: Graph, state: Array) -> Certificate:
+    def of_run(self, converged: bool, reason: str) -> Certificate:
+        """The certificate of a solver's end: "not proven" where the solver has not converged, however tight the bound is."""
+        if self.status != GLOBAL or converged:
+            return self
+        return replace(self, status=NOT_PROVEN, reason=f"the solver has not converged: {reason}")
+
+
+def prove(graph: Graph, state: Array, *, thorough: bool = True) -> Certificate:
     """Check whether a state (n, 3) is a global minimum of the cost of a graph; docs/certificate.md explains how.
 
-    The function below J is tried with several splits of the information. If none of them proves the state, the multipliers
-    of the headings are lowered until S is positive definite, which still bounds the cost of all states.
+    Args:
+        graph: with the edges whose cost is minimised.
+        state: the candidate.
+        thorough: whether to go on where the first attempt fails, with better splits of the information and a lower bound on
+            the cost. That takes some 50 factorisations instead of one.
     """
     begin = time.perf_counter()
-    status, bound, cost, reason, direction = _judged(graph, np.asarray(state, dtype=float))
+    state = np.asarray(state, dtype=float)
+    cost = graph.cost(state)
+    if not np.isfinite(cost):
+        outcome: _Outcome = NOT_PROVEN, 0.0, "the cost of the state is not finite", None
+    else:
+        try:
+            outcome = _judged(_Problem.of(graph, state), cost, thorough)
+        except GraphError as error:
+            outcome = NOT_APPLICABLE, np.nan, str(error), None
+    return _certificate(outcome, cost, begin)
+
+
+def prove_edges(edges: Sequence[ConstantEdges], state: Array, fixed: np.ndarray) -> Certificate:
+    """`prove` for edges that belong to no `Graph`; the ``landmarks`` of the edges follow the rows of the state (n, 3)."""
+    begin = time.perf_counter()
+    problem = _Problem.of_edges(edges, np.concatenate([state, *(each.landmarks for each in edges)]), fixed, len(state))
+    cost = float(problem.forces.cost.sum())
+    outcome: _Outcome = NOT_PROVEN, 0.0, "the cost of the state is not finite", None
+    if np.isfinite(cost):
+        outcome = _judged(problem, cost, thorough=True)
+    return _certificate(outcome, cost, begin)
+
+
+#: status, lower bound, reason and direction of a `Certificate`
+_Outcome: TypeAlias = tuple[str, float, str, Array | None]
+
+
+def _certificate(outcome: _Outcome, cost: float, begin: float) -> Certificate:
+    status, bound, reason, direction = outcome
     gap = (cost - bound) / cost if 0 < cost < np.inf else 0.0 if cost == 0 else 1.0
     return Certificate(status, float(bound), float(gap), reason, time.perf_counter() - begin, direction)
 
 
-def _judged(graph: Graph, state: Array) -> tuple[str, float, float, str, Array | None]:
-    """Status, lower bound, cost, reason and direction of a `Certificate`."""
-    cost = graph.cost(state)
-    if not np.isfinite(cost):
-        return NOT_PROVEN, 0.0, np.inf, "the cost of the state is not finite", None
-    try:
-        problem = _Problem.of(graph, state)
-    except GraphError as error:
-        return NOT_APPLICABLE, np.nan, cost, str(error), None
-    plain, best, direction = problem.minorant(SHARES[0]), 0.0, None
-    if cost == 0 or plain.cost <= problem.rounding(plain):
-        return GLOBAL, best, cost, "the cost is zero up to the rounding of the state", None
-    for share in SHARES:
-        function = plain if share == SHARES[0] else problem.minorant(share)
-        bound, factor = problem.bound(function)
-        best = max(best, min(bound, cost))
-        if cost - best <= PROVEN * cost or factor.negative is None:
-            break
-        direction = factor.negative[: graph.num_nodes] if direction is None else direction
-    else:
-        best = max(best, problem.shifted_bound(plain))
+def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
+    curve = problem.curvature(SHARE)
+    function = problem.minorant(curve)
+    exact, direction = float(problem.forces.cost.sum()), None
+    if cost == 0 or exact <= problem.rounding(function):
+        return GLOBAL, 0.0, "the cost is zero up to the rounding of the state", None
+    bound, factor = problem.bound(function)
+    if factor.negative is not None:
+        direction = factor.negative[: problem.given]
+        if thorough:
+            bound = problem.raised_bound(curve, function)
+    best = max(0.0, min(bound, cost))
     if cost - best <= PROVEN * cost:
-        return GLOBAL, best, cost, f"no state has a cost lower by more than {(cost - best) / cost:.1e} of J", None
-    if plain.omitted:
-        reason = f"{plain.omitted} edges have a heading residual near half a turn, or singular information"
+        return GLOBAL, best, f"no state has a cost lower by more than {(cost - best) / cost:.1e} of J", None
+    omitted = int(np.sum(curve.beta < 0))
+    if omitted:
+        reason = f"{omitted} edges have a heading residual near half a turn, or singular information"
     elif direction is None:
         reason = "the state is not a stationary point of J"
     else:
         reason = "the matrix S has a negative direction, so that there may be a lower minimum"
-    return NOT_PROVEN, best, cost, reason, direction
+    return NOT_PROVEN, best, reason, direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +141,8 @@ class _Problem:
     indptr: np.ndarray
     indices: np.ndarray
     symbolic: HermitianSymbolic
+    forces: Forces
+    given: int
 
     @classmethod
     def of(cls, graph: Graph, state: Array) -> _Problem:
@@ -120,24 +159,45 @@ class _Problem:
             nodes = np.concatenate([nodes, edges.landmarks])
         if reasons:
             raise GraphError("; ".join(dict.fromkeys(reasons)))
-        n = len(nodes)
-        first, second, start, end, turn, oriented, information = _joined(parts)
-        system = graph.system
-        order = system.symbolic.order
-        if n > graph.num_nodes:
+        system = graph.system if len(nodes) == graph.num_nodes else None
+        return cls.of_edges(parts, nodes, graph.fixed, graph.num_nodes, system)
+
+    @classmethod
+    def of_edges(
+        cls,
+        edges: Sequence[ConstantEdges],
+        nodes: Array,
+        fixed: np.ndarray,
+        given: int,
+        system: BlockSystem | None = None,
+    ) -> _Problem:
+        """The problem of edges at the values (N, 3) of all nodes, of which the first ``given`` are those of the graph."""
+        n, joined = len(nodes), _joined(edges)
+        first, second = joined[:2]
+        if system is not None:
+            order = system.symbolic.order
+        else:
             tied = first >= 0
             pairs = np.sort(np.column_stack([first[tied], second[tied]]), axis=1)
             system = BlockSystem.from_cliques(n, [(np.arange(0, 2 * len(pairs) + 1, 2), pairs.ravel())])
             order = amd(system.indptr, system.indices)
         free = np.ones(n, dtype=bool)
-        free[graph.fixed] = False
-        free[_roots(n, first, second, free)] = False
+        free[fixed] = False
+        _hold_roots(first, second, free)
         symbolic = analyze_hermitian(system.indptr, system.indices, order)
-        joined = (first, second, start, end, turn, oriented, information)
-        return cls(nodes, joined, free, system.indptr, system.indices, symbolic)
+        force = Forces(*forces(nodes, *joined))
+        return cls(nodes, joined, free, system.indptr, system.indices, symbolic, force, given)
 
-    def minorant(self, share: float) -> Minorant:
-        return Minorant(*minorant(self.state, *self.edges, self.free, self.indptr, self.indices, share))
+    def curvature(self, share: float) -> Curvature:
+        """The split of the information of all edges for one share."""
+        oriented, information = self.edges[5:]
+        return Curvature(*curvature(information, oriented, self.forces.g, share))
+
+    def minorant(self, curve: Curvature) -> Minorant:
+        """The function below J for a split."""
+        first, second, _, end, _, oriented, _ = self.edges
+        pattern = self.free, self.indptr, self.indices
+        return Minorant(*minorant(self.state, first, second, end, oriented, *pattern, self.forces, curve))
 
     def bound(self, function: Minorant, shift: Array | float = 0.0) -> tuple[float, HermitianFactor]:
         """A lower bound on the cost of all states, -inf where S is not proven positive definite, and the factor of S.
@@ -149,43 +209,81 @@ class _Problem:
         # S_exact >= S - assembly * scale, and L L^H - (S - 2 margin scale) is within (margin - assembly) scale
         degree = int(np.diff(self.indptr).max())
         assembly, growth = ROUNDOFF * (128 + 4 * degree), 16.0
-        diagonal, k = (self.indptr[1:] - 1)[:, None], np.arange(2)
+        shifts = np.broadcast_to(shift, len(self.state))
         while True:
             margin = assembly + 2 * ROUNDOFF * (4 * self.symbolic.longest + 32) * growth
-            values = function.values.copy()
-            values[diagonal, k, k] -= 2 * margin * function.scale
-            values[diagonal[:, 0], 0, 0] += shift
-            # nodes that are held, and the headings of points, are no variables
-            values[diagonal, k, k] += function.scale == 0
+            values = _reduced(function.values, self.indptr, function.scale, 2 * margin, shifts)
             factor = factorize(self.symbolic, values)
             if factor.negative is not None:
                 return -np.inf, factor
             if factor.growth <= growth:
                 break
             growth = 2 * factor.growth
-        gradient = function.gradient.copy()
-        gradient[:, 0] += shift * np.exp(1j * self.state[:, 2]) * self.free
+        gradient = function.gradient
+        if np.any(shift):
+            gradient = gradient.copy()
+            gradient[:, 0] += shift * np.exp(1j * self.state[:, 2]) * self.free
         # rounding errors of the gradient; S is at least margin * scale
         scale = np.where(function.scale > 0, margin * function.scale, 1.0)
         error = np.sqrt(np.sum((ROUNDOFF * (64 + degree) * function.error) ** 2 / scale))
         decrease = (1.001 * np.sqrt(factor.square(gradient)) + error) ** 2
-        return function.cost - decrease - function.slack, factor
+        return float(self.forces.cost.sum()) - decrease - function.slack, factor
 
-    def shifted_bound(self, function: Minorant) -> float:
-        """The best lower bound among a few shifts of the multipliers of all headings."""
-        weight, low, high, best = function.scale[:, 0] / 8, 0.0, 1e-6, -np.inf
-        for _ in range(ATTEMPTS):
-            bound, factor = self.bound(function, high * weight)
+    def raised_bound(self, curve: Curvature, function: Minorant) -> float:
+        """The best lower bound after each edge has chosen its split for the directions in which S is the smallest.
+
+        S is linear in beta and A, and the split of an edge may be any average of splits. Each round finds the smallest
+        direction of S, in which every edge takes the split that is best there, and averages it with the ones before
+        (Frank and Wolfe 1956, for the smallest eigenvalue).
+        """
+        first, second, _, end, _, _, _ = self.edges
+        choices = [self.curvature(share) for share in SHARES]
+        best = -np.inf
+        for k in range(ROUNDS):
+            bound, factor, shift = self.shifted(function)
             best = max(best, bound)
-            if factor.negative is None:
+            if shift == 0.0 or factor is None:
                 break
-            low, high = high, 10 * high
-        for _ in range(ATTEMPTS // 2):
-            middle = np.sqrt(low * high) if low > 0 else high / 10
+            x = self.smallest(factor, function)
+            stretched, turned = strains(self.state, first, second, end, self.forces.reached, x)
+            part = 2 / (k + 3)
+            gains = [np.where(c.beta < 0, -np.inf, c.beta * stretched + c.A * turned) for c in choices]
+            chosen = np.argmax(gains, axis=0), np.arange(len(first))
+            beta, A, error = (np.array(rows)[chosen] for rows in zip(*choices))
+            beta, A = (1 - part) * curve.beta + part * beta, (1 - part) * curve.A + part * A
+            out = (curve.beta < 0) | (beta < 0)
+            curve = Curvature(np.where(out, -1.0, beta), A, np.maximum(curve.error, error))
+            function = self.minorant(curve)
+        return best
+
+    def shifted(self, function: Minorant) -> tuple[float, HermitianFactor | None, float]:
+        """The best lower bound among a few shifts of the multipliers, with the factor for the least, and that shift.
+
+        With lower multipliers S is positive definite, but its function touches J no longer at its own minimum.
+        """
+        weight = function.scale[:, 0] / 8
+        bound, factor = self.bound(function)
+        if factor.negative is None:
+            return bound, factor, 0.0
+        low, high, best, least = 0.0, 1e-6, -np.inf, None
+        for _ in range(ATTEMPTS):
+            middle = high if least is None else np.sqrt(low * high) if low else high / 10
             bound, factor = self.bound(function, middle * weight)
             best = max(best, bound)
-            low, high = (low, middle) if factor.negative is None else (middle, high)
-        return best
+            if factor.negative is not None:
+                low, high = middle, 10 * high if least is None else high
+            else:
+                high, least = middle, factor
+        return best, least, high
+
+    def smallest(self, factor: HermitianFactor, function: Minorant) -> Array:
+        """About the smallest direction (N, 2) of S against its scale, by inverse iteration with a shifted factor."""
+        weight = np.where(function.scale > 0, function.scale, 0.0)
+        x = np.random.default_rng(0).standard_normal((len(self.state), 2)) + 0j
+        for _ in range(5):
+            x = factor.solve(weight * x)
+            x /= np.sqrt(np.sum(weight * np.abs(x) ** 2))
+        return x
 
     def rounding(self, function: Minorant) -> float:
         """What rounding errors of 1e-15 of all coordinates do to the cost."""
@@ -193,7 +291,7 @@ class _Problem:
         return float(np.sum(function.scale[:, 0]) * size[2] ** 2 + np.sum(function.scale[:, 1]) * size[:2].max() ** 2)
 
 
-def _joined(parts: list[ConstantEdges]) -> tuple[Array, ...]:
+def _joined(parts: Sequence[ConstantEdges]) -> tuple[Array, ...]:
     first = np.concatenate([np.zeros(0, np.int64), *(edges.first for edges in parts)])
     second = np.concatenate([np.zeros(0, np.int64), *(edges.second for edges in parts)])
     start = np.concatenate([np.zeros((0, 2)), *(edges.start for edges in parts)])
@@ -212,12 +310,45 @@ def _joined(parts: list[ConstantEdges]) -> tuple[Array, ...]:
     return first, second, start, end, turn, oriented, information
 
 
-def _roots(n: int, first: np.ndarray, second: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """One node of every piece that nothing ties to the world: the cost does not change when such a piece moves."""
-    ends = np.where(first < 0, n, first)
-    ties = sp.coo_matrix((np.ones(len(ends)), (ends, second)), shape=(n + 1, n + 1))
-    label = connected_components(ties, directed=False)[1]
-    held = np.append(~free, True)
-    loose = ~np.isin(label, label[held])
-    _, roots = np.unique(np.where(loose, label, -1), return_index=True)
-    return roots[loose[roots]]
+@njit(cache=True)
+def _hold_roots(first, second, free):  # type: ignore[no-untyped-def]
+    """Hold one node of every piece that nothing ties to the world: the cost does not change when such a piece moves."""
+    n = len(free)
+    # node n is the world, which is also every node that is held
+    parent = np.arange(n + 1)
+    for e in range(len(first) + n):
+        if e < len(first):
+            a, b = first[e], second[e]
+        else:
+            a, b = -1, e - len(first)
+            if free[b]:
+                continue
+        if a < 0:
+            a = n
+        while parent[a] != a:
+            parent[a] = parent[parent[a]]
+            a = parent[a]
+        while parent[b] != b:
+            parent[b] = parent[parent[b]]
+            b = parent[b]
+        # the lower number becomes the root, so that the first pose of a piece is held
+        if a != b:
+            parent[max(a, b)] = min(a, b)
+    world = n
+    while parent[world] != world:
+        world = parent[world]
+    for k in range(n):
+        if parent[k] == k and k != world:
+            free[k] = False
+
+
+@njit(cache=True)
+def _reduced(values, indptr, scale, part, shift):  # type: ignore[no-untyped-def]
+    """S minus ``part`` of its scale (N, 2), plus ``shift`` (N,) for the headings, plus 1 for what is no variable."""
+    out = values.copy()
+    for j in range(len(indptr) - 1):
+        block = out[indptr[j + 1] - 1]
+        block[0, 0] += shift[j]
+        for k in range(2):
+            block[k, k] += 1.0 if scale[j, k] == 0 else -part * scale[j, k]
+    return out

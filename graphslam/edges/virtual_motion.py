@@ -43,6 +43,9 @@ from .base import ConstantEdges, Linearization, linearization
 from .robust import loss, weight
 from .sightings import BODY, BODY_WITHOUT_PSI, WORLD, LandmarkSightings
 
+#: the most pairs that `VirtualMotionEdges.constant` lists: some 600 MB
+MOST_LISTED = 2_000_000
+
 
 @dataclass(frozen=True, eq=False)
 class VirtualMotionEdges(LandmarkSightings):
@@ -113,6 +116,8 @@ class VirtualMotionEdges(LandmarkSightings):
                 "edges='landmark+motion'"
             )
         self._check_constant(self.frame)
+        if (pairs := int(np.sum(np.diff(self.starts) ** 2)) // 2) > MOST_LISTED:
+            raise GraphError(f"{pairs} pairs of sightings are too many to list; use weight='marginal'")
         a, b, group = self.pairs()
         factor = self.group_weights[group] * self.trusted[a] * self.trusted[b]
         place, own = self._place, self.covariances(state)

@@ -144,7 +144,7 @@ def _longest_row(n, rows, columns, parent):
     return longest
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _factorize(order, diagonal, rows, columns, sources, turned, parent, starts, values):
     n = len(order)
     blocks = np.empty((starts[n], 4), np.complex128)
@@ -191,10 +191,10 @@ def _factorize(order, diagonal, rows, columns, sources, turned, parent, starts, 
                 j = targets[p]
                 b0, b1 = np.conj(blocks[p, 0]), np.conj(blocks[p, 1])
                 b2, b3 = np.conj(blocks[p, 2]), np.conj(blocks[p, 3])
-                x[j, 0] -= a0 * b0 + a1 * b1
-                x[j, 1] -= a0 * b2 + a1 * b3
-                x[j, 2] -= a2 * b0 + a3 * b1
-                x[j, 3] -= a2 * b2 + a3 * b3
+                x[j, 0] = x[j, 0] - a0 * b0 - a1 * b1
+                x[j, 1] = x[j, 1] - a0 * b2 - a1 * b3
+                x[j, 2] = x[j, 2] - a2 * b0 - a3 * b1
+                x[j, 3] = x[j, 3] - a2 * b2 - a3 * b3
             d0 -= a0.real**2 + a0.imag**2 + a1.real**2 + a1.imag**2
             d1 -= a2.real**2 + a2.imag**2 + a3.real**2 + a3.imag**2
             d10 -= a2 * np.conj(a0) + a3 * np.conj(a1)

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..certificate import GLOBAL, prove
+from ..certificate import GLOBAL, Certificate, descents, prove
 from ..edges import SightingEdges
 from ..errors import GraphError
 from ..graph import Graph
@@ -24,6 +24,8 @@ SMALL = 100
 DOUBTFUL, DOUBTFUL_SIGHTINGS = 3.0, 1.12
 #: an end that took more steps is doubtful, too: slow convergence comes from large residuals, which make several minima
 SLOW = 16
+#: the most times that the search goes on from an unproven end to a lower one
+DESCENTS = 5
 #: ends whose costs differ by less than this part are one minimum
 SAME = 1e-6
 
@@ -51,14 +53,20 @@ class End:
         return self.cost <= limit and (quick or len(self.run.step_norms) <= SLOW)
 
     @cached_property
+    def certificate(self) -> Certificate:
+        """What one attempt proves about the end."""
+        return prove(self.graph, self.run.state, thorough=False)
+
+    @property
     def proven(self) -> bool:
         """Whether no state has a lower cost."""
-        return prove(self.graph, self.run.state).status == GLOBAL
+        return self.certificate.status == GLOBAL
 
 
 def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
     """The run with the lowest end among the starts of `AUTO`; `enough` decides when the search ends.
 
+    If no end is accepted, the search goes on from the lowest one along the negative direction that its failed proof shows.
     An end with a higher cost than the given values never counts. If no run converges to a lower one,
     Levenberg-Marquardt runs from the given values and accepts only steps that lower J itself. (With state-dependent
     information a fixed point of the iteration may have a higher J.)
@@ -90,6 +98,8 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
                 break
         if enough([end for end in ends if end.run.converged and _allowed(end, given)]):
             break
+    else:
+        ends += _descended(graph, run_from, method, [end for end in ends if end.run.converged and _allowed(end, given)])
     if error is not None and not any(end.run.converged for end in ends):
         # if nodes are undetermined, Omega is singular at the given values as well, and this raises; if only a later state
         # was singular, it does not
@@ -105,6 +115,27 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
             run.state, run.converged = graph.initial.copy(), False
         allowed.append(End(graph, run, DAMPED))
     return _best(graph, allowed)
+
+
+def _descended(graph: Graph, run_from: Callable[..., Run], method: str, ends: list[End]) -> list[End]:
+    """Lower and lower ends, each reached along the negative direction that the proof of the one before has found."""
+    found: list[End] = []
+    best = min(ends, key=lambda end: end.cost, default=None)
+    while best is not None and best.certificate.direction is not None and len(found) < DESCENTS:
+        lower = None
+        for start in descents(graph, best.run.state, best.certificate.direction):
+            try:
+                run = run_from(start, method)
+            except GraphError:
+                continue
+            run.reason += f" (started from a higher end, {method})"
+            end = End(graph, run, method)
+            if run.converged and end.cost < best.cost * (1 - SAME):
+                lower = end
+                found.append(end)
+                break
+        best = lower
+    return found
 
 
 def _starts(graph: Graph) -> Iterator[tuple[str, Array]]:

@@ -348,7 +348,8 @@ def test_a_database_of_version_1_gains_the_new_figure(make: Callable[..., Study]
     sweep(study, jobs=0)
     with closing(sqlite3.connect(study.database)) as connection:
         connection.execute("ALTER TABLE runs DROP COLUMN cost_per_dof")
+        connection.execute("ALTER TABLE runs DROP COLUMN proven")
         connection.execute("PRAGMA user_version = 1")
         connection.commit()
     with StudyDatabase.reading(study.database) as old:
-        assert [row["cost_per_dof"] for row in old.rows()] == [None]
+        assert [(row["cost_per_dof"], row["proven"]) for row in old.rows()] == [(None, None)]

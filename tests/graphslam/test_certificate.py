@@ -88,15 +88,16 @@ def test_the_function_stays_below_the_cost_and_touches_it(sample):
         problem = _Problem.of(graph, state)
         n = graph.num_nodes
         for share in (0.3, 0.1):
-            f = problem.minorant(share)
+            f = problem.minorant(problem.curvature(share))
+            cost = problem.forces.cost.sum()
             S = hermitian(problem, f.values)
-            assert f.cost == pytest.approx(graph.cost(state), rel=1e-12)
+            assert cost == pytest.approx(graph.cost(state), rel=1e-12)
             base = variables(problem.state)
             for size in (1e-3, 0.1, 1.0, 10.0):
                 moved = problem.state + size * rng.standard_normal(problem.state.shape)
                 x = variables(moved) - base
                 # S is the matrix of the function with its multipliers, which add nothing where abs(z) = 1
-                below = f.cost + 2 * np.vdot(f.gradient.ravel(), x).real + np.vdot(x, S @ x).real
+                below = cost + 2 * np.vdot(f.gradient.ravel(), x).real + np.vdot(x, S @ x).real
                 assert below <= cost_of(graph, problem, moved, n) + 1e-6
 
 
@@ -315,3 +316,64 @@ def test_poses_of_a_trajectory_and_wrong_shapes(sample):
     assert certify(graph, solution) is solution.certificate
     with pytest.raises(OptionError, match="must have shape"):
         certify(graph, np.zeros((3, 3)))
+
+
+def test_gtsam_graphs_of_our_factors():
+    gtsam = pytest.importorskip("gtsam")
+    from graphslam import MotionModel, SensorModel
+    from graphslam.factors import (
+        AnchorFactor,
+        LandmarkFactor,
+        MotionFactor,
+        ObservationFactor,
+        RelativePointFactor,
+        RelativePoseFactor,
+        VirtualMotionFactor,
+    )
+
+    rng = np.random.default_rng(0)
+    sensor, motion = SensorModel(), MotionModel()
+    poses = [np.array([0.0, 0.0, 0.0])]
+    for _ in range(3):
+        poses.append(motion.f(poses[-1], (0.5, 0.3), 1.0))
+    landmark = np.array([2.0, 1.0, 0.3])
+    z = [sensor.h(x, landmark) + 0.02 * rng.standard_normal(3) for x in poses]
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(AnchorFactor(0, poses[0]))
+    for k in range(3):
+        graph.add(MotionFactor(k, k + 1, (0.5, 0.3), 1.0, motion, scale=2.0))
+        graph.add(VirtualMotionFactor(k + 1, k, z[k + 1], z[k], sensor, scale=0.5))
+    graph.add(LandmarkFactor([0, 2, 3], [z[0], z[2], z[3]], sensor, weight="marginal"))
+    graph.add(LandmarkFactor([3, 2, 0], [z[3], z[2], z[0]], sensor, weight="tempered"))
+    graph.add(RelativePoseFactor(0, 3, between(poses[0], poses[3]), np.diag([4.0, 9.0, 16.0])))
+    graph.add(RelativePointFactor(0, 10, [2.0, 1.1], np.diag([4.0, 9.0])))
+    for k in range(4):
+        graph.add(ObservationFactor(k, 10, z[k][:2], sensor))
+        values.insert(k, gtsam.Pose2(*poses[k]))
+    values.insert(10, gtsam.Point2(2.0, 1.0))
+    end = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    proof = certify(graph, end)
+    assert proof.status == "global"
+    assert proof.lower_bound == pytest.approx(2 * graph.error(end), rel=1e-6)
+    held = gtsam.NonlinearFactorGraph(graph)
+    held.add(gtsam.BetweenFactorPose2(0, 1, gtsam.Pose2(), gtsam.noiseModel.Unit.Create(3)))
+    refused = certify(held, end)
+    assert refused.status == "not applicable"
+    assert "logarithm" in refused.reason
+    with pytest.raises(OptionError, match="nothing at the key"):
+        certify(graph, gtsam.Values())
+
+
+def test_gtsam_graph_with_a_fixed_pose_and_a_kernel():
+    gtsam = pytest.importorskip("gtsam")
+    from graphslam.factors import RelativePoseFactor
+
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k in range(3):
+        graph.add(RelativePoseFactor(k, (k + 1) % 3, [1.0, 0.1, 2.1], np.eye(3)))
+        values.insert(k, gtsam.Pose2(0.0, 0.0, 2.1 * k))
+    graph.add(gtsam.NonlinearEqualityPose2(0, values.atPose2(0)))
+    end = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    assert certify(graph, end).status == "global"
+    graph.add(RelativePoseFactor(0, 1, [1.0, 0.1, 2.1], np.eye(3), kernel="huber"))
+    assert "kernel" in certify(graph, end).reason

@@ -217,9 +217,10 @@ def test_auto_compares_the_ends_of_small_graphs(seed, first):
     ends = [solve(start, initialize="given"), solve(graph, initialize="given")]
     assert all(end.converged for end in ends)
     assert ends[1].cost < 0.9 * ends[0].cost < graph.cost(graph.initial)
-    assert solve(graph).cost == pytest.approx(ends[1].cost, rel=1e-9)
+    # the negative direction of an unproven end may lead to a minimum below both
+    assert solve(graph).cost <= ends[1].cost * (1 + 1e-9)
     if seed != 1195:  # there, GTSAM finds its system indeterminate
-        assert solve_with_gtsam(graph, max_iterations=300).cost == pytest.approx(ends[1].cost, rel=1e-6)
+        assert solve_with_gtsam(graph, max_iterations=300).cost <= ends[1].cost * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("edges", ["landmark+motion", "virtual+motion"])
