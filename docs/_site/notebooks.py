@@ -1,6 +1,7 @@
 """Write pages with cells as notebooks, with the outputs that the page shows.
 
 Text becomes Markdown cells, each marker of a cell a code cell with what it printed and drew, each marker of code a block.
+A page may show its cells in another order than that in which they run; a cell then follows those that it may need.
 Boxes and exercises lose their indentation, because notebooks have no boxes. Links to other pages become plain text.
 """
 
@@ -36,15 +37,17 @@ def notebook(markdown: str, results: Mapping[str, Cell], folder: Path, code: Cal
     made: list[dict[str, Any]] = []
     if any("slider(" in cell.code for cell in results.values()):
         made.append(_code_cell(SLIDER, []))
-    end = 0
+    end, waiting = 0, list(results)
     for found in _MARKER.finditer(markdown):
         made += _text(markdown[end : found.start()])
         end = found.end()
         if found[1] == "code":
             made += _text(code(found[2]))
         elif found[1] != "slides":
-            cell = results[shlex.split(found[2])[0]]
-            made.append(_code_cell(cell.code, _outputs(cell, folder)))
+            name = shlex.split(found[2])[0]
+            while name in waiting:
+                cell = results[waiting.pop(0)]
+                made.append(_code_cell(cell.code, _outputs(cell, folder)))
     made += _text(markdown[end:])
     for number, cell in enumerate(made):
         cell["id"] = f"cell-{number}"

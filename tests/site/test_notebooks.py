@@ -51,6 +51,13 @@ def test_cells_have_text_code_and_outputs(tmp_path):
     assert "graphslam/textbook.py solve" in cells[5]["source"]
 
 
+def test_cells_follow_those_that_they_need(tmp_path):
+    results = {name: Cell(name, f"{name} = 1", "", []) for name in ("first", "second")}
+    page = "{{ cell second }}\n\nText\n\n{{ cell first }}\n"
+    cells = notebooks.notebook(page, results, tmp_path, str)["cells"]
+    assert [cell["source"] for cell in cells] == ["first = 1", "second = 1", "Text"]
+
+
 def test_the_format_is_valid(tmp_path):
     nbformat = pytest.importorskip("nbformat")
     place = tmp_path / "folder" / "page.ipynb"
