@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphslam import Log, SensorModel
+from graphslam import ControlPath, Log, MotionModel, SensorModel, control_path
 from graphslam.metrics import alignment_of
 from graphslam.se2 import Array, compose, rotation, transform
+
+#: lines along the controls have about so many points at most, and follow the arcs of controls that turn farther [rad]
+MOST_POINTS, MOST_TURN = 10_000, 1.0
 
 if TYPE_CHECKING:
     from ..comparison import Comparison
@@ -49,6 +52,19 @@ def placement_of_result(log: Log, result: EstimatorResult) -> Array:
 def placed(log: Log, placement: Array, poses: Array) -> Array:
     """Poses (..., 3) as they are drawn: aligned, and of the point of the robot to which the ground truth belongs."""
     return compose(placement, log.at_truth(poses))
+
+
+def between_poses(log: Log, motion: MotionModel | None, points: int = MOST_POINTS) -> ControlPath:
+    """The path between poses along the recorded controls, for lines of about so many points at most."""
+    interval = 0.0
+    if log.dt is not None and len(log.dt) > points:
+        interval = float(np.sum(log.dt)) / points
+    return control_path(log, motion, interval=interval, most_turn=MOST_TURN)
+
+
+def true_line(log: Log) -> Array | None:
+    """The true path as far as it is known, (n, 3): at the ends of all controls, else at the poses."""
+    return log.true_poses if log.true_path is None else log.true_path
 
 
 def aligned_to(log: Log) -> str:

@@ -208,7 +208,7 @@ def test_an_unknown_estimator_gets_a_style_of_its_own() -> None:
 
 
 def test_every_class_of_results_has_a_renderer() -> None:
-    from comparisons import backends, consistency, datasets, particles, solvers  # noqa: F401
+    from comparisons import backends, consistency, datasets, importing, overview, particles, solvers  # noqa: F401
 
     kinds = {kind.__name__ for kind in Displayed.__subclasses__()}
     assert kinds | {"Calibration"} == set(RESULTS)
