@@ -42,6 +42,8 @@ def sentences(verbose: bool) -> Iterator[None]:
             raise typer.Exit(INTERRUPTED) from None
         from graphslam.errors import SlamError
 
+        if isinstance(error, MemoryError):
+            error = SlamError(f"there is not enough memory for this ({error or 'no size given'}); ask for less")
         if not isinstance(error, SlamError):
             raise
         if verbose:
