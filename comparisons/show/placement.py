@@ -85,7 +85,7 @@ def place_map(
 
 def reference_of(comparison: Comparison) -> EstimatorResult | None:
     """The result whose sightings and map are drawn: the graph, or the best of the others."""
-    for name in ("graph", "graph-marginal", "gtsam", "textbook", "fastslam1"):
+    for name in ("graph", "graph-marginal", "gtsam", "textbook", "fastslam1", "fastslam2"):
         if name in comparison:
             return comparison[name]
     return comparison.results[0] if comparison.results else None

@@ -38,8 +38,8 @@ fig, ax = plt.subplots()
 ax.plot(grid, normal(grid, 0, motion_std), "C0:", label="motion p(x), the proposal of FastSLAM 1.0")
 ax.plot(grid, normal(grid, mean, std), "C1--", label="corrected q(x), the proposal of FastSLAM 2.0")
 ax.plot(grid, posterior, "k", label="p(x | z), exact")
-ax.set(xlabel="x [m]", xlim=(-2, 3))
-ax.legend()
+ax.set(xlabel="x [m]", xlim=(-2, 3), ylim=(0, 6))
+ax.legend(loc="upper left")
 
 # %% weights
 N = 100_000
