@@ -78,7 +78,7 @@ class LeanTable(Table):
 
     def add_row(self, *cells: RenderableType | None, **settings: Any) -> None:
         """Add a row; texts are shown as they are, without markup and without what controls a terminal."""
-        super().add_row(*(Text(printable(c)) if isinstance(c, str) else c for c in cells), **settings)
+        super().add_row(*(_plain(cell) if isinstance(cell, str) else cell for cell in cells), **settings)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """The table, with narrow gaps where that lets it fit, else as few tables with the same rows as possible."""
@@ -102,6 +102,11 @@ class LeanTable(Table):
             if k:
                 yield ""
             yield from Table.__rich_console__(table, console, options)
+
+
+def _plain(text: str) -> str | Text:
+    """A cell that rich shows as it is: text with a bracket could be its markup."""
+    return Text(printable(text)) if "[" in text else printable(text)
 
 
 def _split(columns: Sequence[Column], limit: int, gap: int) -> list[list[Column]]:

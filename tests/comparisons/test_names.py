@@ -152,7 +152,8 @@ def test_paths_that_the_system_refuses(invoke: Invoke) -> None:
     for name in (long, deep, "zero\0byte"):
         paths = ("run {}", "run --out {}", "run --json {}", "run --noise {}", "run --html {}.html", "run --config {}",
                  "study {}", "report {}.html", "simulate {}", "backends {}", "particles --figure {}.png", "calibrate {}",
-                 "sweep {}", "calibrate --out {}", "datasets --folder {}", "animate {}.gif", "consistency --figure {}.png", "import {}",
+                 "sweep {}",
+                 "calibrate --out {}", "datasets --folder {}", "animate {}.gif", "consistency --figure {}.png", "import {}",
                  "show {}")  # fmt: skip
         for command in paths:
             result = invoke(*(word.format(name) for word in command.split()))
