@@ -23,6 +23,7 @@ from .documents import EstimatorDocument, LogDocument, RunDocument, certificate_
 from .estimators import ESTIMATORS, check_estimators, default_estimators, make_graph
 from .exchange import texts, write_pose_graph
 from .failures import noted
+from .memory import Announce, announce_memory
 from .options import MODELS, LimitOptions, OutputOptions, RunOptions
 from .reading import prepare
 from .results import EstimatorResult
@@ -293,8 +294,9 @@ def compare(
     estimators: Sequence[str] | str | None = None,
     time_limit: float | None = None,
     progress: Progress | None = None,
+    announce: Announce | None = None,
 ) -> Comparison:
-    """The same as `run`, with the options as one object."""
+    """The same as `run`, with the options as one object; ``announce`` hears of particle filters that need much memory."""
     names = None if estimators is None else check_estimators(estimators)
     time_limit = LimitOptions.of(time_limit=time_limit).time_limit
     data, source, options = prepare(log, options)
@@ -304,6 +306,7 @@ def compare(
     if names is None or "graph" in names:
         # a graph that the log cannot make is refused before anything has run
         _check_graph(data, options)
+    announce_memory(((name, data, options) for name in names or default_estimators()), announce)
     results: list[EstimatorResult] = []
     skipped: list[Skipped] = []
     with attempts(names or default_estimators(), time_limit) as attempt:

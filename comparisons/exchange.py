@@ -4,7 +4,8 @@ Trajectories are in the text format of the TUM RGB-D benchmark, one pose per lin
 
     timestamp x y z qx qy qz qw        [s, m, quaternion]; here z = qx = qy = 0, qz = sin(theta / 2), qw = cos(theta / 2)
 
-Maps are tables with commas. Reading a file gives exactly the same numbers.
+An estimated trajectory has the poses of the log, and between them the ends of the recorded controls, at most ten a second
+(`graphslam.dense`). Maps are tables with commas. Reading a file gives exactly the same numbers.
 """
 
 from __future__ import annotations
@@ -16,12 +17,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphslam import GraphError, Log
+from graphslam import ControlPath, GraphError, Log, control_path
 from graphslam.relative import relative_graph
 from graphslam.se2 import Array, wrap
 
 if TYPE_CHECKING:
     from .comparison import Comparison
+    from .results import EstimatorResult
+
+#: ends of controls between poses are written at most this often [s]
+INTERVAL = 0.1
 
 #: a graph with more edges than this is not listed one by one
 MOST_EDGES = 200_000
@@ -84,10 +89,11 @@ def map_text(landmarks: Mapping[int, Array], covariances: Mapping[int, Array]) -
 def texts(comparison: Comparison) -> Iterator[tuple[str, Callable[[], str]]]:
     """Every trajectory and map: the name of its file, and the function that makes its text.
 
-    They are NAME.tum with the estimated poses and NAME-map.csv of each estimator, and those of the ground truth.
+    They are NAME.tum and NAME-map.csv of each estimator, and those of the ground truth. truth.tum has the poses at which
+    errors are measured, so that other programs find the same errors.
     """
     log = comparison.log
-    times = times_of(log)
+    times, between = times_of(log), control_path(log, comparison.options.motion, interval=INTERVAL)
     if log.true_poses is not None:
         where = log.truth_place
         note = f"positions of the point {where} of the robot's pose, which the other files hold" if where else ""
@@ -95,9 +101,15 @@ def texts(comparison: Comparison) -> Iterator[tuple[str, Callable[[], str]]]:
     if log.true_landmarks:
         yield "truth-map.csv", partial(map_text, log.true_landmarks, {})
     for result in comparison.results:
-        yield f"{result.name}.tum", partial(tum_text, times[result.estimated], result.poses[result.estimated])
+        yield f"{result.name}.tum", partial(_path_text, between, result)
         if result.landmarks:
             yield f"{result.name}-map.csv", partial(map_text, result.landmarks, result.landmark_covariances)
+
+
+def _path_text(between: ControlPath, result: EstimatorResult) -> str:
+    path = between.through(np.where(result.estimated[:, None], result.poses, np.nan))
+    known = np.isfinite(path[:, 0])
+    return tum_text(between.times[known], path[known])
 
 
 def write_pose_graph(comparison: Comparison, path: Path) -> str | None:

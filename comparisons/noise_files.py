@@ -22,6 +22,7 @@ from typing import Any
 
 from graphslam import FormatError, SensorModel
 from graphslam.calibration import Calibration
+from graphslam.errors import printable
 from graphslam.files import write_whole
 
 from .option import options_of
@@ -83,7 +84,7 @@ def write_noise(result: Calibration, path: Path, log: str) -> None:
             for table, keys in _CORRECTIONS.items()
         },
     }
-    head = f"The noise of {log}, from {result.source}; read by slam-compare run --noise."
+    head = f"The noise of {printable(log)}, from {result.source}; read by slam-compare run --noise."
     comment = [head, *result.notes, *(f"Not recommended: {doubt}" for doubt in result.doubts)]
     with write_whole(path) as temporary:
         temporary.write_text(to_toml(table, "\n".join(comment)), encoding="utf-8")

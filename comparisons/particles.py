@@ -17,8 +17,9 @@ from graphslam.se2 import Array
 
 from .display import Displayed
 from .estimators import ESTIMATORS
+from .memory import Announce, announce_memory
 from .options import ParticleStudyOptions, RunOptions
-from .pool import results
+from .pool import default_jobs, results
 from .reading import prepare
 from .studies.bootstrap import quartiles
 
@@ -112,6 +113,7 @@ def study_particles(
     log: Log | str | PathLike[str] | None = None,
     *,
     progress: Callable[[ParticleRun], None] | None = None,
+    announce: Announce | None = None,
     **options: Any,
 ) -> ParticleStudy:
     """Run filters with growing numbers of particles and several random seeds on one log.
@@ -119,6 +121,7 @@ def study_particles(
     Args:
         log: a log, the file or folder of one, or None for the sample log; with the ground truth the errors are known.
         progress: called after every run.
+        announce: called before the first run with a sentence, where the runs need much memory.
         options: the fields of `options.ParticleStudyOptions`: filters, particles, seeds, resampling, association, jobs,
             time_limit, and those that read the log. In local processes a filter has one thread; with ``jobs=0`` it has all.
 
@@ -136,6 +139,9 @@ def study_particles(
         for particles in sorted(set(given.particles))
         for seed in range(given.seeds)
     ]
+    jobs = default_jobs() if given.jobs is None else max(given.jobs, 1)
+    of_tasks = ((name, data, of_run.with_numbers(particles=particles)) for name, particles, _ in tasks)
+    announce_memory(of_tasks, announce, jobs=jobs)
     runs: list[ParticleRun] = []
     notes: list[str] = []
     work = partial(_run, log=data, options=of_run)

@@ -22,6 +22,7 @@ from graphslam import (
     load,
     sample_log_path,
 )
+from graphslam.keyframes import with_poses_every
 
 from .noise_files import read_noise
 from .option import options_of
@@ -30,7 +31,7 @@ from .options import AUTO, CORRECTIONS, LogOptions, NoiseOptions, ReadingOptions
 Given = TypeVar("Given", bound=LogOptions)
 
 #: options that only a file or folder has; a `Log` has been read already
-OF_FILES = ("format", "robot", "keep_every")
+OF_FILES = ("format", "robot")
 
 
 def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log, Path | None, Given]:
@@ -99,11 +100,13 @@ def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> 
         for name in OF_FILES:
             if getattr(options, name) is not None:
                 raise OptionError(f"{name} applies when a file is read, and {log.name!r} is a Log that has been read")
+        if options.keep_every is not None:
+            data = with_poses_every(data, options.keep_every)
     elif log is not None and not isinstance(log, (str, PathLike)):
         raise OptionError(f"a log is a Log, or the path of its file or folder, not {type(log).__name__}: {log!r}")
     else:
         path = sample_log_path() if log is None else Path(log)
-        keywords = {name: getattr(options, name) for name in OF_FILES}
+        keywords = {name: getattr(options, name) for name in (*OF_FILES, "keep_every")}
         with warnings.catch_warnings():
             # the warnings of a reader are also notes of the log, which are shown
             warnings.simplefilter("ignore", UserWarning)

@@ -17,11 +17,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from graphslam.errors import OptionError
 from graphslam.se2 import Array
 
 from .fast_math import OPTIONS
 from .threads import Job
 
+#: rows are numbered with 32 bits
+MOST_ROWS = 2**31 - 1
 #: rows are removed at the earliest after this many new ones per particle
 MINIMUM_GROWTH = 16
 
@@ -136,6 +139,8 @@ class Genealogy:
         self._limit = 2 * self.stored_rows + MINIMUM_GROWTH * len(self._identity)
 
     def _grow(self, rows: int, capacity: int) -> None:
+        if capacity > MOST_ROWS:
+            raise OptionError("the histories of so many particles are too long to be stored; take fewer particles")
         more = capacity - rows
         self._poses = np.concatenate([self._poses[:, :rows], np.empty((3, more))], axis=1)
         self._parents = np.concatenate([self._parents[:rows], np.empty(more, np.int32)])

@@ -37,6 +37,8 @@ class MonteCarloLocalization(ParticleFilter):
         LogError: the log has no controls.
     """
 
+    HAS_MAPS = False
+
     def __init__(
         self, log: Log | None = None, *, landmarks: Mapping[int, ArrayLike] | None = None, **keywords: Any
     ) -> None:

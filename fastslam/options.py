@@ -17,6 +17,8 @@ from .checks import finite, whole
 
 #: how sightings are assigned to landmarks
 ASSOCIATIONS = ("known", "maximum-likelihood")
+#: the stored poses of all particles are numbered with 32 bits
+MOST_PARTICLES = 50_000_000
 #: the names of the resampling schemes, see `fastslam.resampling`
 RESAMPLING = ("systematic", "stratified", "residual", "multinomial")
 
@@ -65,6 +67,8 @@ class FilterOptions:
         object.__setattr__(self, "particles", whole("particles", self.particles))
         if self.particles < 1:
             raise OptionError(f"particles must be at least 1, not {self.particles}")
+        if self.particles > MOST_PARTICLES:
+            raise OptionError(f"particles must be at most {MOST_PARTICLES}, not {self.particles}")
         if not isinstance(self.seed, np.random.Generator) and whole("seed", self.seed) < 0:
             raise OptionError(f"seed must be a whole number, not below 0, not {self.seed}")
         check_choice("resampling", self.resampling, RESAMPLING)

@@ -21,6 +21,7 @@ from graphslam.se2 import Array, wrap
 
 from .checks import finite, index, measurements
 from .genealogy import Genealogy
+from .memory import check_memory
 from .motions import ControlMotion, GaussianMotion, check_motion, robot_poses, sensor_motions
 from .noise import draw_key
 from .options import FilterOptions
@@ -66,9 +67,13 @@ class ParticleFilter(ABC):
         start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose.
 
     Raises:
-        OptionError: an option has an impossible value, or the log has sightings without ids and the filter needs them.
+        OptionError: an option has an impossible value, the log has sightings without ids and the filter needs them, or the
+            particles need more memory than there is.
         LogError: the log has no controls.
     """
+
+    #: whether each particle has a map of its own
+    HAS_MAPS = True
 
     def __init__(
         self,
@@ -91,6 +96,8 @@ class ParticleFilter(ABC):
             )
         if log is not None and self._needs_ids and not log.identified:
             raise OptionError(f"{log.name} has sightings without ids: use FastSLAM with maximum-likelihood association")
+        if log is not None:
+            check_memory(log, self.options, maps=self.HAS_MAPS)
         self.log = log
         self.motion = motion or getattr(log, "motion", None) or MotionModel()
         self.sensor = sensor or getattr(log, "sensor", None) or SensorModel()

@@ -14,10 +14,12 @@ if TYPE_CHECKING:
     from .calibration import Calibration, calibrate
     from .certificate import Certificate
     from .certify import certify
+    from .dense import ControlPath, control_path
     from .edges.robust import Cauchy, GemanMcClure, Huber
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
     from .formats import load, save
     from .graph import Graph
+    from .keyframes import with_poses_every
     from .log import Log
     from .mapping import LandmarkMap, estimate_map
     from .models import MotionModel, SensorModel
@@ -38,10 +40,12 @@ _PUBLIC = {
     "calibration": "Calibration calibrate",
     "certificate": "Certificate",
     "certify": "certify",
+    "dense": "ControlPath control_path",
     "edges.robust": "Cauchy GemanMcClure Huber",
     "errors": "FactorError FormatError GraphError LogError OptionError SlamError",
     "formats": "load save",
     "graph": "Graph",
+    "keyframes": "with_poses_every",
     "log": "Log",
     "mapping": "LandmarkMap estimate_map",
     "models": "MotionModel SensorModel",

@@ -18,42 +18,67 @@ from .se2 import Array, between, compose, wrap
 
 
 @dataclass(frozen=True, eq=False)
-class DensePath:
-    """A path at the end of every control.
+class ControlPath:
+    """The controls of a log, prepared to lead through the poses of any estimate; made by `control_path`.
+
+    The path has K rows: the poses of the log, and between them the ends of controls.
 
     Attributes:
         times: (K,) [s]; the numbers of the steps in a log without controls.
-        poses: (K, 3); NaN between poses of which one is.
-        rows: (T+1,) the rows of the poses of the log.
+        rows: (T+1,) the rows that are poses of the log, increasing.
+        driven: (K-1, 3) each row but the first, reached by the controls alone, seen from the pose before it.
+        gain: (K-1, 3, 3) the part of what is missing at the next pose that is added to ``driven``.
     """
 
     times: Array
-    poses: Array
     rows: np.ndarray
+    driven: Array
+    gain: Array
+
+    @property
+    def motions(self) -> np.ndarray:
+        """The motion to which each row but the first belongs, (K-1,)."""
+        return np.repeat(np.arange(len(self.rows) - 1), np.diff(self.rows))
+
+    def through(self, poses: ArrayLike) -> Array:
+        """The path (rows of the last pose + 1, 3) through the first poses (n, 3) of a drive, n at most T+1.
+
+        Between poses of which one is NaN the path is NaN.
+        """
+        poses = np.asarray(poses, dtype=float)
+        rows = self.rows[: len(poses)]
+        motion = self.motions[: rows[-1]]
+        path = np.empty((rows[-1] + 1, 3))
+        missing = between(poses[:-1], poses[1:]) - self.driven[rows[1:] - 1]
+        missing[:, 2] = wrap(missing[:, 2])
+        correction = (self.gain[: rows[-1]] @ missing[motion][:, :, None])[:, :, 0]
+        path[1:] = compose(poses[motion], self.driven[: rows[-1]] + correction)
+        path[rows] = poses
+        return path
 
 
-def dense_path(
-    log: Log, poses: ArrayLike, motion: MotionModel | None = None, *, most_turn: float = np.inf
-) -> DensePath:
-    """The path of an estimate at the end of every control.
+def control_path(
+    log: Log, motion: MotionModel | None = None, *, interval: float = 0.0, most_turn: float = np.inf
+) -> ControlPath:
+    """The path between the poses of a log that follows its controls.
 
     Motion t begins at x_t and follows its controls u_1 ... u_k, each with noise of covariance M_i, to d_k in the axes of
-    x_t. Its last pose should be y = x_t^-1 x_{t+1}. To first order the noise n_i of control i moves the later pose d_k by
+    x_t. It should end at y = x_t^-1 x_{t+1}. To first order the noise n_i of control i moves the later pose d_k by
     S_k B_i n_i, where S_k = [[1, 0, -d_ky], [0, 1, d_kx], [0, 0, 1]] and B_i does not depend on k. Hence the mean given y
     is d_k + S_k C_k S_e' (S_e C_e S_e')^-1 (y - d_e), with C_k = sum over i <= k of B_i M_i B_i' and e the last control.
     The part epsilon of the motion model is spread evenly over time.
 
     Args:
         log: without controls there is nothing to follow, and the path consists of the poses.
-        poses: (T+1, 3), such as the ``poses`` of a solution; rows may be NaN.
         motion: default: that of the log, else the book's.
-        most_turn: a control that turns farther [rad] is divided, so that lines through the poses follow its arc.
+        interval: leave out ends of controls that follow the row before them by less [s].
+        most_turn: a control that turns farther [rad] is divided, so that lines through the rows follow its arc.
 
     Source: the conditional mean of a Gaussian; Thrun, Burgard and Fox, *Probabilistic Robotics*, section 3.2.
     """
-    poses = np.array(poses, dtype=float)
     if log.controls is None or log.dt is None or log.times is None or len(log.controls) == 0:
-        return DensePath(np.arange(len(poses), dtype=float), poses, np.arange(len(poses)))
+        T = log.num_poses - 1
+        return ControlPath(np.arange(T + 1.0), np.arange(T + 1), np.zeros((T, 3)), np.tile(np.eye(3), (T, 1, 1)))
     motion = motion or log.motion or MotionModel()
     pieces = np.maximum(1, np.ceil(np.abs(log.controls[:, 1]) * log.dt / most_turn)).astype(np.int64)
     controls, dt = np.repeat(log.controls, pieces, axis=0), np.repeat(log.dt / pieces, pieces)
@@ -72,23 +97,24 @@ def dense_path(
     B[:, 0, :] += driven[:, 1, None] * B[:, 2, :]
     B[:, 1, :] -= driven[:, 0, None] * B[:, 2, :]
     C = _sums(B @ M @ np.swapaxes(B, 1, 2), first, motion_of)
-    share = _sums(dt, first, motion_of)
-    share /= share[last][motion_of]
+    elapsed = _sums(dt, first, motion_of)
+    share = elapsed / elapsed[last][motion_of]
 
+    kept = np.ones(len(controls), dtype=bool)
+    if interval > 0:
+        kept[1:] = (motion_of[1:] != motion_of[:-1]) | np.diff(np.floor(elapsed / interval)).astype(bool)
+        kept[last] = True
     S = _moved(driven)
     end = S[last]
-    missing = between(poses[:-1], poses[1:]) - driven[last]
-    missing[:, 2] = wrap(missing[:, 2])
     covariance = end @ C[last] @ np.swapaxes(end, 1, 2) + motion.epsilon * np.eye(3)
-    weighted = np.linalg.solve(covariance, missing[:, :, None])
-    even = motion.epsilon * np.linalg.solve(end, weighted)
-    toward = (np.swapaxes(end, 1, 2) @ weighted)[motion_of]
-    correction = S @ (C @ toward + share[:, None, None] * even[motion_of])
-    path = np.concatenate([poses[:1], compose(poses[motion_of], driven + correction[:, :, 0])])
-    path[rows] = poses
-    times = log.start_time + np.concatenate([[0.0], np.cumsum(dt)])
+    inverse = np.linalg.inv(covariance)
+    toward, even = np.swapaxes(end, 1, 2) @ inverse, motion.epsilon * np.linalg.inv(end) @ inverse
+    of_kept = motion_of[kept]
+    gain = S[kept] @ (C[kept] @ toward[of_kept] + share[kept, None, None] * even[of_kept])
+    rows = np.concatenate([[0], np.cumsum(kept)])[rows]
+    times = log.start_time + np.concatenate([[0.0], np.cumsum(dt)[kept]])
     times[rows] = log.times
-    return DensePath(times, path, rows)
+    return ControlPath(times, rows, driven[kept], gain)
 
 
 def _sums(values: Array, first: np.ndarray, group: np.ndarray) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import check_positive, checked_offset, first
-from .errors import LogError, OptionError
+from .errors import LogError, OptionError, printable
 from .models import MotionModel, SensorModel
 from .reading import UNIDENTIFIED
 from .se2 import Array, mounted, wrap
@@ -39,6 +39,8 @@ class Log:
             are not wrapped, so that they can count turns.
         true_poses: the ground truth, (T+1, 3), or None where unknown. A row is NaN where the pose is unknown, and (x, y,
             NaN) where only the position is known.
+        true_path: (S+1, 3) the true poses at the ends of all controls, where they are known; ``true_poses`` are the rows
+            ``control_starts`` of it.
         truth_offset: the point of the robot to which the positions of ``true_poses`` belong, (ahead, left) [m] of its
             pose: where the GPS antenna or the marker sits. A single number is the distance ahead. Errors are measured
             at this point.
@@ -62,6 +64,7 @@ class Log:
     sightings: Array
     initial_poses: Array = None  # type: ignore[assignment]  # filled in by __post_init__
     true_poses: Array | None = None
+    true_path: Array | None = None
     truth_offset: tuple[float, float] = (0.0, 0.0)
     true_landmarks: dict[int, Array] | None = None
     start_time: float = 0.0
@@ -76,6 +79,7 @@ class Log:
 
     def __post_init__(self) -> None:
         values = self._checked_controls()
+        values["name"] = printable(str(self.name))
         starts = values["control_starts"]
         initial = self.initial_poses
         if initial is None:
@@ -89,6 +93,10 @@ class Log:
         values |= self._checked_sightings(len(initial))
         if self.true_poses is not None:
             values["true_poses"] = _checked_truth(self.true_poses, initial.shape)
+        if self.true_path is not None:
+            if self.true_poses is None or starts is None:
+                raise LogError("true_path without true_poses or controls: leave it out")
+            values["true_path"] = _checked_truth(self.true_path, (starts[-1] + 1, 3), "true_path")
         values["truth_offset"] = checked_offset("truth_offset", self.truth_offset)
         if self.true_landmarks is not None:
             values["true_landmarks"] = {int(j): _landmark(int(j), m) for j, m in self.true_landmarks.items()}
@@ -372,6 +380,9 @@ class Log:
             changes["true_poses"] = self.true_poses[kept]
         if (times := self.times) is not None:
             starts = self.control_starts[kept]
+            path = self.true_poses if self.true_path is None and not self.composite else self.true_path
+            if path is not None:
+                changes["true_path"] = path[starts[0] : starts[-1] + 1]
             for name in ("controls", "dt", "control_variances", "recorded_dt"):
                 if (rows := getattr(self, name)) is not None:
                     changes[name] = rows[starts[0] : starts[-1]]
@@ -383,13 +394,16 @@ class Log:
     def replace(self, **changes: Any) -> Log:
         """The same log with some arguments replaced.
 
-        A different number of controls needs its own ``control_starts``, ``control_variances`` and ``recorded_dt``; the old
-        ones are dropped.
+        A different number of controls needs its own ``control_starts``, ``control_variances``, ``recorded_dt`` and
+        ``true_path``, and other ``true_poses`` need their own ``true_path``; the old ones are dropped.
         """
         if "controls" in changes and (
             changes["controls"] is None or self.controls is None or len(changes["controls"]) != len(self.controls)
         ):
-            changes = {"control_starts": None, "control_variances": None, "recorded_dt": None} | changes
+            of_controls = ("control_starts", "control_variances", "recorded_dt", "true_path")
+            changes = dict.fromkeys(of_controls) | changes
+        if "true_poses" in changes:
+            changes = {"true_path": None} | changes
         return replace(self, **changes)
 
     def equals(self, other: Log) -> bool:
@@ -415,14 +429,14 @@ def _checked_starts(value: np.ndarray, controls: int) -> np.ndarray:
     return starts.astype(np.int64)
 
 
-def _checked_truth(value: ArrayLike, shape: tuple[int, ...]) -> Array:
+def _checked_truth(value: ArrayLike, shape: tuple[int, ...], name: str = "true_poses") -> Array:
     """True poses; each row is complete, a position with an unknown heading, or unknown."""
     array = np.array(value, dtype=float)
     unknown = np.isnan(array)
-    known = _floats("true_poses", np.where(unknown, 0.0, array) if array.shape == shape else array, shape)
+    known = _floats(name, np.where(unknown, 0.0, array) if array.shape == shape else array, shape)
     k = first((unknown[:, 0] != unknown[:, 1]) | (unknown[:, 0] & ~unknown[:, 2]))
     if k is not None:
-        raise LogError(f"true_poses[{k}] is {array[k]}; a row must be complete, (x, y, NaN) or all NaN")
+        raise LogError(f"{name}[{k}] is {array[k]}; a row must be complete, (x, y, NaN) or all NaN")
     known[unknown] = np.nan
     return known
 

@@ -20,7 +20,7 @@ class ReadOptions:
 
     robot: int | None = option(None, "Number of the robot, for data sets with several", needs="several_robots")
     keep_every: float | None = option(
-        None, "Keep a pose at least this often; default: only where a landmark was seen", "s", needs="separate_times"
+        None, "Keep a pose at least this often; default: the poses of the log, or where a landmark was seen", "s"
     )
 
     def __post_init__(self) -> None:

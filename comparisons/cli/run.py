@@ -152,6 +152,7 @@ def _compared(output: Output, log: Path | None, chosen: EstimatorOptions, option
             estimators=chosen.estimators,
             time_limit=chosen.time_limit,
             progress=_progress(output, advance),
+            announce=output.progress,
         )
 
 

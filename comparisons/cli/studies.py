@@ -31,7 +31,7 @@ def particles(output: Output, log: LogFile = None, *, options: ParticleStudyOpti
             advance(1, f"{run.name} N={run.particles}")
             output.detail(f"{run.name} N={run.particles} seed {run.seed}: {run.seconds:.2f} s")
 
-        outcome = study_particles(log, progress=progress, **options.keywords())
+        outcome = study_particles(log, progress=progress, announce=output.progress, **options.keywords())
     output.show(outcome)
     output.json(outcome.to_json())
     output.draw(outcome, drawing.figure)
@@ -69,7 +69,7 @@ def sweep(
     from ..studies.sweep import sweep as execute
 
     with output.bar("runs") as advance:
-        outcome = execute(study, progress=_progress(advance, output), **options.keywords())
+        outcome = execute(study, progress=_progress(advance, output), announce=output.progress, **options.keywords())
     output.say(
         f"{outcome.database}: {outcome.before + outcome.ran} of {outcome.planned} runs, {outcome.ran} done now"
         + (f", {outcome.failed} of these failed." if outcome.failed else ".")

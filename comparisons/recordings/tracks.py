@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from graphslam.dense import dense_path
+from graphslam import control_path
 from graphslam.se2 import Array
 
 from ..comparison import Comparison
@@ -50,13 +50,13 @@ def tracks(comparison: Comparison) -> Iterator[Track]:
     if log.true_poses is not None:
         known = np.asarray(np.isfinite(log.true_poses).all(axis=1))
         poses = log.true_poses[known]
-        yield Track("truth", seconds[known], clock[known], poses, None, poses, log.true_landmarks or {})
+        path = poses if log.true_path is None else log.true_path[np.isfinite(log.true_path).all(axis=1)]
+        yield Track("truth", seconds[known], clock[known], poses, None, path, log.true_landmarks or {})
+    between = control_path(log, comparison.options.motion, most_turn=_ARC)
     for result in comparison.results:
         used = result.estimated
         covariances = result.pose_covariances
-        along = dense_path(
-            log, np.where(used[:, None], result.poses, np.nan), comparison.options.motion, most_turn=_ARC
-        ).poses
+        along = between.through(np.where(used[:, None], result.poses, np.nan))
         yield Track(
             result.name,
             seconds[used],

@@ -18,9 +18,19 @@ from graphslam.se2 import Array, compose
 from ..comparison import Comparison
 from ..exchange import elapsed_of, time_axis
 from ..results import EstimatorResult
-from .canvas import paper_figure, set_limits
+from .canvas import as_text, paper_figure, set_limits
 from .ellipses import ellipses
-from .placement import aligned_to, place_map, placed, placement_of_result, reference_of, sensor_of, true_landmarks
+from .placement import (
+    aligned_to,
+    between_poses,
+    place_map,
+    placed,
+    placement_of_result,
+    reference_of,
+    sensor_of,
+    true_landmarks,
+    true_line,
+)
 from .style import SIGHTING, START, TRUE_LANDMARK, TRUTH, colour_of, ellipse_style, style_of
 
 #: longer logs have some of their sightings drawn, evenly spread: more lines would only fill the page
@@ -32,10 +42,10 @@ _MAPS = ("graph", "fastslam1")
 def comparison_figure(comparison: Comparison) -> Figure:
     """The figure of a comparison, 7.16 inches wide (two columns of a page).
 
-    Left: the trajectories, the sightings from the graph's poses, the landmarks with the ellipses of three standard
-    deviations (of each landmark given the path: its whole uncertainty is larger). Where the truth is known each
-    estimate is aligned to it by the rigid motion that its errors are measured after: drawn from a common start, a small
-    error of the first heading would hide all others. Paths are those of the point of the robot to which the truth
+    Left: the trajectories along the recorded controls, the sightings from the graph's poses, the landmarks with the ellipses
+    of three standard deviations (of each landmark given the path: its whole uncertainty is larger). Where the truth is
+    known each estimate is aligned to it by the rigid motion that its errors are measured after: drawn from a common start,
+    a small error of the first heading would hide all others. Paths are those of the point of the robot to which the truth
     belongs. Where only the true landmarks are known, the maps are aligned to them. Right: the position error of every
     step after that motion, whose root mean square is the ATE; in a log without true poses the norm of the correction of
     each iteration instead.
@@ -57,16 +67,17 @@ def _draw_map(axes: Axes, comparison: Comparison, legend: dict[str, Any]) -> Non
     rest: list[Array] = []
     maps: dict[str, Any] = {}
     aligned, start = aligned_to(log), log.initial_poses[0, :2]
-    if truth is not None:
-        (legend["ground truth"],) = axes.plot(truth[:, 0], truth[:, 1], **TRUTH)
-        core.append(truth[log.covered, :2])
+    between = between_poses(log, comparison.options.motion)
+    if (line := true_line(log)) is not None:
+        (legend["ground truth"],) = axes.plot(line[:, 0], line[:, 1], **TRUTH)
+        core.append(line[np.isfinite(line[:, 0]), :2])
     for result in comparison.results:
         placement = placement_of_result(log, result)
         unknown = ~result.estimated[:, None]
-        poses = np.where(unknown, np.nan, placed(log, placement, result.poses))
+        poses = placed(log, placement, between.through(np.where(unknown, np.nan, result.poses)))
         axes.plot(poses[:, 0], poses[:, 1], **style_of(result.name, len(poses)))
         legend[_label(result)] = Line2D([], [], **style_of(result.name))
-        (core if result is reference else rest).append(poses[result.estimated, :2])
+        (core if result is reference else rest).append(poses[np.isfinite(poses[:, 0]), :2])
         if result is reference:
             _draw_sightings(axes, comparison, np.where(unknown, np.nan, compose(placement, result.poses)))
             start = poses[0, :2] if result.estimated[0] else start
@@ -86,7 +97,7 @@ def _draw_map(axes: Axes, comparison: Comparison, legend: dict[str, Any]) -> Non
     (legend["start"],) = axes.plot(*start, **START)
     set_limits(axes, np.concatenate(core), rest)
     how = f", aligned to {aligned}" if aligned else ""
-    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"(a) {log.name}: paths and map{how}")
+    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"(a) {as_text(log.name)}: paths and map{how}")
 
 
 def _label(result: EstimatorResult) -> str:

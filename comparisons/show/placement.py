@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphslam import Log, SensorModel
+from graphslam import ControlPath, Log, MotionModel, SensorModel, control_path
 from graphslam.metrics import alignment_of
 from graphslam.se2 import Array, compose, rotation, transform
+
+#: lines along the controls have about so many points at most, and follow the arcs of controls that turn farther [rad]
+MOST_POINTS, MOST_TURN = 10_000, 1.0
 
 if TYPE_CHECKING:
     from ..comparison import Comparison
@@ -51,6 +54,19 @@ def placed(log: Log, placement: Array, poses: Array) -> Array:
     return compose(placement, log.at_truth(poses))
 
 
+def between_poses(log: Log, motion: MotionModel | None, points: int = MOST_POINTS) -> ControlPath:
+    """The path between poses along the recorded controls, for lines of about so many points at most."""
+    interval = 0.0
+    if log.dt is not None and len(log.dt) > points:
+        interval = float(np.sum(log.dt)) / points
+    return control_path(log, motion, interval=interval, most_turn=MOST_TURN)
+
+
+def true_line(log: Log) -> Array | None:
+    """The true path as far as it is known, (n, 3): at the ends of all controls, else at the poses."""
+    return log.true_poses if log.true_path is None else log.true_path
+
+
 def aligned_to(log: Log) -> str:
     """What estimates are aligned to: "the ground truth", "the true landmarks", or "" where neither is known."""
     if np.count_nonzero(log.covered) >= 2:
@@ -69,7 +85,7 @@ def place_map(
 
 def reference_of(comparison: Comparison) -> EstimatorResult | None:
     """The result whose sightings and map are drawn: the graph, or the best of the others."""
-    for name in ("graph", "graph-marginal", "gtsam", "textbook", "fastslam1"):
+    for name in ("graph", "graph-marginal", "gtsam", "textbook", "fastslam1", "fastslam2"):
         if name in comparison:
             return comparison[name]
     return comparison.results[0] if comparison.results else None

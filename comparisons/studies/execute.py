@@ -47,12 +47,27 @@ def _log(source: str, reading: str, name: str, seed: int | None) -> Log:
     return read_log(log, ReadingOptions.of(**json.loads(reading)))[0]
 
 
-def _execute(run: Run) -> dict[str, Any]:
-    options = dict(run.options)
-    reading = {name: options.pop(name) for name in options_of(ReadingOptions) if name in options}
-    log = _log(
+def log_of(run: Run) -> Log:
+    """The log of a run.
+
+    Raises:
+        SlamError: it cannot be read or made.
+    """
+    reading = {name: run.options[name] for name in options_of(ReadingOptions) if name in run.options}
+    return _log(
         json.dumps(dict(run.source)), json.dumps(reading), run.log, run.seed if "simulate" in run.source else None
     )
+
+
+def filter_options(run: Run) -> RunOptions:
+    """The options of the particle filters among those of a run."""
+    known = options_of(RunOptions)
+    return RunOptions.of(**{name: value for name, value in run.options.items() if known[name].model == "filter"})
+
+
+def _execute(run: Run) -> dict[str, Any]:
+    log = log_of(run)
+    options = {name: value for name, value in run.options.items() if name not in options_of(ReadingOptions)}
     if isinstance(options.get("noise"), Mapping):
         # single numbers take precedence over those of the noise file, and those over the log's
         noise = NoiseOptions.of(**options.pop("noise"))

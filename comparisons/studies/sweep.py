@@ -6,7 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from itertools import islice
 from os import PathLike
@@ -14,14 +14,21 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from graphslam import OptionError
+from graphslam import Log, OptionError, SlamError
 
-from ..options import SweepOptions
+from ..estimators import FILTERS
+from ..memory import Announce, announce_memory
+from ..options import RunOptions, SweepOptions
+from ..pool import default_jobs
 from ..saving import jsonable
 from .database import StudyDatabase
+from .execute import filter_options, log_of
 from .outcome import DONE, Outcome
 from .places import Place, local_processes, this_process
 from .plan import Run, Study, read_study
+
+#: fewer particles never need much memory
+MANY = 50_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,12 +67,19 @@ class SweepOutcome:
 Progress = Callable[[int, int, Run | None, Outcome | None], None]
 
 
-def sweep(study: Study | str | PathLike[str], *, progress: Progress | None = None, **options: Any) -> SweepOutcome:
+def sweep(
+    study: Study | str | PathLike[str],
+    *,
+    progress: Progress | None = None,
+    announce: Announce | None = None,
+    **options: Any,
+) -> SweepOutcome:
     """Execute the runs of a study that have no row in its database yet.
 
     Args:
         study: a study file, or what `plan.read_study` made of it.
         progress: called after each row.
+        announce: called before the first run with a sentence, where runs need much memory.
         options: the fields of `options.SweepOptions`: jobs, dask, retry.
 
     Returns:
@@ -73,7 +87,8 @@ def sweep(study: Study | str | PathLike[str], *, progress: Progress | None = Non
 
     Raises:
         FormatError: the study file is wrong, or the database is in use, no study's, damaged, or cannot be written.
-        OptionError: the cluster cannot be reached, or jobs and dask are both given.
+        OptionError: the cluster cannot be reached, jobs and dask are both given, or so many runs at a time need more memory
+            than there is.
         SlamError: the cluster is gone before the study's end; finished runs are written.
     """
     given = SweepOptions.of(**options)
@@ -88,6 +103,9 @@ def sweep(study: Study | str | PathLike[str], *, progress: Progress | None = Non
         present = database.keys()
         missing = [run for run in plan.runs if run.key not in present]
         before = len(plan.runs) - len(missing)
+        # a cluster has memory of its own
+        jobs = 1 if given.dask is not None else default_jobs() if given.jobs is None else max(given.jobs, 1)
+        announce_memory(_large(missing), announce, jobs=jobs)
         if progress is not None:
             progress(before, len(plan.runs), None, None)
         with _ctrl_c() as events:
@@ -103,6 +121,14 @@ def sweep(study: Study | str | PathLike[str], *, progress: Progress | None = Non
         study=plan.path, database=plan.database, planned=len(plan.runs), before=before, ran=ran, failed=failed,
         interrupted=interrupted,
     )  # fmt: skip
+
+
+def _large(runs: Sequence[Run]) -> Iterator[tuple[str, Log, RunOptions]]:
+    """The runs of filters that may need much memory, with their logs; a log that cannot be read becomes an error row."""
+    for run in runs:
+        if run.estimator in FILTERS and run.options.get("particles", 0) >= MANY:
+            with suppress(SlamError):
+                yield run.estimator, log_of(run), filter_options(run)
 
 
 def _place(study: Study, options: SweepOptions) -> AbstractContextManager[Place]:

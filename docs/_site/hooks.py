@@ -27,13 +27,25 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import cells
 import mathml
+import notebooks
 from mkdocs.exceptions import PluginError
+from mkdocs.utils import get_relative_url
 
 _MARKER = re.compile(r"^([ \t]*)\{\{ (code|cell|output|figure|slides)(?: (.+?))? \}\}$", re.MULTILINE)
 #: the words on the page, by language
 WORDS = {
-    "en": {"code": "Show the code", "lines": "lines", "slides": "| Section | Explained in | Function | Test |"},
-    "ja": {"code": "コードを表示", "lines": "行", "slides": "| 節 | 説明 | 関数 | テスト |"},
+    "en": {
+        "code": "Show the code",
+        "lines": "lines",
+        "slides": "| Section | Explained in | Function | Test |",
+        "notebook": "This page as a notebook",
+    },
+    "ja": {
+        "code": "コードを表示",
+        "lines": "行",
+        "slides": "| 節 | 説明 | 関数 | テスト |",
+        "notebook": "このページのノートブック",
+    },
 }
 
 
@@ -64,7 +76,11 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
             made = _cell(kind, source, arguments, page, language)
         return "\n".join(indent + line if line else line for line in made.splitlines())
 
-    return _MARKER.sub(text, markdown)
+    made = _MARKER.sub(text, markdown)
+    if source.exists():
+        url = get_relative_url(_notebook(source, language), page.file.url)
+        made += f'\n\n<p><a href="{url}" download>{WORDS[language]["notebook"]}</a></p>\n'
+    return made
 
 
 def on_page_content(html: str, page: Any, config: Any, files: Any) -> str:
@@ -76,10 +92,22 @@ def on_page_content(html: str, page: Any, config: Any, files: Any) -> str:
 
 
 def on_post_build(config: Any) -> None:
-    """Copy the figures of all pages into the site."""
+    """Copy the figures of all pages into the site, and write the notebooks."""
     for source in cells.sources():
         target = Path(config["site_dir"]) / _place(source)
         shutil.copytree(cells.folder(source), target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*.json"))
+        for language, suffix in (("en", ".md"), ("ja", ".ja.md")):
+            content = notebooks.notebook(
+                source.with_suffix(suffix).read_text(),
+                cells.run(source),
+                cells.folder(source),
+                lambda arguments, language=language: _code(*shlex.split(arguments), language=language),
+            )
+            notebooks.write(Path(config["site_dir"]) / _notebook(source, language), content)
+
+
+def _notebook(source: Path, language: str) -> str:
+    return f"notebooks/{source.relative_to(cells.DOCS).with_suffix('').as_posix()}.{language}.ipynb"
 
 
 def _place(source: Path) -> str:
@@ -142,8 +170,6 @@ def _cell(kind: str, source: Path, arguments: list[str], page: Any, language: st
 
 
 def _figures(cell: cells.Cell, source: Path, alternative: str, page: Any) -> str:
-    from mkdocs.utils import get_relative_url
-
     alternative = html.escape(alternative, quote=True)
     urls = [get_relative_url(f"{_place(source)}/{file}", page.file.url) for _, file in cell.figures]
     if len(urls) == 1:

@@ -13,9 +13,9 @@ MACROS = [
     (r"\\V\{((?:[^{}]|\{[^{}]*\})*)\}", r"\\boldsymbol{\1}"),
     (r"\\V\s*(\w)", r"\\boldsymbol{\1}"),
     (r"\^\\T(?![a-zA-Z])", r"^{\\top}"),
-    # the same for the converter, which knows only one of them
-    (r"\{aligned\}", "{align*}"),
 ]
+#: the same for the converter, which knows only one of them
+_CONVERTER = (r"\{aligned\}", "{align*}")
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
 
 
@@ -51,7 +51,7 @@ def replace(page: str) -> str:
 def to_mathml(formula: str, block: bool) -> str:
     """Return one formula as MathML, with its source as text for screen readers and for copying."""
     expanded = formula
-    for pattern, replacement in MACROS:
+    for pattern, replacement in (*MACROS, _CONVERTER):
         expanded = re.sub(pattern, replacement, expanded)
     mathml = convert(expanded.strip(), display="block" if block else "inline")
     unknown = re.search(r"<m[a-z]+[^>]*>(&#x0005C;|\\)\w*", mathml)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import io
 import json
@@ -13,6 +14,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 from cells import split
+from matplotlib.figure import Figure
 
 #: a figure as SVG is replaced by a PNG above this size [bytes], for example one with thousands of particles
 LARGEST_SVG = 120_000
@@ -52,18 +54,28 @@ def main(path: Path, target: Path) -> None:
         namespace["slider"], printed = slider, io.StringIO()
         with plt.rc_context(STYLE), contextlib.redirect_stdout(printed):
             try:
-                exec(compile(code, f"{path.name}, cell {name}", "exec"), namespace)
+                value = execute(code, f"{path.name}, cell {name}", namespace)
             except Exception:
                 sys.exit(f"cell {name!r}:\n{traceback.format_exc()}")
             while plt.get_fignums():
                 figures.append(("", save(target, f"{name}-{len(figures)}")))
+            if isinstance(value, Figure) and not figures:
+                figures.append(("", save(target, f"{name}-0", value)))
         results[name] = {"name": name, "code": code, "output": printed.getvalue(), "figures": figures}
     (target / "cells.json").write_text(json.dumps(results))
 
 
-def save(target: Path, name: str) -> str:
-    """Save the first open figure, close it, and return the name of its file."""
-    figure = plt.figure(plt.get_fignums()[0])
+def execute(code: str, place: str, namespace: dict[str, Any]) -> Any:
+    """Execute a cell and return the value of its last line, where that is an expression, as a notebook does."""
+    tree = ast.parse(code, place)
+    last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
+    exec(compile(tree, place, "exec"), namespace)
+    return eval(compile(ast.Expression(last.value), place, "eval"), namespace) if last else None
+
+
+def save(target: Path, name: str, figure: Figure | None = None) -> str:
+    """Save a figure, or else the first open one, close it, and return the name of its file."""
+    figure = figure or plt.figure(plt.get_fignums()[0])
     file = target / f"{name}.svg"
     figure.savefig(file, metadata={"Date": None})
     if file.stat().st_size > LARGEST_SVG:

@@ -219,13 +219,14 @@ class _Problem:
             if factor.growth <= growth:
                 break
             growth = 2 * factor.growth
-        gradient = function.gradient
+        gradient, terms = function.gradient, function.error
         if np.any(shift):
-            gradient = gradient.copy()
+            gradient, terms = gradient.copy(), terms.copy()
             gradient[:, 0] += shift * np.exp(1j * self.state[:, 2]) * self.free
+            terms[:, 0] += shift
         # rounding errors of the gradient; S is at least margin * scale
         scale = np.where(function.scale > 0, margin * function.scale, 1.0)
-        error = np.sqrt(np.sum((ROUNDOFF * (64 + degree) * function.error) ** 2 / scale))
+        error = np.sqrt(np.sum((ROUNDOFF * (64 + degree) * terms) ** 2 / scale))
         decrease = (1.001 * np.sqrt(factor.square(gradient)) + error) ** 2
         return float(self.forces.cost.sum()) - decrease - function.slack, factor
 
@@ -350,5 +351,7 @@ def _reduced(values, indptr, scale, part, shift):  # type: ignore[no-untyped-def
         block = out[indptr[j + 1] - 1]
         block[0, 0] += shift[j]
         for k in range(2):
-            block[k, k] += 1.0 if scale[j, k] == 0 else -part * scale[j, k]
+            # the shift is part of the scale, because its sum with the diagonal is rounded, too
+            size = scale[j, k] + (shift[j] if k == 0 else 0.0)
+            block[k, k] += 1.0 if scale[j, k] == 0 else -part * size
     return out

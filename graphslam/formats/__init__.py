@@ -14,6 +14,7 @@ from typing import Any
 from ..checks import check_choice
 from ..errors import FormatError, OptionError
 from ..files import check_file, check_path
+from ..keyframes import with_poses_every
 from ..log import Log
 from ..reading import ReadOptions
 from . import bag, huang, lnpr, lost_in_the_woods, mrclam, npz, tables, victoria_park
@@ -33,7 +34,7 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
         path: a file, or the folder of a data set.
         format: the name of the format.
         options: the fields of `ReadOptions`: ``robot``, the number of the robot where a data set has several;
-            ``keep_every`` [s], keep a pose at least this often where poses are otherwise only where something was seen.
+            ``keep_every`` [s], keep a pose at least this often, also where nothing was seen.
 
     Raises:
         FormatError: there is no such file, it is not of a known format, or breaks its format's rules; the message has
@@ -47,13 +48,18 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
     if not path.is_dir():
         check_file(path)
     chosen = FORMATS[format] if format is not None else _recognised(path)
-    known = {f.name: f.metadata["needs"] for f in fields(ReadOptions)}
+    known = {f.name: f.metadata.get("needs") for f in fields(ReadOptions)}
     for name in options:
         if name not in known:
             raise OptionError(f"load has no option {name!r}; its options are format, {', '.join(known)}")
-        if options[name] is not None and not getattr(chosen, known[name]):
+        needs = known[name]
+        if options[name] is not None and needs is not None and not getattr(chosen, needs):
             raise OptionError(f"{name} does not apply to logs of the format {chosen.name!r} ({path}); leave it out")
-    return chosen.read(path, ReadOptions(**options))
+    reading = ReadOptions(**options)
+    log = chosen.read(path, reading)
+    if reading.keep_every is None or chosen.separate_times:
+        return log
+    return with_poses_every(log, reading.keep_every)
 
 
 def _recognised(path: Path) -> Format:

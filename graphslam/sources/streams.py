@@ -88,6 +88,10 @@ def parts_of_streams(
             remarks.append("the truth covers no pose")
         elif not covered.all():
             remarks.append(f"the truth covers {covered.sum()} of {len(covered)} poses")
+    true_path = None
+    if true_poses is not None and truth is not None:
+        true_path = truth_at(times[0] + np.concatenate([[0.0], np.cumsum(dt)]), truth)
+        true_path[starts] = true_poses
     if start is None:
         start = np.zeros(3)
         if true_poses is not None and not np.isnan(true_poses[0]).any():
@@ -103,6 +107,7 @@ def parts_of_streams(
         sightings=sightings.rows[inside],
         initial_poses=MotionModel().dead_reckoning(start, controls, dt)[starts],
         true_poses=true_poses,
+        true_path=true_path,
         truth_offset=truth_offset,
         true_landmarks=None if true_landmarks is None else dict(true_landmarks),
         start_time=origin + float(times[0]),

@@ -21,7 +21,7 @@ from comparisons.results import EstimatorResult
 from comparisons.show.canvas import save_figure
 from comparisons.show.ellipses import CORNERS, ellipses
 from comparisons.show.figures import comparison_figure
-from comparisons.show.placement import place_map, placement_of, true_landmarks
+from comparisons.show.placement import place_map, placement_of, reference_of, true_landmarks
 from comparisons.show.study_figures import study_figure
 from comparisons.show.style import BACKENDS, CONSISTENCY, ESTIMATORS, colour_of, style_of
 from comparisons.show.tables import RESULTS
@@ -208,7 +208,7 @@ def test_an_unknown_estimator_gets_a_style_of_its_own() -> None:
 
 
 def test_every_class_of_results_has_a_renderer() -> None:
-    from comparisons import backends, consistency, datasets, particles, solvers  # noqa: F401
+    from comparisons import backends, consistency, datasets, importing, overview, particles, solvers  # noqa: F401
 
     kinds = {kind.__name__ for kind in Displayed.__subclasses__()}
     assert kinds | {"Calibration"} == set(RESULTS)
@@ -264,3 +264,9 @@ def test_pyplot_is_never_imported() -> None:
     )
     code = f"import sys, {modules}; assert 'matplotlib.pyplot' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
+
+
+def test_the_sightings_are_those_of_an_estimate_and_not_of_dead_reckoning(log: Log) -> None:
+    comparison = run(log, estimators=["dead-reckoning", "fastslam2"], particles=20)
+    reference = reference_of(comparison)
+    assert reference is not None and reference.name == "fastslam2"

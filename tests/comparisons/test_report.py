@@ -428,3 +428,14 @@ def test_wrong_use_is_refused_before_the_work_begins(tmp_path: Path, monkeypatch
     assert result.exit_code == 2, result.output
     assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_figure_of_the_page_that_fails_is_a_sentence(comparison: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise ValueError("too large")
+
+    monkeypatch.setattr("comparisons.show.report.page.pictures", fails)
+    monkeypatch.setattr("comparisons.show.report.page.iterations", fails)
+    elements = Elements(page_of(comparison))
+    assert elements.text.count("Left out: ValueError: too large.") == 2
+    assert set(elements.data["figures"]) == {"map", "errors", "costs"}

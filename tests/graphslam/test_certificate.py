@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
+import importlib.util
 from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from graphslam import Graph, MotionModel, OptionError, certify, load, sample_log_path, simulate, solve
+from comparisons.datasets import data_folder
+from graphslam import (
+    Graph,
+    MotionModel,
+    OptionError,
+    SensorFaults,
+    certify,
+    load,
+    sample_log_path,
+    simulate,
+    solve,
+    solve_gnc,
+)
+from graphslam.certificate import descents, prove
+from graphslam.certificate.minorants import curvature
 from graphslam.certificate.proof import _Problem
 from graphslam.edges import AnchorEdges, RelativePointEdges, RelativePoseEdges
 from graphslam.linear.hermitian import analyze_hermitian, factorize
@@ -377,3 +394,93 @@ def test_gtsam_graph_with_a_fixed_pose_and_a_kernel():
     assert certify(graph, end).status == "global"
     graph.add(RelativePoseFactor(0, 1, [1.0, 0.1, 2.1], np.eye(3), kernel="huber"))
     assert "kernel" in certify(graph, end).reason
+
+
+@pytest.fixture(scope="module")
+def benchmark():
+    path = Path(__file__).parents[2] / "benchmarks" / "certificate.py"
+    spec = importlib.util.spec_from_file_location("certificate_benchmark", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_no_false_proofs_on_random_graphs(benchmark):
+    """Random graphs with very unequal information, wrong loop closures, poses in one place and turns of half a circle."""
+    tried = proven = above = 0
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        graph = benchmark.random_graph(rng)
+        states = list(benchmark.candidates(graph, rng, 6))
+        costs = [graph.cost(state) for state in states]
+        for state, cost in zip(states, costs):
+            proof = certify(graph, state)
+            tried, above = tried + 1, above + (cost > min(costs) * (1 + 1e-6))
+            if proof.lower_bound > min(costs) * (1 - 1e-10):
+                best = min(benchmark.exact_cost(graph, each) for each in states)
+                assert proof.lower_bound <= best * (1 + 1e-15), seed
+            if proof.status == "global":
+                proven += 1
+                assert cost <= min(costs) * (1 + 1.1e-6) or "zero" in proof.reason, seed
+    assert tried > 100 and proven > 10 and above > 50
+
+
+def test_the_split_leaves_a_positive_semidefinite_rest(benchmark):
+    """diag(beta, beta, kappa) <= Omega, in exact rational arithmetic."""
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        omega = benchmark.random_information(rng, 3, float(rng.choice([0, 2, 4, 6])))
+        share = float(rng.choice([0.02, 0.3, 0.95]))
+        information = np.array([omega[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+        beta, A, _ = curvature(information, np.ones(1, dtype=bool), np.zeros(1), share)
+        if beta[0] <= 0:
+            continue
+        rest = [[Fraction(value) for value in row] for row in omega.tolist()]
+        for k, part in enumerate((beta[0], beta[0], A[0])):
+            rest[k][k] -= Fraction(float(part))
+        (a, b, c), (_, d, e), (_, _, f) = rest
+        assert a >= 0 and d >= 0 and f >= 0
+        assert a * d - b * b >= 0 and a * f - c * c >= 0 and d * f - e * e >= 0
+        assert a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d) >= 0
+
+
+@pytest.mark.parametrize("seed", [3, 6, 7])
+def test_descents_lead_from_a_wrong_minimum_to_a_lower_one(seed):
+    graph = Graph.from_log(simulate(seed=seed), edges="landmark+motion", dimensions=2)
+    best, wrong = solve(graph), None
+    for headings in range(4):
+        start = graph.initial.copy()
+        start[: len(graph.steps), 2] = np.random.default_rng(headings).uniform(-np.pi, np.pi, len(graph.steps))
+        end = solve(graph.with_initial(start), initialize="given", method="levenberg-marquardt")
+        if end.converged and end.cost > best.cost * (1 + 1e-6):
+            wrong = end
+    assert wrong.certificate.status == "not proven"
+    starts = list(descents(graph, wrong.state, wrong.certificate.direction))
+    assert len(starts) == 6
+    ends = [solve(graph.with_initial(each), initialize="given", max_iterations=50).cost for each in starts]
+    assert min(ends) < wrong.cost * (1 - 1e-6)
+
+
+def test_descents_keep_what_is_fixed():
+    fixed = ring(12, windings=3)
+    for each in descents(fixed, fixed.initial, certify(fixed, fixed.initial).direction):
+        np.testing.assert_array_equal(each[0], fixed.initial[0])
+
+
+def test_edges_choose_their_splits():
+    """One split for all edges does not prove this log; choosing by edge does."""
+    folder = data_folder() / "mrclam6"
+    if not folder.exists():
+        pytest.skip(f"needs {folder}")
+    graph = Graph.from_log(load(folder, robot=3), edges="landmark+motion")
+    solution = solve(graph)
+    quick = prove(graph, solution.state, thorough=False)
+    assert quick.status == "not proven" and quick.direction is not None
+    assert solution.certificate.status == "global"
+
+
+def test_a_robust_fit_with_fixed_weights_is_proven():
+    log = simulate(seed=2, sensor_faults=SensorFaults(phantom=0.05))
+    solution = solve_gnc(Graph.from_log(log, edges="virtual+motion", weight="marginal"))
+    assert solution.converged
+    assert solution.certificate.status == "global"

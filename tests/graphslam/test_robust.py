@@ -72,19 +72,20 @@ def test_the_covariance_of_a_map_is_that_of_the_robust_mean(kernel, d):
     assert low <= np.mean(nees) / d <= high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kernel", "options"), [("cauchy", {"edges": "landmark+motion"}), ("geman-mcclure", {"weight": "marginal"})]
 )
 def test_the_covariance_of_a_trajectory(kernel, options):
-    """The joint NEES of 24 clean logs lies in its band, close to that of least squares."""
+    """The joint NEES of 96 clean logs lies in its band, close to that of least squares."""
     motion, sensor = models(0.1)
     nees = []
-    for seed in range(24):
+    for seed in range(96):
         log = simulate(World(clean=True), seed=seed, motion=motion, sensor=sensor)
         graphs = (Graph.from_log(log, motion=motion, sensor=sensor, kernel=k, **options) for k in (None, kernel))
         nees.append([solve(graph, max_iterations=300).joint_nees(log.true_poses) for graph in graphs])
     plain, robust = np.mean(nees, axis=0)
-    low, high = band(3 * 62 * 24)
+    low, high = band(3 * 62 * 96)
     assert low <= robust <= high and robust == pytest.approx(plain, abs=0.05)
 
 

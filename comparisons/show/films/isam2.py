@@ -69,10 +69,11 @@ def isam2_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
 
         def corrections(frame: Frame) -> Sequence[Artist]:
             assert isinstance(frame, OnlineFrame)
-            places = scene.placed(frame.poses)
+            places = scene.along(frame.poses)
+            motion = scene.between.motions[: len(places) - 1]
             lines.set_segments(list(np.stack([places[:-1], places[1:]], axis=1)))
             # a segment has moved as far as the end that moved farther; the newest pose has not moved yet
-            lines.set_array(np.maximum(frame.corrections[:-1], frame.corrections[1:]))
+            lines.set_array(np.maximum(frame.corrections[motion], frame.corrections[motion + 1]))
             return [lines]
 
         scene.add(corrections)

@@ -22,9 +22,9 @@ from matplotlib.ticker import MaxNLocator
 from graphslam import Log, MotionModel
 from graphslam.se2 import Array, transform
 
-from ..canvas import set_limits
+from ..canvas import as_text, set_limits
 from ..ellipses import ellipses
-from ..placement import aligned_to, place_map, placed, true_landmarks
+from ..placement import aligned_to, between_poses, place_map, placed, true_landmarks, true_line
 from ..style import FLASH, SIGHTING, TRUE_LANDMARK, TRUTH, colour_of, ellipse_style, style_of
 from .film import Frame, Show
 
@@ -57,31 +57,36 @@ class Scene:
         if scale is not None:
             bar = figure.add_axes((0.91, 0.305, 0.016, 0.60))
             figure.colorbar(ScalarMappable(*scale[:2]), cax=bar, label=scale[2], extend="both")
-        drifting = self.placed(log.initial_poses if log.controls is None else log.dead_reckoning(motion))
+        self.between = between_poses(log, motion)
+        drifting = self.along(log.initial_poses if log.controls is None else log.dead_reckoning(motion))
         style = style_of("dead-reckoning") | {"alpha": 0.55, "linewidth": 0.9}
         self.remember("dead reckoning", *self.plane.plot(*drifting.T, **style))
         means, curves = self._map(frames[-1])
-        core = [self.placed(frames[-1].poses), means, curves.reshape(-1, 2)]
+        core = [self.along(frames[-1].poses), means, curves.reshape(-1, 2)]
         #: ground truth and true landmarks, for a film whose lines would hide them
         self.known: list[Artist] = []
-        if log.true_poses is not None:
+        if (line := true_line(log)) is not None:
             pale = TRUTH | {"color": "0.55", "linewidth": 1.6, "zorder": 2}
-            self.known += self.plane.plot(*log.true_poses[:, :2].T, **pale)
+            self.known += self.plane.plot(*line[:, :2].T, **pale)
             self.remember("ground truth", self.known[-1])
-            core.append(log.true_poses[log.covered, :2])
+            core.append(line[np.isfinite(line[:, 0]), :2])
         of_map = np.array(list(true_landmarks(log).values() if aligned_to(log) else [])).reshape(-1, 2)
         if len(of_map):
             self.known += self.plane.plot(*of_map.T, **TRUE_LANDMARK | {"zorder": 2.1})
             self.remember("true landmark", self.known[-1])
             core.append(of_map)
-        self._content = np.concatenate(core), [drifting, self.placed(frames[0].poses)]
+        self._content = np.concatenate(core), [drifting, self.along(frames[0].poses)]
         self.extent = set_limits(self.plane, *self._content)
         # the second line of the title is left empty for the caption
-        self.plane.set(xlabel="x [m]", ylabel="y [m]", title=f"{title}\n ")
+        self.plane.set(xlabel="x [m]", ylabel="y [m]", title=f"{as_text(title)}\n ")
 
     def placed(self, poses: Array) -> Array:
         """Positions (k, 2) in the picture of poses (k, 3) in the estimator's axes."""
         return placed(self.log, self.placement, poses)[:, :2]
+
+    def along(self, poses: Array) -> Array:
+        """Positions (n, 2) in the picture of the path through the first poses (k, 3) of a drive, along its controls."""
+        return self.placed(self.between.through(poses))
 
     def moved(self, points: Array) -> Array:
         """Points (k, 2) in the picture of points in the estimator's axes."""
@@ -126,9 +131,9 @@ class Scene:
         line.set_animated(True)
 
         def move(frame: Frame) -> list[Artist]:
-            places = self.placed(frame.poses)
+            poses = frame.poses
             line.set_data(
-                *(places if frame.estimated is None else np.where(frame.estimated[:, None], places, np.nan)).T
+                *self.along(poses if frame.estimated is None else np.where(frame.estimated[:, None], poses, np.nan)).T
             )
             return [line]
 

@@ -38,7 +38,7 @@
   }
 
   const paths = {};
-  for (const trace of figures.map.data) if (trace.meta.layer === "path") paths[trace.meta.estimator] = trace;
+  for (const trace of figures.map.data) if (trace.meta.layer === "path" && trace.meta.part !== "line") paths[trace.meta.estimator] = trace;
 
   // three standard deviations of [[sx², r sx sy], [r sx sy, sy²]], by its Cholesky factor
   function ellipse(x, y, sx, sy, r) {

@@ -13,11 +13,12 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from graphslam import Log, OptionError, SlamError
+from graphslam import Log, OptionError
 from graphslam.files import write_whole
 
 from ...comparison import Comparison, run
 from ...config import versions
+from ...failures import sentence
 from ...saving import check_can_write, jsonable
 from ..placement import reference_of
 from ..style import MATRIX, colour_of
@@ -176,6 +177,8 @@ def _map_note(view: View) -> str:
         )
     if view.truth is not None and (where := view.log.truth_place):
         note += f" Paths are those of the point that the ground truth is of, {where} of the robot's pose."
+    if view.log.composite:
+        note += " Between its poses a path follows the recorded controls."
     if len(view.steps) < view.log.num_poses:
         note += f" {len(view.steps)} of {view.log.num_poses} steps are shown; the table counts all of them."
     return note
@@ -202,8 +205,8 @@ def _convergence(comparison: Comparison) -> tuple[Figure | None, str, list[str]]
     """The figure, what it shows, and how each variant ended."""
     try:
         variants = iterations(comparison.log, comparison.options)
-    except SlamError as error:
-        return None, f"Left out: {error}.", []
+    except Exception as error:
+        return None, f"Left out: {sentence(error)}.", []
     return convergence_figure(variants), _CONVERGENCE, remarks(variants)
 
 
@@ -211,7 +214,10 @@ def _matrix(comparison: Comparison) -> tuple[Figure | None, str]:
     reference = reference_of(comparison)
     if reference is None or reference.graph is None:
         return None, "Left out: no estimator of this comparison solved a graph."
-    before, after = pictures(reference.graph)
+    try:
+        before, after = pictures(reference.graph)
+    except Exception as error:
+        return None, f"Left out: {sentence(error)}."
     return matrix_figure(before, after), description(reference.name, before, after)
 
 

@@ -34,7 +34,7 @@ def paths_figure(view: View) -> Figure:
     """The figure."""
     traces: list[dict[str, Any]] = []
     for estimate in view.estimates:
-        traces += [_path(view, estimate), *_map(view, estimate)]
+        traces += [*_path(view, estimate), *_map(view, estimate)]
     traces += _truth(view)
     for estimate in view.estimates:
         traces += _now(estimate)
@@ -64,11 +64,21 @@ def pose_columns(view: View, estimate: Estimate) -> list[list[float | int | None
     ]
 
 
-def _path(view: View, estimate: Estimate) -> dict[str, Any]:
-    return {
-        "type": "scatter", "meta": {"estimator": estimate.name, "layer": "path"}, **_xy(estimate.poses),
-        "customdata": pose_columns(view, estimate), "hovertemplate": "%{text}<extra></extra>", **line_of(estimate.name),
+def _path(view: View, estimate: Estimate) -> list[dict[str, Any]]:
+    """The poses, with all that is known of them; their line is a trace of its own where it has other points."""
+    meta, look = {"estimator": estimate.name, "layer": "path"}, line_of(estimate.name)
+    poses = {
+        "type": "scatter", "meta": meta, **_xy(estimate.poses), "customdata": pose_columns(view, estimate),
+        "hovertemplate": "%{text}<extra></extra>", **look,
     }  # fmt: skip
+    if len(estimate.line) == len(estimate.poses):
+        return [poses]
+    line = {
+        "type": "scatter", "mode": "lines", "meta": meta | {"part": "line"}, **_xy(estimate.line), "line": look["line"],
+        "hoverinfo": "skip",
+    }  # fmt: skip
+    # without a look of its own a pose is there to be pointed at
+    return [line, poses | {"mode": "markers", "marker": look.get("marker", {"size": 6, "opacity": 0})}]
 
 
 def _map(view: View, estimate: Estimate) -> list[dict[str, Any]]:
@@ -121,8 +131,12 @@ def _truth(view: View) -> list[dict[str, Any]]:
     if view.truth is not None:
         times = [None] * len(view.steps) if view.times is None else [short(t, 8) for t in view.times]
         time = "" if view.times is None else "<br>time %{customdata[1]:.2f} s"
-        traces.append(common | {
-            "mode": "lines", **_xy(view.truth), "line": {"color": INK, "width": 1.2},
+        look: dict[str, Any] = {"mode": "lines", "line": {"color": INK, "width": 1.2}}
+        if view.true_line is not None and len(view.true_line) != len(view.truth):
+            traces.append(common | look | _xy(view.true_line) | {"hoverinfo": "skip"})
+            look = {"mode": "markers", "marker": {"size": 6, "opacity": 0}}
+        traces.append(common | look | {
+            **_xy(view.truth),
             "customdata": [[int(t), s] for t, s in zip(view.steps, times)],
             "hovertemplate": f"<b>ground truth</b>, step %{{customdata[0]}}{time}<extra></extra>",
         })  # fmt: skip
@@ -161,9 +175,9 @@ def _xy(points: Array) -> dict[str, Any]:
 def _range(view: View, column: int) -> list[float]:
     """All that is drawn, with a margin, but for dead reckoning: it may drift far away and make the rest small."""
     drawn = [e for e in view.estimates if e.name != "dead-reckoning"] or list(view.estimates)
-    parts = [e.poses[:, column] for e in drawn] + [m[None, column] for e in drawn for m in e.landmarks.values()]
+    parts = [e.line[:, column] for e in drawn] + [m[None, column] for e in drawn for m in e.landmarks.values()]
     if view.truth is not None:
-        parts.append(view.truth[:, column])
+        parts.append((view.truth if view.true_line is None else view.true_line)[:, column])
     values = np.concatenate([np.empty(0), *parts])
     values = values[np.isfinite(values)]
     if len(values) == 0:

@@ -7,16 +7,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphslam import Log
+from graphslam import ControlPath, Log
 from graphslam.metrics import position_errors
 from graphslam.se2 import Array, perpendicular, turn_matrix
 
 from ...comparison import Comparison
+from ...exchange import elapsed_of, time_axis
 from ...results import EstimatorResult
-from ..placement import aligned_to, place_map, placed, placement_of_result, reference_of, sensor_of
+from ..placement import (
+    aligned_to,
+    between_poses,
+    place_map,
+    placed,
+    placement_of_result,
+    reference_of,
+    sensor_of,
+    true_line,
+)
 
 #: of longer logs every N-th step is shown: a screen has no more points, and the file must stay small
 MOST_STEPS = 1500
+#: about so many points has the line of a path at most
+MOST_POINTS = 5000
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +38,7 @@ class Estimate:
     Attributes:
         name: of the estimator.
         poses: (S, 3); NaN where the pose is not estimated.
+        line: (P, 3) the path along the recorded controls.
         errors: (S,) [m], see `View.measured_from`; NaN where unknown.
         covariances: (S, 3, 3) in the aligned axes, NaN where unknown; None where none is known.
         landmarks, landmark_covariances: {id: (2,)} and {id: (2, 2)} in the aligned axes.
@@ -34,6 +47,7 @@ class Estimate:
 
     name: str
     poses: Array
+    line: Array
     errors: Array
     covariances: Array | None
     landmarks: Mapping[int, Array]
@@ -49,8 +63,9 @@ class View:
         log: what was estimated from.
         aligned_to: what the estimates are aligned to, see `placement.aligned_to`.
         steps: (S,) the steps shown.
-        times: (S,) [s]; None where the log has none.
+        times: (S,) since the first pose [s]; None where the log has none.
         truth: (S, 3), NaN where unknown; None without ground truth.
+        true_line: (P, 3) the true path as far as it is known.
         estimates: in the order of the results.
         measured_from: the path that errors are distances from, after alignment: "truth", or the name of an estimator
             where the truth is not known; None where there is nothing to compare with.
@@ -63,6 +78,7 @@ class View:
     steps: np.ndarray
     times: Array | None
     truth: Array | None
+    true_line: Array | None
     estimates: tuple[Estimate, ...]
     measured_from: str | None
     sightings: tuple[Array, ...]
@@ -70,7 +86,7 @@ class View:
     @property
     def abscissa(self) -> tuple[Array, str]:
         """The horizontal axis of curves over the drive (S,), and its name with the unit."""
-        return (self.steps.astype(float), "step") if self.times is None else (self.times, "time [s]")
+        return (self.steps.astype(float) if self.times is None else self.times), time_axis(self.log)
 
 
 def view_of(comparison: Comparison) -> View:
@@ -89,19 +105,25 @@ def view_of(comparison: Comparison) -> View:
     places = sensor_of(comparison).h_inverse(at_origin, log.sightings)[:, :2] - log.truth_offset
     seen = np.column_stack([places, log.landmarks])
     bounds = zip(np.searchsorted(log.steps, steps), np.searchsorted(log.steps, steps, side="right"))
+    line, between = true_line(log), between_poses(log, comparison.options.motion, MOST_POINTS)
+    if line is not None and log.true_path is not None:
+        line = line[:: max(1, len(line) // MOST_POINTS)]
     return View(
         log=log,
         aligned_to=aligned_to(log),
         steps=steps,
-        times=None if log.times is None else log.times[steps],
+        times=None if log.times is None else elapsed_of(log)[steps],
         truth=None if log.true_poses is None else log.true_poses[steps],
-        estimates=tuple(_estimate(comparison, result, steps, path) for result in comparison.results),
+        true_line=line,
+        estimates=tuple(_estimate(comparison, result, steps, path, between) for result in comparison.results),
         measured_from=measured_from,
         sightings=tuple(seen[begin:end] for begin, end in bounds),
     )
 
 
-def _estimate(comparison: Comparison, result: EstimatorResult, steps: np.ndarray, path: Array | None) -> Estimate:
+def _estimate(
+    comparison: Comparison, result: EstimatorResult, steps: np.ndarray, path: Array | None, between: ControlPath
+) -> Estimate:
     log = comparison.log
     placement = placement_of_result(log, result)
     errors = np.full(len(result.poses), np.nan)
@@ -115,7 +137,8 @@ def _estimate(comparison: Comparison, result: EstimatorResult, steps: np.ndarray
         turn = turn_matrix(placement[2]) @ turn
         covariances = turn @ covariances[steps] @ np.swapaxes(turn, 1, 2)
     poses = np.where(result.estimated[steps, None], placed(log, placement, result.poses[steps]), np.nan)
+    line = placed(log, placement, between.through(np.where(result.estimated[:, None], result.poses, np.nan)))
     maps = place_map(placement, result.landmarks, result.landmark_covariances)
     # without the ids of the log, errors are known by true landmark only
     of_map = (comparison.metrics[result.name].landmark_errors_m or {}) if result.named else {}
-    return Estimate(result.name, poses, errors[steps], covariances, *maps, of_map)
+    return Estimate(result.name, poses, line, errors[steps], covariances, *maps, of_map)

@@ -49,7 +49,7 @@ for w in ([0.25] * 4, [0.5, 0.3, 0.15, 0.05], [0.97, 0.01, 0.01, 0.01]):
     print(w, "effective sample size", round(textbook.effective_sample_size(particles), 2))
 
 # %% number
-from graphslam.metrics import ate  # noqa: E402
+from graphslam.metrics import ate
 
 for count in (10, 100, 1000, 10_000):
     errors = [ate(log.true_poses, FastSLAM1(log, particles=count, seed=s).run().poses) for s in range(5)]

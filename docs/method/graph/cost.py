@@ -43,7 +43,7 @@ for factor in (0.0, 0.5, 1.0):
     )
 
 # %% lambda
-from graphslam.metrics import ate  # noqa: E402
+from graphslam.metrics import ate
 
 for motion_weight in (0.01, 1.0, 100.0):
     poses = solve(Graph.from_log(log, edges="virtual+motion", motion_weight=motion_weight)).poses

@@ -47,7 +47,7 @@ long = textbook.solve(log, edges="virtual", threshold=1e-9, max_iterations=30)
 print("norm of steps 10, 20, 30:", [float(f"{long.step_norms[k]:.3g}") for k in (9, 19, 29)])
 
 # %% fast
-from graphslam import Graph, solve  # noqa: E402
+from graphslam import Graph, solve
 
 for frame in ("world", "body"):
     fast = solve(Graph.from_log(log, edges="virtual+motion", frame=frame), initialize="given")

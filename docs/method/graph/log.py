@@ -50,7 +50,7 @@ ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 ax.legend()
 
 # %% pairs
-from itertools import combinations  # noqa: E402
+from itertools import combinations
 
 by_landmark = {int(j): log.steps[log.landmarks == j].tolist() for j in log.landmark_ids}
 for j, seen in list(by_landmark.items())[:3]:

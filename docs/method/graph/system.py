@@ -27,7 +27,7 @@ print("Delta of pose 2:", np.round(Delta[6:], 4))
 
 # %% figure
 # the blocks of one edge between the poses 3 and 7 of ten, and Omega of the sample log
-from graphslam import load, sample_log_path  # noqa: E402
+from graphslam import load, sample_log_path
 
 log = load(sample_log_path())
 fig, axes = plt.subplots(1, 2, figsize=(7.5, 3.8))

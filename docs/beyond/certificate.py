@@ -1,0 +1,55 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from graphslam import Graph, certify, simulate, solve
+
+log = simulate(seed=0, clean=True)
+graph = Graph.from_log(log, weight="tempered")
+
+# %% starts
+rng = np.random.default_rng(0)
+ends = []
+for _ in range(12):
+    wild = graph.initial.copy()
+    wild[1:, 2] = rng.uniform(-np.pi, np.pi, len(wild) - 1)  # random headings
+    solution = solve(graph.with_initial(wild), initialize="given")
+    ends.append((solution.cost, solution.converged, certify(graph, solution.state).status))
+best = solve(graph)
+for cost, converged, status in sorted(ends)[::3]:
+    print(f"random headings: J {cost:10.2f}  {'converged' if converged else 'not converged':14} {status}")
+print(f"auto:            J {best.cost:10.2f}  {best.reason}; {best.certificate.status}")
+
+# %% minorant
+u = np.linspace(-np.pi, np.pi, 400)
+
+
+def draw(star):
+    """The square of an angle and the function of its cosine that supports it at one angle."""
+    _, ax = plt.subplots(figsize=(6.4, 3.4))
+    factor = star / np.sin(star) if star else 1.0
+    ax.plot(u, u**2, label="u²")
+    ax.plot(u, star**2 + 2 * factor * (np.cos(star) - np.cos(u)), "C1--", label="linear in cos u")
+    ax.plot([-star, star], [star**2] * 2, "ko", label="u*")
+    ax.set(xlabel="u [rad]", ylabel="", ylim=(-2, 10))
+    ax.legend(loc="upper center")
+
+
+slider("u*", [0.0, 0.5, 1.0, 1.5, 2.0, 2.5], draw)  # noqa: F821  # given by the site: one figure for each value
+
+# %% proof
+proof = best.certificate
+print(proof.status, "-", proof.reason)
+print(f"J = {best.cost:.9f}, no state below {proof.lower_bound:.9f}")
+
+# %% shaken
+for metres in (0.0, 0.001, 0.1):
+    moved = best.state.copy()
+    moved[1:, :2] += metres * rng.standard_normal((len(moved) - 1, 2))
+    proof = certify(graph, moved)
+    print(f"moved by {metres} m: J {graph.cost(moved):9.3f}, {proof.status}, lower bound {proof.lower_bound:.3f}")
+
+# %% outside
+for name, options in (("world frame", {"frame": "world"}), ("Cauchy kernel", {"kernel": "cauchy"})):
+    proof = solve(Graph.from_log(log, **options)).certificate
+    print(f"{name}: {proof.status}: {proof.reason}")

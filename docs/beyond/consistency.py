@@ -1,0 +1,61 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from graphslam import Graph, MotionModel, SensorModel, simulate, solve
+
+motion = MotionModel(nn=0.019, no=0.0001, on=0.013, oo=0.02, epsilon=1e-6)  # a tenth of the book's noise
+sensor = SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005)
+variants = {
+    "pairs": {"weight": "pairs"},
+    "tempered": {"weight": "tempered"},
+    "marginal": {"weight": "marginal"},
+    "landmark nodes": {"edges": "landmark+motion"},
+}
+
+# %% scalar
+rng = np.random.default_rng(0)
+K, trials = 20, 5000
+z = rng.standard_normal((trials, K))  # K sightings of a place at 0, each with variance 1
+estimate = z.mean(axis=1)
+print("variance of the estimate:", round(estimate.var(), 4), " 1/K:", 1 / K)
+# the pairs (a, b), each with variance 2, seen as measurements of the position of the first pose relative to the others
+pair_information = (K - 1) / 2
+print("information of one sighting among the pairs:", pair_information, " right:", round((K - 1) / K, 2))
+
+# %% nees
+joint = {name: [] for name in variants}
+for seed in range(10):
+    log = simulate(seed=seed, clean=True, motion=motion, sensor=sensor)
+    for name, options in variants.items():
+        solution = solve(Graph.from_log(log, motion=motion, sensor=sensor, **options))
+        joint[name].append(solution.joint_nees(log.true_poses))
+for name, values in joint.items():
+    print(f"{name:15} joint ANEES {np.mean(values):.2f}")
+
+# %% bars
+fig, ax = plt.subplots(figsize=(6.4, 3.2))
+ax.boxplot(list(joint.values()), tick_labels=list(joint), orientation="horizontal")
+ax.axvline(1, color="C2", lw=2, label="consistent")
+ax.set(xlabel="joint NEES / degrees of freedom, 10 logs", xscale="log")
+ax.legend()
+
+# %% equal
+log = simulate(seed=0, clean=True, motion=motion, sensor=sensor)
+end = {name: solve(Graph.from_log(log, motion=motion, sensor=sensor, **options)) for name, options in variants.items()}
+exact = end["landmark nodes"]
+for name, solution in end.items():
+    apart = np.abs(solution.poses - exact.poses)[:, :2].max()
+    std = np.sqrt(np.diag(solution.covariance(30)))
+    print(
+        f"{name:15} J {solution.cost:8.2f}  {1000 * apart:5.1f} mm from landmark nodes  std of pose 30: {std.round(4)}"
+    )
+
+# %% accuracy
+for weight in ("pairs", "marginal"):
+    errors = []
+    for seed in range(5):
+        drive = simulate(seed=seed, clean=True, motion=motion, sensor=sensor)
+        poses = solve(Graph.from_log(drive, motion=motion, sensor=sensor, weight=weight)).poses
+        errors.append(np.sqrt(np.mean((poses - drive.true_poses)[:, :2] ** 2)))
+    print(f"{weight:9} root mean square position error: {np.mean(errors):.4f} m")

@@ -1,0 +1,79 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from fastslam import FastSLAM1, FastSLAM2
+from graphslam import SensorModel, simulate
+
+rng = np.random.default_rng(0)
+
+
+def normal(x, mean, std):
+    """The Gaussian density."""
+    return np.exp(-0.5 * ((x - mean) / std) ** 2) / (np.sqrt(2 * np.pi) * std)
+
+
+# %% problem
+motion_std, range_std, z = 0.8, 0.1, 1.6  # the robot moves along a line; a landmark stands at (2, 1)
+
+
+def h(x):
+    """The range to the landmark."""
+    return np.hypot(2 - x, 1)
+
+
+def proposal():
+    """The motion N(0, motion_std²), corrected by z with h linearised: mean and standard deviation."""
+    H = (0 - 2) / h(0)  # dh/dx at the prediction
+    K = motion_std**2 * H / (H**2 * motion_std**2 + range_std**2)
+    return K * (z - h(0)), motion_std * np.sqrt(1 - K * H)
+
+
+grid = np.linspace(-4, 8, 6001)
+posterior = normal(grid, 0, motion_std) * normal(z, h(grid), range_std)
+posterior /= posterior.sum() * (grid[1] - grid[0])
+mean, std = proposal()
+
+fig, ax = plt.subplots()
+ax.plot(grid, normal(grid, 0, motion_std), "C0:", label="motion p(x), the proposal of FastSLAM 1.0")
+ax.plot(grid, normal(grid, mean, std), "C1--", label="corrected q(x), the proposal of FastSLAM 2.0")
+ax.plot(grid, posterior, "k", label="p(x | z), exact")
+ax.set(xlabel="x [m]", xlim=(-2, 3), ylim=(0, 6))
+ax.legend(loc="upper left")
+
+# %% weights
+N = 100_000
+moved, drawn = motion_std * rng.standard_normal(N), mean + std * rng.standard_normal(N)
+weights = {
+    "1.0: p(z | x)": (moved, normal(z, h(moved), range_std)),
+    "2.0, original: constant here": (drawn, np.ones(N)),
+    "2.0, exact: p(z | x) p(x) / q(x)": (
+        drawn,
+        normal(z, h(drawn), range_std) * normal(drawn, 0, motion_std) / normal(drawn, mean, std),
+    ),
+}
+exact = (grid * posterior).sum() * (grid[1] - grid[0])
+print(f"{'exact posterior':34} mean {exact:.3f}")
+for name, (x, w) in weights.items():
+    w = w / w.sum()
+    print(f"{name:34} mean {(w * x).sum():.3f}  ESS / N {1 / (w**2).sum() / N:.2f}")
+
+# %% filters
+sensor = SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005)  # a tenth of the book's noise
+log = simulate(seed=0, clean=True, sensor=sensor)
+for method in (FastSLAM1, FastSLAM2):
+    errors, sizes = [], []
+    for seed in range(5):
+        result = method(log, particles=100, seed=seed, sensor=sensor).run()
+        errors.append(np.sqrt(np.mean((result.poses - log.true_poses)[:, :2] ** 2)))
+        sizes.append(np.mean(result.ess))
+    print(f"{method.__name__}: position error {np.median(errors):.3f} m, mean ESS {np.median(sizes):.1f} of 100")
+
+# %% narrow
+for range_std in (0.5, 0.1, 0.02):
+    mean, std = proposal()
+    drawn = mean + std * rng.standard_normal(N)
+    w1 = normal(z, h(moved), range_std)
+    w2 = normal(z, h(drawn), range_std) * normal(drawn, 0, motion_std) / normal(drawn, mean, std)
+    ess1, ess2 = (w.sum() ** 2 / (w**2).sum() / N for w in (w1, w2))
+    print(f"sensor noise {range_std} m: ESS / N {ess1:.3f} (1.0), {ess2:.3f} (2.0)")

@@ -1,0 +1,72 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from graphslam import Cauchy, GemanMcClure, Graph, Huber, simulate, solve, solve_gnc
+from graphslam.metrics import ate
+
+log = simulate(seed=0, clean=True)
+rng = np.random.default_rng(1000)
+sightings = log.sightings.copy()
+wrong = rng.choice(len(sightings), len(sightings) // 10, replace=False)  # every tenth sighting is a phantom
+sightings[wrong, 0] = rng.uniform(0.5, 6, len(wrong))
+sightings[wrong, 1] = rng.uniform(-np.pi / 3, np.pi / 3, len(wrong))
+sightings[wrong, 2] = rng.uniform(-np.pi, np.pi, len(wrong))
+bad = log.replace(sightings=sightings)
+
+# %% kernels
+r = np.linspace(0, 10, 400)
+fig, (left, right) = plt.subplots(1, 2, figsize=(8, 3.4))
+for kernel, line in ((None, "k:"), (Huber(), "C0-"), (Cauchy(), "C1--"), (GemanMcClure(), "C2-.")):
+    name, k = ("squares", None) if kernel is None else (kernel.name, kernel.of_dimension(3))
+    left.plot(r, r**2 if k is None else k.loss(r**2), line, label=name)
+    right.plot(r, np.ones_like(r) if k is None else k.weight(r**2), line, label=name)
+left.set(xlabel="r", ylabel="2 rho(r)", ylim=(0, 40))
+right.set(xlabel="r", ylabel="weight w(r)")
+right.legend()
+
+# %% compare
+clean = ate(log.true_poses, solve(Graph.from_log(log, weight="marginal")).poses)
+print(f"{'no wrong sighting':18} ATE {clean:.3f} m")
+for kernel in ("none", "huber", "cauchy", "geman-mcclure"):
+    solution = solve(Graph.from_log(bad, weight="marginal", kernel=kernel))
+    print(f"{kernel:18} ATE {ate(log.true_poses, solution.poses):.3f} m")
+trusted = solve_gnc(Graph.from_log(bad, weight="marginal"))
+print(f"{'gnc':18} ATE {ate(log.true_poses, trusted.poses):.3f} m; {trusted.notes[-1]}")
+
+# %% trust
+fig, ax = plt.subplots(figsize=(6.4, 2.8))
+ax.plot(trusted.trust, ".", label="correct sighting")
+ax.plot(wrong, trusted.trust[wrong], "rx", label="phantom")
+ax.set(xlabel="sighting", ylabel="trust")
+ax.legend(loc="center right")
+
+# %% annealing
+squares, c2 = np.linspace(0, 30, 300), 11.34  # c²: the 99 % quantile of chi-square with 3 degrees of freedom
+
+
+def draw(mu):
+    """The trust as a function of r² for one mu."""
+    _, ax = plt.subplots(figsize=(6.4, 3))
+    with np.errstate(divide="ignore"):
+        w = np.sqrt(c2 * mu * (mu + 1)) / np.sqrt(squares) - mu
+    ax.plot(squares, np.clip(w, 0, 1))
+    ax.axvline(c2, color="k", ls=":", label="c²")
+    ax.set(xlabel="r²", ylabel="trust w", ylim=(-0.05, 1.05), title=f"mu = {mu}")
+    ax.legend()
+
+
+slider("mu", [0.1, 0.5, 2, 10, 100], draw)  # noqa: F821  # given by the site: one figure for each value
+
+# %% minimum
+kernel = Cauchy().of_dimension(3)
+c = kernel.width
+h = 1e-6
+for value in (0.5, 2.0, 8.0):
+    slope = (kernel.loss((value + h) ** 2) - kernel.loss((value - h) ** 2)) / (4 * h)  # d rho / dr
+    print(f"r = {value}: rho'(r) / r = {slope / value:.6f}, w(r) = {float(kernel.weight(value**2)):.6f}")
+
+# %% missed
+found = trusted.trust < 0.5
+print("phantoms rejected:", int(found[wrong].sum()), "of", len(wrong))
+print("correct sightings rejected:", int(found.sum() - found[wrong].sum()), "of", len(found) - len(wrong))

@@ -1,0 +1,35 @@
+# %% run
+import comparisons
+
+comparison = comparisons.run(estimators=["dead-reckoning", "graph", "fastslam1"], particles=300)
+for row in comparison.table:
+    print(f"{row.name:15} ATE {row.ate_m:.3f} m")
+
+# %% picture
+comparison.figure()
+
+# %% steps
+from graphslam import Graph, estimate_map, load, sample_log_path, solve
+
+log = load(sample_log_path())
+print(log)
+graph = Graph.from_log(log, edges="landmark+motion")  # landmarks as nodes
+solution = solve(graph)
+print(solution.reason)
+print("landmark 0:", estimate_map(log, solution)[0].round(2))
+print("standard deviation of pose 100:", solution.covariance(100).diagonal().round(4) ** 0.5)
+
+# %% plot
+import matplotlib.pyplot as plt
+
+fig, ax = plt.subplots()
+ax.plot(*log.initial_poses[:, :2].T, ":", label="dead reckoning")
+ax.plot(*log.true_poses[:, :2].T, "k", lw=1, label="ground truth")
+ax.plot(*solution.poses[:, :2].T, "--", label="landmark nodes")
+ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+ax.legend()
+
+# %% without_motion
+for edges in ("virtual", "virtual+motion"):
+    end = solve(Graph.from_log(log, edges=edges))
+    print(f"{edges:15} J {end.cost:9.2f}, {end.iterations} steps")

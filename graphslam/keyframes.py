@@ -1,0 +1,75 @@
+"""`with_poses_every`: a log with further poses, where nothing was seen for a while."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from .checks import check_positive
+from .dense import control_path
+from .errors import LogError
+from .log import Log
+from .se2 import Array
+from .sources.streams import Stream, truth_at
+
+#: times that are nearer than this [s] are the same
+SAME = 1e-9
+
+
+def with_poses_every(log: Log, seconds: float) -> Log:
+    """The log with further poses, so that neighbours are at most ``seconds`` apart; the new ones have no sightings.
+
+    A motion that lasts longer is divided into parts of equal duration, and a control in which such a part ends is divided,
+    too. The true poses of the new ones are known where ``true_path`` is.
+
+    Raises:
+        LogError: the log has no controls.
+        OptionError: ``seconds`` is not positive.
+    """
+    check_positive(keep_every=seconds)
+    if log.controls is None or log.dt is None:
+        raise LogError(f"{log.name} has no controls, so there is nothing between its poses to keep")
+    # without the start time, which may be so large that fractions of a second are lost
+    ends = np.concatenate([[0.0], np.cumsum(log.dt)])
+    old = ends[log.control_starts]
+    lasting = np.diff(old)
+    parts = np.maximum(1, np.ceil(lasting / seconds - 1e-9)).astype(np.int64)
+    if np.all(parts == 1):
+        return log
+    motion = np.repeat(np.arange(len(parts)), parts)
+    part = np.arange(len(motion)) - np.repeat(np.cumsum(parts) - parts, parts)
+    times = np.append(old[motion] + part * (lasting / parts)[motion], old[-1])
+    # a part that ends where a control does needs no further cut
+    nearest = np.clip(np.searchsorted(ends, times - SAME), 0, len(ends) - 1)
+    times = np.where(np.abs(ends[nearest] - times) <= SAME, ends[nearest], times)
+    cuts = np.union1d(ends, times)
+    control = np.searchsorted(ends, cuts[:-1], side="right") - 1
+    whole = np.bincount(control, minlength=len(log.dt))[control] == 1
+    dt = np.where(whole, log.dt[control], np.diff(cuts))
+    changes: dict[str, Any] = {"dt": dt, "controls": log.controls[control]}
+    changes["recorded_dt"] = (log.dt if log.recorded_dt is None else log.recorded_dt)[control]
+    if log.control_variances is not None:
+        # a variance V of a control that lasts D moves the robot by V D², and its parts together by as much
+        changes["control_variances"] = log.control_variances[control] * (log.dt[control] / dt)[:, None]
+    finer = replace(log, **changes, control_starts=np.searchsorted(cuts, old), true_path=_true_path(log, ends, cuts))
+    starts, kept = np.searchsorted(cuts, times), np.searchsorted(times, old)
+    true_poses = None
+    if log.true_poses is not None:
+        true_poses = np.full((len(times), 3), np.nan) if finer.true_path is None else finer.true_path[starts].copy()
+        true_poses[kept] = log.true_poses
+    return replace(
+        finer, control_starts=starts, steps=kept[log.steps], true_poses=true_poses,
+        initial_poses=control_path(finer).through(log.initial_poses)[starts],
+    )  # fmt: skip
+
+
+def _true_path(log: Log, ends: Array, cuts: Array) -> Array | None:
+    """The true poses at the cuts, interpolated within the controls that are divided."""
+    if log.true_path is None:
+        return None
+    rows = log.true_path if np.isfinite(log.true_path[:, 2]).any() else log.true_path[:, :2]
+    path = truth_at(cuts, Stream(ends, rows))
+    path[np.searchsorted(cuts, ends)] = log.true_path
+    return path

@@ -1,0 +1,65 @@
+"""Notebooks of pages: text, code with its outputs, and no markup that only the site knows."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+sys.path.insert(0, str(DOCS / "_site"))
+notebooks = pytest.importorskip("notebooks", reason="needs the packages of the site: pip install -e '.[docs]'")
+from cells import Cell  # noqa: E402
+
+PAGE = r"""# Title {#top}
+
+See [the edges](edges.md#components) and [GTSAM](https://gtsam.org): $\V{x}^\T$.
+
+{{ cell first }}
+
+??? question "Exercise 1"
+
+    Compute it.
+
+    {{ output second "a line" }}
+
+{{ code graphslam/textbook.py solve }}
+"""
+
+
+def made(tmp_path):
+    (tmp_path / "second-0.svg").write_text("<svg/>")
+    results = {
+        "first": Cell("first", "print(1)", "1\n", []),
+        "second": Cell("second", "slider('n', [1], draw)  # noqa: F821", "", [["n 1", "second-0.svg"]]),
+    }
+    return notebooks.notebook(PAGE, results, tmp_path, lambda arguments: f"```python\n# {arguments}\n```")
+
+
+def test_cells_have_text_code_and_outputs(tmp_path):
+    cells = made(tmp_path)["cells"]
+    assert [cell["cell_type"] for cell in cells] == ["code", "markdown", "code", "markdown", "code", "markdown"]
+    assert cells[0]["source"].startswith("def slider")
+    assert cells[1]["source"].startswith("# Title\n")
+    assert "See the edges and [GTSAM](https://gtsam.org)" in cells[1]["source"]
+    assert r"\V" not in cells[1]["source"]
+    assert r"\T" not in cells[1]["source"]
+    assert cells[2]["outputs"] == [{"output_type": "stream", "name": "stdout", "text": "1\n"}]
+    assert cells[3]["source"] == "**Exercise 1**\n\nCompute it."
+    assert cells[4]["source"] == "slider('n', [1], draw)"
+    assert cells[4]["outputs"][0]["data"] == {"image/svg+xml": "<svg/>", "text/plain": "n 1"}
+    assert "graphslam/textbook.py solve" in cells[5]["source"]
+
+
+def test_cells_follow_those_that_they_need(tmp_path):
+    results = {name: Cell(name, f"{name} = 1", "", []) for name in ("first", "second")}
+    page = "{{ cell second }}\n\nText\n\n{{ cell first }}\n"
+    cells = notebooks.notebook(page, results, tmp_path, str)["cells"]
+    assert [cell["source"] for cell in cells] == ["first = 1", "second = 1", "Text"]
+
+
+def test_the_format_is_valid(tmp_path):
+    nbformat = pytest.importorskip("nbformat")
+    place = tmp_path / "folder" / "page.ipynb"
+    notebooks.write(place, made(tmp_path))
+    nbformat.validate(nbformat.reads(json.dumps(json.loads(place.read_text())), as_version=4))
