@@ -6,12 +6,14 @@ of it, so that a repeated run does not overwrite the results of the first.
 
 from __future__ import annotations
 
+import os
 import platform
 from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote_to_bytes
 
 from graphslam import OptionError
 from graphslam.files import check_file
@@ -29,7 +31,7 @@ def config_text(
 ) -> str:
     """The configuration of a run as TOML; what was chosen to suit the log is left out."""
     table: dict[str, Any] = {
-        "log": None if source in (None, sample_log_path()) else str(Path(source).absolute()),
+        "log": None if source in (None, sample_log_path()) else _path_text(Path(source).absolute()),
         "log_sha256": None if source is None else sha256_of(source),
         "estimators": estimators,
         "time_limit": time_limit,
@@ -61,8 +63,19 @@ def read_config(path: Path) -> dict[str, Any]:
     file.attempt(lambda: LimitOptions.of(time_limit=values.get("time_limit")))
     for key in ("log", "noise"):
         if key in values:
-            values[key] = path.parent / values[key]
+            values[key] = path.parent / _path_of(values[key])
     return values
+
+
+def _path_text(path: Path) -> str:
+    """A path as text; a URI where it has bytes that are not UTF-8, which TOML cannot hold."""
+    text = str(path)
+    return text if text.encode(errors="replace").decode() == text else path.as_uri()
+
+
+def _path_of(text: str | Path) -> Path:
+    uri = str(text)
+    return Path(os.fsdecode(unquote_to_bytes(uri[7:])) if uri.startswith("file:///") else text)
 
 
 def check_unchanged(log: Path | None, sha256: str) -> None:

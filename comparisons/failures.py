@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from graphslam import FormatError, SlamError
+from graphslam.errors import printable
 
 
 def sentence(error: BaseException) -> str:
     """An exception in one line: those meant for the user as they are, all others with their type."""
-    text = " ".join(str(error).split())
+    text = printable(" ".join(str(error).split()))
     return text if isinstance(error, SlamError) else f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from graphslam import FormatError, Log, LogError, OptionError
 from graphslam.bags.bag import is_bag
 from graphslam.bags.read import drive_of_bag, topics_of
-from graphslam.files import check_file
+from graphslam.files import check_file, check_path
 from graphslam.formats.bag import recipe_beside
 from graphslam.formats.tables import drive_of, recipe_of
 from graphslam.plausibility import Finding, plausibility
@@ -138,6 +138,7 @@ def imported(source: Path | None, options: ImportOptions) -> Import:
         tables: dict[str, Any] = {table: Path(path) for table, path in named.items()}
         drive = read_drive(**tables, options=merged(recipe or Recipe(), changes).options)
         return _made(Import(None), drive, reading, Path(named["odometry"]).resolve().parent.name)
+    check_path(source)
     if not source.is_dir():
         check_file(source)
     if is_bag(source, _head(source)):

@@ -19,6 +19,7 @@ from typing import Any
 
 from graphslam import FormatError, SensorModel
 from graphslam.calibration import Calibration
+from graphslam.errors import printable
 from graphslam.files import write_whole
 
 from .option import options_of
@@ -70,6 +71,6 @@ def write_noise(result: Calibration, path: Path, log: str) -> None:
         "sensor": {k: v for k, v in asdict(result.sensor).items() if k in result.numbers or k in place},
         "ranges": {"scale": result.range_scale, "bias": result.range_bias},
     }
-    comment = [f"The noise of {log}, from {result.source}; read by slam-compare run --noise.", *result.notes]
+    comment = [f"The noise of {printable(log)}, from {result.source}; read by slam-compare run --noise.", *result.notes]
     with write_whole(path) as temporary:
         temporary.write_text(to_toml(table, "\n".join(comment)), encoding="utf-8")

@@ -51,12 +51,23 @@ def _laid_out(value: Any, line: str) -> str:
     """Like json.dumps with indent, but what holds no further lists or objects stays on one line."""
     entries = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
     if not any(isinstance(entry, (dict, list)) for entry in entries):
-        return json.dumps(value, allow_nan=False, ensure_ascii=False)
+        return _one_line(value)
     inner = line + " "
     if isinstance(value, dict):
-        parts = [f"{json.dumps(key, ensure_ascii=False)}: {_laid_out(entry, inner)}" for key, entry in value.items()]
+        parts = [f"{_one_line(key)}: {_laid_out(entry, inner)}" for key, entry in value.items()]
         return "{" + inner + f",{inner}".join(parts) + line + "}"
     return "[" + inner + f",{inner}".join(_laid_out(entry, inner) for entry in value) + line + "]"
+
+
+def _one_line(value: Any) -> str:
+    """JSON on one line; ASCII where a name has bytes that are not UTF-8, which JSON can hold as escapes only."""
+    text = json.dumps(value, allow_nan=False, ensure_ascii=False)
+    return json.dumps(value, allow_nan=False) if any("\ud800" <= c <= "\udfff" for c in text) else text
+
+
+def json_line(value: Any) -> str:
+    """A value as JSON on one line."""
+    return _one_line(jsonable(value))
 
 
 def write_json(payload: Mapping[str, Any], path: Path) -> None:

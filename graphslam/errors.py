@@ -6,20 +6,21 @@ from typing import Any
 
 
 def printable(text: str) -> str:
-    """A text on one line, for messages, tables and figures: characters that cannot be shown become escapes such as \\x1b.
+    """A text that can be shown: line breaks become spaces, and what no terminal shows becomes an escape such as \\x1b.
 
     Names are data: the name of a file or a log may hold line breaks, the escape sequences of terminals, or bytes that are
     not UTF-8 (which Python keeps as surrogates, and no encoder takes).
     """
-    line = " ".join(text.split())
-    return line if line.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in text)
 
 
 class SlamError(Exception):
     """Root of all errors that this project raises on purpose; the text is one sentence for the user."""
 
     def __str__(self) -> str:
-        return printable(super().__str__())
+        return printable(" ".join(super().__str__().split()))
 
 
 class LogError(SlamError):

@@ -68,7 +68,7 @@ def write_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     check_place(named)
     path = named.resolve()
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem[:50]}-", suffix=path.suffix, dir=path.parent)
         os.close(handle)
     except OSError as error:
         raise FormatError(path, None, f"cannot write into {path.parent}: {error.strerror}") from None

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import check_positive, checked_offset, first
-from .errors import LogError, OptionError
+from .errors import LogError, OptionError, printable
 from .models import MotionModel, SensorModel
 from .reading import UNIDENTIFIED
 from .se2 import Array, mounted, wrap
@@ -79,6 +79,7 @@ class Log:
 
     def __post_init__(self) -> None:
         values = self._checked_controls()
+        values["name"] = printable(str(self.name))
         starts = values["control_starts"]
         initial = self.initial_poses
         if initial is None:

@@ -15,6 +15,8 @@ from typing import Any, Protocol
 
 import typer
 
+from graphslam.errors import SlamError, printable
+
 #: exit statuses
 DIFFERENT, WRONG_INPUT, INTERRUPTED = 1, 2, 130
 #: the width of tables that are not written to a terminal
@@ -40,8 +42,6 @@ def sentences(verbose: bool) -> Iterator[None]:
         if _by_interrupt(error):
             typer.echo("interrupted", err=True)
             raise typer.Exit(INTERRUPTED) from None
-        from graphslam.errors import SlamError
-
         if isinstance(error, MemoryError):
             error = SlamError(f"there is not enough memory for this ({error or 'no size given'}); ask for less")
         if not isinstance(error, SlamError):
@@ -104,7 +104,7 @@ class Output:
     def say(self, *lines: str) -> None:
         """Write sentences, one a line, without markup."""
         for line in lines:
-            self.console.print(line, markup=False, soft_wrap=True)
+            self.console.print(printable(line), markup=False, soft_wrap=True)
 
     def json(self, payload: Mapping[str, Any]) -> None:
         """Write the JSON where it was asked for, if anywhere."""
@@ -124,7 +124,7 @@ class Output:
     def detail(self, line: str) -> None:
         """A line on standard error about a step of the work, with --verbose."""
         if self.verbose:
-            self._errors.print(line, style="dim", markup=False, soft_wrap=True)
+            self._errors.print(printable(line), style="dim", markup=False, soft_wrap=True)
 
     @contextmanager
     def _announce_compilation(self) -> Iterator[None]:
@@ -144,7 +144,7 @@ class Output:
     def progress(self, line: str) -> None:
         """A line on standard error about work that takes a while; not with --quiet."""
         if not self.quiet:
-            self._errors.print(line, markup=False, soft_wrap=True)
+            self._errors.print(printable(line), markup=False, soft_wrap=True)
 
     @contextmanager
     def bar(self, what: str, total: int | None = None) -> Iterator[Advance]:
@@ -157,7 +157,12 @@ class Output:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
         from rich.progress import TimeRemainingColumn as Remaining
 
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+        )
         hidden = self.quiet or not self._errors.is_terminal
         left = (TextColumn("remaining"), Remaining())
         bar = Progress(*columns, *left, console=self._errors, transient=True, disable=hidden)
@@ -165,7 +170,7 @@ class Output:
             task = progress.add_task(what, total=total)
 
             def advance(steps: int, doing: str = "", total: int | None = None) -> None:
-                progress.update(task, advance=steps, description=f"{what}: {doing}" if doing else what)
+                progress.update(task, advance=steps, description=printable(f"{what}: {doing}") if doing else what)
                 if total is not None:
                     progress.update(task, total=total)
 

@@ -5,6 +5,7 @@ Only matplotlib's objects are used, no pyplot: nothing global changes, and any n
 
 from __future__ import annotations
 
+import warnings
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,11 +21,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from graphslam.errors import printable
 from graphslam.files import write_whole
 from graphslam.se2 import Array
 
 #: two columns of a page [inches]
 WIDTH = 7.16
+
+
+def as_text(name: str) -> str:
+    """A name that matplotlib shows as it is: between two dollar signs it would expect mathematics."""
+    return printable(name).replace("$", r"\$")
 
 
 @contextmanager
@@ -41,7 +48,10 @@ def paper_figure(figsize: tuple[float, float] | None = None) -> Iterator[Figure]
 @contextmanager
 def paper_style() -> Iterator[None]:
     """Matplotlib's settings for figures that are printed."""
-    with as_file(files("comparisons.show").joinpath("paper.mplstyle")) as path, matplotlib.rc_context(fname=path):
+    style = as_file(files("comparisons.show").joinpath("paper.mplstyle"))
+    with style as path, matplotlib.rc_context(fname=path), warnings.catch_warnings():
+        # a name in a script that the font does not have is drawn as boxes
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)
         yield
 
 

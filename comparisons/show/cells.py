@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 from rich import box
 from rich.cells import cell_len
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Column, Table
 from rich.text import Text
 
 from graphslam import Certificate
+from graphslam.errors import printable
 
 NOTHING = "–"
 #: columns of names wrap in a narrow terminal, but each keeps this width where it needs it
@@ -65,7 +67,7 @@ class LeanTable(Table):
 
     def __init__(self, title: str, names: Sequence[str], numbers: Sequence[str]) -> None:
         super().__init__(
-            title=Text(title, style="bold"), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1),
+            title=Text(printable(title), style="bold"), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1),
             pad_edge=False, show_edge=False,
         )  # fmt: skip
         # as Text: rich would take [m] for markup
@@ -73,6 +75,10 @@ class LeanTable(Table):
             self.add_column(Text(heading), overflow="fold")
         for heading in numbers:
             self.add_column(Text(heading), justify="right", no_wrap=True)
+
+    def add_row(self, *cells: RenderableType | None, **settings: Any) -> None:
+        """Add a row; texts are shown as they are, without markup and without what controls a terminal."""
+        super().add_row(*(_plain(cell) if isinstance(cell, str) else cell for cell in cells), **settings)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """The table, with narrow gaps where that lets it fit, else as few tables with the same rows as possible."""
@@ -96,6 +102,11 @@ class LeanTable(Table):
             if k:
                 yield ""
             yield from Table.__rich_console__(table, console, options)
+
+
+def _plain(text: str) -> str | Text:
+    """A cell that rich shows as it is: text with a bracket could be its markup."""
+    return Text(printable(text)) if "[" in text else printable(text)
 
 
 def _split(columns: Sequence[Column], limit: int, gap: int) -> list[list[Column]]:

@@ -18,7 +18,7 @@ from graphslam.se2 import Array, compose
 from ..comparison import Comparison
 from ..exchange import elapsed_of, time_axis
 from ..results import EstimatorResult
-from .canvas import paper_figure, set_limits
+from .canvas import as_text, paper_figure, set_limits
 from .ellipses import ellipses
 from .placement import (
     aligned_to,
@@ -97,7 +97,7 @@ def _draw_map(axes: Axes, comparison: Comparison, legend: dict[str, Any]) -> Non
     (legend["start"],) = axes.plot(*start, **START)
     set_limits(axes, np.concatenate(core), rest)
     how = f", aligned to {aligned}" if aligned else ""
-    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"(a) {log.name}: paths and map{how}")
+    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"(a) {as_text(log.name)}: paths and map{how}")
 
 
 def _label(result: EstimatorResult) -> str:

@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from graphslam import OptionError
 
-from .canvas import WIDTH, paper_figure
+from .canvas import WIDTH, as_text, paper_figure
 from .style import colour_of, style_of
 from .tables import PYTHON_FACTORS
 
@@ -97,7 +97,7 @@ def backends_figure(comparison: BackendComparison) -> Figure:
                 label = row.backend if row.native else f"{row.backend} ({PYTHON_FACTORS})"
                 look = style_of(row.backend) | ({} if row.native else {"alpha": 0.5, "markerfacecolor": "none"})
                 (handles[label],) = panel.plot(*_curve(row, best), **look)
-            panel.set(xscale="log", yscale="log", title=Path(file).name, xlabel="time [s]")
+            panel.set(xscale="log", yscale="log", title=as_text(Path(file).name), xlabel="time [s]")
         for panel in panels[::3]:
             panel.set_ylabel("relative excess of chi2 over the best")
         if handles:
@@ -134,11 +134,13 @@ def study_figure(summary: Summary, metric: str = "ate_m") -> Figure:
             for axes, lines in ((left, summary.methods), (right, summary.differences)):
                 _draw_medians(axes, names, {line.method: line.figures[metric] for line in lines if line.log == log})
             right.axvline(0.0, color="0.4", linewidth=0.8)
-            left.set_title(log)
-            left.set_yticks(range(len(names)), names)
+            left.set_title(as_text(log))
+            left.set_yticks(range(len(names)), [as_text(name) for name in names])
             left.set_ylim(len(names) - 0.5, -0.5)
         panels[-1, 0].set_xlabel(METRICS[metric])
-        panels[-1, 1].set_xlabel(f"difference from {summary.baseline}, same random seeds: {METRICS[metric]}")
+        panels[-1, 1].set_xlabel(
+            f"difference from {as_text(str(summary.baseline))}, same random seeds: {METRICS[metric]}"
+        )
     return figure
 
 

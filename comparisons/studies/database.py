@@ -19,6 +19,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from graphslam import FormatError
+from graphslam.errors import printable
 from graphslam.files import check_file
 
 from ..config import versions
@@ -110,7 +111,7 @@ class StudyDatabase:
 
     def plan(self, study: Study) -> None:
         """Store the list of the study's runs. Rows of runs that it no longer has stay, but count in no summary."""
-        about = {"study": str(study.path.absolute()), "text": study.text, "versions": ", ".join(versions())}
+        about = {"study": printable(str(study.path.absolute())), "text": study.text, "versions": ", ".join(versions())}
         with self._transaction():
             self._connection.execute("DELETE FROM planned")
             self._connection.executemany(

@@ -8,14 +8,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from graphslam.errors import printable
 from graphslam.files import write_whole
 
-from ..saving import jsonable
+from ..saving import json_line
 from .database import COLUMNS
 
 
 def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """One line per run, a head line with the columns' names; source and options as JSON, unknown figures empty.
+
+    A text that a spreadsheet would take for a formula begins with an apostrophe.
 
     Raises:
         FormatError: the place cannot be written.
@@ -35,11 +38,15 @@ def write_json_lines(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """
     with write_whole(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as stream:
         for row in rows:
-            stream.write(json.dumps(jsonable(row), allow_nan=False, ensure_ascii=False) + "\n")
+            stream.write(json_line(row) + "\n")
 
 
 def _cell(value: Any) -> Any:
     if isinstance(value, float):
         # repr keeps every digit
         return repr(value)
+    if isinstance(value, str):
+        text = printable(value)
+        # spreadsheets take such texts for formulas, and execute them
+        return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
     return json.dumps(value) if isinstance(value, dict) else value

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from graphslam import FormatError, OptionError
+from graphslam.errors import printable
 
 from ..estimators import ESTIMATORS, default_estimators
 from ..noise_files import read_noise
@@ -143,7 +144,7 @@ def _files(file: TomlFile, patterns: tuple[str, ...]) -> Iterator[tuple[str, dic
             except FormatError:
                 digest = None
             name = path.relative_to(folder) if path.is_relative_to(folder) else path
-            yield str(name), {"file": str(path.absolute()), "sha256": digest}
+            yield printable(str(name)), {"file": str(path.absolute()), "sha256": digest}
 
 
 def _worlds(file: TomlFile) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from graphslam import OptionError
+from graphslam.errors import printable
 from graphslam.files import write_whole
 
 from ...saving import check_can_write
@@ -103,7 +104,7 @@ def _write_mp4(film: Film, path: Path, progress: Callable[[], None]) -> None:
     screen = figure.figimage(film.pictures.still)
     fps: Any = film.fps  # ffmpeg takes fractions, too
     options = ["-movflags", "+faststart", "-f", "mp4"]
-    writer = FFMpegWriter(fps=fps, metadata={"title": film.title}, extra_args=options)
+    writer = FFMpegWriter(fps=fps, metadata={"title": printable(film.title)}, extra_args=options)
     with writer.saving(figure, str(path), dpi=100):
         for number, picture in enumerate(film.pictures):
             screen.set_data(picture)

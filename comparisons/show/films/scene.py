@@ -22,7 +22,7 @@ from matplotlib.ticker import MaxNLocator
 from graphslam import Log, MotionModel
 from graphslam.se2 import Array, transform
 
-from ..canvas import set_limits
+from ..canvas import as_text, set_limits
 from ..ellipses import ellipses
 from ..placement import aligned_to, between_poses, place_map, placed, true_landmarks, true_line
 from ..style import FLASH, SIGHTING, TRUE_LANDMARK, TRUTH, colour_of, ellipse_style, style_of
@@ -78,7 +78,7 @@ class Scene:
         self._content = np.concatenate(core), [drifting, self.along(frames[0].poses)]
         self.extent = set_limits(self.plane, *self._content)
         # the second line of the title is left empty for the caption
-        self.plane.set(xlabel="x [m]", ylabel="y [m]", title=f"{title}\n ")
+        self.plane.set(xlabel="x [m]", ylabel="y [m]", title=f"{as_text(title)}\n ")
 
     def placed(self, poses: Array) -> Array:
         """Positions (k, 2) in the picture of poses (k, 3) in the estimator's axes."""
