@@ -20,8 +20,8 @@ def calibrate(
 
     Args:
         log, others: logs, or files or folders of such; all of one kind of robot. None stands for the sample log.
-        options: the fields of `options.CalibrationOptions`: source, gaussian, robots, sensor_offset, and those that read a
-            log.
+        options: the fields of `options.CalibrationOptions`: source, scale, gaussian, robots, sensor_offset, and
+            those that read a log.
 
     Raises:
         FormatError: a file cannot be read.
@@ -35,4 +35,4 @@ def calibrate(
     logs = [read_log(each, reading)[0] for each in (log, *others) for reading in readings]
     sensor = (logs[0].sensor or SensorModel()).changed(**given.of_component("sensor"))
     degrees = float("inf") if given.gaussian else None
-    return graphslam.calibrate(*logs, source=given.source, sensor=sensor, degrees=degrees)
+    return graphslam.calibrate(*logs, source=given.source, sensor=sensor, degrees=degrees, scale=given.scale)

@@ -517,7 +517,7 @@ class CalibrateDocument(Document):
     sensor: Annotated[dict[str, Any], about("fields of `graphslam.SensorModel`")]
     range_scale: Annotated[float, about("measured range = range_scale * range + range_bias")]
     range_bias: Annotated[float, about("the bias of that line [m]")]
-    wheel_scale: Annotated[float, about("recorded speed = wheel_scale * speed; 1 from residuals")]
+    wheel_scale: Annotated[float, about("recorded speed = wheel_scale * speed")]
     turn_rate_bias: Annotated[float, about("recorded turn rate = turn rate + turn_rate_bias [rad/s]")]
     errors: Annotated[dict[str, float | None], about("standard error of each number, by its name; null near zero")]
     bounds: Annotated[

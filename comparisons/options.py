@@ -310,6 +310,10 @@ class CalibrationOptions(ReadingOptions):
         "auto", "Where the noise is measured: against the ground truth, or from residuals of the solved graph. auto "
         "takes the ground truth where there is one.", choices=("auto", "truth", "residuals"),
     )  # fmt: skip
+    scale: str = option(
+        "odometry", "What has the right scale where only residuals tell; what has not is corrected.",
+        choices=("odometry", "ranges", "both"),
+    )  # fmt: skip
     gaussian: bool = option(
         False, "Count every residual fully, those of wrong sightings too; the default is Student's t distribution."
     )

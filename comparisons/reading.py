@@ -84,6 +84,11 @@ def _calibrated(log: Log) -> tuple[Log, Calibration | None]:
     try:
         found = calibrate(log, source="residuals")
         reason = "; ".join(found.doubts)
+        if found.range_scale != 1 and not reason:
+            reason = (
+                f"ranges and odometry differ by a factor of {found.range_scale:.3f} in scale, and only ground truth tells "
+                "which is wrong; calibrate with --scale odometry or ranges, and run with that noise file"
+            )
     except (GraphError, LogError) as error:
         reason = str(error)
     if found is None or reason:

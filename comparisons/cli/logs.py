@@ -82,7 +82,7 @@ def calibrate(
             "truth), or give the noise by hand."
         )
     elif out is not None:
-        leave_out = ("source", "gaussian", "robots")
+        leave_out = ("source", "scale", "gaussian", "robots")
         output.hint(f"Next: {command('run', log, '--noise', out, options=options, leave_out=leave_out)}")
 
 

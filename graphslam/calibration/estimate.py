@@ -9,7 +9,7 @@ from ..checks import check_choice
 from ..errors import LogError
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from .from_residuals import CORRELATED, MAX_ROUNDS, noise_from_residuals
+from .from_residuals import CORRELATED, MAX_ROUNDS, SCALES, noise_from_residuals
 from .from_truth import knows_enough, motion_noise, sensor_noise
 from .parts import OF_SENSOR, with_variances
 from .variances import VarianceFit
@@ -30,7 +30,7 @@ class Calibration:
         sensor: the sensor model, for ranges that are corrected by the line below.
         range_scale, range_bias: measured range = range_scale * range + range_bias [m].
         wheel_scale, turn_rate_bias: recorded speed = wheel_scale * speed, recorded turn rate = turn rate + turn_rate_bias
-            [rad/s]. From residuals the scale of the wheels is 1: it cannot be told from a scale of ranges and world. Numbers
+            [rad/s]. From residuals one of the two scales is 1, since both together only change the size of the world. Numbers
             within three standard errors of 1 or 0 are 1 or 0.
         errors: standard errors of all numbers, {"nn": ..., "range_bias": ...}; NaN for those near zero.
         bounds: upper 95 % bounds of the numbers near zero, whose variance is less than two of its standard errors;
@@ -107,6 +107,7 @@ def calibrate(
     motion: MotionModel | None = None,
     sensor: SensorModel | None = None,
     degrees: float | None = None,
+    scale: str = "odometry",
 ) -> Calibration:
     """Estimate the noise of motion and sensor from one log or several, and what is wrong with all their measurements.
 
@@ -124,6 +125,8 @@ def calibrate(
         motion, sensor: the start of the search by "residuals", and the offset of the sensor; default: the first log's, or
             the book's.
         degrees: degrees of freedom; None to estimate them, infinity for a Gaussian likelihood.
+        scale: what has the right scale where only residuals tell: "odometry" or "ranges", relative to which the other one
+            is corrected, or "both".
 
     Raises:
         LogError: a log lacks what is needed.
@@ -131,6 +134,7 @@ def calibrate(
         OptionError: an option has an impossible value.
     """
     check_choice("source", source, SOURCES)
+    check_choice("scale", scale, tuple(SCALES))
     logs = (log, *others)
     motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
     if source == "auto":
@@ -145,10 +149,17 @@ def calibrate(
             moved, odometry = motion_noise(logs, degrees)
             means, errors = means | odometry[0], errors | odometry[1]
     else:
-        found = noise_from_residuals(logs, motion, sensor, degrees)
+        found = noise_from_residuals(logs, motion, sensor, degrees, scale=scale)
         moved, seen, means, errors = found.motion, found.sensor, found.means, found.errors
         if not found.settled:
             doubts.append(f"the variances had not settled after {MAX_ROUNDS} rounds")
+        for name, reference in (("range_scale", "odometry"), ("wheel_scale", "ranges")):
+            if means[name] != 1:
+                other = ", ".join(each for each in SCALES if each != reference)
+                notes.append(
+                    f"{name} {means[name]:.3f} is relative to the {reference}; only ground truth tells which of the two has "
+                    f"the wrong scale (option scale: {other})"
+                )
         if found.correlation > CORRELATED:
             doubts.append(
                 f"the errors of successive sightings of a landmark are correlated ({found.correlation:.2f}): the solution "

@@ -11,13 +11,14 @@ again, and so on until the variances converge. u_e = (nu + d) / (nu + e' W e + t
 where Gaussian), for sightings and motions, so that wrong sightings and wheel slip count little; nu is estimated from the
 same squares.
 
-Numbers by which all measurements are wrong (scale and bias of the ranges, bias of the turn rate) are further unknowns p
+Numbers by which all measurements are wrong (wheel scale, turn-rate bias, range scale and bias) are further unknowns p
 of the graphs. With W = Omega_e, J = de/dp and X = sum of B' W J, a step is
 
     -(sum of J' W J - X' Omega^-1 X)^-1 sum of J' W e,
 
-whose matrix is also their covariance. Odometry and ranges may have one scale in common, which only the truth tells: that of
-the wheels stays 1. A number within three standard errors of its ideal value is held there.
+whose matrix is also their covariance. Odometry and ranges may have one scale in common, which only the truth tells.
+Therefore one of the two scales stays 1, by default that of the odometry, or both do. A number
+within three standard errors of its ideal value is held there.
 
 All this assumes that the errors of sightings are independent. Where successive sightings of a landmark have errors in common,
 the solution follows them, the noise comes out too small, and p comes out wrong. Therefore variances are estimated first. p is
@@ -58,7 +59,9 @@ MAX_ROUNDS = 200
 #: the greatest factor by which a variance changes in one round
 FASTEST = 10.0
 #: the numbers by which all measurements are wrong, and their ideal values; the last ones are given up first
-MEANS = {"turn_rate_bias": 0.0, "range_scale": 1.0, "range_bias": 0.0}
+MEANS = {"turn_rate_bias": 0.0, "wheel_scale": 1.0, "range_scale": 1.0, "range_bias": 0.0}
+#: what has the right scale, and the numbers that are therefore not estimated
+SCALES = {"odometry": ("wheel_scale",), "ranges": ("range_scale",), "both": ("wheel_scale", "range_scale")}
 #: they have converged when they change by less than this part of their standard errors
 FINE = 0.05
 #: successive residuals of a landmark whose correlation is above this are not independent
@@ -146,27 +149,27 @@ class _Drive:
         information = np.linalg.inv(covariances)
         information = moved.weights[self.motions, None, None] * (information + np.swapaxes(information, 1, 2)) / 2
         z = seen.sightings.copy()
-        z[:, 0] = (z[:, 0] - means[2]) / means[1]
+        z[:, 0] = (z[:, 0] - means[3]) / means[2]
         noise = with_variances(seen.sensor, sighted.variances)
         seen = replace(seen, sightings=z, sensor=noise, kernel=None, trust=sighted.weights[self.sightings])
-        driven = replace(driven, measured=self.measured(means[0]), information=information)
+        driven = replace(driven, measured=self.measured(means), information=information)
         return replace(self.graph, families=(anchor, seen, driven))
 
-    def measured(self, turn_rate_bias: float) -> Array:
-        """The motions (T, 3) without the bias."""
-        return self.log.with_corrected_odometry(1.0, turn_rate_bias).motions()[0]
+    def measured(self, means: Array) -> Array:
+        """The motions (T, 3) of the corrected odometry."""
+        return self.log.with_corrected_odometry(wheel_scale=means[1], turn_rate_bias=means[0]).motions()[0]
 
     def slopes(self, graph: Graph, state: Array, means: Array) -> tuple[Array, Array]:
-        """de/dp (E, d, 3) of the sightings and of the motions."""
+        """de/dp (E, d, K) of the sightings and of the motions."""
         seen = graph.families[1]
         assert isinstance(seen, ObservationEdges)
         predicted = seen.linearize(state, state).residuals[:, 0] + seen.sightings[:, 0]
         by_sightings = np.zeros((*seen.sightings.shape, len(MEANS)))
         # a regression of measured ranges on those of the solution
-        by_sightings[:, 0, 1:] = np.column_stack([predicted, np.ones(len(predicted))]) / means[1]
+        by_sightings[:, 0, 2:] = np.column_stack([predicted, np.ones(len(predicted))]) / means[2]
         by_motions = np.zeros((self.log.num_poses - 1, 3, len(MEANS)))
-        ahead, behind = self.measured(means[0] + STEP), self.measured(means[0] - STEP)
-        by_motions[:, :, 0] = (behind - ahead) / (2 * STEP)
+        for k, h in enumerate(STEP * np.eye(len(MEANS))[:2]):
+            by_motions[:, :, k] = (self.measured(means - h) - self.measured(means + h)) / (2 * STEP)
         return by_sightings, by_motions
 
 
@@ -190,7 +193,12 @@ class ResidualNoise:
 
 
 def noise_from_residuals(
-    logs: Sequence[Log], motion: MotionModel, sensor: SensorModel, degrees: float | None = None
+    logs: Sequence[Log],
+    motion: MotionModel,
+    sensor: SensorModel,
+    degrees: float | None = None,
+    *,
+    scale: str = "odometry",
 ) -> ResidualNoise:
     """The variances of both models, from graphs with landmark nodes and motion edges, and the numbers of `MEANS`.
 
@@ -198,6 +206,7 @@ def noise_from_residuals(
         logs: with controls and ids.
         motion, sensor: the start of the search. Variances that are zero start at a fraction of the others.
         degrees: of freedom of both; None to estimate them, infinity for Gaussian noise.
+        scale: what has the right scale, "odometry", "ranges" or "both".
 
     Raises:
         GraphError: a log has no controls, or its graph is not determined.
@@ -220,7 +229,7 @@ def noise_from_residuals(
         return first.found()
     second = deepcopy(first)
     try:
-        second.run(np.ones(len(MEANS), dtype=bool))
+        second.run(np.array([name not in SCALES[scale] for name in MEANS]))
     except LogError:
         return first.found()
     return (second if second.settled and second.correlation < CORRELATED else first).found()

@@ -205,6 +205,16 @@ def test_noise_auto_keeps_the_models_where_its_checks_fail(tmp_path: Path) -> No
     assert any("kept the book's noise models" in note and "correlated" in note for note in data.notes)
 
 
+def test_noise_auto_does_not_guess_which_scale_is_wrong(tmp_path: Path) -> None:
+    """Wheels that measure 10 % too much, or ranges 10 % too short: the log alone does not tell."""
+    precise = SensorModel(range_rate=0.02, bearing_std=0.02)
+    log = simulate(seed=3, steps=120, clean=True, orientation=False, sensor=precise)
+    sightings = log.sightings * [0.8, 1.0]
+    data, _, options = prepare(log.replace(sightings=sightings), RunOptions.of(noise="auto"))
+    assert options.range_scale is None and options.sensor == SensorModel()
+    assert any("differ by a factor of 0.8" in note or "differ by a factor of 0.7" in note for note in data.notes)
+
+
 def test_a_failed_check_leads_to_the_truth_of_others(invoke: Invoke, tmp_path: Path) -> None:
     log, rng = simulate(seed=2, steps=120, clean=True, orientation=False), np.random.default_rng(0)
     shared = np.cumsum(rng.normal(size=(121, 40)), axis=0) * 0.05

@@ -197,16 +197,22 @@ def test_scales_and_biases_from_truth() -> None:
     assert calibrate(log).corrections == again.corrections
 
 
-def test_scales_and_biases_from_residuals() -> None:
-    """Odometry tells the scale of the ranges relative to its own, and landmarks seen again the bias of the turn rate."""
+@pytest.mark.parametrize(("scale", "other"), [("ranges", "wheel_scale"), ("odometry", "range_scale")])
+def test_scales_and_biases_from_residuals(scale: str, other: str) -> None:
+    """Landmarks seen again tell the turn-rate bias, and what has the right scale tells that of the other."""
     log = drive(0, steps=400)
-    found = calibrate(wrong(log, range_scale=1.1, turn_rate_bias=0.05), source="residuals")
-    assert abs(found.range_scale - 1.1) < 4 * found.errors["range_scale"] < 0.05
+    found = calibrate(wrong(log, **{other: 1.1}, turn_rate_bias=0.05), source="residuals", scale=scale)
+    assert abs(getattr(found, other) - 1.1) < 4 * found.errors[other] < 0.05
     assert abs(found.turn_rate_bias - 0.05) < 4 * found.errors["turn_rate_bias"] < 0.03
-    assert (found.range_bias, found.wheel_scale) == (0.0, 1.0)
+    assert found.range_bias == 0 and {found.range_scale, found.wheel_scale} == {1.0, getattr(found, other)}
     assert not found.doubts
-    clean = calibrate(log, source="residuals")
-    assert (clean.range_scale, clean.range_bias, clean.turn_rate_bias) == (1.0, 0.0, 0.0)
+
+
+def test_no_scales_or_biases_from_residuals_without_any() -> None:
+    log = drive(0, steps=400)
+    assert set(calibrate(log, source="residuals").corrections.values()) == {0.0, 1.0}
+    with pytest.raises(OptionError, match="scale"):
+        calibrate(log, source="residuals", scale="wheels")
 
 
 def test_a_mean_of_motions_counts_outliers_in_full() -> None:
@@ -234,7 +240,7 @@ def test_correlated_sightings_are_noticed() -> None:
     sightings = log.sightings + shared[log.steps, log.landmarks % 30]
     found = calibrate(log.replace(sightings=sightings), source="residuals")
     assert any("correlated" in doubt for doubt in found.doubts)
-    assert found.range_scale == 1.0 and np.isnan(found.errors["range_scale"])
+    assert found.wheel_scale == 1.0 and np.isnan(found.errors["wheel_scale"])
 
 
 def test_several_logs_give_one_noise() -> None:
