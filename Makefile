@@ -12,7 +12,7 @@ compare: .venv/.compiled
 # two processes; the tests of a file stay together, because they share its fixtures
 PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
-test: lint docs .venv/.compiled
+test: lint .venv/.compiled
 	$(PYTEST)
 
 check: lint .venv/.compiled
@@ -42,7 +42,7 @@ lint: .venv/.installed-test
 	$(PIP) install --no-compile --editable '.[test]'
 	touch $@ .venv/.installed
 
-# the documentation site in English and Japanese; the results of its code are kept in .cache
+# the documentation site in English and Japanese; results of its code are kept in .cache, and its pages are tested if it is built
 docs: .venv/.installed-docs .venv/.compiled
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	@echo "open site/index.html, or run: $(BIN)/mkdocs serve"

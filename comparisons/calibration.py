@@ -1,31 +1,38 @@
-"""`calibrate`: the noise models of a log, from the log or its file."""
+"""`calibrate`: the noise models of logs, from the logs or their files."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from os import PathLike
 from typing import Any
 
 import graphslam
-from graphslam import Calibration, Log, SensorModel
+from graphslam import Calibration, Log, OptionError, SensorModel
 
 from .options import CalibrationOptions
 from .reading import read_log
 
 
-def calibrate(log: Log | str | PathLike[str] | None = None, **options: Any) -> Calibration:
-    """Estimate the noise of motion and sensor, range scale and range bias, by maximum likelihood.
+def calibrate(
+    log: Log | str | PathLike[str] | None = None, *others: Log | str | PathLike[str], **options: Any
+) -> Calibration:
+    """Estimate the noise of motion and sensor, and what is wrong with all ranges and controls, by maximum likelihood.
 
     Args:
-        log: a log, the file or folder of one, or None for the sample log of the package.
-        options: the fields of `options.CalibrationOptions`: source, gaussian, sensor_offset, and those that read the log.
+        log, others: logs, or files or folders of such; all of one kind of robot. None stands for the sample log.
+        options: the fields of `options.CalibrationOptions`: source, gaussian, robots, sensor_offset, and those that read a
+            log.
 
     Raises:
         FormatError: a file cannot be read.
-        LogError: the log does not determine the noise.
+        LogError: the logs do not determine the noise.
         OptionError: an option is unknown or impossible.
     """
     given = CalibrationOptions.of(**options)
-    data, _ = read_log(log, given)
-    sensor = (data.sensor or SensorModel()).changed(**given.of_component("sensor"))
+    if given.robots is not None and given.robot is not None:
+        raise OptionError("robot and robots exclude each other: name all of them in robots")
+    readings = [given] if given.robots is None else [replace(given, robot=robot) for robot in given.robots]
+    logs = [read_log(each, reading)[0] for each in (log, *others) for reading in readings]
+    sensor = (logs[0].sensor or SensorModel()).changed(**given.of_component("sensor"))
     degrees = float("inf") if given.gaussian else None
-    return graphslam.calibrate(data, source=given.source, sensor=sensor, degrees=degrees)
+    return graphslam.calibrate(*logs, source=given.source, sensor=sensor, degrees=degrees)

@@ -164,7 +164,7 @@ def models(noise: float) -> tuple[MotionModel, SensorModel]:
     """The book's models with all standard deviations times ``noise``; epsilon is a variance."""
     motion, sensor = MotionModel(), SensorModel()
     scaled = {name: value * (noise**2 if name == "epsilon" else noise) for name, value in asdict(motion).items()}
-    numbers: dict[str, Any] = {n: value * noise for n, value in asdict(sensor).items() if isinstance(value, float)}
+    numbers: dict[str, Any] = {n: value * noise for n, value in asdict(sensor).items() if n not in SensorModel.GEOMETRY}
     return replace(motion, **scaled), replace(sensor, **numbers)
 
 

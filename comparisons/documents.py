@@ -517,13 +517,17 @@ class CalibrateDocument(Document):
     sensor: Annotated[dict[str, Any], about("fields of `graphslam.SensorModel`")]
     range_scale: Annotated[float, about("measured range = range_scale * range + range_bias")]
     range_bias: Annotated[float, about("the bias of that line [m]")]
+    wheel_scale: Annotated[float, about("recorded speed = wheel_scale * speed; 1 from residuals")]
+    turn_rate_bias: Annotated[float, about("recorded turn rate = turn rate + turn_rate_bias [rad/s]")]
     errors: Annotated[dict[str, float | None], about("standard error of each number, by its name; null near zero")]
     bounds: Annotated[
         dict[str, float | None], about("upper 95 % bound of each number near zero; null where the log gives none")
     ]
     degrees: Annotated[dict[str, float | None], about("degrees of freedom of Student's t; null: normal distribution")]
     counts: Annotated[dict[str, Count], about("number of motions and sightings that were used")]
+    logs: Annotated[list[str], about("names of the logs")]
     notes: Annotated[list[str], about("remarks of the calibration")]
+    doubts: Annotated[list[str], about("why the noise is not recommended; empty where the checks of residuals pass")]
 
 
 #: the document that each verb writes

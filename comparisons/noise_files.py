@@ -7,6 +7,9 @@
     [ranges]        # measured range = scale * range + bias [m]
     scale = 1.02
     bias = 0.03
+    [odometry]      # recorded speed = wheel_scale * speed, recorded turn rate = turn rate + turn_rate_bias [rad/s]
+    wheel_scale = 1.01
+    turn_rate_bias = 0.001
 
 Every table may be absent, and so may every number: then it is that of the log, else the book's.
 """
@@ -26,31 +29,38 @@ from .option import options_of
 from .options import MODELS, NoiseOptions
 from .toml_files import TomlFile, to_toml
 
-_RANGES = ("scale", "bias")
+#: the tables of corrections, whose keys are options: {table: {key: option}}
+_CORRECTIONS = {
+    "ranges": {"scale": "range_scale", "bias": "range_bias"},
+    "odometry": {"wheel_scale": "wheel_scale", "turn_rate_bias": "turn_rate_bias"},
+}
 
 
 def read_noise(path: Path) -> tuple[dict[str, Any], dict[str, float]]:
     """Read a noise file.
 
     Returns:
-        The numbers of the noise models by the names of their options, {"nn": 0.19, ...}; and the line of the ranges,
-        {"range_scale": 1.02, "range_bias": 0.03}, as far as the file has it.
+        The numbers of the noise models by the names of their options, {"nn": 0.19, ...}; and the corrections,
+        {"range_scale": 1.02, "range_bias": 0.03, "wheel_scale": 1.01, ...}, as far as the file has them.
 
     Raises:
         FormatError: it is not TOML, has an unknown key, or an impossible number; with the line.
     """
     file, known = TomlFile(path), options_of(NoiseOptions)
-    file.check_keys(file.table, (*MODELS, "ranges"))
+    tables = (*MODELS, *_CORRECTIONS)
+    file.check_keys(file.table, tables)
     if not file.table:
-        raise FormatError(path, None, "no noise in this file: it needs some of the tables [motion], [sensor], [ranges]")
+        raise FormatError(path, None, f"no noise in this file: it needs some of the tables [{'], ['.join(tables)}]")
     models = {key: table for key, table in file.table.items() if key in MODELS}
     numbers = file.options(models, {name: each for name, each in known.items() if each.model})
-    ranges = file.value(file.table, "ranges", dict) or {}
-    file.check_keys(ranges, _RANGES, "ranges")
-    line = {f"range_{key}": file.value(ranges, key, float, where="ranges") for key in _RANGES if key in ranges}
-    for name, value in line.items():
-        file.checked(known[name], value, name.replace("_", "s.", 1))
-    return numbers, line
+    corrections: dict[str, float] = {}
+    for table, keys in _CORRECTIONS.items():
+        found = file.value(file.table, table, dict) or {}
+        file.check_keys(found, keys, table)
+        for key in found:
+            value = file.value(found, key, float, where=table)
+            corrections[keys[key]] = file.checked(known[keys[key]], value, f"{table}.{key}")
+    return numbers, corrections
 
 
 def write_noise(result: Calibration, path: Path, log: str) -> None:
@@ -69,8 +79,12 @@ def write_noise(result: Calibration, path: Path, log: str) -> None:
         "motion": None if result.motion is None else asdict(result.motion),
         # the noise of psi stays that of the reader where no orientation was measured
         "sensor": {k: v for k, v in asdict(result.sensor).items() if k in result.numbers or k in place},
-        "ranges": {"scale": result.range_scale, "bias": result.range_bias},
+        **{
+            table: {key: result.corrections[name] for key, name in keys.items() if name in result.corrections} or None
+            for table, keys in _CORRECTIONS.items()
+        },
     }
-    comment = [f"The noise of {printable(log)}, from {result.source}; read by slam-compare run --noise.", *result.notes]
+    head = f"The noise of {printable(log)}, from {result.source}; read by slam-compare run --noise."
+    comment = [head, *result.notes, *(f"Not recommended: {doubt}" for doubt in result.doubts)]
     with write_whole(path) as temporary:
         temporary.write_text(to_toml(table, "\n".join(comment)), encoding="utf-8")

@@ -54,6 +54,12 @@ class ReadingOptions(Options):
     )  # fmt: skip
 
 
+#: the value of ``noise`` that calibrates first
+AUTO = Path("auto")
+#: the options that correct all measurements, and their ideal values
+CORRECTIONS = {"range_scale": 1.0, "range_bias": 0.0, "wheel_scale": 1.0, "turn_rate_bias": 0.0}
+
+
 @dataclass(frozen=True, kw_only=True)
 class NoiseOptions(Options):
     """The noise models. Beside these fields every number of `MotionModel` and `SensorModel` is an option by its name.
@@ -66,13 +72,21 @@ class NoiseOptions(Options):
     panel = NOISE
     components = {name: (model, NOISE) for name, model in MODELS.items()}
     noise: Path | None = option(
-        None, "File of noise models (TOML), written by calibrate. Single numbers take precedence over it.",
-        metavar="FILE", default_text="the log's models, else the book's",
+        None, "File of noise models (TOML), written by calibrate. Single numbers take precedence over it. auto: calibrate "
+        "from the residuals of this log first, and use the result if its checks pass.",
+        metavar="FILE|auto", default_text="the log's models, else the book's",
     )  # fmt: skip
     range_scale: float | None = option(
         None, "Measured range = scale * range + bias; corrected before anything else.", default_text="1", positive=True,
     )  # fmt: skip
     range_bias: float | None = option(None, "The bias of the measured range.", unit="m", default_text="0")
+    wheel_scale: float | None = option(
+        None, "Recorded speed = scale * speed; corrected before anything else.", default_text="1", positive=True,
+    )  # fmt: skip
+    turn_rate_bias: float | None = option(
+        None, "Recorded turn rate = turn rate + bias, as of a gyroscope; corrected before anything else.", unit="rad/s",
+        default_text="0",
+    )  # fmt: skip
     motion: MotionModel | None = option(None, "The motion model.", only="python")
     sensor: SensorModel | None = option(None, "The sensor model.", only="python")
 
@@ -288,6 +302,10 @@ class CalibrationOptions(ReadingOptions):
     components = {"sensor": (SensorModel, NOISE)}
     hidden = tuple(f.name for f in fields(SensorModel) if f.name != "offset")
 
+    robots: tuple[int, ...] | None = option(
+        None, "Several robots of each data set, all calibrated together.", minimum=0, metavar="N,...",
+        panel=ReadingOptions.panel,
+    )  # fmt: skip
     source: str = option(
         "auto", "Where the noise is measured: against the ground truth, or from residuals of the solved graph. auto "
         "takes the ground truth where there is one.", choices=("auto", "truth", "residuals"),

@@ -11,17 +11,25 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from graphslam import FormatError, Log, LogError, OptionError, load, sample_log_path
+from graphslam import (
+    Calibration,
+    FormatError,
+    GraphError,
+    Log,
+    LogError,
+    OptionError,
+    calibrate,
+    load,
+    sample_log_path,
+)
 from graphslam.keyframes import with_poses_every
 
 from .noise_files import read_noise
 from .option import options_of
-from .options import LogOptions, NoiseOptions, ReadingOptions
+from .options import AUTO, CORRECTIONS, LogOptions, NoiseOptions, ReadingOptions
 
 Given = TypeVar("Given", bound=LogOptions)
 
-#: the line by which ranges are measured without scale and bias
-_NO_LINE = {"range_scale": 1.0, "range_bias": 0.0}
 #: options that only a file or folder has; a `Log` has been read already
 OF_FILES = ("format", "robot")
 
@@ -45,21 +53,43 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
     """
     data, source = read_log(log, options)
     motion, sensor = data.motion, data.sensor
-    line: dict[str, Any] = dict(_NO_LINE)
-    if options.noise is not None:
+    values: dict[str, Any] = dict(CORRECTIONS)
+    if options.noise == AUTO:
+        data, found = _calibrated(data)
+        if found is not None:
+            motion, sensor = found.motion, found.sensor
+            values |= found.corrections
+    elif options.noise is not None:
         numbers, of_file = read_noise(options.noise)
         motion, sensor = NoiseOptions.of(**numbers).models(motion, sensor)
-        line |= of_file
-    line |= {name: value for name in line if (value := getattr(options, name)) is not None}
-    if line != _NO_LINE:
-        data = data.with_corrected_ranges(line["range_scale"], line["range_bias"])
-    corrected: dict[str, Any] = {n: None if value == _NO_LINE[n] else value for n, value in line.items()}
+        if data.controls is None:
+            # a noise file of other logs of the robot may correct odometry that this one has not
+            of_file = {name: value for name, value in of_file.items() if name.startswith("range")}
+        values |= of_file
+    values |= {name: value for name in values if (value := getattr(options, name)) is not None}
+    data = data.corrected(**values)
+    corrected: dict[str, Any] = {n: None if value == CORRECTIONS[n] else value for n, value in values.items()}
     motion, sensor = options.models(motion, sensor)
     if options.max_range is not None:
         # what is farther away has been left out, so that the sensor does not see it
         sensor = replace(sensor, max_range=min(sensor.max_range, options.max_range))
     others = {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)}
     return data, source, replace(options, motion=motion, sensor=sensor, noise=None, numbers=others, **corrected)
+
+
+def _calibrated(log: Log) -> tuple[Log, Calibration | None]:
+    """The noise of a log from its own residuals, None where its checks fail; and the log with a note that says so."""
+    kept = "kept the noise models of the log" if log.motion or log.sensor else "kept the book's noise models"
+    found = None
+    try:
+        found = calibrate(log, source="residuals")
+        reason = "; ".join(found.doubts)
+    except (GraphError, LogError) as error:
+        reason = str(error)
+    if found is None or reason:
+        return log.replace(notes=(*log.notes, f"noise auto {kept}: {reason}")), None
+    numbers = ", ".join(f"{n} {v:.3g}" for n, v in found.numbers.items() if v != CORRECTIONS.get(n, 0.0))
+    return log.replace(notes=(*log.notes, f"noise auto took, from the residuals of this log: {numbers}")), found
 
 
 def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> tuple[Log, Path | None]:

@@ -50,6 +50,10 @@ class Uncertainty:
             return np.zeros((3, 3))
         return self._factor.covariance(i, j)
 
+    def solve(self, right: Array) -> Array:
+        """Omega^-1 times right-hand sides, (n, 3) or (n, 3, k)."""
+        return self._factor.solve(right)
+
     def of_edges(self, edges: Linearization) -> Array:
         """The covariance B Omega^-1 B' (E, d, d) of each residual due to the state, of edges between two nodes."""
         first, second = edges.nodes

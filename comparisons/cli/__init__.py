@@ -86,6 +86,7 @@ VERBS: dict[Callable[..., None], tuple[str, ...]] = {
     calibrate: (
         "slam-compare calibrate LOG --out noise.toml",
         "slam-compare calibrate ../shared/data/mrclam6 --robot 1 --out noise.toml",
+        "slam-compare calibrate LOG1 LOG2 --source truth --out noise.toml",
         "slam-compare calibrate LOG --source residuals --json -",
         "slam-compare run LOG --noise noise.toml --kernel huber",
     ),

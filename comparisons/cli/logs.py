@@ -45,6 +45,10 @@ def simulate(
 def calibrate(
     output: Output,
     log: LogFile = None,
+    others: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="LOG ...", help="More logs of the same kind of robot.", show_default=False),
+    ] = None,
     *,
     options: CalibrationOptions,
     out: Annotated[
@@ -54,24 +58,32 @@ def calibrate(
         ),
     ] = None,
 ) -> None:
-    """Estimate motion and sensor noise, range scale and range bias from a log, by maximum likelihood."""
+    """Estimate motion and sensor noise, and scales and biases of ranges and odometry, by maximum likelihood.
+
+    Noise for a log without ground truth is best calibrated from the ground truth of other robots of the same kind.
+    """
     from ..calibration import calibrate as estimate
     from ..noise_files import write_noise
     from ..saving import check_can_write
 
     if out is not None:
         check_can_write(out)
-    name = "sample" if log is None else log.stem
     with output.bar("calibration"):
-        result = estimate(log, **options.keywords())
+        result = estimate(log, *(others or ()), **options.keywords())
+    name = ", ".join(result.logs)
     output.show(result, name=name)
     output.json(result.to_json())
     if out is not None:
         write_noise(result, out, name)
-        leave_out = ("source", "gaussian")
+        output.hint(f"Wrote {out}.")
+    if result.doubts:
         output.hint(
-            f"Wrote {out}.", f"Next: {command('run', log, '--noise', out, options=options, leave_out=leave_out)}"
+            "Next: calibrate from the ground truth of other robots of the same kind (calibrate LOG LOG ... --source "
+            "truth), or give the noise by hand."
         )
+    elif out is not None:
+        leave_out = ("source", "gaussian", "robots")
+        output.hint(f"Next: {command('run', log, '--noise', out, options=options, leave_out=leave_out)}")
 
 
 def datasets(

@@ -175,7 +175,9 @@ def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
     names = {"motion": "motions", "sensor": "sightings"}
     counts = " and ".join(f"{count} {names[part]}" for part, count in calibration.counts.items())
     return [table], [
-        f'From {counts}. Measured range = range_scale * range + range_bias. "<": near zero, with the upper '
+        f"From {counts}. Measured range = range_scale * range + range_bias, recorded speed = wheel_scale * speed, recorded "
+        'turn rate = turn rate + turn_rate_bias. "<": near zero, with the upper '
         f'95 % bound; "not identifiable": the log gives no bound; "{NOTHING}": not estimated.',
         *(f"{note}." for note in calibration.notes),
+        *(f"Not recommended: {doubt}." for doubt in calibration.doubts),
     ]

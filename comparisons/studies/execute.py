@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+from collections.abc import Mapping
 from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
@@ -15,7 +16,7 @@ from graphslam import Log, LogError
 from ..comparison import compare
 from ..failures import sentence
 from ..option import options_of
-from ..options import NoiseOptions, ReadingOptions, RunOptions
+from ..options import CORRECTIONS, NoiseOptions, ReadingOptions, RunOptions
 from ..reading import read_log, sha256_of
 from .outcome import ERROR, Outcome
 from .plan import Run
@@ -67,12 +68,12 @@ def filter_options(run: Run) -> RunOptions:
 def _execute(run: Run) -> dict[str, Any]:
     log = log_of(run)
     options = {name: value for name, value in run.options.items() if name not in options_of(ReadingOptions)}
-    if "noise" in options:
+    if isinstance(options.get("noise"), Mapping):
         # single numbers take precedence over those of the noise file, and those over the log's
         noise = NoiseOptions.of(**options.pop("noise"))
         motion, sensor = noise.models(log.motion, log.sensor)
-        ranges = {"range_scale": noise.range_scale, "range_bias": noise.range_bias}
-        options = {**ranges, **options, "motion": motion, "sensor": sensor}
+        corrections = {name: getattr(noise, name) for name in CORRECTIONS}
+        options = {**corrections, **options, "motion": motion, "sensor": sensor}
     comparison = compare(log, RunOptions.of(**options, seed=run.seed), estimators=[run.estimator])
     result = comparison.results[0]
     # not the rows of the table: they have NEES, too, for which covariances would be computed

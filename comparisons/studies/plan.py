@@ -18,7 +18,7 @@ from graphslam.errors import printable
 from ..estimators import ESTIMATORS, default_estimators
 from ..noise_files import read_noise
 from ..option import Option, options_of
-from ..options import MODELS, LogOptions, RunOptions, SimulationOptions
+from ..options import AUTO, MODELS, LogOptions, RunOptions, SimulationOptions
 from ..reading import OF_FILES, sha256_of
 from ..toml_files import TomlFile
 from .simulated import simulated_log
@@ -53,8 +53,8 @@ class Run:
         seed: random seed of the simulator and of the estimator.
         estimator: its name.
         method: the name of the estimator in tables, with the varied options that it uses.
-        options: those of the study that the estimator uses, by their names in `RunOptions`. "noise" is the content of
-            the noise file, and numbers of the noise models stand beside the other options.
+        options: those of the study that the estimator uses, by their names in `RunOptions`. "noise" is "auto", or the
+            content of the noise file, and numbers of the noise models stand beside the other options.
     """
 
     log: str
@@ -207,7 +207,7 @@ def _methods(file: TomlFile, names: tuple[str, ...]) -> Iterator[tuple[str, str,
             if method not in methods:
                 methods.add(method)
                 options = {key: value for key, value in (fixed | varied).items() if key in used}
-                if "noise" in options:
+                if "noise" in options and Path(options["noise"]) != AUTO:
                     numbers, ranges = read_noise(file.path.parent / options["noise"])
                     options["noise"] = numbers | ranges
                 yield name, method, options

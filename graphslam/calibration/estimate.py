@@ -9,9 +9,10 @@ from ..checks import check_choice
 from ..errors import LogError
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from .from_residuals import MAX_ROUNDS, noise_from_residuals
+from .from_residuals import CORRELATED, MAX_ROUNDS, noise_from_residuals
 from .from_truth import knows_enough, motion_noise, sensor_noise
 from .parts import OF_SENSOR, with_variances
+from .variances import VarianceFit
 
 #: the choices of the option ``source``
 SOURCES = ("auto", "truth", "residuals")
@@ -27,7 +28,10 @@ class Calibration:
     Attributes:
         motion: the motion model; None from a log without controls.
         sensor: the sensor model, for ranges that are corrected by the line below.
-        range_scale, range_bias: measured range = range_scale * range + range_bias [m]; 1 and 0 without ground truth.
+        range_scale, range_bias: measured range = range_scale * range + range_bias [m].
+        wheel_scale, turn_rate_bias: recorded speed = wheel_scale * speed, recorded turn rate = turn rate + turn_rate_bias
+            [rad/s]. From residuals the scale of the wheels is 1: it cannot be told from a scale of ranges and world. Numbers
+            within three standard errors of 1 or 0 are 1 or 0.
         errors: standard errors of all numbers, {"nn": ..., "range_bias": ...}; NaN for those near zero.
         bounds: upper 95 % bounds of the numbers near zero, whose variance is less than two of its standard errors;
             infinite where the log gives no bound.
@@ -36,19 +40,26 @@ class Calibration:
             needed.
         counts: {"motion": number of motions, "sensor": number of sightings} that were used.
         source: "truth" or "residuals".
+        logs: the names of the logs.
         notes: what the user should know, one sentence each.
+        doubts: why the noise should not be used, one sentence each; empty where all checks pass. Only noise from residuals
+            is checked.
     """
 
     motion: MotionModel | None
     sensor: SensorModel
     range_scale: float = 1.0
     range_bias: float = 0.0
+    wheel_scale: float = 1.0
+    turn_rate_bias: float = 0.0
     errors: dict[str, float] = field(default_factory=dict)
     bounds: dict[str, float] = field(default_factory=dict)
     degrees: dict[str, float] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
     source: str = "truth"
+    logs: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         """One line: source and all numbers."""
@@ -56,82 +67,95 @@ class Calibration:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """All numbers by name: those of the motion, of the sensor (not its offset), ``range_scale`` and ``range_bias``.
+        """All numbers by name: those of the motion, of the sensor (not its offset), and scales and biases.
 
-        The noise of psi is left out where psi was not measured.
+        The noise of psi is left out where psi was not measured, and wheel scale and turn-rate bias without controls.
         """
         of_models = {} if self.motion is None else asdict(self.motion)
         of_models |= {name: getattr(self.sensor, name) for name in OF_SENSOR}
         if "orientation_std" not in self.errors:
             del of_models["orientation_std"]
-        return of_models | {"range_scale": self.range_scale, "range_bias": self.range_bias}
+        return of_models | self.corrections
+
+    @property
+    def corrections(self) -> dict[str, float]:
+        """Scales and biases, the arguments of `Log.corrected`; those of the odometry only where there was some."""
+        names = ["range_scale", "range_bias", *([] if self.motion is None else ["wheel_scale", "turn_rate_bias"])]
+        return {name: getattr(self, name) for name in names}
 
     def to_json(self) -> dict[str, Any]:
         """The calibration as plain data."""
-        return asdict(self) | {"notes": list(self.notes)}
+        return asdict(self) | {name: list(getattr(self, name)) for name in ("logs", "notes", "doubts")}
 
     def apply(self, log: Log) -> Log:
-        """The log with these models as its own, and its ranges corrected.
+        """The log with these models as its own, and its ranges and odometry corrected.
 
         Raises:
             LogError: a corrected range would not be above zero.
         """
-        corrected = log.with_corrected_ranges(self.range_scale, self.range_bias)
+        values = self.corrections
+        if log.controls is None:
+            values = {name: value for name, value in values.items() if name.startswith("range")}
+        corrected = log.corrected(**values)
         return corrected.replace(motion=self.motion or log.motion, sensor=self.sensor)
 
 
 def calibrate(
     log: Log,
-    *,
+    *others: Log,
     source: str = "auto",
     motion: MotionModel | None = None,
     sensor: SensorModel | None = None,
     degrees: float | None = None,
 ) -> Calibration:
-    """Estimate the noise of motion and sensor from a log.
+    """Estimate the noise of motion and sensor from one log or several, and what is wrong with all their measurements.
 
     With ground truth, by maximum likelihood: true motions are compared with the commanded ones, and sightings with those
-    that the true poses imply, together with the line (scale, bias) by which ranges are measured. Without ground truth,
-    from the residuals of the solved graph, see `from_residuals`; there a scale of the ranges cannot be distinguished from
-    one of the odometry, and stays 1. Both methods assume t-distributed residuals with unknown degrees of freedom, so that
-    wheel slip and wrong sightings do not increase the estimated noise of all others: see `variances`.
+    that the true poses imply (`from_truth`). Without ground truth, from the residuals of the solved graphs
+    (`from_residuals`). Both assume t-distributed residuals with unknown degrees of freedom, so that wheel slip and wrong
+    sightings do not increase the estimated noise of all others: see `variances`.
+
+    Noise that is to be used on a log without ground truth is best calibrated from the ground truth of other robots of the
+    same kind. Several logs give one noise for all; what differs between them is part of it.
 
     Args:
-        log: the log of the robot.
+        log, others: the logs; of one kind of robot, since they share all numbers.
         source: "truth", "residuals", or "auto": the truth where poses, headings and landmarks are known.
-        motion, sensor: the start of the search by "residuals", and the offset of the sensor; default: the log's, or the
-            book's.
+        motion, sensor: the start of the search by "residuals", and the offset of the sensor; default: the first log's, or
+            the book's.
         degrees: degrees of freedom; None to estimate them, infinity for a Gaussian likelihood.
 
     Raises:
-        LogError: the log lacks what is needed.
+        LogError: a log lacks what is needed.
         GraphError: its graph cannot be made or is not determined.
         OptionError: an option has an impossible value.
     """
     check_choice("source", source, SOURCES)
+    logs = (log, *others)
     motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
-    if len(log.steps) == 0:
-        raise LogError(f"{log.name} has no sightings at all, so the noise of the sensor cannot be estimated")
-    if not log.identified:
-        raise LogError(f"{log.name} has sightings without landmark ids, so the noise of the sensor cannot be estimated")
     if source == "auto":
-        source = "truth" if knows_enough(log) else "residuals"
+        source = "truth" if all(map(knows_enough, logs)) else "residuals"
+    _check(logs, source)
+    notes: list[str] = []
+    doubts: list[str] = []
+    moved: VarianceFit | None = None
     if source == "truth":
-        if not knows_enough(log):
-            raise LogError(
-                f"{log.name} has no ground truth with headings and landmarks that were seen; estimate its noise from "
-                "residuals"
-            )
-        moved = None if log.controls is None else motion_noise(log, degrees)
-        seen, line, line_errors = sensor_noise(log, sensor, degrees)
-        converged = True
+        seen, (means, errors) = sensor_noise(logs, sensor, degrees)
+        if log.controls is not None:
+            moved, odometry = motion_noise(logs, degrees)
+            means, errors = means | odometry[0], errors | odometry[1]
     else:
-        if log.controls is None:
-            raise LogError(f"{log.name} has no controls, and residuals alone do not determine the noise without them")
-        moved, seen, converged = noise_from_residuals(log, motion, sensor, degrees)
-        line, line_errors = {}, {}
+        found = noise_from_residuals(logs, motion, sensor, degrees)
+        moved, seen, means, errors = found.motion, found.sensor, found.means, found.errors
+        if not found.settled:
+            doubts.append(f"the variances had not settled after {MAX_ROUNDS} rounds")
+        if found.correlation > CORRELATED:
+            doubts.append(
+                f"the errors of successive sightings of a landmark are correlated ({found.correlation:.2f}): the solution "
+                "follows them, so that the noise of the sensor comes out too small"
+            )
     fits = {"sensor": seen} if moved is None else {"motion": moved, "sensor": seen}
-    notes = [
+    notes += [
         f"{what} have heavy tails ({fits[name].degrees:.1f} degrees of freedom): the values describe typical {what}, "
         f"without the outliers{advice}"
         for name, what, advice in (
@@ -140,16 +164,38 @@ def calibrate(
         )
         if name in fits and fits[name].degrees < HEAVY
     ]
-    if not converged:
-        notes.append(f"the variances had not settled after {MAX_ROUNDS} rounds")
     return Calibration(
         motion=None if moved is None else with_variances(motion, moved.variances),
         sensor=with_variances(sensor, seen.variances),
-        **line,
-        errors={name: error for fit in fits.values() for name, error in fit.errors_of_model().items()} | line_errors,
+        **means,
+        errors={name: error for fit in fits.values() for name, error in fit.errors_of_model().items()} | errors,
         bounds={name: bound for fit in fits.values() for name, bound in fit.bounds_of_model().items()},
         degrees={name: fit.degrees for name, fit in fits.items()},
         counts={name: fit.count for name, fit in fits.items()},
         source=source,
+        logs=tuple(each.name for each in logs),
         notes=tuple(notes),
+        doubts=tuple(doubts),
     )
+
+
+def _check(logs: tuple[Log, ...], source: str) -> None:
+    """Raise `LogError` where a log lacks what is needed, or the logs are of different kinds."""
+    for log in logs:
+        if len(log.steps) == 0:
+            raise LogError(f"{log.name} has no sightings at all, so the noise of the sensor cannot be estimated")
+        if not log.identified:
+            raise LogError(
+                f"{log.name} has sightings without landmark ids, so the noise of the sensor cannot be estimated"
+            )
+        if source == "truth" and not knows_enough(log):
+            raise LogError(
+                f"{log.name} has no ground truth with headings and landmarks that were seen; estimate its noise from "
+                "residuals"
+            )
+        if source == "residuals" and log.controls is None:
+            raise LogError(f"{log.name} has no controls, and residuals alone do not determine the noise without them")
+        for what, has in (("controls", log.controls is not None), ("orientation psi", log.has_orientation)):
+            if has != (logs[0].controls is not None if what == "controls" else logs[0].has_orientation):
+                names = (log.name, logs[0].name) if has else (logs[0].name, log.name)
+                raise LogError(f"{names[0]} has {what} and {names[1]} has not: calibrate them one by one")

@@ -1,4 +1,4 @@
-"""Noise from a log without ground truth: from the residuals of its solved graph.
+"""Noise from logs without ground truth: from the residuals of their solved graphs.
 
 A least-squares solution fits part of the noise, so residuals are smaller than the noise: their covariance is C_e - P_e,
 where P_e = B_e Omega^-1 B_e' is due to the uncertainty of the solution. For variances theta_p with covariance parts C_p
@@ -11,6 +11,18 @@ again, and so on until the variances converge. u_e = (nu + d) / (nu + e' W e + t
 where Gaussian), for sightings and motions, so that wrong sightings and wheel slip count little; nu is estimated from the
 same squares.
 
+Numbers by which all measurements are wrong (scale and bias of the ranges, bias of the turn rate) are further unknowns p
+of the graphs. With W = Omega_e, J = de/dp and X = sum of B' W J, a step is
+
+    -(sum of J' W J - X' Omega^-1 X)^-1 sum of J' W e,
+
+whose matrix is also their covariance. Odometry and ranges may have one scale in common, which only the truth tells: that of
+the wheels stays 1. A number within three standard errors of its ideal value is held there.
+
+All this assumes that the errors of sightings are independent. Where successive sightings of a landmark have errors in common,
+the solution follows them, the noise comes out too small, and p comes out wrong. Therefore variances are estimated first. p is
+added only if they leave no correlation above `CORRELATED`, and kept only if this stays so.
+
 Sources: Patterson and Thompson, *Recovery of inter-block information when block sizes are unequal*, Biometrika 58(3),
 1971 (the equations); Anderson, *Asymptotically efficient estimation of covariance matrices with linear structure*, Annals
 of Statistics 1(1), 1973 (the iteration). The weights are an approximation: residuals of different edges are treated as
@@ -19,13 +31,15 @@ independent given the solution.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import brentq
 
 from ..edges import ObservationEdges, RelativePoseEdges
+from ..edges.base import Linearization
 from ..errors import GraphError, LogError
 from ..graph import Graph
 from ..log import Log
@@ -33,7 +47,8 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from ..solvers.solve import solve
 from ..uncertainty import Uncertainty
-from .parts import LEAST, motion_parts, ordinary, sensor_parts, variances_of, with_variances
+from .from_truth import SIGNIFICANT, STEP, inverse_information
+from .parts import LEAST, motion_parts, ordinary, sensor_parts, stacked, variances_of, with_variances
 from .variances import FEWEST, MOST, VarianceFit, fit_of_solution, slope_by_nu
 
 #: converged when no variance, made e times larger or smaller, would change the log likelihood by more than this
@@ -42,6 +57,12 @@ SETTLED = 0.1
 MAX_ROUNDS = 200
 #: the greatest factor by which a variance changes in one round
 FASTEST = 10.0
+#: the numbers by which all measurements are wrong, and their ideal values; the last ones are given up first
+MEANS = {"turn_rate_bias": 0.0, "range_scale": 1.0, "range_bias": 0.0}
+#: they have converged when they change by less than this part of their standard errors
+FINE = 0.05
+#: successive residuals of a landmark whose correlation is above this are not independent
+CORRELATED = 0.2
 #: a part that explains less than this fraction of the edges' variance is zero
 NEGLIGIBLE = 1e-6
 
@@ -100,57 +121,207 @@ class _Share:
         )
 
 
+@dataclass(frozen=True)
+class _Drive:
+    """A log, its graph, and which of all motions and sightings are its own."""
+
+    log: Log
+    graph: Graph
+    motions: slice
+    sightings: slice
+
+    def successive(self) -> tuple[np.ndarray, np.ndarray]:
+        """The sightings that are followed by another of the same landmark, and those that follow, among all."""
+        order = np.argsort(self.log.landmarks, kind="stable")
+        same = np.diff(self.log.landmarks[order]) == 0
+        return order[:-1][same] + self.sightings.start, order[1:][same] + self.sightings.start
+
+    def weighted(self, moved: _Share, sighted: _Share, means: Array) -> Graph:
+        """The graph with the current noise, weights and means."""
+        anchor, seen, driven = self.graph.families
+        assert isinstance(seen, ObservationEdges) and isinstance(driven, RelativePoseEdges)
+        regular, covariances = moved.counted[self.motions], moved.covariances[self.motions].copy()
+        # motions across gaps keep the noise that they began with
+        covariances[~regular] = np.linalg.inv(driven.information[~regular])
+        information = np.linalg.inv(covariances)
+        information = moved.weights[self.motions, None, None] * (information + np.swapaxes(information, 1, 2)) / 2
+        z = seen.sightings.copy()
+        z[:, 0] = (z[:, 0] - means[2]) / means[1]
+        noise = with_variances(seen.sensor, sighted.variances)
+        seen = replace(seen, sightings=z, sensor=noise, kernel=None, trust=sighted.weights[self.sightings])
+        driven = replace(driven, measured=self.measured(means[0]), information=information)
+        return replace(self.graph, families=(anchor, seen, driven))
+
+    def measured(self, turn_rate_bias: float) -> Array:
+        """The motions (T, 3) without the bias."""
+        return self.log.with_corrected_odometry(1.0, turn_rate_bias).motions()[0]
+
+    def slopes(self, graph: Graph, state: Array, means: Array) -> tuple[Array, Array]:
+        """de/dp (E, d, 3) of the sightings and of the motions."""
+        seen = graph.families[1]
+        assert isinstance(seen, ObservationEdges)
+        predicted = seen.linearize(state, state).residuals[:, 0] + seen.sightings[:, 0]
+        by_sightings = np.zeros((*seen.sightings.shape, len(MEANS)))
+        # a regression of measured ranges on those of the solution
+        by_sightings[:, 0, 1:] = np.column_stack([predicted, np.ones(len(predicted))]) / means[1]
+        by_motions = np.zeros((self.log.num_poses - 1, 3, len(MEANS)))
+        ahead, behind = self.measured(means[0] + STEP), self.measured(means[0] - STEP)
+        by_motions[:, :, 0] = (behind - ahead) / (2 * STEP)
+        return by_sightings, by_motions
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualNoise:
+    """What `noise_from_residuals` finds.
+
+    Attributes:
+        motion, sensor: the fits.
+        means, errors: the numbers of `MEANS`, and their standard errors; NaN where they were not estimated.
+        correlation: the highest correlation of successive residuals of a landmark, over the numbers of a sighting.
+        settled: whether all converged within `MAX_ROUNDS` rounds.
+    """
+
+    motion: VarianceFit
+    sensor: VarianceFit
+    means: dict[str, float]
+    errors: dict[str, float]
+    correlation: float
+    settled: bool
+
+
 def noise_from_residuals(
-    log: Log, motion: MotionModel, sensor: SensorModel, degrees: float | None = None
-) -> tuple[VarianceFit, VarianceFit, bool]:
-    """The variances of both models, from a graph with landmark nodes and motion edges.
+    logs: Sequence[Log], motion: MotionModel, sensor: SensorModel, degrees: float | None = None
+) -> ResidualNoise:
+    """The variances of both models, from graphs with landmark nodes and motion edges, and the numbers of `MEANS`.
 
     Args:
-        log: with controls and ids.
+        logs: with controls and ids.
         motion, sensor: the start of the search. Variances that are zero start at a fraction of the others.
         degrees: of freedom of both; None to estimate them, infinity for Gaussian noise.
 
-    Returns:
-        The fits of motion and sensor, and whether they converged within `MAX_ROUNDS` rounds.
-
     Raises:
-        GraphError: the log has no controls, or its graph is not determined.
+        GraphError: a log has no controls, or its graph is not determined.
+        LogError: the residuals do not determine the noise.
     """
-    graph = Graph.from_log(log, motion=motion, sensor=sensor, edges="landmark+motion", kernel="huber", residual="polar")
-    anchor, seen, driven = graph.families
-    assert isinstance(seen, ObservationEdges) and isinstance(driven, RelativePoseEdges)
-    regular = ordinary(log)
-    moved = _share(motion_parts(log), variances_of(motion), regular, degrees)
-    sighted = _share(sensor_parts(log.sightings), variances_of(sensor), np.ones(seen.count, dtype=bool), degrees)
-    across_gaps = log.motions(motion)[1][~regular]
+    z = np.concatenate([log.sightings for log in logs])
+    counted = np.concatenate([ordinary(log) for log in logs])
+    moved = _share(stacked(map(motion_parts, logs)), variances_of(motion), counted, degrees)
+    sighted = _share(sensor_parts(z), variances_of(sensor), np.ones(len(z), dtype=bool), degrees)
+    drives, t, m = [], 0, 0
+    for log in logs:
+        graph = Graph.from_log(
+            log, motion=motion, sensor=sensor, edges="landmark+motion", kernel="huber", residual="polar"
+        )
+        drives.append(_Drive(log, graph, slice(t, t + log.num_poses - 1), slice(m, m + len(log.steps))))
+        t, m = t + log.num_poses - 1, m + len(log.steps)
+    first = _Search(drives, moved, sighted, [solve(drive.graph, tolerance=1e-4).state for drive in drives])
+    first.run(np.zeros(len(MEANS), dtype=bool))
+    if first.correlation > CORRELATED:
+        return first.found()
+    second = deepcopy(first)
+    try:
+        second.run(np.ones(len(MEANS), dtype=bool))
+    except LogError:
+        return first.found()
+    return (second if second.settled and second.correlation < CORRELATED else first).found()
 
-    def models() -> Graph:
-        covariances = moved.covariances
-        covariances[~regular] = across_gaps
-        information = np.linalg.inv(covariances)
-        information = moved.weights[:, None, None] * (information + np.swapaxes(information, 1, 2)) / 2
-        weighted = replace(seen, sensor=with_variances(sensor, sighted.variances), kernel=None, trust=sighted.weights)
-        return replace(graph, families=(anchor, weighted, replace(driven, information=information)))
 
-    current, state = graph, solve(graph, tolerance=1e-4).state
-    for rounds in range(MAX_ROUNDS):
+@dataclass
+class _Search:
+    """Variances, means and trajectories, improved in turn."""
+
+    drives: Sequence[_Drive]
+    moved: _Share
+    sighted: _Share
+    states: list[Array]
+    means: Array = field(default_factory=lambda: np.array(list(MEANS.values())))
+    errors: Array = field(default_factory=lambda: np.full(len(MEANS), np.nan))
+    settled: bool = False
+    begun: bool = False
+
+    def run(self, free: np.ndarray) -> None:
+        """Search until nothing changes any more, with the means that are ``free`` (K,) among the unknowns.
+
+        Raises:
+            GraphError: the edges do not determine a graph.
+            LogError: the noise came to where a graph cannot be solved.
+        """
+        ideal, free, self.settled = np.array(list(MEANS.values())), free.copy(), False
+        for _ in range(MAX_ROUNDS):
+            slope, gradient, information = self._round()
+            covariance, known = inverse_information(information[np.ix_(free, free)])
+            if not known:
+                free[np.flatnonzero(free)[-1]] = False
+                continue
+            step = -covariance @ gradient[free]
+            self.errors[free], self.means[free] = np.sqrt(np.diag(covariance)), self.means[free] + step
+            if slope < SETTLED and np.all(np.abs(step) < FINE * self.errors[free]):
+                distance = np.where(free, np.abs(self.means - ideal) / self.errors, np.inf)
+                self.settled = bool(np.all(distance > SIGNIFICANT))
+                if self.settled:
+                    break
+                k = int(np.argmin(distance))
+                free[k], self.means[k] = False, ideal[k]
+
+    def _round(self) -> tuple[float, Array, Array]:
+        """Solve the graphs and improve the variances: their steepest slope, and the normal equations of the means."""
+        residuals: tuple[list[Array], list[Array]] = ([], [])
+        leverages: tuple[list[Array], list[Array]] = ([], [])
+        gradient, information = np.zeros(len(MEANS)), np.zeros((len(MEANS), len(MEANS)))
         try:
-            if rounds > 0:
-                current = models().with_initial(state)
-                state = solve(current, tolerance=1e-6, max_iterations=20, initialize="given").state
-            uncertainty = Uncertainty(current, state)
-            slope = 0.0
-            for share, family in ((sighted, current.families[1]), (moved, current.families[2])):
-                taken = family.linearize(state, state)
-                slope = max(slope, share.improve(taken.residuals, uncertainty.of_edges(taken)))
+            for k, drive in enumerate(self.drives):
+                current = drive.graph
+                if self.begun:
+                    current = drive.weighted(self.moved, self.sighted, self.means).with_initial(self.states[k])
+                    self.states[k] = solve(current, tolerance=1e-6, max_iterations=20, initialize="given").state
+                state = self.states[k]
+                uncertainty = Uncertainty(current, state)
+                ends = [family.linearize(state, state) for family in current.families[1:]]
+                for edges, e, P in zip(ends, residuals, leverages):
+                    e.append(edges.residuals)
+                    P.append(uncertainty.of_edges(edges))
+                part = _normal_equations(ends, drive.slopes(current, state, self.means), uncertainty, len(state))
+                gradient, information = gradient + part[0], information + part[1]
+            shares = (self.sighted, self.moved)
+            slopes = [s.improve(np.concatenate(e), np.concatenate(P)) for s, e, P in zip(shares, residuals, leverages)]
         except (GraphError, np.linalg.LinAlgError):
-            if rounds == 0:
+            if not self.begun:
                 raise
             # the edges determined the nodes with the first noise models
-            raise LogError(_lost(log, sighted.variances | moved.variances)) from None
-        if slope < SETTLED:
-            break
-    return moved.fit(), sighted.fit(), slope < SETTLED
+            variances = self.sighted.variances | self.moved.variances
+            raise LogError(_lost(self.drives[0].log, variances)) from None
+        self.begun = True
+        return max(slopes), gradient, information
+
+    @property
+    def correlation(self) -> float:
+        """The correlation of successive residuals of a landmark, the highest of all numbers of a sighting."""
+        noise = np.sqrt(np.diagonal(self.sighted.covariances, axis1=1, axis2=2))
+        e = self.sighted.residuals / noise * np.sqrt(self.sighted.weights)[:, None]
+        one, next_one = (np.concatenate(each) for each in zip(*(drive.successive() for drive in self.drives)))
+        return float(np.max(np.mean(e[one] * e[next_one], axis=0) / np.mean(e**2, axis=0))) if len(one) else 0.0
+
+    def found(self) -> ResidualNoise:
+        """The result."""
+        return ResidualNoise(
+            motion=self.moved.fit(), sensor=self.sighted.fit(), means=dict(zip(MEANS, self.means.tolist())),
+            errors=dict(zip(MEANS, self.errors.tolist())), correlation=self.correlation, settled=self.settled,
+        )  # fmt: skip
+
+
+def _normal_equations(
+    ends: Sequence[Linearization], slopes: Sequence[Array], uncertainty: Uncertainty, nodes: int
+) -> tuple[Array, Array]:
+    """The gradient (K,) and the information (K, K) of the means, with the nodes eliminated."""
+    K = slopes[0].shape[2]
+    gradient, information, mixed = np.zeros(K), np.zeros((K, K)), np.zeros((nodes, 3, K))
+    for edges, J in zip(ends, slopes):
+        weighted = edges.information @ J
+        gradient += np.einsum("edk,ed->k", weighted, edges.residuals)
+        information += np.einsum("edk,edl->kl", weighted, J)
+        for node, B in zip(edges.nodes, edges.jacobians):
+            np.add.at(mixed, node, np.swapaxes(B, 1, 2) @ weighted)
+    return gradient, information - np.einsum("nik,nil->kl", mixed, uncertainty.solve(mixed))
 
 
 def _lost(log: Log, variances: Mapping[str, float]) -> str:

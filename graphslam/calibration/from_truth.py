@@ -1,8 +1,18 @@
-"""Noise from a log whose true poses and landmarks are known: the residuals are the noise itself."""
+"""Noise from logs whose true poses and landmarks are known: the residuals are the noise itself.
+
+Before the noise there are numbers by which all measurements are wrong in the same way: the scale and bias of ranges, the
+scale of the wheels, and the bias of the turn rate,
+
+    measured range = range_scale * range + range_bias,   recorded speed = wheel_scale * speed,
+    recorded turn rate = turn rate + turn_rate_bias.
+
+They and the variances are estimated in turn (`fit_with_means`). Those within three standard errors of their ideal values are
+held there, because a correction that is not significant helps no other log.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -10,11 +20,20 @@ from ..errors import LogError
 from ..log import Log
 from ..models import MotionModel, SensorModel, sinc
 from ..se2 import Array, between, wrap
-from .parts import LEAST, motion_parts, ordinary, sensor_parts
+from .parts import LEAST, motion_parts, ordinary, sensor_parts, stacked
 from .variances import VarianceFit, fit_variances
 
-#: scale and bias have converged when they change by less than this
+#: the means have converged when they change by less than this
 SETTLED = 1e-6
+#: standard errors count the residuals of this many stretches of the logs as independent, and no single ones
+STRETCHES = 50
+#: a mean nearer to its ideal value, in standard errors, is held there
+SIGNIFICANT = 3.0
+#: the step of numeric derivatives by wheel scale and turn-rate bias [rad/s]
+STEP = 1e-5
+
+#: numbers by name, and their standard errors
+Means = tuple[dict[str, float], dict[str, float]]
 
 
 def knows_enough(log: Log) -> bool:
@@ -25,30 +44,44 @@ def knows_enough(log: Log) -> bool:
     return bool(np.isfinite(truth[:, 2]).any() and np.isin(log.landmarks, list(log.true_landmarks)).any())
 
 
-def motion_noise(log: Log, degrees: float | None = None) -> VarianceFit:
-    """The variances of the motion, from the differences of true and commanded motions in the frame of their start.
+def motion_noise(logs: Sequence[Log], degrees: float | None = None) -> tuple[VarianceFit, Means]:
+    """The variances of the motion, and "wheel_scale" and "turn_rate_bias" [rad/s], which true motions tell.
 
-    Motions across gaps in the odometry, and those whose true start or end is unknown, do not count.
+    The residuals are the differences of true and commanded motions in the frame of their start. Motions across gaps in the
+    odometry, and those whose true start or end is unknown, do not count.
 
     Raises:
         LogError: there are too few motions.
     """
-    truth = log.robot_truth
-    assert truth is not None
-    moved = between(truth[:-1], truth[1:])
+    moved = [between(truth[:-1], truth[1:]) for truth in map(_truth, logs)]
+    counted = np.concatenate([np.isfinite(m).all(axis=1) & ordinary(log) for log, m in zip(logs, moved)])
+    parts = {name: C[counted] for name, C in stacked(map(motion_parts, logs)).items()}
+
+    def residuals(means: Array, way: Callable[[Log, Array], Array] = differences) -> Array:
+        corrected = [log.with_corrected_odometry(*means.tolist()) for log in logs]
+        return np.concatenate([way(log, m) for log, m in zip(corrected, moved)])[counted]
+
+    def slopes(means: Array) -> Array:
+        changes = np.stack([residuals(means + h) - residuals(means - h) for h in STEP * np.eye(2)], axis=2)
+        changes[:, 2] = wrap(changes[:, 2])
+        return changes / (2 * STEP)
+
+    fit, means, errors = fit_with_means(residuals, slopes, np.array([1.0, 0.0]), parts, degrees, robust=False)
+    if not any(log.composite for log in logs):
+        # the noise may enter by the controls or at the poses: the better explanation of the motions counts
+        other = fit_variances(residuals(means, straightened), parts, degrees=degrees, least=LEAST)
+        fit = max(fit, other, key=lambda each: each.log_likelihood)
+    return fit, _named(("wheel_scale", "turn_rate_bias"), means, errors)
+
+
+def differences(log: Log, moved: Array) -> Array:
+    """The true motions (T, 3) minus the commanded ones."""
     e = moved - log.motions()[0]
     e[:, 2] = wrap(e[:, 2])
-    counted = np.isfinite(e).all(axis=1) & ordinary(log)
-    parts = {name: C[counted] for name, C in motion_parts(log).items()}
-    ways = [e] if log.composite else [e, straightened(log, moved, e)]
-    # the noise may enter by the controls or at the poses: the better explanation of the motions counts
-    options: dict[str, Any] = {"degrees": degrees, "least": LEAST}
-    fits = [fit_variances(way[counted], parts, **options, bounds=False) for way in ways]
-    best = max(range(len(ways)), key=lambda k: fits[k].log_likelihood)
-    return fit_variances(ways[best][counted], parts, **options, start=fits[best])
+    return e
 
 
-def straightened(log: Log, moved: Array, e: Array) -> Array:
+def straightened(log: Log, moved: Array) -> Array:
     """The residuals (T, 3) of motions of one control each, computed from the controls that were really carried out.
 
     The noise du of a control changes the arc of the motion. To first order the residual is A du. To second order the
@@ -59,10 +92,9 @@ def straightened(log: Log, moved: Array, e: Array) -> Array:
     Args:
         log: without composite motions.
         moved: (T, 3) the true motions in the frames they start from.
-        e: (T, 3) their plain residuals.
     """
     assert log.controls is not None and log.dt is not None
-    dt, origin = log.dt, np.zeros(3)
+    dt, origin, e = log.dt, np.zeros(3), differences(log, moved)
     turn = log.controls[:, 1] * dt + e[:, 2]
     along = np.column_stack([np.cos(turn / 2), np.sin(turn / 2)])
     length = np.einsum("ti,ti->t", moved[:, :2], along)
@@ -73,20 +105,109 @@ def straightened(log: Log, moved: Array, e: Array) -> Array:
     return np.where((np.abs(turn) < np.pi)[:, None], straight, e)
 
 
-def sensor_noise(
-    log: Log, sensor: SensorModel, degrees: float | None = None
-) -> tuple[VarianceFit, dict[str, float], dict[str, float]]:
-    """The variances of the sensor, the line by which it measures ranges ("range_scale", "range_bias"), and its errors.
+def sensor_noise(logs: Sequence[Log], sensor: SensorModel, degrees: float | None = None) -> tuple[VarianceFit, Means]:
+    """The variances of the sensor, and the line by which it measures ranges, "range_scale" and "range_bias" [m].
 
-    Line and variances are estimated in turn: the line by least squares with the variances and weights of the last fit,
-    the variances from the ranges that the line corrects. The noise is assumed to grow with the true range; if it grew
-    with the measured one, the likelihood would not be a density of the measurement.
+    The line is a regression of measured on true ranges, and the variances are those of the corrected ranges. The noise is
+    assumed to grow with the true range; if it grew with the measured one, the likelihood would not be a density of the
+    measurement.
 
     Raises:
         LogError: there are too few sightings of true landmarks from true poses.
     """
+    pairs = [_seen(log, sensor) for log in logs]
+    z, seen = (np.concatenate(each) for each in zip(*pairs))
+
+    def residuals(line: Array) -> Array:
+        e = z - seen
+        e[:, 0] = (z[:, 0] - line[1]) / line[0] - seen[:, 0]
+        e[:, 1:] = wrap(e[:, 1:])
+        return e
+
+    def slopes(line: Array) -> Array:
+        # of z - (scale seen + bias) over the scale, which is held: a regression on the true ranges
+        slope = np.zeros((*z.shape, 2))
+        slope[:, 0] = -np.column_stack([seen[:, 0], np.ones(len(z))]) / line[0]
+        return slope
+
+    fit, line, errors = fit_with_means(residuals, slopes, np.array([1.0, 0.0]), sensor_parts(seen), degrees)
+    return fit, _named(("range_scale", "range_bias"), line, errors)
+
+
+def fit_with_means(
+    residuals: Callable[[Array], Array],
+    slopes: Callable[[Array], Array],
+    ideal: Array,
+    parts: Mapping[str, Array],
+    degrees: float | None,
+    *,
+    robust: bool = True,
+) -> tuple[VarianceFit, Array, Array]:
+    """Variances and means in turn: the means by weighted least squares with the last variances and weights, and so on.
+
+    Args:
+        residuals: from the means (K,) to e (E, d), in the order of time.
+        slopes: from the means to de/d(means) (E, d, K).
+        ideal: the values of the means where nothing is wrong.
+        parts, degrees: as for `fit_variances`.
+        robust: whether outliers count less for the means, too, as they do for the variances. They must count in full where
+            residuals add up, as those of motions do, and are not symmetric.
+
+    Returns:
+        The fit, the means, and their standard errors; NaN where the residuals do not determine them. Means that are held at
+        their ideal values have the error that they had before.
+    """
+    fit, means, errors, free = None, ideal.copy(), np.full(len(ideal), np.nan), np.ones(len(ideal), dtype=bool)
+    while True:
+        for _ in range(100):
+            e, J = residuals(means), slopes(means)[:, :, free]
+            fit = fit_variances(e, parts, degrees=degrees, least=LEAST, start=fit, bounds=False)
+            W = np.linalg.inv(sum(fit.variances[name] * C for name, C in parts.items()))
+            pull = np.einsum("e,edk,edc->eck", fit.weights if robust else np.ones(len(e)), J, W, optimize=True)
+            inverse, known = inverse_information(np.einsum("eck,ecl->kl", pull, J))
+            each = np.einsum("eck,ec->ek", pull, e)
+            change = -inverse @ each.sum(axis=0)
+            means[free] += change
+            if not np.any(np.abs(change) > SETTLED):
+                break
+        assert fit is not None
+        # the sandwich, with the residuals themselves for their covariance; neighbours in time may be correlated
+        starts = np.unique(np.linspace(0, len(each), STRETCHES, endpoint=False).astype(int))
+        stretches = np.add.reduceat(each, starts, axis=0)
+        errors[free] = np.sqrt(np.diag(inverse @ (stretches.T @ stretches) @ inverse)) if known else np.nan
+        distance = np.where(free, np.abs(means - ideal) / errors, np.inf)
+        if not known or np.all(distance > SIGNIFICANT):
+            break
+        k = int(np.argmin(distance))
+        free[k], means[k] = False, ideal[k]
+    return fit_variances(e, parts, degrees=degrees, least=LEAST, start=fit), means, errors
+
+
+def inverse_information(information: Array) -> tuple[Array, bool]:
+    """The inverse (K, K), and whether there is one; else the pseudo-inverse."""
+    if len(information) == 0:
+        return information, True
+    unit = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information / np.outer(unit, unit)
+    return np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) / np.outer(unit, unit), bool(
+        np.linalg.eigvalsh(scaled)[0] > 1e-9
+    )
+
+
+def _named(names: Sequence[str], means: Array, errors: Array) -> Means:
+    return dict(zip(names, means.tolist())), dict(zip(names, errors.tolist()))
+
+
+def _truth(log: Log) -> Array:
     truth = log.robot_truth
-    assert truth is not None and log.true_landmarks is not None
+    assert truth is not None
+    return truth
+
+
+def _seen(log: Log, sensor: SensorModel) -> tuple[Array, Array]:
+    """The sightings (M, n) whose truth is known, and what they should have been."""
+    truth = _truth(log)
+    assert log.true_landmarks is not None
     counted = np.isfinite(truth[log.steps]).all(axis=1) & np.isin(log.landmarks, list(log.true_landmarks))
     if not counted.any():
         raise LogError(f"{log.name}: no sighting has a known true pose and a known true landmark")
@@ -96,29 +217,4 @@ def sensor_noise(
         raise LogError(
             f"{log.name}: the truth of psi is unknown, because true landmarks have no heading; leave psi out"
         )
-    z = log.sightings[counted]
-    seen = sensor.h(truth[log.steps[counted]], np.array([place[:n] for place in places]))
-    lines, parts = np.column_stack([seen[:, 0], np.ones(len(z))]), sensor_parts(seen)
-    line, fit = np.array([1.0, 0.0]), None
-    options: dict[str, Any] = {"degrees": degrees, "least": LEAST}
-    e = z - seen
-    e[:, 1:] = wrap(e[:, 1:])
-    for _ in range(100):
-        e[:, 0] = (z[:, 0] - line[1]) / line[0] - seen[:, 0]
-        fit = fit_variances(e, parts, **options, start=fit, bounds=False)
-        variance = np.sum([fit.variances[name] * C[:, 0, 0] for name, C in parts.items()], axis=0)
-        weighted = lines * np.sqrt(fit.weights / variance)[:, None]
-        # the nearest line to (1, 0), where all ranges are the same and do not determine one
-        change = np.linalg.lstsq(weighted, np.sqrt(fit.weights / variance) * (z[:, 0] - lines @ line), rcond=1e-9)[0]
-        line = line + change
-        if np.abs(change).max() < SETTLED:
-            break
-    fit = fit_variances(e, parts, **options, start=fit)
-    # the expected information of Student's t, as a fraction of the Gaussian one
-    share = 1.0 if np.isinf(fit.degrees) else (fit.degrees + n) / (fit.degrees + n + 2)
-    weighted = lines * np.sqrt(share / variance)[:, None]
-    errors = np.full(2, np.nan)
-    if np.linalg.matrix_rank(weighted, rtol=1e-9) == 2:
-        errors = np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted))) * line[0]
-    names = ("range_scale", "range_bias")
-    return fit, dict(zip(names, line.tolist())), dict(zip(names, errors.tolist()))
+    return log.sightings[counted], sensor.h(truth[log.steps[counted]], np.array([place[:n] for place in places]))

@@ -6,7 +6,7 @@ epsilon, and that of a sighting (`SensorModel.Q`) in the squares of the sensor's
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from typing import Any, TypeVar
 
@@ -43,6 +43,12 @@ def motion_parts(log: Log) -> dict[str, Array]:
         parts[name] = covariances - LEAST_EPSILON * identity
     parts["epsilon"] = np.broadcast_to(identity, (log.num_poses - 1, 3, 3)).copy()
     return parts
+
+
+def stacked(parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]:
+    """The parts of several logs, one after the other; all of the same names."""
+    several = list(parts)
+    return {name: np.concatenate([each[name] for each in several]) for name in several[0]}
 
 
 def variances_of(model: MotionModel | SensorModel) -> dict[str, float]:

@@ -131,9 +131,9 @@ def fit_of_solution(
     Args:
         residuals, parts, least: as for `fit_variances`.
         variances, nu: the estimates.
-        leverage: P_e (E, d, d), the part of the covariance of each residual that the solution has fitted. Errors come from
-            the information that it leaves. The likelihood, with e e' + P_e in place of e e', is too steep by about
-            (1 - h)^-2, h the mean of tr(C_e^-1 P_e) / d.
+        leverage: P_e (E, d, d), the part of the covariance of each residual that the solution has fitted. It leaves the
+            information W - W P_e W, W = C_e^-1, from which the errors come. The likelihood has e e' + P_e in place of e e'
+            and is too steep, for each part by the quotient of its curvatures with W and with what is left of it.
     """
     likelihood = _Likelihood(residuals, parts, least, nu, leverage)
     theta = np.array([variances[name] for name in likelihood.names])
@@ -228,17 +228,17 @@ class _Likelihood:
         self, theta: Array, nu: float, q: Array, *, bounds: bool = True
     ) -> tuple[dict[str, float], dict[str, float]]:
         """The errors of `VarianceFit`, and its bounds where asked for, at the maximum q."""
-        information, share = self.information(theta), 1.0
+        whole = left = self.information(theta)
         if self.leverage is not None:
-            reduced = information - information @ self.leverage @ information
-            share = max(1 - np.einsum("eij,eji->", information, self.leverage) / self.residuals.size, 0.01)
-        errors = standard_errors(information if self.leverage is None else reduced, self.C, theta, nu)
+            left = whole - whole @ self.leverage @ whole
+        errors = standard_errors(left, self.C, theta, nu)
         near_zero = ~(theta > np.maximum(FEW_ERRORS * errors, 1.001 * self.floors))
         errors[near_zero] = np.nan
         if not bounds:
             return self.named(errors), {}
+        steeper = _curvatures(whole, self.C) / np.maximum(_curvatures(left, self.C), 1e-300)
         return self.named(errors), {
-            name: self._bound(p, q, DROP / share**2) for p, name in enumerate(self.names) if near_zero[p]
+            name: self._bound(p, q, DROP * steeper[p]) for p, name in enumerate(self.names) if near_zero[p]
         }
 
     def _bound(self, p: int, q: Array, drop: float) -> float:
@@ -261,6 +261,12 @@ class _Likelihood:
         value, by_theta, by_nu = _log_likelihood(self.residuals, self.C, theta, nu, self.leverage)
         by_nu = by_nu * nu if self.degrees is None else 0.0
         return -value / count, -np.append(by_theta * theta, by_nu) / count
+
+
+def _curvatures(information: Array, C: Array) -> Array:
+    """The sum of tr(W C_p W C_p) (P,), W the information (E, d, d)."""
+    scaled = information @ C
+    return np.einsum("peij,peji->p", scaled, scaled)
 
 
 def _moments(e: Array, information: Array, leverage: Array | None) -> tuple[Array, Array]:

@@ -13,8 +13,9 @@ from typer.testing import CliRunner, Result
 from comparisons.cli import app
 from comparisons.config import read_config
 from comparisons.noise_files import read_noise, write_noise
-from comparisons.options import NoiseOptions
-from graphslam import FormatError, SensorModel, save, simulate
+from comparisons.options import NoiseOptions, RunOptions
+from comparisons.reading import prepare
+from graphslam import FormatError, LogError, SensorModel, load, save, simulate
 from graphslam.calibration import calibrate
 
 Invoke = Callable[..., Result]
@@ -41,7 +42,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     write_noise(found, tmp_path / "noise.toml", "a log")
     numbers, ranges = read_noise(tmp_path / "noise.toml")
     assert NoiseOptions.of(**numbers).models() == (found.motion, found.sensor)
-    assert ranges == {"range_scale": found.range_scale, "range_bias": found.range_bias}
+    assert ranges == found.corrections
 
 
 @pytest.mark.slow
@@ -145,3 +146,73 @@ def test_numbers_near_zero_have_bounds(invoke: Invoke, log_file: Path) -> None:
         assert f"< {found['bounds'][name]:.2g}" in row
     # a number has an error or a bound, not both
     assert all(found["errors"][name] is None for name in found["bounds"])
+
+
+def test_several_logs_and_several_robots(invoke: Invoke, tmp_path: Path) -> None:
+    for seed in (1, 2):
+        save(simulate(seed=seed, steps=60, clean=True), tmp_path / f"{seed}.npz")
+    result = invoke("calibrate", "1.npz", "2.npz", "--out", "noise.toml", "--json", "c.json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(Path("c.json").read_text())
+    assert (found["logs"], found["counts"]["motion"], found["doubts"]) == (["1", "2"], 120, [])
+    assert Path("noise.toml").read_text().startswith("# The noise of 1, 2, from truth")
+    assert "slam-compare run 1.npz --noise noise.toml" in result.stdout
+    both = invoke("calibrate", "1.npz", "--robot", "1", "--robots", "1,3")
+    assert both.exit_code != 0 and "robots" in both.stderr
+
+
+def test_corrections_go_from_the_file_to_the_log(invoke: Invoke, log_file: Path) -> None:
+    """Ranges 5 % and speeds 10 % too long, a gyroscope off by 0.05 rad/s: the noise file takes all of it back."""
+    log = load(log_file)
+    controls = log.controls * [1.1, 1.0] + [0.0, 0.05]
+    save(log.replace(controls=controls), log_file)
+    Path("noise.toml").write_text(
+        "[ranges]\nscale = 1.05\nbias = 0.1\n[odometry]\nwheel_scale = 1.1\nturn_rate_bias = 0.05\n"
+    )
+    data, _, options = prepare(log_file, RunOptions.of(noise="noise.toml"))
+    np.testing.assert_allclose(data.controls, log.controls, atol=1e-12)
+    np.testing.assert_array_equal(data.initial_poses, data.dead_reckoning())
+    assert (options.wheel_scale, options.turn_rate_bias, options.range_scale) == (1.1, 0.05, 1.05)
+    # an option takes precedence over the file, and a log without odometry has nothing to correct
+    assert prepare(log_file, RunOptions.of(noise="noise.toml", wheel_scale=1.0))[2].wheel_scale is None
+    still = log.replace(dt=None, controls=None)
+    prepare(still, RunOptions.of(noise="noise.toml"))
+    with pytest.raises(LogError, match="no controls"):
+        prepare(still, RunOptions.of(wheel_scale=1.1))
+
+
+def test_noise_auto_says_what_it_took(invoke: Invoke, tmp_path: Path) -> None:
+    log = simulate(seed=2, steps=80, clean=True, orientation=False)
+    save(log, tmp_path / "own.npz")
+    result = invoke("run", "own.npz", "--noise", "auto", "--estimators", "graph", "--out", "a", "--json", "-")
+    assert result.exit_code == 0, result.output
+    run = json.loads(result.stdout)
+    (note,) = [note for note in run["log"]["notes"] if note.startswith("noise auto")]
+    found = calibrate(log, source="residuals")
+    assert not found.doubts and f"bearing_std {found.sensor.bearing_std:.3g}" in note
+    assert run["noise"]["sensor"]["model"]["bearing_std"] == found.sensor.bearing_std
+    # the saved configuration has the numbers
+    assert read_config(Path("a/config.toml"))["bearing_std"] == found.sensor.bearing_std
+
+
+def test_noise_auto_keeps_the_models_where_its_checks_fail(tmp_path: Path) -> None:
+    log, rng = simulate(seed=2, steps=120, clean=True, orientation=False), np.random.default_rng(0)
+    shared = np.cumsum(rng.normal(size=(121, 40)), axis=0) * 0.05
+    sightings = log.sightings.copy()
+    sightings[:, 1] += shared[log.steps, log.landmarks % 40]
+    data, _, options = prepare(log.replace(sightings=sightings), RunOptions.of(noise="auto"))
+    assert options.sensor == SensorModel() and options.range_scale is None
+    assert any("kept the book's noise models" in note and "correlated" in note for note in data.notes)
+
+
+def test_a_failed_check_leads_to_the_truth_of_others(invoke: Invoke, tmp_path: Path) -> None:
+    log, rng = simulate(seed=2, steps=120, clean=True, orientation=False), np.random.default_rng(0)
+    shared = np.cumsum(rng.normal(size=(121, 40)), axis=0) * 0.05
+    sightings = log.sightings.copy()
+    sightings[:, 1] += shared[log.steps, log.landmarks % 40]
+    save(log.replace(sightings=sightings), tmp_path / "log.npz")
+    result = invoke("calibrate", "log.npz", "--source", "residuals", "--out", "noise.toml")
+    assert result.exit_code == 0, result.output
+    assert "Not recommended: the errors of successive sightings" in " ".join(result.stdout.split())
+    assert "slam-compare run" not in result.stdout and "ground truth of other robots" in result.stdout
+    assert "# Not recommended" in Path("noise.toml").read_text()

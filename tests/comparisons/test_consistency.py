@@ -67,6 +67,10 @@ def test_noise_scales_all_standard_deviations():
     full = MotionModel().covariance(np.zeros(3), u, 2.0)
     np.testing.assert_allclose(motion.covariance(np.zeros(3), u, 2.0), full / 4)
     np.testing.assert_allclose(sensor.Q(z), SensorModel().Q(z) / 4)
+    # the place of the sensor and its limits of sight are no noise
+    assert [getattr(sensor, n) for n in SensorModel.GEOMETRY] == [
+        getattr(SensorModel(), n) for n in SensorModel.GEOMETRY
+    ]
 
 
 def test_json(outcome):

@@ -25,16 +25,26 @@ def drive(seed: int, steps: int = 1000, orientation: bool = False, **more: objec
     return simulate(seed=seed, steps=steps, clean=True, orientation=orientation, speed=0.5, turn_rate=0.5, **options)
 
 
-def errors_in_sigmas(found, motion: MotionModel, sensor: SensorModel) -> dict[str, float]:
-    """(value - truth) / standard error of every number that the log tells: zero is more than three errors away.
+def wrong(log: Log, range_scale=1.0, range_bias=0.0, wheel_scale=1.0, turn_rate_bias=0.0) -> Log:
+    """The log as sensors would record it whose measurements are all wrong in the same way."""
+    sightings, controls = log.sightings.copy(), log.controls * [wheel_scale, 1.0] + [0.0, turn_rate_bias]
+    sightings[:, 0] = range_scale * sightings[:, 0] + range_bias
+    return log.replace(sightings=sightings, controls=controls)
 
-    Nearer to zero, which no variance can be below, errors are not normal; a bias may be anywhere.
+
+WRONG = {"range_scale": 1.07, "range_bias": 0.12, "wheel_scale": 1.05, "turn_rate_bias": 0.02}
+
+
+def errors_in_sigmas(found, motion: MotionModel, sensor: SensorModel, **means: float) -> dict[str, float]:
+    """(value - truth) / standard error of every number that has an error.
+
+    Nearer to zero, which no variance can be below, errors are not normal, and numbers have bounds.
     """
-    truth = vars(motion) | vars(sensor) | {"range_scale": 1.0, "range_bias": 0.0}
+    truth = vars(motion) | vars(sensor) | dict.fromkeys(WRONG, 0.0) | {"range_scale": 1.0, "wheel_scale": 1.0} | means
     return {
         name: (value - truth[name]) / found.errors[name]
         for name, value in found.numbers.items()
-        if name in found.errors and (value > 3 * found.errors[name] or name == "range_bias")
+        if np.isfinite(found.errors.get(name, np.nan))
     }
 
 
@@ -51,7 +61,8 @@ def test_noise_from_truth(seed: int) -> None:
     found = calibrate(drive(seed, orientation=True))
     assert found.source == "truth"
     off = errors_in_sigmas(found, MOTION, SENSOR)
-    assert {"nn", "oo", "range_rate", "bearing_std", "orientation_std", "range_scale", "range_bias"} <= off.keys()
+    names = {"nn", "oo", "range_rate", "bearing_std", "orientation_std", "range_scale", "range_bias", "wheel_scale"}
+    assert names <= off.keys()
     assert max(map(abs, off.values())) < 4
     assert found.counts["motion"] == 1000
     # the tails are as good as Gaussian
@@ -60,8 +71,10 @@ def test_noise_from_truth(seed: int) -> None:
 
 @pytest.mark.slow
 def test_the_standard_errors_are_those_of_many_logs() -> None:
-    off = [errors_in_sigmas(calibrate(drive(seed, steps=200)), MOTION, SENSOR) for seed in range(20)]
-    for name in ("bearing_std", "range_scale", "range_bias"):
+    logs = [wrong(drive(seed, steps=200), 1.2, 0.5, 1.3, 0.1) for seed in range(20)]
+    means = {"range_scale": 1.2, "range_bias": 0.5, "wheel_scale": 1.3, "turn_rate_bias": 0.1}
+    off = [errors_in_sigmas(calibrate(log), MOTION, SENSOR, **means) for log in logs]
+    for name in ("bearing_std", *means):
         z = np.array([entry[name] for entry in off])
         # chi-square of 20 degrees of freedom: 99.9 % lie between 5.4 and 47.5
         assert 5.4 < np.sum(z**2) < 47.5, name
@@ -69,12 +82,11 @@ def test_the_standard_errors_are_those_of_many_logs() -> None:
 
 def test_range_scale_and_bias() -> None:
     log = drive(5)
-    sightings = log.sightings.copy()
-    sightings[:, 0] = 1.07 * sightings[:, 0] + 0.12
+    sightings = wrong(log, 1.07, 0.12).sightings
     found = calibrate(log.replace(sightings=sightings))
     assert abs(found.range_scale - 1.07) < 4 * found.errors["range_scale"] < 0.05
     assert abs(found.range_bias - 0.12) < 4 * found.errors["range_bias"] < 0.1
-    straight = calibrate(log)
+    straight = calibrate(wrong(log, 0.9, -0.1))
     # noise is that of the corrected range: the line takes nothing from it
     assert found.sensor.bearing_std == pytest.approx(straight.sensor.bearing_std, rel=1e-3)
     assert found.sensor.Q([3.0, 0.0])[0, 0] == pytest.approx(straight.sensor.Q([3.0, 0.0])[0, 0], rel=1e-3)
@@ -165,6 +177,81 @@ def test_what_the_solution_leaves_to_residuals() -> None:
         edges = family.linearize(state, state)
         total += float(np.einsum("eij,eji->", edges.information, uncertainty.of_edges(edges)))
     assert total == pytest.approx(3 * log.num_poses + 2 * len(log.landmark_ids), rel=1e-6)
+
+
+def test_scales_and_biases_from_truth() -> None:
+    log = drive(6, steps=600)
+    found = calibrate(wrong(log, **WRONG))
+    for name, value in WRONG.items():
+        assert abs(getattr(found, name) - value) < 4 * found.errors[name] < abs(value - (name.endswith("scale"))), name
+    back = found.apply(wrong(log, **WRONG))
+    # both lines are corrected, and so is dead reckoning, which is the initial guess
+    np.testing.assert_allclose(
+        back.controls, (wrong(log, **WRONG).controls - [0, found.turn_rate_bias]) / [found.wheel_scale, 1]
+    )
+    np.testing.assert_array_equal(back.initial_poses, back.dead_reckoning())
+    # a second calibration finds nothing more
+    again = calibrate(back)
+    assert again.corrections == {"range_scale": 1.0, "range_bias": 0.0, "wheel_scale": 1.0, "turn_rate_bias": 0.0}
+    # nor does one of a robot with nothing wrong
+    assert calibrate(log).corrections == again.corrections
+
+
+def test_scales_and_biases_from_residuals() -> None:
+    """Odometry tells the scale of the ranges relative to its own, and landmarks seen again the bias of the turn rate."""
+    log = drive(0, steps=400)
+    found = calibrate(wrong(log, range_scale=1.1, turn_rate_bias=0.05), source="residuals")
+    assert abs(found.range_scale - 1.1) < 4 * found.errors["range_scale"] < 0.05
+    assert abs(found.turn_rate_bias - 0.05) < 4 * found.errors["turn_rate_bias"] < 0.03
+    assert (found.range_bias, found.wheel_scale) == (0.0, 1.0)
+    assert not found.doubts
+    clean = calibrate(log, source="residuals")
+    assert (clean.range_scale, clean.range_bias, clean.turn_rate_bias) == (1.0, 0.0, 0.0)
+
+
+def test_a_mean_of_motions_counts_outliers_in_full() -> None:
+    """A tenth of the motions slip: on average the robot drives less than the wheels say, though most motions are right."""
+    log, rng = (
+        drive(3, steps=600, motion=MotionModel(nn=0.01, no=0.01, on=0.01, oo=0.01, epsilon=1e-8)),
+        np.random.default_rng(1),
+    )
+    controls = log.controls.copy()
+    slipped = rng.choice(600, 60, replace=False)
+    controls[slipped, 0] *= 2
+    found = calibrate(log.replace(controls=controls))
+    ratio = np.sum(controls[:, 0] * log.controls[:, 0]) / np.sum(log.controls[:, 0] ** 2)
+    assert ratio > 1.05
+    assert found.wheel_scale == pytest.approx(ratio, abs=4 * found.errors["wheel_scale"])
+    assert found.wheel_scale > 1.02
+
+
+def test_correlated_sightings_are_noticed() -> None:
+    """Errors that many sightings have in common are no noise of the sensor alone, and no scale of it."""
+    log, rng = drive(1, steps=300), np.random.default_rng(0)
+    shared = np.zeros((300 + 1, 30, 2))
+    for t in range(1, len(shared)):
+        shared[t] = 0.95 * shared[t - 1] + rng.normal(size=(30, 2)) * [0.03, 0.02]
+    sightings = log.sightings + shared[log.steps, log.landmarks % 30]
+    found = calibrate(log.replace(sightings=sightings), source="residuals")
+    assert any("correlated" in doubt for doubt in found.doubts)
+    assert found.range_scale == 1.0 and np.isnan(found.errors["range_scale"])
+
+
+def test_several_logs_give_one_noise() -> None:
+    one, other = drive(1, steps=300), drive(2, steps=300)
+    both = calibrate(one, other)
+    assert both.counts == {"motion": 600, "sensor": len(one.steps) + len(other.steps)}
+    assert both.logs == (one.name, other.name)
+    off = errors_in_sigmas(both, MOTION, SENSOR)
+    assert {"nn", "oo", "range_rate", "bearing_std"} <= off.keys() and max(map(abs, off.values())) < 4
+    assert both.errors["bearing_std"] < 0.8 * min(calibrate(log).errors["bearing_std"] for log in (one, other))
+    # from residuals as well
+    short = [log.at_steps(np.arange(80)) for log in (one, other)]
+    residuals = calibrate(*short, source="residuals")
+    assert residuals.counts["motion"] == 158
+    assert abs(residuals.sensor.bearing_std - SENSOR.bearing_std) < 4 * residuals.errors["bearing_std"]
+    with pytest.raises(LogError, match="has orientation psi and"):
+        calibrate(one, drive(1, steps=20, orientation=True))
 
 
 # -- bad input ---------------------------------------------------------------------------------------------------------

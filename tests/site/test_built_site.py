@@ -67,12 +67,14 @@ def test_page(page: str, address: str, browser: Chromium) -> None:
     browser.send("Page.navigate", url=f"{address}/{page}/")
     browser.wait_for("document.readyState === 'complete' && document.querySelector('article') !== null")
     assert browser.evaluate("document.documentElement.lang") == ("ja" if page.split("/")[0] == "ja" else "en")
-    for scheme in ("light", "dark"):
-        browser.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-        for width, height in ((1280, 900), (390, 844)):
-            browser.resize(width, height)
+    # the phone last: on the way back to a wide window the theme moves its navigation for a while
+    for width, height in ((1280, 900), (390, 844)):
+        browser.resize(width, height)
+        for scheme in ("light", "dark"):
+            browser.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
             assert browser.evaluate(FAULTS) == [], (scheme, width)
-    assert browser.complaints() == []
+    # the theme looks for a site map beside each page, to find the translation, and does without it
+    assert [complaint for complaint in browser.complaints() if "sitemap.xml" not in complaint] == []
 
 
 @pytest.mark.parametrize("page", PAGES)
