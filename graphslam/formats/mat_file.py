@@ -1,4 +1,4 @@
-"""The variables of MATLAB files of version 5 to 7: numbers, texts and cells.
+"""The variables of MATLAB files of version 5 to 7: numbers, and cells of numbers.
 
 SciPy's reader trusts the lengths in a file, and a damaged file can end the process (SciPy 1.15: signal 11). This one
 checks every length against the bytes that are there.
@@ -12,7 +12,6 @@ import math
 import struct
 import zlib
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -20,16 +19,14 @@ HEADER = 128
 MATRIX, COMPRESSED = 14, 15
 #: the NumPy type of each type of data
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-#: and of each type of text
-TYPES |= {16: "u1", 17: "u2", 18: "u4"}
 #: the NumPy type of each class of numeric arrays, which may be stored in a smaller one
 CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
-CELL, CHAR = 1, 4
+CELL = 1
 COMPLEX = 0x0800
 
 
 def variables(data: bytes, *, names_only: bool = False) -> dict[str, np.ndarray]:
-    """{name: array} of all variables; those of other kinds than numbers, texts and cells are empty object arrays.
+    """{name: array} of all variables; those of other kinds than numbers and cells are empty object arrays.
 
     Args:
         data: the whole file.
@@ -82,7 +79,7 @@ def _variable(body: bytes, order: str, names_only: bool = False) -> tuple[str, n
     sizes = np.frombuffer(_next(parts), f"{order}i4").tolist()
     name = _next(parts).decode("latin-1")
     kind = flags & 0xFF
-    if names_only or not (kind in CLASSES or kind in (CELL, CHAR)) or flags & COMPLEX:
+    if names_only or not (kind in CLASSES or kind == CELL) or flags & COMPLEX:
         return name, np.empty(0, dtype=object)
     count = math.prod(sizes)
     if min(sizes, default=-1) < 0 or len(sizes) < 2:
@@ -97,9 +94,8 @@ def _variable(body: bytes, order: str, names_only: bool = False) -> tuple[str, n
     array = np.frombuffer(content, order + TYPES[stored]) if count else np.zeros(0)
     if len(array) != count:
         raise ValueError(f"{name!r} has {len(array)} numbers and not {count}")
-    kept: Any = "U1" if kind == CHAR else CLASSES[kind]
-    values = np.array([chr(c) for c in array.tolist()], dtype=kept) if kind == CHAR else array.astype(kept)
-    return name, values.reshape(sizes, order="F")
+    with np.errstate(invalid="ignore"):
+        return name, array.astype(CLASSES[kind]).reshape(sizes, order="F")
 
 
 def _next(parts: Iterator[tuple[int, bytes]]) -> bytes:
