@@ -2,7 +2,7 @@
 
 python benchmarks/fuzz.py                                  # all: 2,000 graphs, 1,000 files per format, 300 command lines
 python benchmarks/fuzz.py graphs --count 200 --seed 7
-python benchmarks/fuzz.py files --count 100 --format g2o
+python benchmarks/fuzz.py files --count 1300
 python benchmarks/fuzz.py commands --count 50 --only 17    # one case again
 
 Everything follows from the random seed and the number of the case. The exit status is 1 if a case fails.
@@ -11,19 +11,31 @@ Everything follows from the random seed and the number of the case. The exit sta
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import tempfile
 import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import chdir
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import typer
 from numpy.random import Generator, default_rng
+from scipy.io import savemat
+from typer.testing import CliRunner
 
+import comparisons.options as declared
+from comparisons.cli import make_app
+from comparisons.config import read_config
+from comparisons.noise_files import read_noise
+from comparisons.option import Options, options_of
+from comparisons.studies.plan import read_study
 from graphslam import (
     Graph,
     Log,
@@ -31,10 +43,13 @@ from graphslam import (
     SensorModel,
     SlamError,
     Solution,
+    load,
+    save,
+    simulate,
     solve,
     solve_gnc,
     textbook,
-)  # fmt: skip
+)
 from graphslam.se2 import between, inverse, transform
 
 #: the name of a case, and a function that returns what is wrong
@@ -289,15 +304,302 @@ KINDS: dict[str, Callable[[Generator], Drive]] = {
 }
 
 
+# -- files ---------------------------------------------------------------------------------------------------------------
+
+
+def seeds_of_formats(folder: Path) -> dict[str, Path]:
+    """Small valid files of every format: {format: file, or folder of files}."""
+    log = simulate(seed=1, steps=12)
+    plain = log.without_orientation()
+    places = {name: folder / f"{name}{suffix}" for name, suffix in (("lnpr", ".txt"), ("npz", ".npz"))}
+    save(log.replace(true_poses=None, true_landmarks=None), places["lnpr"])
+    save(log, places["npz"])
+    for name, tags in DIALECTS.items():
+        places[name] = folder / f"{name}.{'g2o' if name == 'g2o' else 'graph'}"
+        places[name].write_text(tags)
+    times = log.times
+    assert times is not None and log.controls is not None and log.true_poses is not None
+    mrclam = places["mrclam"] = folder / "mrclam"
+    mrclam.mkdir()
+    rows = {
+        "Robot1_Odometry": np.column_stack([times[:-1], log.controls]),
+        "Robot1_Measurement": np.column_stack([times[log.steps] + 0.01, 10 + log.landmarks, log.sightings[:, :2]]),
+        "Robot1_Groundtruth": np.column_stack([times, log.true_poses]),
+        "Barcodes": np.column_stack([6 + np.arange(20), 10 + np.arange(20)]),
+        "Landmark_Groundtruth": np.array([[6 + j, *m[:2], 0.01, 0.01] for j, m in (log.true_landmarks or {}).items()]),
+    }
+    for name, table in rows.items():
+        text = "\n".join("\t".join(f"{x:g}" if x % 1 else str(int(x)) for x in row) for row in table.tolist())
+        (mrclam / f"{name}.dat").write_text(f"# {name}\n{text}\n")
+    huang = places["huang"] = folder / "huang"
+    huang.mkdir()
+    steps, marks = len(log.controls), np.array([m[:2] for m in (log.true_landmarks or {}).values()])
+    beacons = np.column_stack([np.arange(1, len(marks) + 1), marks])
+    sensor = np.column_stack([plain.steps + 1, 1 + plain.landmarks, plain.sightings, np.zeros((len(plain.steps), 3))])
+    of_huang = {"store_speed": log.controls[:, :1].T, "store_turnrate": log.controls[:, 1:].T, "sensor_data": sensor}
+    of_huang |= {"store_robotTrue": log.true_poses.T, "store_beaconsTrue": beacons}
+    for name, value in of_huang.items():
+        savemat(huang / f"{name}.mat", {name: value})
+    seen = {key: np.zeros((steps, 20)) for key in ("r", "b")}
+    for t, j, z in zip(plain.steps.tolist(), plain.landmarks.tolist(), plain.sightings):
+        if t < steps:
+            seen["r"][t, j], seen["b"][t, j] = z
+    places["lost_in_the_woods"] = folder / "dataset2.mat"
+    of_woods = {
+        "t": times[:-1, None], "v": log.controls[:, :1], "om": log.controls[:, 1:], "d": 0.2, "l": np.zeros((20, 2)),
+        "r_var": 0.01, "b_var": 0.01, "v_var": 0.01, "om_var": 0.01, "true_valid": np.ones((steps, 1)), **seen,
+        **{f"{axis}_true": log.true_poses[:-1, k : k + 1] for k, axis in enumerate(("x", "y", "th"))},
+    }  # fmt: skip
+    savemat(places["lost_in_the_woods"], of_woods)
+    tables = places["tables"] = folder / "tables"
+    tables.mkdir()
+    (tables / "odometry.csv").write_text(_csv("t,v,w", np.column_stack([times[:-1], log.controls])))
+    seen_rows = np.column_stack([times[plain.steps], plain.landmarks, plain.sightings])
+    (tables / "sightings.csv").write_text(_csv("t,id,range,bearing", seen_rows))
+    for name, text in TOML.items():
+        places[name] = folder / f"{name}.toml"
+        places[name].write_text(text)
+    return places
+
+
+def _csv(head: str, rows: np.ndarray) -> str:
+    return "\n".join([head, *(",".join(map(repr, row)) for row in rows.tolist())]) + "\n"
+
+
+DIALECTS = {
+    "g2o": "".join(f"VERTEX_SE2 {k} {k} 0 0.1\n" for k in range(4)) + "VERTEX_XY 9 1 2\nFIX 0\n"
+    + "".join(f"EDGE_SE2 {k} {k + 1} 1 0 0 9 0 0 9 0 20\n" for k in range(3)) + "EDGE_SE2_XY 0 9 1 2 4 0 4\n",
+    "toro": "".join(f"VERTEX2 {k} {k} 0 0.1\n" for k in range(4))
+    + "".join(f"EDGE2 {k} {k + 1} 1 0 0 9 0 9 20 0 0\n" for k in range(3)),
+    "isam": "".join(f"ODOMETRY {k} {k + 1} 1 0 0 3 0 0 3 0 4\n" for k in range(4)) + "LANDMARK 0 9 1 2 2 0 2\n",
+}  # fmt: skip
+TOML = {
+    "config": 'estimators = ["graph"]\nedges = "virtual"\nparticles = 10\n[motion]\nnn = 0.2\n[sensor]\nrange_rate = 0.1\n',
+    "noise": "[motion]\nnn = 0.19\nepsilon = 1e-4\n[sensor]\nbearing_std = 0.05\n[ranges]\nscale = 1.02\nbias = 0.03\n",
+    "study": 'seeds = 2\nestimators = ["graph"]\n[simulate]\nsteps = 5\n'
+    'vary.landmarks = [3, 4]\n[options]\nvary.edges = ["virtual"]\n',
+}
+#: what a text is damaged with
+TOKENS = ["nan", "inf", "-inf", "1e400", "1e308", "-1", "0", "1e-320", "", " ", "\t", "x", "1,5", "0x10", "9" * 30,
+          "\0", "\ufeff", "ü",
+          "1_0", "--", "[", "=", '"', "\r\n", "#", "VERTEX_SE2", "1e20"]  # fmt: skip
+
+
+def damaged(rng: Generator, data: bytes) -> bytes:
+    """A file with one to four damages: bytes, words or lines changed, lost, moved or repeated."""
+    for _ in range(int(rng.choice([1, 1, 2, 4]))):
+        way, at = rng.integers(9), int(rng.integers(len(data) + 1))
+        lines = data.split(b"\n")
+        line = int(rng.integers(len(lines)))
+        words = lines[line].split()
+        if way == 0:
+            data = data[:at]
+        elif way == 1:
+            data = data[:at] + rng.bytes(int(rng.integers(1, 9))) + data[at:]
+        elif way == 2 and data:
+            at = min(at, len(data) - 1)
+            data = data[:at] + bytes([data[at] ^ (1 << int(rng.integers(8)))]) + data[at + 1 :]
+        elif way == 3:
+            data = b"\n".join(lines[:line] + lines[line + 1 :])
+        elif way == 4:
+            data = b"\n".join([*lines, lines[line]])
+        elif way == 5:
+            lines[line], lines[-1] = lines[-1], lines[line]
+            data = b"\n".join(lines)
+        elif way == 6 and words:
+            del words[int(rng.integers(len(words)))]
+            data = b"\n".join([*lines[:line], b" ".join(words), *lines[line + 1 :]])
+        elif words:
+            words[int(rng.integers(len(words)))] = TOKENS[rng.integers(len(TOKENS))].encode()
+            data = b"\n".join([*lines[:line], (b"," if b"," in lines[line] else b" ").join(words), *lines[line + 1 :]])
+    return data
+
+
+def file_case(seed: int, number: int) -> Case:
+    """A damaged file of one format: it is read, and used if it can be, or refused in a sentence."""
+    rng = default_rng([seed, 1, number])
+    originals = _originals()
+    name = list(originals)[number % len(originals)]
+
+    def check() -> list[str]:
+        with tempfile.TemporaryDirectory() as folder:
+            source, target = originals[name], Path(folder) / originals[name].name
+            if source.is_dir():
+                target.mkdir()
+                victim = str(rng.choice(sorted(p.name for p in source.iterdir())))
+                for path in source.iterdir():
+                    content = path.read_bytes()
+                    (target / path.name).write_bytes(damaged(rng, content) if path.name == victim else content)
+            else:
+                target.write_bytes(damaged(rng, source.read_bytes()))
+            return _used(name, target)
+
+    return f"file {number}: {name}", check
+
+
+@cache
+def _originals() -> dict[str, Path]:
+    return seeds_of_formats(Path(tempfile.mkdtemp(prefix="fuzz-")))
+
+
+def _used(name: str, path: Path) -> list[str]:
+    """What is wrong after reading a file and using what it holds."""
+    with warnings.catch_warnings():
+        # readers warn of what they found
+        warnings.simplefilter("ignore", UserWarning)
+        if name == "config":
+            read_config(path)
+        elif name == "noise":
+            read_noise(path)
+        elif name == "study":
+            read_study(path)
+        elif name in DIALECTS:
+            graph = Graph.from_g2o(path)
+            return wrong_with(solve(graph, max_iterations=20), initialize="auto")
+        else:
+            log = load(path)
+            arrays = (log.initial_poses, log.sightings, log.dt, log.controls)
+            if not all(np.isfinite(a).all() for a in arrays if a is not None):
+                return ["the log holds numbers that are not finite"]
+            save(log, path.parent / "again.npz")
+            if not load(path.parent / "again.npz").equals(log):
+                return ["the log is another one after saving"]
+            if log.num_poses < 200:
+                edges = "landmark+motion" if log.controls is not None else "virtual"
+                return wrong_with(solve(Graph.from_log(log, edges=edges), max_iterations=20), initialize="auto")
+    return []
+
+
+# -- command lines -------------------------------------------------------------------------------------------------------
+
+
+def command_case(seed: int, number: int) -> Case:
+    """A random command line, mostly of possible words: exit status 0, 1 or 2, and never a traceback."""
+    rng = default_rng([seed, 2, number])
+
+    def one_of(values: Sequence[str]) -> str:
+        return str(rng.choice(values))
+
+    verb = one_of(sorted(typer.main.get_command(app()).commands))  # type: ignore[attr-defined]
+    options = _flags(verb)
+    words = [
+        verb,
+        *({"backends": ["graph.g2o"], "sweep": ["study.toml"], "study": ["study.toml"]}.get(verb, ["log.npz"])),
+    ]
+    if rng.random() < 0.2:
+        words[1:] = [one_of(WORDS)] if rng.random() < 0.7 else []
+    if verb in ("report", "animate", "simulate"):
+        words[1 + (verb != "simulate") :] = [{"report": "out.html", "animate": "out.html"}.get(verb, "out.npz")]
+    for _ in range(int(rng.integers(0, 5))):
+        flag = one_of(sorted(options))
+        words.append(flag)
+        if (values := options[flag]) is not None:
+            words.append(one_of(values if values and rng.random() < 0.75 else VALUES))
+    # what keeps a case short
+    small = {"run": "--estimators=dead-reckoning,graph", "report": "--estimators=dead-reckoning",
+             "particles": "--particles=5", "consistency": "--logs=2", "animate": "--max-frames=2",
+             "solvers": "--motion-weights=1", "simulate": "--steps=9"}  # fmt: skip
+    if verb in small and not any(word.startswith(small[verb].split("=")[0]) for word in words):
+        words += [small[verb]]
+    if verb in ("particles", "sweep", "consistency", "solvers"):
+        words += ["--jobs=1" if verb == "sweep" else "--jobs=0"]
+
+    def check() -> list[str]:
+        with tempfile.TemporaryDirectory() as folder, chdir(folder):
+            for name, original in _originals().items():
+                if original.is_file() and name in ("npz", "g2o", "config", "noise", "study"):
+                    Path({"npz": "log"}.get(name, "graph" if name == "g2o" else name) + original.suffix).write_bytes(
+                        original.read_bytes()
+                    )
+            Path("empty.txt").touch()
+            warnings.simplefilter("ignore")
+            result = CliRunner().invoke(app(), words)
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        if result.exit_code not in (0, 1, 2):
+            return [f"exit status {result.exit_code}"]
+        return ["a traceback"] if "Traceback" in result.output else []
+
+    return f"command {number}: {' '.join(words)}", check
+
+
+#: arguments
+WORDS = ["log.npz", "graph.g2o", "config.toml", "study.toml", "nowhere", "empty.txt", "."]
+#: values of options, most of them impossible for most options
+VALUES = [
+    "0",
+    "-1",
+    "1e-9",
+    "1e9",
+    "nan",
+    "inf",
+    "1e400",
+    "",
+    "x",
+    "1,2",
+    "a,b",
+    "-",
+    "/nowhere/x",
+    "99999999999999999999",
+    "true",
+    "$$",
+    "ü",
+    "log.npz",
+]
+#: possible values by the type of the option
+POSSIBLE = {int: ["1", "2", "3", "7"], float: ["0.5", "1", "2.5", "0.01"]}
+#: and by the name of those that are texts or lists
+TEXTS = {
+    "--estimators": ["graph", "dead-reckoning,fastslam1", "mcl", "isam2", "textbook,gtsam"],
+    "--filters": ["fastslam1", "mcl,fastslam2"], "--particles": ["1", "10,20"], "--figures": ["png", "pdf,svg"],
+    "--motion-weights": ["1", "1,10"], "--json": ["out.json", "-"], "--baseline": ["graph"], "--noise": ["noise.toml"],
+    "--way-points": ["4,-3 4,3"], "--start": ["1,1,0"], "--offset": ["0.1", "0.1,0.2"], "--config": ["config.toml"],
+    "--figure": ["out.png", "out.pdf"], "--html": ["page.html"], "--out": ["folder"],
+}  # fmt: skip
+
+
+@cache
+def app() -> Any:
+    """The whole command line."""
+    return make_app()
+
+
+@cache
+def _flags(verb: str) -> dict[str, list[str] | None]:
+    """The options of a verb with possible values, as far as they are known; None for those that take none."""
+    groups = [g for g in vars(declared).values() if isinstance(g, type) and issubclass(g, Options)]
+    known = {o.flag: [*o.choices] or POSSIBLE.get(o.each, []) for group in groups for o in options_of(group).values()}
+    flags: dict[str, list[str] | None] = {}
+    for option in typer.main.get_command(app()).commands[verb].params:  # type: ignore[attr-defined]
+        for flag in (*option.opts, *option.secondary_opts):
+            # with --verbose a traceback is wanted, and a help ends the case
+            if flag.startswith("--") and flag not in ("--verbose", "--help"):
+                flags[flag] = None if option.is_flag else TEXTS.get(flag) or known.get(flag, [])
+    return flags
+
+
 # -- all cases -----------------------------------------------------------------------------------------------------------
 
 
-def attempt(check: Callable[[], list[str]]) -> tuple[str, list[str]]:
+class TooLong(BaseException):
+    """A case has reached its limit of time."""
+
+
+def _too_long(*_: object) -> None:
+    raise TooLong
+
+
+def attempt(check: Callable[[], list[str]], limit: int = 20) -> tuple[str, list[str]]:
     """ "solved" or the sentence of the refusal, and what is wrong: problems that the check returned, or an exception."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        before = signal.signal(signal.SIGALRM, _too_long)
+        signal.alarm(limit)
         try:
             return "solved", check()
+        except TooLong:
+            # what is asked for may take for ever, such as 10^9 seeds
+            return f"longer than {limit} s", []
         except SlamError as error:
             text = str(error)
             return "refused", ["an error of several lines: " + text] if "\n" in text.strip() or not text else []
@@ -305,10 +607,14 @@ def attempt(check: Callable[[], list[str]]) -> tuple[str, list[str]]:
             frames = [f for f in traceback.extract_tb(error.__traceback__) if "site-packages" not in f.filename]
             where = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}"
             return "failed", [f"{type(error).__name__} in {where}: {error}"]
+        finally:
+            signal.alarm(0)
+            signal.signal(signal.SIGALRM, before)
 
 
-SUITES: dict[str, Callable[[int, int], Case]] = {"graphs": graph_case}
-COUNTS = {"graphs": 2000}
+SUITES: dict[str, Callable[[int, int], Case]] = {"graphs": graph_case, "files": file_case, "commands": command_case}
+#: as many files of each of the 13 formats as are asked for
+COUNTS = {"graphs": 2000, "files": 13_000, "commands": 300}
 
 
 def main() -> int:

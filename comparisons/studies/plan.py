@@ -23,6 +23,8 @@ from ..reading import OF_FILES, sha256_of
 from ..toml_files import TomlFile
 from .simulated import simulated_log
 
+#: more seeds than a study could ever execute
+MOST_SEEDS = 1_000_000
 #: the keys of a study file beside its tables
 _KEYS = {
     each.name: each
@@ -122,6 +124,8 @@ def read_study(path: str | PathLike[str]) -> Study:
 
 def _seeds(file: TomlFile) -> list[int]:
     seeds = file.table.get("seeds", 1)
+    if type(seeds) is int and seeds > MOST_SEEDS:
+        raise file.error("seeds", f"a study has at most {MOST_SEEDS} seeds, not {seeds}")
     listed = list(range(seeds)) if type(seeds) is int else seeds
     if not isinstance(listed, list) or not listed or not all(type(seed) is int and seed >= 0 for seed in listed):
         raise file.error("seeds", f"seeds should be their number, or a list of whole numbers from 0, not {seeds!r}")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..errors import FormatError
 from ..files import check_file
 from ..se2 import Array
+from .mat_file import variables
 
 #: the shape of a variable: lengths, or names of lengths that several variables share
 Shape = tuple[int | str, ...]
@@ -25,12 +25,9 @@ def has_variables(path: Path, head: bytes, *names: str) -> bool:
     """Whether a file with these first bytes is a readable MATLAB file with these variables."""
     if not is_mat(head):
         return False
-    from scipy.io import whosmat
-    from scipy.io.matlab import MatReadError
-
     try:
-        return {name for name, _, _ in whosmat(path)}.issuperset(names)
-    except (ValueError, TypeError, NotImplementedError, OSError, MatReadError):
+        return variables(path.read_bytes(), names_only=True).keys() >= set(names)
+    except (ValueError, OSError):
         return False
 
 
@@ -46,20 +43,20 @@ def read_mat(path: Path, shapes: Mapping[str, Shape | None]) -> dict[str, Array]
         FormatError: the file cannot be read, or a variable is missing, or has another shape or type.
     """
     check_file(path)
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
     try:
-        content: dict[str, Any] = loadmat(path)
-    except NotImplementedError:
-        raise FormatError(
-            path, None, "a MATLAB file of version 7.3, which is HDF5; save it with -v7 in MATLAB to have it read here"
-        ) from None
-    except (ValueError, TypeError, OSError, MatReadError) as error:
+        data = path.read_bytes()
+        if data.startswith(b"MATLAB 7.3") or data[124:126] == b"\0\2":
+            raise FormatError(
+                path,
+                None,
+                "a MATLAB file of version 7.3, which is HDF5; save it with -v7 in MATLAB to have it read here",
+            )
+        content = variables(data)
+    except (ValueError, OSError) as error:
         raise FormatError(path, None, f"not a readable MATLAB file ({error}); was it cut short?") from None
     missing = [name for name in shapes if name not in content]
     if missing:
-        others = ", ".join(sorted(name for name in content if not name.startswith("__"))) or "nothing"
+        others = ", ".join(sorted(content)) or "nothing"
         raise FormatError(
             path,
             None,

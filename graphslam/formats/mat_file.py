@@ -1,0 +1,104 @@
+"""The variables of MATLAB files of version 5 to 7: numbers, and cells of numbers.
+
+SciPy's reader trusts the lengths in a file, and a damaged file can end the process (SciPy 1.15: signal 11). This one
+checks every length against the bytes that are there.
+
+Source: MathWorks, *MAT-File Format*, chapter 1, version 5.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from collections.abc import Iterator
+
+import numpy as np
+
+HEADER = 128
+MATRIX, COMPRESSED = 14, 15
+#: the NumPy type of each type of data
+TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+#: the NumPy type of each class of numeric arrays, which may be stored in a smaller one
+CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
+CELL = 1
+COMPLEX = 0x0800
+
+
+def variables(data: bytes, *, names_only: bool = False) -> dict[str, np.ndarray]:
+    """{name: array} of all variables; those of other kinds than numbers and cells are empty object arrays.
+
+    Args:
+        data: the whole file.
+        names_only: leave the arrays empty.
+
+    Raises:
+        ValueError: the file is damaged, or of another version.
+    """
+    order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
+    if order is None or struct.unpack_from(f"{order}H", data, 124)[0] >> 8 != 1:
+        raise ValueError("the header is not that of version 5")
+    try:
+        return dict(_variable(body, order, names_only) for body in _matrices(data[HEADER:], order))
+    except (struct.error, zlib.error, IndexError, KeyError, OverflowError, RecursionError, UnicodeDecodeError) as error:
+        raise ValueError(f"the data are damaged: {error!r}") from None
+
+
+def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+    """The type and the bytes of each element."""
+    at = 0
+    while at < len(data):
+        kind, size = struct.unpack_from(f"{order}II", data, at)
+        if kind >> 16:
+            # both stand in the first four bytes, and the data in the other four
+            kind, size, begin = kind & 0xFFFF, kind >> 16, at + 4
+            if size > 4:
+                raise ValueError("a small element is too long")
+            following = at + 8
+        else:
+            begin = at + 8
+            following = begin + size + (0 if kind == COMPRESSED else -size % 8)
+        if begin + size > len(data):
+            raise ValueError("an element is longer than the file")
+        yield kind, data[begin : begin + size]
+        at = following
+
+
+def _matrices(data: bytes, order: str) -> Iterator[bytes]:
+    for kind, body in _elements(data, order):
+        if kind == COMPRESSED:
+            yield from _matrices(zlib.decompress(body), order)
+        elif kind == MATRIX:
+            yield body
+
+
+def _variable(body: bytes, order: str, names_only: bool = False) -> tuple[str, np.ndarray]:
+    """The name and the value of an array element."""
+    parts = _elements(body, order)
+    flags = struct.unpack_from(f"{order}I", _next(parts))[0]
+    sizes = np.frombuffer(_next(parts), f"{order}i4").tolist()
+    name = _next(parts).decode("latin-1")
+    kind = flags & 0xFF
+    if names_only or not (kind in CLASSES or kind == CELL) or flags & COMPLEX:
+        return name, np.empty(0, dtype=object)
+    count = math.prod(sizes)
+    if min(sizes, default=-1) < 0 or len(sizes) < 2:
+        raise ValueError(f"the shape of {name!r} is impossible: {sizes}")
+    if kind == CELL:
+        cells = np.empty(len(values := [_variable(body, order)[1] for _, body in parts]), dtype=object)
+        cells[:] = values
+        if len(cells) != count:
+            raise ValueError(f"{name!r} has {len(cells)} cells and not {count}")
+        return name, cells.reshape(sizes, order="F")
+    stored, content = next(parts, (0, b""))
+    array = np.frombuffer(content, order + TYPES[stored]) if count else np.zeros(0)
+    if len(array) != count:
+        raise ValueError(f"{name!r} has {len(array)} numbers and not {count}")
+    with np.errstate(invalid="ignore"):
+        return name, array.astype(CLASSES[kind]).reshape(sizes, order="F")
+
+
+def _next(parts: Iterator[tuple[int, bytes]]) -> bytes:
+    for _, content in parts:
+        return content
+    raise ValueError("an array is incomplete")

@@ -1,0 +1,31 @@
+"""A small part of benchmarks/fuzz.py: random graphs, damaged files and random command lines of a fixed random seed."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+CASES = {"graphs": 160, "files": 390, "commands": 30}
+
+
+@pytest.fixture(scope="module")
+def fuzz() -> dict[str, Any]:
+    return runpy.run_path(str(Path(__file__).parents[1] / "benchmarks" / "fuzz.py"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suite", CASES)
+def test_no_traceback_no_nan_no_false_convergence_and_no_end_above_the_start(fuzz: dict[str, Any], suite: str) -> None:
+    failed, outcomes = [], []
+    for number in range(CASES[suite]):
+        name, check = fuzz["SUITES"][suite](2026, number)
+        outcome, problems = fuzz["attempt"](check)
+        outcomes.append(outcome)
+        failed += [f"{name}: {problem}" for problem in problems]
+    assert failed == []
+    # not everything is refused
+    assert outcomes.count("solved") > 0.1 * len(outcomes)
+    assert len(outcomes) - outcomes.count("solved") - outcomes.count("refused") <= 1
