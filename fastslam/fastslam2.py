@@ -52,7 +52,7 @@ class FastSLAM2(FastSLAM1):
         # a leading sighting is weighed once: under the prediction, or exactly at the drawn pose
         predicted, leaders = (unused, log_likelihood) if exact else (log_likelihood, unused)
         belief, poses = np.empty((9, self.particles)), np.empty_like(self._poses)
-        proposal = [motion.predict(belief)]
+        proposal = [motion.predict(belief, exact)]
         for j, k in leading.items():
             proposal.append((landmark_kernels.correct, (belief, *maps.read(j), sightings[k], q[k], predicted)))
         if exact:
@@ -74,9 +74,9 @@ class FastSLAM2(FastSLAM1):
             return super()._weigh_anonymous(maps, sightings, q)
         log_likelihood = np.zeros(self.particles)
         belief, poses = np.empty((9, self.particles)), np.empty_like(self._poses)
-        predict, arguments = self._motion.predict(belief)
-        self._threads.run(predict, *arguments)
         exact = self.options.proposal_weight == "exact"
+        predict, arguments = self._motion.predict(belief, exact)
+        self._threads.run(predict, *arguments)
         maps.scan(belief, poses, sightings, q, self._step, log_likelihood, self._motion, exact)
         self._set_poses(poses)
         return log_likelihood

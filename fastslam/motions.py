@@ -46,10 +46,13 @@ class ControlMotion(NamedTuple):
         """Return the job that writes the moved poses (3, N)."""
         return draw_by_control, (*self[:7], self.epsilon**0.5, moved)
 
-    def predict(self, belief: Array) -> Job:
-        """Return the job that writes the predicted poses as Gaussians (9, N)."""
-        gaussian = chord_gaussian(self.nu, self.omega, self.nu_std**2, self.omega_std**2, self.dt)
-        return predict, (self.poses, *gaussian, self.epsilon, belief)
+    def predict(self, belief: Array, exact: bool) -> Job:
+        """Return the job that writes the predicted poses as Gaussians (9, N); ``exact``: those that `weighted` weighs."""
+        angle, mean, covariance = chord_gaussian(self.nu, self.omega, self.nu_std**2, self.omega_std**2, self.dt)
+        epsilon = self.epsilon
+        if exact:
+            epsilon = proposal.widened(epsilon, covariance[0] + covariance[3] + covariance[5])
+        return predict, (self.poses, angle, mean, covariance, epsilon, belief)
 
     def weighted(self) -> proposal.Motion:
         """Return what a draw with its exact weight needs of the motion."""
@@ -69,8 +72,8 @@ class GaussianMotion(NamedTuple):
         root = np.linalg.cholesky(self.covariance)[np.tril_indices(3)]
         return draw_by_gaussian, (self.poses, self.key, tuple(self.mean.tolist()), tuple(root.tolist()), moved)
 
-    def predict(self, belief: Array) -> Job:
-        """Return the job that writes the predicted poses as Gaussians (9, N)."""
+    def predict(self, belief: Array, exact: bool) -> Job:  # noqa: ARG002, as in `ControlMotion`
+        """Return the job that writes the predicted poses as Gaussians (9, N), ``exact`` or not."""
         covariance = tuple(self.covariance[np.triu_indices(3)].tolist())
         return predict, (self.poses, 0.0, tuple(self.mean.tolist()), covariance, 0.0, belief)
 

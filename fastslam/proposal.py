@@ -87,14 +87,19 @@ def whiten(covariance: Six) -> tuple[Six, float, tuple[float, float]]:
 
 
 @njit(**OPTIONS)
+def widened(epsilon: float, variance: float) -> float:
+    """Return the epsilon of the proposal, for a motion whose control gives the ``variance`` (the trace of A A')."""
+    return max(epsilon, LEAST_SHARE * variance, LEAST_EPSILON)
+
+
+@njit(**OPTIONS)
 def control_motion(
     nu: float, omega: float, nu_std: float, omega_std: float, dt: float, epsilon: float,
     angle: float, mean: Three, chord: tuple[float, float, float, float],
 ) -> tuple:  # fmt: skip
     """Return the fields of `Motion` for a control; ``chord``: the nonzero entries of df/du in the axes of the chord."""
     along_nu, along, across, turn = chord[0] * nu_std, chord[1] * omega_std, chord[2] * omega_std, chord[3] * omega_std
-    variance = along_nu * along_nu + along * along + across * across + turn * turn
-    least = max(epsilon, LEAST_SHARE * variance, LEAST_EPSILON)
+    least = widened(epsilon, along_nu * along_nu + along * along + across * across + turn * turn)
     covariance = (
         along_nu * along_nu + along * along + least, along * across, along * turn,
         across * across + least, across * turn, turn * turn + least,

@@ -7,13 +7,14 @@ import pytest
 from exact_posterior import exact_posterior
 
 from fastslam import FastSLAM1, FastSLAM2, ParticleFilter
+from fastslam.options import PROPOSAL_WEIGHTS
 from graphslam import Log, MotionModel, SensorModel, simulate
 from graphslam.se2 import wrap
 
 # A linear-Gaussian world made of the ordinary models. The wheels never slip round, so headings are known. The
-# landmarks are so far away (1000 km) that a sighting is a position with a round covariance and that h is straight to
-# one part in a million over all that matters.
-FAR, SPREAD, MARKS, STEPS = 1e6, 0.3, 3, 8
+# landmarks are so far away (10 km) that a sighting is a position with a round covariance and that h is straight to
+# one part in 100,000 over all that matters. Farther away, the smallest epsilon of FastSLAM 2.0 would matter.
+FAR, SPREAD, MARKS, STEPS = 1e4, 0.3, 3, 8
 LINEAR = {
     "motion": MotionModel(nn=0.2, no=0, on=0, oo=0, epsilon=1e-30),
     "sensor": SensorModel(range_rate=SPREAD / FAR, bearing_std=SPREAD / FAR),
@@ -86,6 +87,13 @@ def test_convergence_to_the_closed_form_as_one_over_root_n(kind: type[ParticleFi
     slopes = np.polyfit(np.log(numbers), np.log(errors), 1)[0]
     assert np.all((slopes > -0.6) & (slopes < -0.4)), slopes
     assert np.all(errors[-1] < 0.02)
+
+
+def test_exact_weights_stay_equal_in_a_linear_world_without_epsilon() -> None:
+    """The draw and its weight take the same epsilon, else the weights of a noise-free heading differ without bound."""
+    log = linear_log(0)
+    ess = {w: FastSLAM2(log, particles=1000, seed=1, proposal_weight=w, **LINEAR).run().ess for w in PROPOSAL_WEIGHTS}
+    assert np.all(ess["exact"] > 0.9 * ess["linearised"])
 
 
 @pytest.mark.slow
