@@ -168,9 +168,9 @@ class EstimatorOptions(LimitOptions):
     """Which estimators run, and for how long."""
 
     estimators: tuple[str, ...] | None = option(
-        None, "Estimators to run: dead-reckoning, textbook, graph, graph-marginal, graph-no-kernel, gtsam, isam2, mcl, "
-        "fastslam1, fastslam2.",
-        metavar="NAME,...", default_text="all that can run on the log, without graph-no-kernel",
+        None, "Estimators to run: dead-reckoning, textbook, graph, graph-marginal, graph-no-kernel, gtsam, online, "
+        "isam2, mcl, fastslam1, fastslam2.",
+        metavar="NAME,...", default_text="all that can run on the log, without graph-no-kernel and online",
     )  # fmt: skip
 
 
