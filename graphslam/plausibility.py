@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .log import Log
 from .models import MotionModel, SensorModel
@@ -165,12 +167,26 @@ class Pairs:
     first: np.ndarray
     second: np.ndarray
 
+    @cached_property
+    def sightings(self) -> Array:
+        """Range and bearing of the first and second sightings (2, K, 2)."""
+        return self.log.sightings[np.stack([self.first, self.second]), :2]
+
+    @cached_property
+    def steps(self) -> np.ndarray:
+        """The steps of the first and second sightings (2, K)."""
+        return self.log.steps[np.stack([self.first, self.second])]
+
     def errors(self, poses: Array, sightings: Array) -> Array:
-        """How far a landmark moves from the first sighting to the second, in parts of its range (K,)."""
+        """How far a landmark moves from the first sighting to the second, in parts of its range (K,).
+
+        Args:
+            poses: (2, K, 3) from which the sightings were made.
+            sightings: (2, K, 2).
+        """
         sensor = self.log.sensor or SensorModel()
-        a, b = poses[self.log.steps[self.first]], poses[self.log.steps[self.second]]
-        one, two = sightings[self.first, :2], sightings[self.second, :2]
-        motion = between(sensor.mount(a), sensor.mount(b))
+        one, two = sightings
+        motion = between(*sensor.mount(poses))
         c, s = np.cos(motion[:, 2]), np.sin(motion[:, 2])
         x, y = one[:, 0] * np.cos(one[:, 1]) - motion[:, 0], one[:, 0] * np.sin(one[:, 1]) - motion[:, 1]
         seen = np.column_stack([c * x + s * y, c * y - s * x])
@@ -179,12 +195,12 @@ class Pairs:
 
     def readings(self) -> list[Reading]:
         """Every other reading of the log."""
-        log = self.log
-        poses = log.dead_reckoning()
-        as_given = self.errors(poses, log.sightings)
-        turning = np.abs(poses[log.steps[self.second], 2] - poses[log.steps[self.first], 2]) > _TURNING
+        path = self._path([1.0, 1.0])
+        poses = path[self.log.control_starts[self.steps]]
+        as_given = self.errors(poses, self.sightings)
+        turning = np.abs(poses[1, :, 2] - poses[0, :, 2]) > _TURNING
         readings = []
-        for check, message, changed_poses, changed_sightings in self._others(poses):
+        for check, message, changed_poses, changed_sightings in self._others(path, poses):
             errors = self.errors(changed_poses, changed_sightings)
             # where the robot drives straight on, both signs fit
             used = turning if check == "bearing sign" and np.sum(turning) >= _FEWEST else slice(None)
@@ -193,42 +209,43 @@ class Pairs:
             readings.append(Reading(check, float(np.median(before)), float(np.median(after)), share, message))
         return readings
 
-    def _others(self, poses: Array) -> Iterator[tuple[str, str, Array, Array]]:
-        log, z = self.log, self.log.sightings
+    def _path(self, factors: ArrayLike, order: slice = slice(None)) -> Array:
+        """The poses (S+1, 3) at the ends of all controls, of which the columns are reordered and multiplied."""
+        controls, dt = self.log.controls, self.log.dt
+        assert controls is not None and dt is not None
+        return MotionModel().dead_reckoning(self.log.initial_poses[0], controls[:, order] * factors, dt)
+
+    def _others(self, path: Array, poses: Array) -> Iterator[tuple[str, str, Array, Array]]:
+        """Names of checks, messages, poses (2, K, 3) and sightings (2, K, 2)."""
+        starts, z = self.log.control_starts[self.steps], self.sightings
         for sign in (1, -1):
             for degrees in range(-165, 181, 15):
                 if (sign, degrees) != (1, 0):
-                    other = z.copy()
-                    other[:, 1] = sign * z[:, 1] + np.deg2rad(degrees)
-                    yield *_direction(sign, degrees), poses, other
-        assert log.controls is not None
-        for check, message, controls in (
-            (
-                "turn rate unit", "the turn rates are in degrees per second (--angles odometry=degrees)",
-                log.controls * [1.0, np.pi / 180],
-            ),
-            ("odometry swapped", "the columns of speed and turn rate are swapped (--columns)", log.controls[:, ::-1]),
-        ):  # fmt: skip
-            changed = log.replace(controls=controls, initial_poses=None, control_starts=log.control_starts)
-            yield check, message, changed.dead_reckoning(), z
+                    yield *_direction(sign, degrees), poses, z * [1, sign] + [0.0, np.deg2rad(degrees)]
+        slowly = "the turn rates are in degrees per second (--angles odometry=degrees)"
+        yield "turn rate unit", slowly, self._path([1.0, np.pi / 180])[starts], z
+        swapped = "the columns of speed and turn rate are swapped (--columns)"
+        yield "odometry swapped", swapped, self._path([1.0, 1.0], slice(None, None, -1))[starts], z
         for factor, message in (
             (1 / 1000, "the speeds are in mm/s"), (1 / 100, "the speeds are in cm/s"), (1 / 3.6, "the speeds are in km/h"),
             (1 / 0.3048, "the ranges are in feet"), (100.0, "the ranges are in cm"), (1000.0, "the ranges are in mm"),
         ):  # fmt: skip
             yield "scale", f"{message}, against the other lengths", poses * [factor, factor, 1.0], z
-        yield from self._clocks(poses)
+        yield from self._clocks(path, starts)
 
-    def _clocks(self, poses: Array) -> Iterator[tuple[str, str, Array, Array]]:
+    def _clocks(self, path: Array, starts: np.ndarray) -> Iterator[tuple[str, str, Array, Array]]:
         """The sightings read as later or earlier."""
-        log = self.log
-        assert log.controls is not None and log.dt is not None and log.times is not None
-        times = log.start_time + np.concatenate([[0.0], np.cumsum(log.dt)])
-        path = MotionModel().dead_reckoning(poses[0], log.controls, log.dt)
+        dt = self.log.dt
+        assert dt is not None
+        times = np.concatenate([[0.0], np.cumsum(dt)])
         for late in (0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0):
             for shift in (-late, late):
-                moved = np.column_stack([np.interp(log.times + shift, times, path[:, k]) for k in range(3)])
+                when = np.clip(times[starts] + shift, 0.0, times[-1])
+                after = np.clip(np.searchsorted(times, when), 1, len(times) - 1)
+                share = (when - times[after - 1]) / dt[after - 1]
+                moved = path[after - 1] + share[..., None] * (path[after] - path[after - 1])
                 message = f"the clock of the sightings is about {late:g} s {'fast' if shift < 0 else 'slow'}"
-                yield "clock", f"{message} (--clocks sightings={shift:g})", moved, log.sightings
+                yield "clock", f"{message} (--clocks sightings={shift:g})", moved, self.sightings
 
 
 def _direction(sign: int, degrees: int) -> tuple[str, str]:

@@ -67,7 +67,6 @@ class _Reader:
         self.found = find(kind, table, ROLES[kind], options.columns_of(kind), ORDERS[kind])
         if len(table) == 0:
             raise table.error(None, f"there is no row of {kind} in it")
-        table.prepare([chosen.column for chosen in self.found.values()])
 
     def has(self, *roles: str) -> bool:
         return all(role in self.found for role in roles)
