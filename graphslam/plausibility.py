@@ -74,7 +74,8 @@ def plausibility(log: Log) -> tuple[Finding, ...]:
         log: with or without controls and truth.
     """
     found: dict[str, Finding] = {}
-    for finding in (*_sizes(log), *_ids(log), *_readings(log), *_against_truth(log)):
+    doubts = (Finding(check, message) for check, message in log.doubts)
+    for finding in (*doubts, *_sizes(log), *_ids(log), *_readings(log), *_against_truth(log)):
         found.setdefault(finding.check, finding)
     return tuple(found.values())
 
@@ -111,10 +112,17 @@ def _ids(log: Log) -> Iterator[Finding]:
             f"{len(known)} sightings are of {len(names)} landmarks, so that nearly each is seen once; the ids may be a "
             "running number",
         )
-    order = np.lexsort((log.landmarks, log.steps))
+    order = np.lexsort((*log.sightings.T[::-1], log.landmarks, log.steps))
     steps, ids, ranges = log.steps[order], log.landmarks[order], log.sightings[order, 0]
-    twice = (np.diff(steps) == 0) & (np.diff(ids) == 0) & (ids[1:] != UNIDENTIFIED)
-    apart = twice & (np.abs(np.diff(ranges)) > 0.2 * ranges[1:])
+    twice = (np.diff(steps) == 0) & (np.diff(ids) == 0)
+    if (same := twice & np.all(np.diff(log.sightings[order], axis=0) == 0, axis=1)).any():
+        k = int(np.argmax(same))
+        yield Finding(
+            "doubled sightings",
+            f"{np.sum(same)} of {len(same) + 1} sightings repeat another one of the same step, landmark and numbers, the "
+            f"first of landmark {ids[k]} at step {steps[k]}: rows were probably written twice, and these sightings count twice",
+        )
+    apart = twice & (ids[1:] != UNIDENTIFIED) & (np.abs(np.diff(ranges)) > 0.2 * ranges[1:])
     if np.sum(apart) > 0.02 * len(known):
         k = int(np.argmax(apart))
         yield Finding(
