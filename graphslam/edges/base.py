@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..checks import first
 from ..errors import GraphError
 from ..linear.information import BlockSystem
 from ..se2 import Array, turn_matrix
@@ -173,6 +174,10 @@ class PairEdges(EdgeFamily):
 
     first: np.ndarray
     second: np.ndarray
+
+    def __post_init__(self) -> None:
+        if (k := first(np.asarray(self.first) == self.second)) is not None:
+            raise GraphError(f"edge {k} goes from node {self.second[k]} to itself; an edge ties two nodes")
 
     @property
     def count(self) -> int:
