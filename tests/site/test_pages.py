@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -93,3 +94,11 @@ def test_steps_have_two_exercises_with_solutions_that_run(page):
     for exercise in exercises:
         assert '??? success "' in exercise
         assert re.search(r"\{\{ (cell|output) ", exercise)
+
+
+@pytest.mark.parametrize("package", ["graphslam", "graphslam.factors", "fastslam", "comparisons"])
+def test_every_public_name_is_on_a_page_of_the_python_interface(package):
+    page = DOCS / "api" / f"{package.split('.')[-1]}.md"
+    shown = re.findall(rf"^::: {package}\.(\w+)$", page.read_text(), re.MULTILINE)
+    elsewhere = {"factors"} if package == "graphslam" else set()
+    assert sorted({*shown, *elsewhere}) == sorted(import_module(package).__all__)
