@@ -1,7 +1,7 @@
-"""Checks of a log before it is solved: units, signs and clocks that cannot be right, each with its likely cause.
+"""Whether the odometry predicts the next sighting of a landmark, and does so better where the numbers are read another way.
 
-The main check compares pairs of sightings of one landmark with the odometry between them. From the first sighting the
-odometry predicts the second. If another reading of the numbers (bearings with the other sign, turn rates in degrees, ...)
+Pairs of sightings of one landmark are compared with the odometry between them. From the first sighting the odometry
+predicts the second. If another reading of the numbers (bearings with the other sign, turn rates in degrees, ...)
 predicts far better, that is the likely cause. No graph is solved: a landmark has to stay where it is over a short
 way already, which takes milliseconds and depends on no noise model.
 """
@@ -15,13 +15,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .log import Log
-from .models import MotionModel, SensorModel
-from .reading import UNIDENTIFIED
-from .se2 import Array, between
+from ..log import Log
+from ..models import MotionModel, SensorModel
+from ..reading import UNIDENTIFIED
+from ..se2 import Array, between
+from .finding import Finding
 
-#: beyond these values numbers are probably in another unit: range [m], speed [m/s], turn rate [rad/s], time of a control [s]
-FARTHEST, FASTEST, QUICKEST, SLOWEST = 1000.0, 100.0, 2 * np.pi, 5.0
 #: way between the two sightings of a pair, [rad] turned plus [ranges] driven: at least, at most
 _LEAST, _MOST = 0.4, 1.5
 #: pairs with a larger turn [rad] show the sign of bearings
@@ -35,19 +34,6 @@ _WRONG, _BETTER, _SHARE = 0.08, 0.5, 0.65
 _ALIKE = 1.3
 #: sightings that no reading fits better than this [ranges] contradict the odometry
 _CONTRADICTION = 0.4
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something in a log that is probably a mistake.
-
-    Attributes:
-        check: a short name, "bearing sign" for example.
-        message: one sentence with the likely cause.
-    """
-
-    check: str
-    message: str
 
 
 @dataclass(frozen=True)
@@ -67,72 +53,7 @@ class Reading:
     message: str
 
 
-def plausibility(log: Log) -> tuple[Finding, ...]:
-    """What is probably wrong with a log; empty where nothing is.
-
-    Args:
-        log: with or without controls and truth.
-    """
-    found: dict[str, Finding] = {}
-    doubts = (Finding(check, message) for check, message in log.doubts)
-    for finding in (*doubts, *_sizes(log), *_ids(log), *_readings(log), *_against_truth(log)):
-        found.setdefault(finding.check, finding)
-    return tuple(found.values())
-
-
-def _sizes(log: Log) -> Iterator[Finding]:
-    if len(log.sightings) and (far := float(np.median(log.sightings[:, 0]))) > FARTHEST:
-        yield Finding("range unit", f"half of the ranges are above {far:.0f} m; they may be in millimetres")
-    if log.controls is None or log.dt is None or len(log.controls) == 0:
-        return
-    speed, turn = np.quantile(np.abs(log.controls), 0.95, axis=0)
-    if speed > FASTEST:
-        yield Finding("speed unit", f"the speed reaches {speed:.0f} m/s; it may be in mm/s")
-    within = float(np.median(np.abs(log.controls[:, 1]) * log.dt))
-    if turn > QUICKEST or within > np.pi:
-        yield Finding("turn rate unit", f"the turn rate reaches {turn:.1f} rad/s; it may be in degrees per second")
-    if (lasting := float(np.median(log.dt))) > SLOWEST:
-        yield Finding("time unit", f"controls last {lasting:g} s (median); the times may be in milliseconds")
-    if not np.any(log.controls):
-        yield Finding("no motion", "all controls are zero; the odometry may be another column or topic")
-
-
-def _ids(log: Log) -> Iterator[Finding]:
-    known = log.landmarks[log.landmarks != UNIDENTIFIED]
-    if len(known) < 2:
-        return
-    names, counts = np.unique(known, return_counts=True)
-    if len(names) == 1:
-        yield Finding(
-            "one landmark", f"all {len(known)} sightings are of one landmark, {names[0]}; ids may be in another column"
-        )
-    elif len(known) > _FEWEST and np.mean(counts) < 1.5:
-        yield Finding(
-            "ids jump",
-            f"{len(known)} sightings are of {len(names)} landmarks, so that nearly each is seen once; the ids may be a "
-            "running number",
-        )
-    order = np.lexsort((*log.sightings.T[::-1], log.landmarks, log.steps))
-    steps, ids, ranges = log.steps[order], log.landmarks[order], log.sightings[order, 0]
-    twice = (np.diff(steps) == 0) & (np.diff(ids) == 0)
-    if (same := twice & np.all(np.diff(log.sightings[order], axis=0) == 0, axis=1)).any():
-        k = int(np.argmax(same))
-        yield Finding(
-            "doubled sightings",
-            f"{np.sum(same)} of {len(same) + 1} sightings repeat another one of the same step, landmark and numbers, the "
-            f"first of landmark {ids[k]} at step {steps[k]}: rows were probably written twice, and these sightings count twice",
-        )
-    apart = twice & (ids[1:] != UNIDENTIFIED) & (np.abs(np.diff(ranges)) > 0.2 * ranges[1:])
-    if np.sum(apart) > 0.02 * len(known):
-        k = int(np.argmax(apart))
-        yield Finding(
-            "duplicate ids",
-            f"landmark {ids[k]} is seen twice at step {steps[k]}, {ranges[k]:.2f} and {ranges[k + 1]:.2f} m away "
-            f"({np.sum(apart)} such pairs); several objects may have one id, or different stamps became one",
-        )
-
-
-def _readings(log: Log) -> Iterator[Finding]:
+def readings_of(log: Log) -> Iterator[Finding]:
     """The other reading that fits far better, or that none fits."""
     pairs = pairs_of(log)
     if pairs is None and log.controls is not None:
@@ -186,20 +107,8 @@ class Pairs:
         return self.log.steps[np.stack([self.first, self.second])]
 
     def errors(self, poses: Array, sightings: Array) -> Array:
-        """How far a landmark moves from the first sighting to the second, in parts of its range (K,).
-
-        Args:
-            poses: (2, K, 3) from which the sightings were made.
-            sightings: (2, K, 2).
-        """
-        sensor = self.log.sensor or SensorModel()
-        one, two = sightings
-        motion = between(*sensor.mount(poses))
-        c, s = np.cos(motion[:, 2]), np.sin(motion[:, 2])
-        x, y = one[:, 0] * np.cos(one[:, 1]) - motion[:, 0], one[:, 0] * np.sin(one[:, 1]) - motion[:, 1]
-        seen = np.column_stack([c * x + s * y, c * y - s * x])
-        there = two[:, :1] * np.column_stack([np.cos(two[:, 1]), np.sin(two[:, 1])])
-        return np.linalg.norm(seen - there, axis=1) / np.maximum(one[:, 0], two[:, 0])
+        """How far a landmark moves from the first sighting to the second, in parts of its range (K,), see `moves`."""
+        return moves(self.log.sensor or SensorModel(), poses, sightings)
 
     def readings(self) -> list[Reading]:
         """Every other reading of the log."""
@@ -256,6 +165,17 @@ class Pairs:
                 yield "clock", f"{message} (--clocks sightings={shift:g})", moved, self.sightings
 
 
+def moves(sensor: SensorModel, poses: Array, sightings: Array) -> Array:
+    """How far two sightings (2, K, 2) from poses (2, K, 3) place one landmark apart, in parts of its range (K,)."""
+    one, two = sightings
+    motion = between(*sensor.mount(poses))
+    c, s = np.cos(motion[:, 2]), np.sin(motion[:, 2])
+    x, y = one[:, 0] * np.cos(one[:, 1]) - motion[:, 0], one[:, 0] * np.sin(one[:, 1]) - motion[:, 1]
+    seen = np.column_stack([c * x + s * y, c * y - s * x])
+    there = two[:, :1] * np.column_stack([np.cos(two[:, 1]), np.sin(two[:, 1])])
+    return np.linalg.norm(seen - there, axis=1) / np.maximum(one[:, 0], two[:, 0])
+
+
 def _direction(sign: int, degrees: int) -> tuple[str, str]:
     """The name of the check, and what is said about a sensor whose bearings b are read as sign * b + degrees."""
     yaw = f"--sensor-yaw {np.deg2rad(degrees):.4f}"
@@ -305,36 +225,3 @@ def pairs_of(log: Log, *, slower: float = 1.0) -> Pairs | None:
         return None
     every = max(1, len(first) // _ENOUGH)
     return Pairs(log, first[::every], second[::every])
-
-
-def _against_truth(log: Log) -> Iterator[Finding]:
-    """Odometry against the true poses: the length of the way and the sign of its turns."""
-    if log.true_poses is None or log.controls is None:
-        return
-    known = np.asarray(np.isfinite(log.true_poses).all(axis=1))
-    steps = np.flatnonzero(known[:-1] & known[1:])
-    if len(steps) < _FEWEST:
-        return
-    driven, true = log.motions()[0][steps], between(log.true_poses[steps], log.true_poses[steps + 1])
-    ours, theirs = (float(np.sum(np.hypot(*motion[:, :2].T))) for motion in (driven, true))
-    if max(ours, theirs) > 1 and not 0.5 * theirs < ours < 2 * theirs:
-        yield Finding(
-            "truth scale",
-            f"the odometry drives {ours:.1f} m where the truth moves {theirs:.1f} m; one may be in another unit",
-        )
-    turns, real = driven[:, 2], true[:, 2]
-    small = np.abs(turns) < np.pi / 2
-    product, size = float(np.sum((turns * real)[small])), float(np.sum((turns**2)[small]))
-    if np.sum(np.abs(turns[small])) > 1 and product < -0.5 * size:
-        message = "the odometry turns the other way than the truth; one of them has the wrong sign"
-        yield Finding("truth sign", message)
-    way = np.asarray(np.hypot(true[:, 0], true[:, 1]))
-    far = np.flatnonzero(way > np.median(way))
-    if len(far) and theirs > 1:
-        aside = np.arctan2(true[far, 1], true[far, 0]) - np.arctan2(driven[far, 1], driven[far, 0])
-        if abs(direction := np.angle(np.mean(np.exp(1j * aside)))) > np.deg2rad(45):
-            yield Finding(
-                "truth heading",
-                f"the true headings point {np.rad2deg(abs(direction)):.0f} degrees away from the direction of driving; they "
-                "may be in another unit, or count from another axis",
-            )
