@@ -43,7 +43,7 @@ by_graph = solution.covariances()
 fig, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6))
 for covariances, color, name in ((by_odometry, "C1", "odometry alone"), (by_graph, "C0", "graph")):
     left.plot(np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1]), color, label=name)
-    for t in range(0, log.num_poses, 6):
+    for t in range(0, log.num_poses, 5):
         values, vectors = np.linalg.eigh(covariances[t, :2, :2])
         angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
         size = 6 * np.sqrt(np.maximum(values[::-1], 0))
