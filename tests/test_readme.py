@@ -17,7 +17,9 @@ def blocks(name):
 def test_example(capsys):
     (example,) = blocks("README.md")
     exec(compile(example, "README example", "exec"), {})
-    reason, covariance, difference = re.fullmatch(r"(.*)\n(\[\[.*\]\])\n(.*)\n", capsys.readouterr().out, re.DOTALL).groups()
+    reason, covariance, difference = re.fullmatch(
+        r"(.*)\n(\[\[.*\]\])\n(.*)\n", capsys.readouterr().out, re.DOTALL
+    ).groups()
     assert reason.endswith("global")
     assert covariance.count("]") == 4
     assert float(difference) < 1e-6
