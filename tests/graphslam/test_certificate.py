@@ -31,6 +31,7 @@ from graphslam.edges import AnchorEdges, ConstantEdges, RelativePointEdges, Rela
 from graphslam.linear.hermitian import analyze_hermitian, factorize
 from graphslam.linear.information import BlockSystem
 from graphslam.se2 import between, compose, wrap
+from graphslam.solvers import auto
 
 
 def pose_graph(poses, pairs, information, *, noise=0.0, rng=None, fixed=(0,)):
@@ -558,6 +559,17 @@ def test_descents_lead_from_a_wrong_minimum_to_a_lower_one(seed):
     assert len(starts) == 6
     ends = [solve(graph.with_initial(each), initialize="given", max_iterations=50).cost for each in starts]
     assert min(ends) < wrong.cost * (1 - 1e-6)
+
+
+def test_auto_goes_on_from_a_plausible_end_that_is_not_proven(monkeypatch):
+    graph = ring(120, windings=2)
+    wrong = solve(graph, initialize="given")
+    starts = [("given", graph.initial), ("another", ring(120).initial)]
+    monkeypatch.setattr(auto, "_starts", lambda _: iter(starts))
+    best = solve(graph)
+    assert wrong.cost > 1 and best.cost < 1e-9
+    monkeypatch.setattr(auto, "PROVABLE", 119)
+    assert solve(graph).cost == pytest.approx(wrong.cost)
 
 
 def test_descents_keep_what_is_fixed():
