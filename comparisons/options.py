@@ -314,7 +314,8 @@ class CalibrationOptions(ReadingOptions):
     )  # fmt: skip
     source: str = option(
         "auto", "Where the noise is measured: against the ground truth, or from residuals of the solved graph. auto "
-        "takes the ground truth where there is one.", choices=("auto", "truth", "residuals"),
+        "takes the ground truth where there is one; without a true map for the motion only.",
+        choices=("auto", "truth", "residuals"),
     )  # fmt: skip
     scale: str = option(
         "odometry", "What has the right scale where only residuals tell; what has not is corrected.",

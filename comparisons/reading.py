@@ -86,8 +86,13 @@ def _calibrated(log: Log) -> tuple[Log, Calibration | None]:
         reason = "; ".join(found.doubts)
         if found.range_scale != 1 and not reason:
             reason = (
-                f"ranges and odometry differ by a factor of {found.range_scale:.3f} in scale, and only ground truth tells "
-                "which is wrong; calibrate with --scale odometry or ranges, and run with that noise file"
+                f"ranges and odometry differ by a factor of {found.range_scale:.3f} in scale, and residuals do not tell "
+                "which is wrong; "
+            )
+            reason += (
+                "the true poses do: slam-compare calibrate this log, and run with that noise file"
+                if log.true_poses is not None
+                else "calibrate with --scale odometry or ranges, and run with that noise file"
             )
     except (GraphError, LogError) as error:
         reason = str(error)
