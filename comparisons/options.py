@@ -56,6 +56,10 @@ class ReadingOptions(Options):
 
 #: the value of ``noise`` that calibrates first
 AUTO = Path("auto")
+#: J per degree of freedom above this, or below its inverse, says that the noise models do not fit
+DOUBTFUL = 2.0
+#: how the note of ``--noise auto`` begins where it took what it found
+AUTO_TOOK = "noise auto took, from the residuals of this log"
 #: the options that correct all measurements, and their ideal values
 CORRECTIONS = {"range_scale": 1.0, "range_bias": 0.0, "wheel_scale": 1.0, "turn_rate_bias": 0.0}
 

@@ -26,7 +26,7 @@ from graphslam.keyframes import with_poses_every
 
 from .noise_files import read_noise
 from .option import options_of
-from .options import AUTO, CORRECTIONS, LogOptions, NoiseOptions, ReadingOptions
+from .options import AUTO, AUTO_TOOK, CORRECTIONS, LogOptions, NoiseOptions, ReadingOptions
 
 Given = TypeVar("Given", bound=LogOptions)
 
@@ -99,7 +99,7 @@ def _calibrated(log: Log) -> tuple[Log, Calibration | None]:
     if found is None or reason:
         return log.replace(notes=(*log.notes, f"noise auto {kept}: {reason}")), None
     numbers = ", ".join(f"{n} {v:.3g}" for n, v in found.numbers.items() if v != CORRECTIONS.get(n, 0.0))
-    return log.replace(notes=(*log.notes, f"noise auto took, from the residuals of this log: {numbers}")), found
+    return log.replace(notes=(*log.notes, f"{AUTO_TOOK}: {numbers}")), found
 
 
 def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> tuple[Log, Path | None]:

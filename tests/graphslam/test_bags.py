@@ -6,6 +6,8 @@ import math
 import numpy as np
 import pytest
 
+import comparisons
+
 pytest.importorskip("rosbags")
 
 from bags import Maker, point, pose, quaternion, transform, twist
@@ -307,6 +309,8 @@ def broken(tmp_path, name):
         path.write_bytes(gzip.compress(b"anything"))
     elif name == "empty":
         path.write_bytes(b"")
+    elif name == "another suffix":
+        path = path.rename(path.with_suffix(".bag"))
     elif name == "no bag":
         path.write_bytes(b"something else entirely, but long enough for a header")
     elif name == "damaged":
@@ -342,7 +346,8 @@ MISTAKES = {
     "cut ROS 1": "a.bag: the bag has no complete index, it was cut short; repair it first: rosbag reindex a.bag",
     "packed": "a.mcap.gz: the file is compressed as a whole; unpack it first: gunzip a.mcap.gz",
     "empty": "a.mcap: the file is empty; was the recording ended before anything was written?",
-    "no bag": "a.mcap: not a readable bag",
+    "no bag": "a.mcap: not a readable bag: it does not begin as one of ROS 1, MCAP or SQLite; was it overwritten",
+    "another suffix": "a.bag: its content is that of MCAP; give it the name a.mcap",
     "damaged": "a.mcap: .*",
 }
 
@@ -353,6 +358,23 @@ def test_mistakes(name, tmp_path):
     with pytest.raises(LogError, match=MISTAKES[name]) as caught:
         Log(**drive_of_bag(path, recipe).parts(_READING, "a"))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "program"),
+    [
+        ("drive.mcap.gz", b"\x1f\x8b", "gunzip"), ("drive.mcap.zst", b"\x28\xb5\x2f\xfd", "unzstd"),
+        ("drive.bag.bz2", b"BZh9", "bunzip2"), ("drive.bag.zip", b"PK\x03\x04", "unzip"),
+    ],
+)  # fmt: skip
+def test_files_that_are_compressed_as_a_whole(name, first, program, tmp_path):
+    path = tmp_path / name
+    path.write_bytes(first + bytes(range(256)))
+    message = f"{name}: the file is compressed as a whole; unpack it first: {program} {name}$"
+    with pytest.raises(FormatError, match=message):
+        load(path)
+    with pytest.raises(FormatError, match=message):
+        comparisons.import_log(path)
 
 
 def test_a_stated_place_of_the_sensor_needs_no_frames(expected, tmp_path):
