@@ -12,7 +12,7 @@ pytest.importorskip("rosbags")
 
 from bags import Maker, point, pose, quaternion, transform, twist
 
-from graphslam import FormatError, Log, LogError, load
+from graphslam import FormatError, Graph, Log, LogError, load, solve
 from graphslam.bags.frames import Frames, rotation_of
 from graphslam.bags.paths import getter, leaves
 from graphslam.bags.read import drive_of_bag, topics_of
@@ -95,6 +95,41 @@ def test_csv_of_the_same_drive_gives_the_same_log(expected, tmp_path):
     lines = [f"{seconds(t)},{j},{x!r},{y!r}" for t, j, x, y in SEEN]
     (tmp_path / "sightings.csv").write_text("\n".join(["t,id,x,y", *lines]))
     assert load(tmp_path).equals(expected)
+
+
+def test_every_source_of_a_drive_with_truth_has_the_same_log_and_results(tmp_path):
+    """MCAP, ROS 1 bag and CSV of one drive: the logs, with the truth, and the solved poses are equal to the last bit."""
+
+    def seconds(ns):
+        return f"{ns // 10**9}.{ns % 10**9:09d}"
+
+    logs = []
+    true = [(t + 3, 0.025 * k, 0.3 * math.sin(k / 40), 0.01 * k) for k, t in enumerate(TIMES)]
+    for ros, name in ((1, "a.bag"), (2, "a.mcap")):
+        maker = Maker(ros)
+        odometry(maker)
+        tags(maker)
+        for t, x, y, theta in true:
+            maker.add("/ground_truth", "geometry_msgs/PoseStamped", t, header=maker.header(t), pose=pose(x, y, theta))
+        logs.append(load(maker.write(tmp_path / name)))
+    folder = tmp_path / "tables"
+    folder.mkdir()
+    turns = [quaternion(theta) for *_, theta in true]
+    for name, header, rows in (
+        ("odometry", "t,nu,omega", zip(TIMES, NU.tolist(), OMEGA.tolist())), ("sightings", "t,id,x,y", SEEN),
+        ("truth", "t,x,y,qx,qy,qz,qw", [(t, x, y, *turn.values()) for (t, x, y, _), turn in zip(true, turns)]),
+    ):  # fmt: skip
+        lines = [",".join([seconds(t), *map(repr, numbers)]) for t, *numbers in rows]
+        (folder / f"{name}.csv").write_text("\n".join([header, *lines]))
+    logs.append(load(folder))
+    solved = [solve(Graph.from_log(log, edges="landmark+motion")) for log in logs]
+    for log, solution in zip(logs[1:], solved[1:]):
+        assert log.equals(logs[0])
+        assert log.true_poses is not None and np.array_equal(log.true_poses, logs[0].true_poses, equal_nan=True)
+        assert np.array_equal(log.true_path, logs[0].true_path, equal_nan=True)
+        assert log.start_time == logs[0].start_time
+        np.testing.assert_array_equal(solution.poses, solved[0].poses)
+        assert solution.cost == solved[0].cost and solution.iterations == solved[0].iterations
 
 
 def test_the_topics_and_what_they_could_be(tmp_path):
