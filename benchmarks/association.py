@@ -66,10 +66,12 @@ def known(log: Log) -> Log:
 
 
 def solved(log: Log, models: dict) -> np.ndarray:
+    """The poses of the graph with the ids of a log."""
     return log.at_truth(solve(Graph.from_log(log, edges="landmark+motion", **models)).poses)
 
 
 def simulated(logs: int, apart: float, psi: bool) -> None:
+    """The table of the simulated logs, for joint compatibility and for the nearest neighbour alone."""
     models = {"motion": MOTION, "sensor": SENSOR}
     distance = apart * SENSOR.range_rate * 6.0
     # a square in which so many landmarks fit at random
@@ -78,7 +80,7 @@ def simulated(logs: int, apart: float, psi: bool) -> None:
     for seed in range(logs):
         world = {"landmarks": scattered(seed, 30, distance, 4.5 if apart <= 4 else arena)}
         log = with_clutter(simulate(seed=seed, clean=True, orientation=psi, **world, **models), seed)
-        ids, counts = np.unique(known(log).landmarks, return_counts=True)
+        _, counts = np.unique(known(log).landmarks, return_counts=True)
         best = ate(log.true_poses, solved(known(log), models))
         for method, found in rows.items():
             begin = time.perf_counter()
@@ -86,7 +88,9 @@ def simulated(logs: int, apart: float, psi: bool) -> None:
             seconds = time.perf_counter() - begin
             s = score(a.ids, log.landmarks)
             error = ate(log.true_poses, solved(a.log, models))
-            found.append((a.landmarks - np.sum(counts > 1), error, best, s.precision, s.recall, s.doubled, s.invented, seconds))
+            found.append(
+                (a.landmarks - np.sum(counts > 1), error, best, s.precision, s.recall, s.doubled, s.invented, seconds)
+            )
     for method, found in rows.items():
         off, error, best, precision, recall, doubled, invented, seconds = np.array(found).T
         print(
@@ -99,6 +103,7 @@ def simulated(logs: int, apart: float, psi: bool) -> None:
 
 
 def real(name: str) -> None:
+    """One line on a log with hidden ids."""
     log: Log
     if name.startswith("mrclam"):
         log = load(DATA / "mrclam6", robot=int(name[-1])).replace(**BY_HAND)
@@ -106,14 +111,17 @@ def real(name: str) -> None:
         log = load(DATA / "lost_in_the_woods/dataset2.mat").nearer_than(5.0)
         log = log.at_steps(np.arange(0, log.num_poses, 5))
     else:
-        log = load({"sample": sample_log_path(), "huang": DATA / "simulated_535", "victoria": DATA / "victoria_park"}[name])
+        log = load(
+            {"sample": sample_log_path(), "huang": DATA / "simulated_535", "victoria": DATA / "victoria_park"}[name]
+        )
     begin = time.perf_counter()
     a = associate(log)
     poses = solved(a.log, {})
     seconds = time.perf_counter() - begin
     unaligned = np.sqrt(np.nanmean(np.sum((poses - log.true_poses)[:, :2] ** 2, axis=1)))
     line = f"{name}: {a.landmarks} landmarks, {a.clutter} of {len(a.ids)} clutter, {a.ambiguous} ambiguous, "
-    line += f"J/dof {a.cost_per_dof:.2f}, ATE {ate(log.true_poses, poses):.3f} m (unaligned {unaligned:.3f} m), {seconds:.1f} s"
+    line += f"J/dof {a.cost_per_dof:.2f}, ATE {ate(log.true_poses, poses):.3f} m (unaligned "
+    line += f"{unaligned:.3f} m), {seconds:.1f} s"
     if log.identified:
         s = score(a.ids, log.landmarks)
         line += f"; with ids {ate(log.true_poses, solved(log, {})):.3f} m, precision {s.precision:.4f}, recall {s.recall:.4f}"

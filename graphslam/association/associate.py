@@ -152,6 +152,8 @@ def _report(log: Log, refined: Refined, options: AssociationOptions, seconds: fl
             f"the landmark of {found.ambiguous} sightings is ambiguous: the evidence for it is less than "
             f"{options.factor:g} times that for another one, or for clutter"
         )
+    if found.clutter > len(found.ids) / 2:
+        notes.append("most sightings are of no landmark that was seen again: the few landmarks may be there by chance")
     if found.landmarks == 1:
         notes.append("one landmark alone cannot tell a wrong association from drift")
     if not found.settled:

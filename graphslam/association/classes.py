@@ -25,6 +25,7 @@ class Classes:
 
     @classmethod
     def of(cls, log: Log, confusion: float) -> Classes:
+        """The classes of a log, and a matrix with this probability of confusion."""
         given = getattr(log, "classes", None)
         if given is None:
             return cls(np.zeros(len(log.steps), dtype=np.int64), np.zeros((1, 1)))
@@ -38,6 +39,7 @@ class Classes:
 
     @property
     def count(self) -> int:
+        """The number n of classes."""
         return len(self.log_confusion)
 
     def sums(self, group: np.ndarray, rows: np.ndarray, groups: int) -> Array:

@@ -51,7 +51,7 @@ def drive(
             tracks[rows] = local.scan(rows, t, fresh)
             fresh = max(fresh, int(tracks[rows].max()) + 1)
         filtered[t] = local.pose
-        if (t + 1) % window and t + 1 < log.num_poses or first[t + 1] == 0:
+        if ((t + 1) % window and t + 1 < log.num_poses) or first[t + 1] == 0:
             continue
         # the graph of the drive so far
         if done:
@@ -94,7 +94,9 @@ def _join(
     items = np.flatnonzero([steps[0] >= since for steps in seen])
     shown = classes.sums(solved.which, solved.rows, len(seen))
     found = merges(solved, items, seen, shown, densities, classes, options)
-    sure = [m for m in found if m.margin >= np.log(options.factor)]
+    # one landmark may lie near an old one by chance; a place that is seen again has several
+    least = np.log(options.factor)
+    sure = [m for m in found if m.margin >= least and m.evidence >= 2 * least]
     # chains, of which each member was seen with another one, are joined in several rounds
     taken: set[int] = set()
     joined = {}

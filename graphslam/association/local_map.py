@@ -25,7 +25,13 @@ class LocalMap:
     """The pose (3,), the tracks (n, d) and their joint covariance; the first pose is known."""
 
     def __init__(
-        self, pose: Array, places: Places, densities: Densities, classes: Classes, memory: int, options: AssociationOptions
+        self,
+        pose: Array,
+        places: Places,
+        densities: Densities,
+        classes: Classes,
+        memory: int,
+        options: AssociationOptions,
     ) -> None:
         self.pose, self.covariance = np.array(pose, dtype=float), np.zeros((3, 3))
         self.d = places.means.shape[1]

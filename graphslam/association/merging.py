@@ -34,12 +34,14 @@ MOST = 3_000
 class Merge:
     """Landmarks that are one, by their places in `Solved.landmarks`: ``item`` becomes ``into``.
 
-    ``margin`` is the logarithm of the evidence for it over that for the best other hypothesis.
+    ``margin`` is the logarithm of the evidence for it over that for the best other hypothesis, ``evidence`` that for all
+    merges found together over that for none.
     """
 
     item: int
     into: int
     margin: float
+    evidence: float
 
 
 def merges(
@@ -66,18 +68,23 @@ def merges(
     own = P[a, :, a] + P[b, :, b] - P[a, :, b] - P[b, :, a] + slack
     weights = -densities.new + classes.together(shown[item], shown[other])
     if views is not None:
-        # V views of two landmarks without a sighting of both are as many missed; of one landmark, a second sighting is clutter
+        # two landmarks missed one sighting in every view without both; if they are one, a second sighting is clutter
         V = np.minimum(views[item], views[other])
-        sighting = densities.seen - densities.clutter - 0.5 * (log_volume(INDEPENDENT / 2 * solved.slack_of(item, other)) + d)
+        sighting = (
+            densities.seen - densities.clutter - 0.5 * (log_volume(INDEPENDENT / 2 * solved.slack_of(item, other)) + d)
+        )
         weights = weights - np.maximum(V - both, 0) * densities.missed - both * np.maximum(sighting, 0)
     density, squares = log_density(nu, own)
     kept = (squares <= gate) & (density + weights > 0)
-    item, other, a, b, nu, weights = (v[kept] for v in (item, other, a, b, nu, weights))
+    item, other, a, b = item[kept], other[kept], a[kept], b[kept]
+    nu, weights = nu[kept], weights[kept]
     found: list[Merge] = []
     # landmarks that share no candidate are decided on their own
     pieces = coo_matrix((np.ones(len(a)), (a, b)), shape=(len(chosen), len(chosen)))
     label = connected_components(pieces, directed=False)[1][a] if len(a) else np.zeros(0, dtype=int)
-    groups = [np.arange(len(a))] if len(np.unique(item)) <= MOST_ITEMS else [np.flatnonzero(label == g) for g in set(label)]
+    groups = (
+        [np.arange(len(a))] if len(np.unique(item)) <= MOST_ITEMS else [np.flatnonzero(label == g) for g in set(label)]
+    )
     for group in groups:
         found += _decided(solved, item[group], other[group], a[group], b[group], nu[group], weights[group],
                           P, probability)  # fmt: skip
@@ -99,7 +106,8 @@ def _near(
         (m[items, None] - m[None]) ** 2 <= gate * (variances[items, None] + variances[None]), axis=2
     )
     pairs = [(items[k], j) for k, j in np.argwhere(near)]
-    both = [len(np.intersect1d(seen[k], seen[j], assume_unique=True)) for k, j in pairs]
+    steps = {k: set(seen[k].tolist()) for k in {each for pair in pairs for each in pair}}
+    both = [len(steps[k] & steps[j]) for k, j in pairs]
     found = np.array([(k, j, n) for (k, j), n in zip(pairs, both) if n <= most], dtype=np.int64).reshape(-1, 3)
     return found[:, 0], found[:, 1], found[:, 2]
 
@@ -123,4 +131,4 @@ def _decided(
     item, other = item[order], other[order]
     chosen, evidence = candidates.best(gate, most=MOST)
     margins = candidates.margins(chosen, evidence, gate, most=MOST // 10)
-    return [Merge(int(item[c]), int(other[c]), float(m)) for c, m in zip(chosen, margins) if c >= 0]
+    return [Merge(int(item[c]), int(other[c]), float(m), float(evidence)) for c, m in zip(chosen, margins) if c >= 0]

@@ -25,7 +25,8 @@ class AssociationOptions:
     gate: float = option(0.999, "Share of correct sightings that lie within the gate of their landmark")
     clutter: float = option(0.05, "Share of sightings that are of no landmark, before the log is known")
     factor: float = option(
-        100.0, "A decision between two landmarks is called ambiguous where the evidence for the better one is less than this"
+        100.0,
+        "A decision between two landmarks is called ambiguous where the evidence for the better one is less than this",
     )
     confusion: float = option(0.05, "Probability that the class of a sighting is wrong, where the log has classes")
     window: int = option(30, "Steps between two solutions of the graph along the drive; more on long logs")

@@ -5,7 +5,7 @@ landmarks of sightings that no landmark explains but that agree with each other,
 better explained as clutter. A landmark with sightings z_k, assigned with squares nu_k' S_k^-1 nu_k, is kept where
 
     log(density) + 1/2 log det(2 pi C) + sum of [log P_D + log N(nu_k; 0, S_k) - log(density of clutter)]
-    + (views without a sighting) log(1 - P_D) > 0,
+    + (views without a sighting) log(1 - P_D) > log(factor),
 
 Laplace's approximation of the evidence for it, C its covariance from its sightings alone.
 """
@@ -21,16 +21,15 @@ from scipy.spatial import cKDTree
 from ..log import Log
 from ..se2 import Array, transform, turn_matrix, wrap
 from .classes import Classes
-from .densities import Densities, Field
-from .geometry import differences, seen_from
+from .densities import INSIDE, Densities, Field
+from .geometry import differences
 from .hypotheses import gates, log_density, log_volume
 from .merging import merges
 from .options import AssociationOptions
 from .solved import Backbone, Solved
 
-
-#: two sightings alone make a landmark only where less than this share is clutter, of which pairs agree by chance
-RARE = 0.02
+#: chains of landmarks that are one are merged link by link, at most so often in a round
+MERGING = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,21 +53,20 @@ def refine(
     options: AssociationOptions,
 ) -> Refined | None:  # fmt: skip
     """Association and solving in turn, from labels (M,) and poses (T+1, 3); None where no landmark is left."""
-    labels, settled, rounds = _compact(labels), False, 0
+    labels, settled = _compact(labels), False
     margins = np.full(len(labels), np.inf)
-    for rounds in range(1, options.rounds + 1):
-        before = labels
+    rounds = 0
+    while rounds < options.rounds and not settled:
+        rounds, before = rounds + 1, labels
         if not np.any(labels >= 0):
             return None
         solved = _merged(log, Solved.of(backbone, labels, poses), backbone, field, densities, classes, options)
         world = _World.of(backbone, solved.poses)
         labels, margins = _assigned(world, log, solved, densities, classes, options)
         labels = _born(world, log, labels, options)
-        labels, densities = _kept(log, backbone, solved, field, labels, densities)
+        labels, densities = _kept(log, backbone, solved, field, labels, densities, options)
         poses, labels = solved.poses, _compact(labels)
-        if np.array_equal(labels, before):
-            settled = True
-            break
+        settled = np.array_equal(labels, before)
     if not np.any(labels >= 0):
         return None
     return Refined(labels, Solved.of(backbone, labels, poses), rounds, settled, margins, densities)
@@ -89,7 +87,7 @@ def _merged(
     options: AssociationOptions,
 ) -> Solved:  # fmt: skip
     """The graph after all landmarks that are more likely one than two are merged."""
-    for _ in range(options.rounds):
+    for _ in range(MERGING):
         everyone = np.arange(len(solved.labels))
         shown = classes.sums(solved.which, solved.rows, len(everyone))
         views, _ = _views(log, backbone, solved, field)
@@ -130,7 +128,7 @@ def _assigned(
     world: _World, log: Log, solved: Solved, densities: Densities, classes: Classes, options: AssociationOptions
 ) -> tuple[np.ndarray, Array]:
     """The label and the margin (M,) of each sighting: the best assignment of every scan."""
-    d, gate = world.means.shape[1], float(gates(options.gate, world.means.shape[1], 1)[1])
+    gate = float(gates(options.gate, world.means.shape[1], 1)[1])
     own = solved.own_covariances + solved.slack
     radius = np.sqrt(gate * (np.linalg.norm(world.covariances[:, :2, :2], 2, axis=(1, 2)) + np.max(own[:, :2, :2])))
     tree = cKDTree(solved.landmarks[:, :2])
@@ -177,52 +175,72 @@ def _born(world: _World, log: Log, labels: np.ndarray, options: AssociationOptio
     labels, rows = labels.copy(), np.flatnonzero(labels < 0)
     if len(rows) < 2:
         return labels
-    means, information = np.zeros((len(rows), d)), np.zeros((len(rows), d, d))
+    means, information, spread = np.zeros((len(rows), d)), np.zeros((len(rows), d, d)), np.zeros((len(rows), d, d))
+    reach = np.sqrt(2 * gate * np.linalg.norm(world.covariances[rows][:, :2, :2], 2, axis=(1, 2)))
+    reach += reach.max()
     last, number, count = np.full(len(rows), -1), np.full(len(rows), -1), 0
     for n, k in enumerate(rows):
-        nu = differences(world.means[k], means[:count])
-        if count:
-            square = log_density(nu, world.covariances[k] + np.linalg.inv(information[:count]))[1]
-            square[last[:count] == log.steps[k]] = np.inf
-            best = int(np.argmin(square))
-        if count == 0 or square[best] > gate:
+        away = np.abs(world.means[k, :2] - means[:count, :2]).max(axis=1)
+        near = np.flatnonzero((away <= reach[n]) & (last[:count] != log.steps[k]))
+        best, square = count, np.inf
+        if len(near):
+            nu = differences(world.means[k], means[near])
+            squares = log_density(nu, world.covariances[k] + spread[near])[1]
+            best, square = int(near[np.argmin(squares)]), float(squares.min())
+        if square > gate:
             best, count = count, count + 1
         own = np.linalg.inv(world.covariances[k])
         total = information[best] + own
-        means[best] = differences(means[best] + np.linalg.solve(total, own @ differences(world.means[k], means[best])), np.zeros(d))
-        information[best], last[best], number[n] = total, log.steps[k], best
+        means[best] = differences(
+            means[best] + np.linalg.solve(total, own @ differences(world.means[k], means[best])), np.zeros(d)
+        )
+        information[best], spread[best], last[best], number[n] = total, np.linalg.inv(total), log.steps[k], best
     born = np.bincount(number, minlength=count) >= 2
     labels[rows] = np.where(born[number], labels.max() + 1 + number, -1)
     return labels
 
 
 def _kept(
-    log: Log, backbone: Backbone, solved: Solved, field: Field, labels: np.ndarray, densities: Densities
-) -> tuple[np.ndarray, Densities]:
-    """The labels of landmarks for which the evidence is positive, -1 for the others; and the densities counted anew."""
+    log: Log, backbone: Backbone, solved: Solved, field: Field, labels: np.ndarray, densities: Densities,
+    options: AssociationOptions,
+) -> tuple[np.ndarray, Densities]:  # fmt: skip
+    """The labels of landmarks with enough evidence, -1 for the others; and the densities counted anew."""
     solved = Solved.of(backbone, labels, solved.poses)
     views, within = _views(log, backbone, solved, field)
+    border, at_border = (a - b for a, b in zip(_views(log, backbone, solved, field, 1.0), (views, within)))
     densities = densities.counted(int(within.sum()), int(views.sum()), float(np.mean(labels < 0)))
     world = _World.of(backbone, solved.poses)
     nu = differences(world.means[solved.rows], solved.landmarks[solved.which])
     each = densities.seen - densities.clutter + log_density(nu, world.covariances[solved.rows])[0]
     total = np.bincount(solved.which, each) + (views - within) * densities.missed
+    # at the border of the field noise decides whether a landmark is in it
+    total += np.maximum(border - at_border, 0) * np.log1p(-np.exp(densities.seen) / 2)
     total += densities.new + 0.5 * log_volume(solved.own_covariances)
-    least = 2 if np.mean(labels < 0) < RARE else 3
-    good = (total > 0) & (np.bincount(solved.which) >= least)
+    good = (total > np.log(options.factor)) & (np.bincount(solved.which) > 1)
     labels = labels.copy()
     labels[solved.rows] = np.where(good[solved.which], labels[solved.rows], -1)
     return labels, densities
 
 
-def _views(log: Log, backbone: Backbone, solved: Solved, field: Field) -> tuple[np.ndarray, np.ndarray]:
-    """In how many scans each landmark (L,) was well within the field of view, and in how many of these it was seen."""
+def _views(
+    log: Log, backbone: Backbone, solved: Solved, field: Field, inside: float = INSIDE
+) -> tuple[np.ndarray, np.ndarray]:
+    """In how many scans each landmark (L,) was within a share of the field of view, and in how many of these it was seen."""
     scans, origin = np.unique(log.steps), backbone.origin
-    views = np.zeros(len(solved.labels), dtype=np.int64)
-    for j, place in enumerate(solved.landmarks[:, :2]):
-        delta = place - solved.poses[scans, :2]
-        near = scans[np.hypot(delta[:, 0], delta[:, 1]) <= field.farthest + np.hypot(*origin)]
-        h = seen_from(solved.poses[near], np.broadcast_to(place, (len(near), 2)))[0]
-        views[j] = np.count_nonzero(field.holds(h, origin))
-    h = seen_from(solved.poses[log.steps[solved.rows]], solved.landmarks[solved.which, :2])[0]
-    return views, np.bincount(solved.which, field.holds(h, origin), len(views)).astype(np.int64)
+    poses = solved.poses[scans]
+    within = cKDTree(poses[:, :2]).query_ball_point(solved.landmarks[:, :2], field.farthest + np.hypot(*origin))
+    at, landmark = (
+        np.concatenate([np.zeros(0, int), *within]).astype(int),
+        np.repeat(np.arange(len(within)), list(map(len, within))),
+    )
+    seen = field.holds(_in_axes(poses[at], solved.landmarks[landmark]), origin, inside)
+    views = np.bincount(landmark, seen, len(within)).astype(np.int64)
+    h = _in_axes(solved.poses[log.steps[solved.rows]], solved.landmarks[solved.which])
+    return views, np.bincount(solved.which, field.holds(h, origin, inside), len(views)).astype(np.int64)
+
+
+def _in_axes(poses: Array, places: Array) -> Array:
+    """Places (n, 2 or 3) in the axes of poses (n, 3): the positions (n, 2)."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x, y = places[:, 0] - poses[:, 0], places[:, 1] - poses[:, 1]
+    return np.column_stack([c * x + s * y, c * y - s * x])

@@ -29,7 +29,7 @@ INDEPENDENT = 10
 
 @dataclass(frozen=True, eq=False)
 class Backbone:
-    """The motion edges of a log, and its sightings as places in the robot's axes with their information (M, d, d); ``origin``: the sensor."""
+    """The motion edges of a log, its sightings as places in the robot's axes with information, and the sensor's place."""
 
     log: Log
     places: Places
@@ -39,6 +39,7 @@ class Backbone:
 
     @classmethod
     def of(cls, log: Log, sensor: SensorModel, motion: MotionModel) -> Backbone:
+        """Those of a log."""
         assert log.controls is not None and log.dt is not None
         places = Places.of(log, sensor)
         information = np.linalg.inv(places.covariances)
