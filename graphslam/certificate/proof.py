@@ -107,6 +107,8 @@ def prove_edges(edges: Sequence[ConstantEdges], state: Array, fixed: np.ndarray,
     return _certificate(outcome, cost, begin)
 
 
+#: where the six numbers of a row of `_Problem.edges` stand in an information matrix; the first three are those of positions
+_UPPER = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 #: status, lower bound, reason and direction of a `Certificate`
 _Outcome: TypeAlias = tuple[str, float, str, Array | None]
 
@@ -256,7 +258,7 @@ class _Problem:
         scale = function.scale + shifts
         assembled, c = self.summation[:, None] * scale, np.empty(len(scale))
         c[self.symbolic.order] = self.symbolic.rounding
-        margin = assembled + 4 * np.sqrt(c * c.max(initial=0.0))[:, None] * scale
+        margin = assembled + 2 * np.sqrt(c * c.max(initial=0.0))[:, None] * scale
         while True:
             margin[~free] = 1.0
             values = _changed(function.values, self.indptr, np.where(free, shifts - assembled - 2 * margin, 1.0))
@@ -342,15 +344,15 @@ def _joined(parts: Sequence[ConstantEdges]) -> tuple[Array, ...]:
     at = 0
     for edges in parts:
         to = at + len(edges.first)
-        W, d = edges.information, edges.information.shape[1]
-        largest = np.abs(W).max(axis=(1, 2), initial=0.0)
-        if np.any(np.abs(W - np.swapaxes(W, 1, 2)).max(axis=(1, 2), initial=0.0) > ROUNDED[0] * largest):
-            raise GraphError("the information of an edge is not symmetric")
-        information[at:to, :3] = np.stack([W[:, 0, 0], W[:, 0, 1], W[:, 1, 1]], axis=1)
+        W = edges.information
+        for k, (i, j) in enumerate(_UPPER[: 3 * (W.shape[1] - 1)]):
+            information[at:to, k] = W[:, i, j]
+            if i != j and np.any(
+                np.abs(W[:, i, j] - W[:, j, i]) > ROUNDED[0] * (np.abs(W[:, i, i]) + np.abs(W[:, j, j]))
+            ):
+                raise GraphError("the information of an edge is not symmetric")
         if edges.turn is not None:
             turn[at:to], oriented[at:to] = edges.turn, True
-        if d == 3:
-            information[at:to, 3:] = W[:, :, 2]
         at = to
     return first, second, start, end, turn, oriented, information
 
