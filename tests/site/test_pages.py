@@ -19,7 +19,7 @@ PAGES = sorted(
     if not page.name.endswith(".ja.md")
 )
 #: pages of which both languages exist, besides those above
-TRANSLATED = [DOCS / "index.md", DOCS / "gallery.md"]
+TRANSLATED = [DOCS / "index.md", DOCS / "gallery.md", DOCS / "films.md"]
 MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure) (.+?) \}\}$", re.MULTILINE)
 
 
