@@ -5,7 +5,7 @@
 
     printf 'u 1 0 1\\nz 7 2 0.3\\nu 1 0.1 1\\nz 7 1.2 0.5\\n' | python examples/online.py
 
-After each motion with its sightings, a line "x y theta" and the standard deviations go to standard output; at the end, the map.
+After each motion with its sightings, it prints x, y, theta and their standard deviations; at the end, the map.
 """
 
 import sys

@@ -26,6 +26,9 @@ DOUBTFUL, DOUBTFUL_SIGHTINGS = 3.0, 1.12
 SLOW = 16
 #: the most times that the search goes on from an unproven end to a lower one
 DESCENTS = 5
+#: graphs of at most so many nodes are searched on from an end that is accepted, but not proven: a thorough proof (some 50
+#: factorisations), so many further starts, and descents
+PROVABLE, FURTHER = 1000, 2
 #: ends whose costs differ by less than this part are one minimum
 SAME = 1e-6
 
@@ -62,11 +65,19 @@ class End:
         """Whether no state has a lower cost."""
         return self.certificate.status == GLOBAL
 
+    @cached_property
+    def open(self) -> bool:
+        """Whether the search goes on from this end, although it is accepted."""
+        if self.graph.num_nodes > PROVABLE or self.proven or not self.certificate.applicable:
+            return False
+        return prove(self.graph, self.run.state).status != GLOBAL
+
 
 def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
-    """The run with the lowest end among the starts of `AUTO`; `enough` decides when the search ends.
+    """The run with the lowest end among the starts of `AUTO`.
 
-    If no end is accepted, the search goes on from the lowest one along the negative direction that its failed proof shows.
+    The search ends when the lowest end is accepted (`enough`) and no longer `open`, or after `FURTHER` more starts. If it is
+    not accepted or still open then, the search goes on along the negative direction that its failed proof shows.
     An end with a higher cost than the given values never counts. If no run converges to a lower one,
     Levenberg-Marquardt runs from the given values and accepts only steps that lower J itself. (With state-dependent
     information a fixed point of the iteration may have a higher J.)
@@ -83,6 +94,8 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
     given = _finite(graph.cost(graph.initial))
     ends: list[End] = []
     error: GraphError | None = None
+    good: list[End] = []
+    further = FURTHER
     for initialize, start in _starts(graph):
         # a start that only serves for comparison is worth one attempt
         searches = (method,) if any(_allowed(end, given) and end.run.converged for end in ends) else (method, DAMPED)
@@ -96,10 +109,13 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
             ends.append(End(graph, run, search))
             if run.converged:
                 break
-        if enough([end for end in ends if end.run.converged and _allowed(end, given)]):
+        good = [end for end in ends if end.run.converged and _allowed(end, given)]
+        accepted = enough(good)
+        if accepted and (further == 0 or not _lowest(good).open):
             break
-    else:
-        ends += _descended(graph, run_from, method, [end for end in ends if end.run.converged and _allowed(end, given)])
+        further -= accepted
+    if good and (not enough(good) or _lowest(good).open):
+        ends += _descended(graph, run_from, method, _lowest(good))
     if error is not None and not any(end.run.converged for end in ends):
         # if nodes are undetermined, Omega is singular at the given values as well, and this raises; if only a later state
         # was singular, it does not
@@ -117,10 +133,10 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
     return _best(graph, allowed)
 
 
-def _descended(graph: Graph, run_from: Callable[..., Run], method: str, ends: list[End]) -> list[End]:
+def _descended(graph: Graph, run_from: Callable[..., Run], method: str, end: End) -> list[End]:
     """Lower and lower ends, each reached along the negative direction that the proof of the one before has found."""
     found: list[End] = []
-    best = min(ends, key=lambda end: end.cost, default=None)
+    best: End | None = end
     while best is not None and best.certificate.direction is not None and len(found) < DESCENTS:
         lower = None
         for start in descents(graph, best.run.state, best.certificate.direction):
@@ -169,7 +185,7 @@ def _best(graph: Graph, ends: list[End]) -> Run:
     With state-dependent information only a fixed point is a solution, and J on the way to it may be lower.
     """
     converged = min((end for end in ends if end.run.converged), key=lambda end: end.cost, default=None)
-    lowest = min(ends, key=lambda end: end.cost)
+    lowest = _lowest(ends)
     if converged is not None and (graph.state_dependent_information or converged.cost <= lowest.cost * (1 + SAME)):
         return converged.run
     return lowest.run
@@ -183,11 +199,15 @@ def enough(ends: list[End]) -> bool:
     """
     if not ends:
         return False
-    lowest = min(ends, key=lambda end: end.cost)
+    lowest = _lowest(ends)
     same = sum(end.cost <= lowest.cost * (1 + SAME) for end in ends)
     confirmed = same > (1 if same == len(ends) else 2)
     small = lowest.graph.num_nodes <= SMALL
     return (lowest.plausible and confirmed if small else lowest.plausible or confirmed) or lowest.proven
+
+
+def _lowest(ends: list[End]) -> End:
+    return min(ends, key=lambda end: end.cost)
 
 
 def _sighted(graph: Graph) -> bool:
