@@ -9,12 +9,13 @@ import numpy as np
 from ..edges.robust import Kernel, code_and_width
 from ..errors import GraphError
 from ..se2 import Array, turn_matrix
-from .advance import APART, GROW, SHARE, UNDETERMINED, UNFINISHED, advance, complete
+from .advance import APART, DONE, GROW, SHARE, UNDETERMINED, UNFINISHED, advance, complete
 from .arrays import FLOATS, FREE, INTS, Edges, Nodes, Tree, doubled, new_arrays, sizes, with_room
+from .batch import batch_state
 from .linearize import CHANGED
 from .passes import marginals, total_cost
 
-#: the most passes of one step before everything is linearised again
+#: the most passes of one step, after which the batch solver takes over
 PASSES = 15
 
 
@@ -38,7 +39,8 @@ class OnlineSystem:
         self._robust = (*code_and_width(None), 1.0)
         self._buffers: tuple[np.ndarray, ...] = ()
         self._tallest = 64
-        self._priors: list[tuple[list[int], Array]] = []
+        self._priors: list[tuple[list[int], Array, Array]] = []
+        self._kernel: Kernel | None = None
         self._whole = 0
         self._limits = np.array([CHANGED])
         self.passes = 0
@@ -46,7 +48,7 @@ class OnlineSystem:
     def use_kernel(self, kernel: Kernel | None, dimension: int) -> None:
         """The robust kernel of edges with ``robust``, and the dimension of their residuals."""
         if kernel is not None:
-            kernel = kernel.of_dimension(dimension)
+            self._kernel = kernel = kernel.of_dimension(dimension)
             self._robust = (*code_and_width(kernel), kernel.information_per_weight(dimension))
 
     def add_node(self, x: Array, *, point: bool = False) -> int:
@@ -61,7 +63,8 @@ class OnlineSystem:
 
     def add_prior(self, members: list[int], information: Array) -> None:
         """A quadratic around the present values of some nodes, information (3k, 3k)."""
-        self._priors.append((members, information))
+        centre = self.nodes.x[members].copy()
+        self._priors.append((members, centre, information))
         self._hang(members, information)
 
     def _hang(self, members: list[int], information: Array) -> None:
@@ -107,17 +110,26 @@ class OnlineSystem:
         for e in range(self.num_edges - 1, num_edges - 1, -1):
             for side in (0, 1):
                 nodes.edges[edges.ends[e, side]] = edges.next[e, side]
-        fresh = np.arange(num_edges, dtype=np.int32)
+        nodes.scale[num_nodes : self.num_nodes] = np.inf
+        self.num_nodes, self.num_edges = num_nodes, num_edges
+        self._restart(nodes.x[:num_nodes])
+        self.solve(np.arange(num_nodes), np.arange(num_edges), [])
+
+    def _restart(self, x: Array) -> None:
+        """An empty tree, and the nodes at x (n, 3)."""
+        nodes, edges = self.nodes, self.edges
         for array in (nodes.rhs, nodes.diagonal, nodes.d, edges.weight, edges.rhs, edges.cost, edges.total, nodes.home):
             array[:] = 0
         for array in (nodes.owned, nodes.local):
             array[:] = -1
-        nodes.scale[num_nodes : self.num_nodes] = np.inf
-        self.num_nodes, self.num_edges = num_nodes, num_edges
+        nodes.scratch[:] = 0.0
+        for array in (nodes.x, nodes.passed, nodes.evaluated):
+            array[: len(x)] = x
         self.tree = new_arrays(Tree, 64)
-        for members, information in self._priors:
+        for members, centre, information in self._priors:
+            # priors are around the present values, increments being zero
+            nodes.x[members] = centre
             self._hang(members, information)
-        self.solve(np.arange(num_nodes), fresh, [])
 
     def solve(self, touched: Any, fresh: Any, newest: Any) -> None:
         """Bring the solution to the optimum after edges ``fresh`` were added at nodes ``touched``; ``newest`` go last.
@@ -128,26 +140,34 @@ class OnlineSystem:
         if self.num_nodes > GROWTH * self._whole + 50:
             self._whole, touched = self.num_nodes, np.arange(self.num_nodes)
         touched, fresh, newest = (np.asarray(part, dtype=np.int32) for part in (touched, fresh, newest))
-        self.passes = 0
-        for attempt in range(100):
+        self.passes, before = 0, self.nodes.x[: self.num_nodes].copy()
+        for batch in (False, True):
+            result, node = self._advance(touched, fresh, newest)
+            if result == DONE or (batch and result == UNFINISHED):
+                return
+            if batch:
+                raise GraphError(f"node {node} is not determined")
+            # the correction is too large for undamped steps, or the batch solver finds a node undetermined, too
+            self.nodes.x[: self.num_nodes] = before
+            counts = self.num_nodes, self.num_edges
+            self._restart(batch_state(self.nodes, self.edges, counts, self._priors, self._kernel))
+            touched, fresh = (np.arange(count, dtype=np.int32) for count in counts)
+
+    def _advance(self, touched: np.ndarray, fresh: np.ndarray, newest: np.ndarray) -> tuple[int, int]:
+        """Call `advance`, with larger arrays as often as it asks for them: its result, and the undetermined node."""
+        while True:
             result, *rest = advance(
                 self.nodes, self.edges, self.tree, touched, fresh, newest, self._robust, self._room(),
                 self._limits, self.tolerance, self.apart, self.share, PASSES,
             )  # fmt: skip
-            if result == GROW:
-                supernodes, floats, ints, tallest, late = rest
-                self._tallest = max(self._tallest, tallest)
-                self.tree = with_room(self.tree, supernodes, floats, ints)
-                if late >= 0:
-                    touched, fresh = self.edges.owner[self._buffers[3][:late]], fresh[:0]
-            elif result == UNDETERMINED:
-                raise GraphError(f"node {rest[0]} is not determined")
-            elif result == UNFINISHED and attempt < 5:
-                self.passes += PASSES
-                touched, fresh = np.arange(self.num_nodes, dtype=np.int32), fresh[:0]
-            else:
-                self.passes += rest[0]
-                return
+            if result != GROW:
+                self.passes += rest[0] if result != UNDETERMINED else 0
+                return result, rest[0]
+            supernodes, floats, ints, tallest, late = rest
+            self._tallest = max(self._tallest, tallest)
+            self.tree = with_room(self.tree, supernodes, floats, ints)
+            if late >= 0:
+                touched, fresh = self.edges.owner[self._buffers[3][:late]], fresh[:0]
 
     def _room(self) -> tuple[np.ndarray, ...]:
         needed = (self._tallest, 2 * len(self.nodes.x), len(self.tree.w), len(self.edges.rows))

@@ -153,3 +153,21 @@ def test_the_first_pose_may_see_landmarks():
     np.testing.assert_allclose(solver.landmarks[4], [2 * np.cos(0.5), 2 * np.sin(0.5)], atol=1e-9)
     assert solver.covariance().shape == (3, 3)
     assert replace(SensorModel(), bearing_std=0.1) != solver.sensor
+
+
+def test_a_correction_too_large_for_undamped_passes():
+    """After 300 motions without a closure, the heading is off by a radian: the batch solver takes the step."""
+    rng = np.random.default_rng(2)
+    covariance, truth, solver = np.diag([0.14, 0.14, 0.1]) ** 2, [np.zeros(3)], OnlineSolver()
+    for k in range(1, 301):
+        move = np.array([1.0, 0.0, np.pi / 2 if k % 75 == 0 else 0.0])
+        truth.append(compose(truth[-1], move))
+        solver.step(motion=move + rng.normal(0, (0.14, 0.14, 0.1)), covariance=covariance)
+    before = solver.pose
+    assert np.hypot(*(before - truth[-1])[:2]) > 5
+    solver.step(relations=[(0, 300, between(truth[0], truth[300]), covariance)])
+    assert np.hypot(*(solver.pose - truth[-1])[:2]) < 0.5
+    tied = solver.poses
+    # a stationary point: linearised anew, nothing moves
+    solver.relinearize()
+    np.testing.assert_allclose(wrap(solver.poses - tied), 0, atol=1e-3)
