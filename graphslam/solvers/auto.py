@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,7 @@ from ..graph import Graph
 from ..se2 import Array
 from .iteration import Run, factorized
 from .starting import AUTO, GROWING, starting_state
+from .turns import turned
 
 DAMPED = "levenberg-marquardt"
 #: graphs of at most so many nodes are always run from a second start: that takes milliseconds
@@ -32,16 +33,22 @@ SAME = 1e-6
 
 @dataclass(frozen=True)
 class End:
-    """The end of one run by a method."""
+    """The end of one run by a method; ``before`` counts the steps of the runs that led to its start."""
 
     graph: Graph
     run: Run
     method: str
+    before: int = 0
 
     @cached_property
     def cost(self) -> float:
         """J, infinite where it is no number."""
         return _finite(self.graph.cost(self.run.state))
+
+    @cached_property
+    def steps(self) -> int:
+        """All steps that led to the end."""
+        return self.before + len(self.run.step_norms)
 
     @cached_property
     def plausible(self) -> bool:
@@ -50,7 +57,7 @@ class End:
         limit = (DOUBTFUL_SIGHTINGS if sighted else DOUBTFUL) * self.graph.expected_cost
         # re-weighted edges and damped steps take more steps in any case
         quick = not sighted or self.method == DAMPED or self.graph.reweighted or self.graph.state_dependent_information
-        return self.cost <= limit and (quick or len(self.run.step_norms) <= SLOW)
+        return self.cost <= limit and (quick or self.steps <= SLOW)
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -66,7 +73,8 @@ class End:
 def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
     """The run with the lowest end among the starts of `AUTO`; `enough` decides when the search ends.
 
-    If no end is accepted, the search goes on from the lowest one along the negative direction that its failed proof shows.
+    Where an end is doubtful, other turns are tried from it (`turned`). If no end is accepted, the search goes on from the
+    lowest one along the negative direction that its failed proof shows.
     An end with a higher cost than the given values never counts. If no run converges to a lower one,
     Levenberg-Marquardt runs from the given values and accepts only steps that lower J itself. (With state-dependent
     information a fixed point of the iteration may have a higher J.)
@@ -84,22 +92,24 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
     ends: list[End] = []
     error: GraphError | None = None
     for initialize, start in _starts(graph):
+        tried = len(ends)
         # a start that only serves for comparison is worth one attempt
-        searches = (method,) if any(_allowed(end, given) and end.run.converged for end in ends) else (method, DAMPED)
+        searches = (method,) if _counted(ends, given) else (method, DAMPED)
         for search in dict.fromkeys(searches):
             try:
-                run = run_from(start, search)
+                ends.append(_end(graph, run_from, start, search, initialize, ends))
             except GraphError as failure:
                 error = failure
                 continue
-            run.reason += f" (started {initialize}, {search})"
-            ends.append(End(graph, run, search))
-            if run.converged:
+            if ends[-1].run.converged:
                 break
-        if enough([end for end in ends if end.run.converged and _allowed(end, given)]):
+        if enough(_counted(ends, given)):
+            break
+        ends += _turned(graph, run_from, ends, tried, initialize)
+        if enough(_counted(ends, given)):
             break
     else:
-        ends += _descended(graph, run_from, method, [end for end in ends if end.run.converged and _allowed(end, given)])
+        ends += _descended(graph, run_from, method, _counted(ends, given))
     if error is not None and not any(end.run.converged for end in ends):
         # if nodes are undetermined, Omega is singular at the given values as well, and this raises; if only a later state
         # was singular, it does not
@@ -115,6 +125,38 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
             run.state, run.converged = graph.initial.copy(), False
         allowed.append(End(graph, run, DAMPED))
     return _best(graph, allowed)
+
+
+def _end(graph: Graph, run_from: Callable[..., Run], start: Array, search: str, started: str, ends: list[End]) -> End:
+    """The end of a run from a start. A run that has not converged, but is below all other ends, goes on once.
+
+    Raises:
+        GraphError: the edges do not determine the nodes.
+    """
+    run, before = run_from(start, search), 0
+    if not run.converged and graph.cost(run.state) < min((end.cost for end in ends), default=np.inf):
+        before = len(run.step_norms)
+        run = run_from(run.state, search)
+    run.reason += f" (started {started}, {search})"
+    return End(graph, run, search, before)
+
+
+def _turned(graph: Graph, run_from: Callable[..., Run], ends: list[End], tried: int, started: str) -> list[End]:
+    """The lower end that other turns lead to from the last end, if it has converged and no end before it has its cost.
+
+    Args:
+        ends: all ends; the first ``tried`` of them are those of earlier starts.
+    """
+    if not _sighted(graph) or len(ends) == tried or not ends[-1].run.converged:
+        return []
+    end = ends[-1]
+    if any(abs(other.cost - end.cost) <= SAME * end.cost for other in ends[:tried] if other.run.converged):
+        return []
+    state = turned(graph, end.run.state)
+    if state is None:
+        return []
+    lower = _end(graph, run_from, state, end.method, f"{started}, other turns", ends)
+    return [replace(lower, before=lower.before + end.steps)]
 
 
 def _descended(graph: Graph, run_from: Callable[..., Run], method: str, ends: list[End]) -> list[End]:
@@ -156,6 +198,11 @@ def _starts(graph: Graph) -> Iterator[tuple[str, Array]]:
             continue
         yield name, state
         names, growing = growing + names, []
+
+
+def _counted(ends: list[End], given: float) -> list[End]:
+    """The ends that have converged and are allowed."""
+    return [end for end in ends if end.run.converged and _allowed(end, given)]
 
 
 def _allowed(end: End, given: float) -> bool:
