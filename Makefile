@@ -44,7 +44,7 @@ lint: .venv/.installed-test
 
 # the documentation site in English and Japanese; results of its code are kept in .cache, and its pages are tested if it is built
 docs: .venv/.installed-docs .venv/.compiled
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "open site/index.html, or run: $(BIN)/mkdocs serve"
 
 .venv/.installed-docs: pyproject.toml | .venv/bin/python

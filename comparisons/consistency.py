@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaincinv
 
+from fastslam import ParticleGibbs
 from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, World, simulate, solve
 from graphslam.metrics import pose_nees
 from graphslam.se2 import Array, wrap
@@ -187,7 +188,9 @@ def _one_log(seed: int, options: ConsistencyOptions) -> tuple[float, dict[str, t
     log = simulate(world, seed=seed, motion=motion, sensor=sensor)
     row = {}
     for name in options.estimators:
-        if name in FILTERS:
+        if name == "particle-gibbs":
+            row[name] = (_smoother_nees(log, seed, noise), np.nan)
+        elif name in FILTERS:
             row[name] = (_filter_nees(name, log, seed, noise), np.nan)
         else:
             row[name] = _graph_nees(log, GRAPHS[name] | noise) or (np.full(options.steps, np.nan), np.nan)
@@ -209,6 +212,14 @@ def _graph_nees(log: Log, keywords: dict[str, Any]) -> tuple[Array, float] | Non
     error = solution.poses - truth
     error[:, 2] = wrap(error[:, 2])
     return pose_nees(error[1:], covariances[1:]), solution.joint_nees(truth)
+
+
+def _smoother_nees(log: Log, seed: int, noise: dict[str, Any]) -> Array:
+    """NEES / 3 of the mean and covariance of the samples of particle Gibbs at each step, given the whole log; (T,)."""
+    result = ParticleGibbs(log, seed=seed, threads=1, **noise).run()
+    error = result.poses - log.robot_truth
+    error[:, 2] = wrap(error[:, 2])
+    return pose_nees(error[1:], result.pose_covariances[1:])
 
 
 def _filter_nees(name: str, log: Log, seed: int, noise: dict[str, Any]) -> Array:

@@ -227,6 +227,29 @@ def fastslam2(log: Log, options: RunOptions) -> EstimatorResult:
     return _particle_filter("fastslam2", log, options)
 
 
+def particle_gibbs(log: Log, options: RunOptions) -> EstimatorResult:
+    """Particle Gibbs: the means of sampled trajectories and maps, with the covariances of the samples."""
+    sampler = fastslam.ParticleGibbs(
+        log, seed=options.filter.seed, threads=options.filter.threads, options=options.gibbs, motion=options.motion,
+        sensor=options.sensor,
+    )  # fmt: skip
+    begin = time.perf_counter()
+    result = sampler.run()
+    seconds = time.perf_counter() - begin
+    return EstimatorResult(
+        name="particle-gibbs",
+        poses=result.poses,
+        estimated=np.ones(log.num_poses, dtype=bool),
+        seconds=seconds,
+        landmarks=result.landmarks,
+        landmark_covariances=result.landmark_covariances,
+        notes=(result.mixing.statement,),
+        options={"seed": options.filter.seed} | {f"gibbs_{k}": v for k, v in asdict(options.gibbs).items()},
+        reason=result.mixing.statement,
+        origin=result,
+    )
+
+
 #: the particle filters by the name of their estimator, as names in `fastslam`, which is imported when one is used
 FILTERS = {"mcl": "MonteCarloLocalization", "fastslam1": "FastSLAM1", "fastslam2": "FastSLAM2"}
 
@@ -296,6 +319,7 @@ def _isam2_seconds(log: Log, options: RunOptions) -> float:
 
 _GRAPH = tuple(options_of(GraphOptions))
 _FILTER = tuple(name for name in options_of(fastslam.FilterOptions) if name not in ("seed", "threads"))
+_GIBBS = tuple(name for name, each in options_of(RunOptions).items() if each.model == "gibbs")
 #: localisation knows its map, and does not use the last two options
 _LOCALISATION = _FILTER[:-2]
 
@@ -313,6 +337,7 @@ ESTIMATORS: dict[str, Estimator] = {
     "mcl": Estimator(mcl, _LOCALISATION),
     "fastslam1": Estimator(fastslam1, _FILTER),
     "fastslam2": Estimator(fastslam2, _FILTER),
+    "particle-gibbs": Estimator(particle_gibbs, _GIBBS, on_request=True),
 }
 
 

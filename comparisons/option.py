@@ -14,11 +14,13 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
+from fastslam.options import GibbsOptions
 from graphslam.checks import suggestion
 from graphslam.errors import OptionError
 
 #: fields of components that have another name among the options: (component, field) -> option
 _RENAMED = {("sensor", name): f"sensor_{name}" for name in ("offset", "min_range", "max_range", "field_of_view")}
+_RENAMED |= {("gibbs", f.name): f"gibbs_{f.name}" for f in fields(GibbsOptions)}
 
 
 class Points:

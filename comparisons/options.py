@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from fastslam.options import FilterOptions
+from fastslam.options import FilterOptions, GibbsOptions
 from graphslam.checks import option
 from graphslam.errors import OptionError
 from graphslam.models import RESIDUALS, MotionModel, SensorModel
@@ -29,7 +29,7 @@ from .option import Options
 MODELS: dict[str, type[MotionModel] | type[SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
 
 #: groups of options in the help of a verb
-NOISE, FILTER, OUTPUT = "Noise models", "Particle filters", "Output"
+NOISE, FILTER, GIBBS, OUTPUT = "Noise models", "Particle filters", "Particle smoother", "Output"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,18 +139,23 @@ class GraphOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(GraphOptions, LogOptions):
-    """All options of a run: reading, noise, graph and filters. In Python: ``comparisons.run(log, kernel="huber")``."""
+    """All options of a run: reading, noise, graph, filters and smoother; ``comparisons.run(log, kernel="huber")``."""
 
-    components = LogOptions.components | {"filter": (FilterOptions, FILTER)}
+    components = LogOptions.components | {"filter": (FilterOptions, FILTER), "gibbs": (GibbsOptions, GIBBS)}
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _ = self.filter  # checks the values
+        _ = self.filter, self.gibbs  # checks the values
 
     @property
     def filter(self) -> FilterOptions:
         """The options of the particle filters."""
         return FilterOptions(**self.of_component("filter"))
+
+    @property
+    def gibbs(self) -> GibbsOptions:
+        """The options of the particle smoother."""
+        return GibbsOptions(**self.of_component("gibbs"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,8 +174,8 @@ class EstimatorOptions(LimitOptions):
 
     estimators: tuple[str, ...] | None = option(
         None, "Estimators to run: dead-reckoning, textbook, graph, graph-marginal, graph-no-kernel, gtsam, isam2, mcl, "
-        "fastslam1, fastslam2.",
-        metavar="NAME,...", default_text="all that can run on the log, without graph-no-kernel",
+        "fastslam1, fastslam2, particle-gibbs.",
+        metavar="NAME,...", default_text="all that can run on the log, without graph-no-kernel and particle-gibbs",
     )  # fmt: skip
 
 
@@ -277,7 +282,8 @@ class ConsistencyOptions(JobsOptions):
     dimensions: int = option(3, "3: sightings with orientation psi; 2: without.", minimum=2, maximum=3)
     estimators: tuple[str, ...] = option(
         ("landmark nodes", "marginal", "tempered", "pairs"), "Estimators to test.",
-        choices=("landmark nodes", "marginal", "tempered", "pairs", "fastslam1", "fastslam2"), metavar="NAME,...",
+        choices=("landmark nodes", "marginal", "tempered", "pairs", "fastslam1", "fastslam2", "particle-gibbs"),
+        metavar="NAME,...",
     )  # fmt: skip
     seed: int = option(0, "Random seed of the first log; the others follow.", minimum=0)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fastslam.gibbs.result import GibbsResult
 from fastslam.state import FilterResult
 from graphslam import Certificate, Graph, Log, MotionModel, Solution, certify
 from graphslam.se2 import Array, compose, inverse, rotation, wrap
@@ -39,7 +40,8 @@ class EstimatorResult:
         options: the options that it used, for the record.
         reason: why it ended, one sentence.
         notes: what the user should know.
-        origin: what all this was computed from: a `Solution`, a `FilterResult`, a `TextbookSolution`, or None.
+        origin: what all this was computed from: a `Solution`, a `FilterResult`, a `GibbsResult`, a
+            `TextbookSolution`, or None.
         graph, state: the graph that was solved and the values (n, 3) of its nodes at the end; None without a graph.
         log, motion: what dead reckoning was computed from; None for the other estimators.
     """
@@ -60,7 +62,7 @@ class EstimatorResult:
     options: Mapping[str, Any] = field(default_factory=dict)
     reason: str = ""
     notes: tuple[str, ...] = ()
-    origin: Solution | FilterResult | TextbookSolution | None = field(default=None, repr=False)
+    origin: Solution | FilterResult | GibbsResult | TextbookSolution | None = field(default=None, repr=False)
     graph: Graph | None = field(default=None, repr=False)
     state: Array | None = field(default=None, repr=False)
     log: Log | None = field(default=None, repr=False)
@@ -89,9 +91,11 @@ class EstimatorResult:
         """The covariances (T+1, 3, 3) of the poses in world axes, NaN where a pose is not estimated.
 
         Of a solved graph they are the diagonal blocks of Omega^-1 at the end, of dead reckoning the accumulated motion
-        noise. None where they are not known: a particle filter keeps paths and no covariance of past poses, and the
-        edges of a graph may not determine its poses.
+        noise, of particle Gibbs the covariances of its samples. None where they are not known: a particle filter keeps
+        paths and no covariance of past poses, and the edges of a graph may not determine its poses.
         """
+        if isinstance(self.origin, GibbsResult):
+            return self.origin.pose_covariances
         if self.log is not None and self.log.controls is not None:
             return dead_reckoning_covariances(self.log, self.motion)
         if self.graph is None or self.state is None:

@@ -13,8 +13,10 @@ if TYPE_CHECKING:
     from .compilation import warm_up
     from .fastslam1 import FastSLAM1
     from .fastslam2 import FastSLAM2
+    from .gibbs.chains import ParticleGibbs
+    from .gibbs.result import GibbsResult
     from .mcl import MonteCarloLocalization
-    from .options import FilterOptions
+    from .options import FilterOptions, GibbsOptions
     from .particle_filter import ParticleFilter, VanishedWeightsWarning
     from .resampling import RESAMPLING_SCHEMES, effective_sample_size
     from .state import FilterResult, LandmarkEstimate, ParticleState
@@ -24,8 +26,10 @@ _PUBLIC = {
     "compilation": "warm_up",
     "fastslam1": "FastSLAM1",
     "fastslam2": "FastSLAM2",
+    "gibbs.chains": "ParticleGibbs",
+    "gibbs.result": "GibbsResult",
     "mcl": "MonteCarloLocalization",
-    "options": "FilterOptions",
+    "options": "FilterOptions GibbsOptions",
     "particle_filter": "ParticleFilter VanishedWeightsWarning",
     "resampling": "RESAMPLING_SCHEMES effective_sample_size",
     "state": "FilterResult LandmarkEstimate ParticleState",

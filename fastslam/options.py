@@ -88,3 +88,39 @@ class FilterOptions:
     def uses_ids(self) -> bool:
         """Whether FastSLAM uses the landmark ids of the sightings."""
         return self.association == "known"
+
+
+#: the density of the sightings that particle Gibbs samples
+DENSITIES = ("linearised", "exact")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GibbsOptions:
+    """The options of `ParticleGibbs`; each field's metadata has its help.
+
+    Raises:
+        OptionError: an option has an impossible value.
+    """
+
+    particles: int = field(
+        default=50, metadata={"help": "Particle Gibbs: number of particles of each conditional SMC."}
+    )
+    iterations: int = field(default=200, metadata={"help": "Particle Gibbs: samples of each chain."})
+    warm_up: int = field(default=100, metadata={"help": "Particle Gibbs: sweeps of each chain before its samples."})
+    chains: int = field(default=4, metadata={"help": "Particle Gibbs: number of independent chains."})
+    block: int = field(default=20, metadata={"help": "Particle Gibbs: poses that are renewed at once."})
+    density: str = field(
+        default="linearised",
+        metadata={
+            "help": "Particle Gibbs: density of the sightings; exact corrects their linearisation by Metropolis steps.",
+            "choices": DENSITIES,
+        },
+    )
+
+    def __post_init__(self) -> None:
+        for name, least in (("particles", 2), ("iterations", 1), ("warm_up", 0), ("chains", 1), ("block", 1)):
+            value = whole(name, getattr(self, name))
+            if value < least:
+                raise OptionError(f"{name} must be at least {least}, not {value}")
+            object.__setattr__(self, name, value)
+        check_choice("density", self.density, DENSITIES)

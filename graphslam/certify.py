@@ -52,4 +52,5 @@ def _certify_factors(factors: Any, values: Any) -> Certificate:
         edges, state, fixed = constant_edges(factors, values)
     except GraphError as error:
         return Certificate(NOT_APPLICABLE, np.nan, np.nan, str(error), time.perf_counter() - begin)
-    return prove_edges(edges, state, fixed)
+    # no number where the values violate a NonlinearEqualityPose2
+    return prove_edges(edges, state, fixed, 2 * factors.error(values))

@@ -12,7 +12,7 @@ import pytest
 from graphslam import Log, load, simulate
 
 # one fixed profile: the same examples in every run, no deadline on shared machines
-hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=200)
+hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=100)
 hypothesis.settings.load_profile("repeatable")
 
 DATA = Path(os.environ.get("SLAM_DATA", Path(__file__).parents[2] / "shared" / "data"))

@@ -80,3 +80,19 @@ print("before:", sightings.cost(state, state), " after:", sightings.cost(rotated
 # %% accelerated
 for frame, graph in anchored.items():
     print(frame, solve(graph, initialize="given").iterations, "steps with Anderson acceleration where it is needed")
+
+# %% constant
+from graphslam.textbook import sighting_covariance
+
+moved = x + [0.5, -1.0, 0.9]  # the same sighting from another pose
+for name, pose in (("first pose", x), ("moved pose", moved)):
+    R = textbook.sighting_derivative(pose, z)
+    print(f"{name}: R Q R' =", (R @ sighting_covariance(z, sensor) @ R.T)[0, :2].round(4), "(first row)")
+L = landmark_axes(z)
+print("either pose: L Q L' =", (L @ sighting_covariance(z, sensor) @ L.T)[0, :2].round(4))
+
+# %% apart
+difference = ends["world"] - ends["body"]
+print("the two ends differ by at most", np.abs(difference[:, :2]).max().round(4), "m")
+for frame, graph in anchored.items():
+    print(f"J of the {frame} frame:", {name: round(graph.cost(end), 3) for name, end in ends.items()})

@@ -53,3 +53,18 @@ for metres in (0.0, 0.001, 0.1):
 for name, options in (("world frame", {"frame": "world"}), ("Cauchy kernel", {"kernel": "cauchy"})):
     proof = solve(Graph.from_log(log, **options)).certificate
     print(f"{name}: {proof.status}: {proof.reason}")
+
+# %% tangent
+worst = np.inf
+for star in np.linspace(0.01, 3.1, 100):
+    bound = star**2 + 2 * star / np.sin(star) * (np.cos(star) - np.cos(u))
+    worst = min(worst, (u**2 - bound).min())
+print("smallest value of u² minus the bound:", worst)
+
+# %% wrong
+wild = graph.initial.copy()
+wild[1:, 2] = np.random.default_rng(3).uniform(-np.pi, np.pi, len(wild) - 1)
+wrong = solve(graph.with_initial(wild), initialize="given")
+proof = wrong.certificate
+print(f"J {wrong.cost:.2f} against {best.cost:.2f} of the best: {proof.status}")
+print("its lower bound is above the best cost:", proof.lower_bound > best.cost)

@@ -59,3 +59,23 @@ for weight in ("pairs", "marginal"):
         poses = solve(Graph.from_log(drive, motion=motion, sensor=sensor, weight=weight)).poses
         errors.append(np.sqrt(np.mean((poses - drive.true_poses)[:, :2] ** 2)))
     print(f"{weight:9} root mean square position error: {np.mean(errors):.4f} m")
+
+# %% unequal
+variances = np.array([1.0] * 10 + [0.01] * 2)  # ten coarse sightings of a place and two fine ones
+W = 1 / variances
+between = variances[:, None] + variances[None, :]  # the variance of each pair
+# the information about the place of sighting 0 relative to all others, which the pairs with it give
+pairs = np.sum(1 / between[0, 1:])
+right = 1 / (variances[0] + 1 / W[1:].sum())
+tempered = 2 / len(variances) * pairs
+print(f"one coarse sighting: pairs {pairs:.3f}, tempered {tempered:.3f}, right {right:.3f}")
+pairs, right = np.sum(1 / between[-1, :-1]), 1 / (variances[-1] + 1 / W[:-1].sum())
+print(f"one fine sighting:   pairs {pairs:.3f}, tempered {2 / len(variances) * pairs:.3f}, right {right:.3f}")
+
+# %% band
+from scipy.stats import chi2
+
+for logs in (10, 50, 200):
+    d = logs * 3 * 62  # degrees of freedom: three for each pose
+    low, high = chi2.ppf([0.025, 0.975], d) / d
+    print(f"{logs:3} logs: a consistent estimate has a joint ANEES from {low:.3f} to {high:.3f} in 95 % of the studies")

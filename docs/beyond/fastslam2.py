@@ -77,3 +77,17 @@ for range_std in (0.5, 0.1, 0.02):
     w2 = normal(z, h(drawn), range_std) * normal(drawn, 0, motion_std) / normal(drawn, mean, std)
     ess1, ess2 = (w.sum() ** 2 / (w**2).sum() / N for w in (w1, w2))
     print(f"sensor noise {range_std} m: ESS / N {ess1:.3f} (1.0), {ess2:.3f} (2.0)")
+
+# %% linear
+H_line, z_line, prior_std, noise = -1.0, 1.6, 0.8, 0.1  # h(x) = 2 - x: a landmark straight ahead
+gain = prior_std**2 * H_line / (H_line**2 * prior_std**2 + noise**2)
+m, s = gain * (z_line - 2), prior_std * np.sqrt(1 - gain * H_line)
+x = m + s * rng.standard_normal(5)
+w = normal(z_line, 2 - x, noise) * normal(x, 0, prior_std) / normal(x, m, s)
+print("exact weights:", w.round(6), " N(z; h(m), H P H' + V):", normal(z_line, 2, np.hypot(prior_std, noise)).round(6))
+
+# %% number
+w1, w2 = weights["1.0: p(z | x)"][1], weights["2.0, exact: p(z | x) p(x) / q(x)"][1]
+ess1, ess2 = (w.sum() ** 2 / (w**2).sum() / N for w in (w1, w2))
+print(f"100 particles of 2.0 have an effective sample size of {100 * ess2:.0f}")
+print(f"1.0 needs {100 * ess2 / ess1:.0f} particles for the same")

@@ -70,3 +70,25 @@ for value in (0.5, 2.0, 8.0):
 found = trusted.trust < 0.5
 print("phantoms rejected:", int(found[wrong].sum()), "of", len(wrong))
 print("correct sightings rejected:", int(found.sum() - found[wrong].sum()), "of", len(found) - len(wrong))
+
+# %% location
+numbers = np.concatenate([rng.normal(0, 1, 20), [12.0, 15.0]])  # twenty good measurements of 0, and two wrong ones
+
+
+def estimate(values, kernel=None, rounds=50):
+    """The place that minimises the sum of 2 rho(r), by iterated weights."""
+    m = np.median(values)
+    for _ in range(rounds):
+        w = np.ones_like(values) if kernel is None else kernel.of_dimension(1).weight((values - m) ** 2)
+        m = np.sum(w * values) / np.sum(w)
+    return m
+
+
+for name, kernel in (("mean", None), ("Huber", Huber()), ("Cauchy", Cauchy()), ("Geman-McClure", GemanMcClure())):
+    print(f"{name:14} {estimate(numbers, kernel):6.3f}")
+
+# %% efficiency
+samples = rng.normal(0, 1, (2000, 40))
+plain = np.var([estimate(row) for row in samples])
+for name, kernel in (("Huber", Huber()), ("Cauchy", Cauchy())):
+    print(f"{name:7} efficiency {plain / np.var([estimate(row, kernel, 15) for row in samples]):.3f}")

@@ -26,7 +26,7 @@ from ..edges.kernels import wrap
 from ..linear.hermitian import ROUNDOFF
 from ..se2 import Array
 
-#: the part of beta that absorbs rounding errors of p
+#: the part of beta and of kappa that absorbs rounding errors
 ABSORBED = 1e-9
 #: how far abs(u) must stay below pi
 HALF_TURN = np.pi - 1e-6
@@ -35,26 +35,42 @@ MORE_SHARES = (0.5, 0.8, 0.95, 0.99)
 
 
 class Forces(NamedTuple):
-    """The edges at a candidate state: p (E,) complex, g (E,), and where the end lies in the axes of the first node (E,).
+    """The edges at a candidate state.
 
-    ``p_error`` (E,) bounds the rounding error of p. ``cost`` (E,) is the cost of each edge, ``slack`` (E,) a bound on the
-    rounding errors of the function that touches it.
+    Attributes:
+        p, g: (E,) complex and real, Omega v of the computed residual v.
+        p_error: (E,) a bound on the rounding error of p.
+        reached: (E,) complex, where the end lies in the axes of the first node.
+        place_error, heading_error: (E,) how far v may be from the residual of the state.
+        cost: (E,) the cost of each edge.
+        slack: (E,) a bound on the rounding errors of the function that touches it, whatever its split.
+        zero: (E,) whether the residual of the state may be zero, so far as its rounding tells.
     """
 
     p: Array
     p_error: Array
     g: Array
     reached: Array
+    place_error: Array
+    heading_error: Array
     cost: Array
     slack: Array
+    zero: Array
 
 
 class Curvature(NamedTuple):
-    """beta (E,) and A (E,) of each edge, and a bound (E,) on A's rounding error in units; beta = -1: edge left out."""
+    """The split of each edge.
+
+    Attributes:
+        beta, A: (E,); beta = -1 leaves the edge out.
+        error: (E,) a bound on the rounding error of A, in units.
+        slack: (E,) what the parts of beta and kappa leave of the rounding errors that they absorb.
+    """
 
     beta: Array
     A: Array
     error: Array
+    slack: Array
 
 
 class Minorant(NamedTuple):
@@ -65,13 +81,15 @@ class Minorant(NamedTuple):
         gradient: (N, 2) complex, half the gradient at the candidate; zero at a stationary point.
         scale: (N, 2) the sums of the absolute values that were added to each diagonal entry of S, or more.
         error: (N, 2) a bound on the rounding error of ``gradient``, in units.
-        slack: a bound on the rounding error of the cost at the candidate, and the cost of edges that were left out.
+        touched: the cost at the candidate, without the edges that were left out.
+        slack: a bound on its rounding errors.
     """
 
     values: Array
     gradient: Array
     scale: Array
     error: Array
+    touched: float
     slack: float
 
 
@@ -97,7 +115,7 @@ def _two_sum(a, b):
 def _dot(a0, a1, a2, b0, b1, b2):
     """a' b as if computed with twice the digits: Omega may have entries 1e11 times its smallest eigenvalue (INTEL).
 
-    The error is at most u |a' b| + 1e-31 |a|' |b| (Ogita, Rump and Oishi, *Accurate sum and dot product*, 2005).
+    The error is at most u |a' b| + (3 u)² |a|' |b| (Ogita, Rump and Oishi, *Accurate sum and dot product*, 2005).
     """
     p, e = _two_product(a0, b0)
     h, r = _two_product(a1, b1)
@@ -113,14 +131,16 @@ def _split(o00, o01, o11, o02, o12, o22, share):
     """beta and kappa with Omega - diag(beta, beta, kappa) positive semidefinite, also after rounding; -1 for no beta."""
     mean, half = (o00 + o11) / 2, (o00 - o11) / 2
     largest = mean + np.sqrt(half * half + o01 * o01)
-    # the determinant has an error of 3 units in o00 o11, and largest is at least as large as both
-    smallest = (o00 * o11 - o01 * o01) / largest - 8 * ROUNDOFF * min(o00, o11) if largest > 0 else 0.0
+    # the determinant has an error of 3 units in o00 o11, and largest, of 4 units, is at least as large as both
+    smallest = (o00 * o11 - o01 * o01) / largest - 16 * ROUNDOFF * min(o00, o11) if largest > 0 else 0.0
     if o02 == 0 and o12 == 0:
         return (smallest if smallest > 0 else -1.0), o22
     if not smallest > 0:
         return -1.0, 0.0
     beta = (1 - share) * smallest
-    determinant = (smallest - beta) * (largest - beta)
+    determinant = (smallest - beta) * (largest * (1 - 8 * ROUNDOFF) - beta)
+    if not determinant > 0:
+        return -1.0, 0.0
     m00, m11 = o00 - beta, o11 - beta
     first, second, third = o02 * o02 * m11, 2 * o02 * o12 * o01, o12 * o12 * m00
     size = (first + abs(second) + third) / determinant
@@ -133,7 +153,8 @@ def forces(state, first, second, start, end, turn, oriented, information):
     count = len(first)
     c, s = np.cos(state[:, 2]), np.sin(state[:, 2])
     p, p_error, g = np.empty(count, np.complex128), np.empty(count), np.empty(count)
-    reached, cost, slack = np.empty(count, np.complex128), np.empty(count), np.empty(count)
+    reached, place_error, heading_error = np.empty(count, np.complex128), np.empty(count), np.empty(count)
+    cost, slack, zero = np.empty(count), np.empty(count), np.empty(count, np.bool_)
     for e in range(count):
         a, b, w = first[e], second[e], information[e]
         za, ta, heading = 1 + 0j, 0j, 0.0
@@ -143,28 +164,33 @@ def forces(state, first, second, start, end, turn, oriented, information):
         d_a, d_b = complex(start[e, 0], start[e, 1]), complex(end[e, 0], end[e, 1])
         reached[e] = np.conj(za) * (tb + zb * d_b - ta)
         v, h = reached[e] - d_a, 0.0
+        size = abs(ta) + abs(tb) + abs(d_a) + 2 * abs(d_b) + abs(reached[e]) + abs(v)
+        place_error[e], heading_error[e] = 16 * ROUNDOFF * size, 0.0
         if oriented[e]:
             h = wrap(state[b, 2] - heading - turn[e])
+            heading_error[e] = 16 * ROUNDOFF * (abs(heading) + abs(state[b, 2]) + abs(turn[e]) + np.pi)
         x, y = v.real, v.imag
         p[e] = complex(_dot(w[0], w[1], w[3], x, y, h), _dot(w[1], w[2], w[4], x, y, h))
         g[e] = _dot(w[3], w[4], w[5], x, y, h)
         cost[e] = p[e].real * x + p[e].imag * y + g[e] * h
-        # The function touches J_e at the computed residual, which is the state's up to its rounding. Errors of g count by
-        # the range of e_theta; those of p are absorbed by beta.
-        size = abs(ta) + abs(tb) + abs(d_a) + 2 * abs(d_b) + abs(reached[e]) + abs(v)
-        turned = abs(heading) + abs(state[b, 2]) + np.pi
-        products = abs(w[0]) + 2 * abs(w[1]) + abs(w[2]) + abs(w[3]) + abs(w[4])
-        p_error[e] = 2 * ROUNDOFF * abs(p[e]) + 1e-31 * products * (abs(v) + abs(h))
-        g_error = 1e-31 * ((abs(w[3]) + abs(w[4])) * abs(v) + w[5] * abs(h))
-        slack[e] = ROUNDOFF * (16 * abs(p[e]) * size + (16 * turned + 96) * abs(g[e])) + 16 * g_error
-    return p, p_error, g, reached, cost, slack
+        zero[e] = (p[e] == 0 or abs(v) <= place_error[e]) and (g[e] == 0 or abs(h) <= heading_error[e])
+        # The function touches J_e at the computed residual. Its value at the state differs by the errors of v times p and g.
+        # An error of g counts by the range of e_theta; those of p are absorbed by beta.
+        rows = abs(w[0]) + 2 * abs(w[1]) + abs(w[2]) + abs(w[3]) + abs(w[4])
+        p_error[e] = 2 * ROUNDOFF * abs(p[e]) + (4 * ROUNDOFF) ** 2 * rows * (abs(v) + abs(h))
+        g_error = 2 * ROUNDOFF * abs(g[e]) + (4 * ROUNDOFF) ** 2 * ((abs(w[3]) + abs(w[4])) * abs(v) + abs(w[5] * h))
+        slack[e] = (
+            3 * abs(p[e]) * place_error[e] + 3 * abs(g[e]) * heading_error[e] + p_error[e] * abs(v) + 16 * g_error
+        )
+    return p, p_error, g, reached, place_error, heading_error, cost, slack, zero
 
 
 @njit(cache=True, error_model="numpy")
-def curvature(information, oriented, g, share):
-    """The `Curvature` of edges (E,) for one share."""
+def curvature(information, oriented, force, share):
+    """The `Curvature` of edges (E,) at their `Forces` for one share."""
+    _, p_error, g, _, place_error, heading_error, _, _, _ = force
     count = len(g)
-    beta, A, error = np.empty(count), np.zeros(count), np.zeros(count)
+    beta, A, error, slack = np.empty(count), np.zeros(count), np.zeros(count), np.zeros(count)
     for e in range(count):
         w, known = information[e], oriented[e]
         coupled = w[3] != 0 or w[4] != 0
@@ -178,9 +204,14 @@ def curvature(information, oriented, g, share):
         if w[0] == 0 and w[1] == 0 and w[2] == 0 and not coupled:
             beta[e] = 0.0
         elif beta[e] > 0:
+            # with w0 the rounding error of w, beta |w|² - 2 p_error |w| is at least (1 - ABSORBED) beta |w - w0|² - slack
+            lost = p_error[e] + beta[e] * place_error[e]
+            slack[e] = lost * lost / (ABSORBED * beta[e]) + beta[e] * place_error[e] ** 2
             beta[e] *= 1 - ABSORBED
         if not known or (g[e] == 0 and kappa == 0):
             continue
+        absorbing = ABSORBED * kappa
+        kappa -= absorbing
         if not abs(g[e]) < HALF_TURN * kappa:
             beta[e] = -1.0
             continue
@@ -191,33 +222,40 @@ def curvature(information, oriented, g, share):
         else:
             A[e] = kappa * u / np.tan(u)
             error[e] = kappa + abs(A[e]) + kappa * (u / np.sin(u)) ** 2
-    return beta, A, error
+        # cos f changes with the rounding of f by less than a part of f²
+        lost = abs(A[e]) * heading_error[e]
+        slack[e] += lost * lost / absorbing + 2 * lost * heading_error[e]
+    return beta, A, error, slack
 
 
 @njit(cache=True, error_model="numpy")
 def minorant(state, first, second, end, oriented, free, indptr, indices, force, curve):
     """The `Minorant` from `Forces` and `Curvature`. The cost is constant in nodes that are not ``free`` (N,)."""
-    p_of, p_error_of, g_of, reached_of, cost, slack_of = force
-    beta_of, A_of, error_of = curve
+    p_of, _, g_of, reached_of, place_error, _, cost, slack_of, _ = force
+    beta_of, A_of, error_of, split_slack = curve
     n = len(state)
     c, s = np.cos(state[:, 2]), np.sin(state[:, 2])
     values = np.zeros((len(indices), 2, 2), np.complex128)
     gradient = np.zeros((n, 2), np.complex128)
     scale, error = np.zeros((n, 2)), np.zeros((n, 2))
-    slack = 0.0
+    touched, rest, slack = 0.0, 0.0, 0.0
     for e in range(len(first)):
         a, b, beta, A, p, g = first[e], second[e], beta_of[e], A_of[e], p_of[e], g_of[e]
         if beta < 0:
             # J_e >= 0 is the bound that remains
-            slack += cost[e]
+            continue
+        touched, lost = _two_sum(touched, cost[e])
+        rest += lost
+        slack += slack_of[e] + split_slack[e] + 8 * ROUNDOFF * abs(cost[e])
+        if a == b:
+            # a constant
             continue
         reached, d_b = reached_of[e], complex(end[e, 0], end[e, 1])
         za = complex(c[a], s[a]) if a >= 0 else 1 + 0j
         zb = complex(c[b], s[b])
         pulled, strength = abs(p) * (abs(reached) + abs(d_b)), abs(p)
-        slack += slack_of[e] + 8 * ROUNDOFF * pulled
-        if beta > 0:
-            slack += p_error_of[e] ** 2 / (ABSORBED * beta)
+        # of p times the rounding error of the place, in units of 64
+        far = strength * place_error[e] / (64 * ROUNDOFF)
         curved = 4 * error_of[e] + 4 * abs(g) + (strength**2 / beta if beta > 0 else 0.0)
         if a >= 0 and free[a]:
             slot = indptr[a + 1] - 1
@@ -230,7 +268,7 @@ def minorant(state, first, second, end, oriented, free, indptr, indices, force, 
             gradient[a, 1] -= p * za
             scale[a, 0] += 4 * beta * abs(reached) ** 2 + curved + 2 * pulled
             scale[a, 1] += 8 * beta
-            error[a, 0] += 2 * pulled + abs(g)
+            error[a, 0] += 2 * pulled + abs(g) + far
             error[a, 1] += 2 * strength
         if free[b]:
             slot = indptr[b + 1] - 1
@@ -264,7 +302,7 @@ def minorant(state, first, second, end, oriented, free, indptr, indices, force, 
                 V[1, 0] += np.conj(to)
                 V[0, 1] -= np.conj(beta * d_b)
                 V[1, 1] -= beta
-    return values, gradient, scale, error, slack
+    return values, gradient, scale, error, touched + rest, slack * (1 + 4 * len(first) * ROUNDOFF)
 
 
 @njit(cache=True, error_model="numpy")

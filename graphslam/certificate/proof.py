@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
 from numba import njit
 
+from ..checks import first
 from ..edges import ConstantEdges
 from ..errors import GraphError
 from ..graph import Graph
 from ..linear.cholesky import amd
 from ..linear.hermitian import ROUNDOFF, HermitianFactor, HermitianSymbolic, analyze_hermitian, factorize
 from ..linear.information import BlockSystem
-from ..se2 import Array
+from ..se2 import Array, wrap
 from .minorants import Curvature, Forces, Minorant, curvature, forces, minorant, strains
 
 GLOBAL, NOT_PROVEN, NOT_APPLICABLE = "global", "not proven", "not applicable"
-#: the relative gap up to which a state counts as a global minimum
+#: the relative gap up to which a state counts as a global minimum, and J itself where all residuals are zero to rounding
 PROVEN = 1e-6
+#: how far a state may be from the fixed nodes of its graph, relative to their coordinates
+HELD = 1e-9
+#: the part of an information matrix by which its rows and columns may differ, and its scaled eigenvalues be negative
+ROUNDED = 1e-9, 64 * ROUNDOFF
 #: the split of the information that is tried first, see `minorants`, and those among which each edge may choose
 SHARE, SHARES = 0.3, (0.02, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 0.95)
 #: the most times that the edges choose again
@@ -38,7 +43,7 @@ class Certificate:
         status: "global": no state has a cost below ``lower_bound``, and ``relative_gap`` is at most `PROVEN`;
             "not proven": there may be a lower minimum, or not; "not applicable": edges stand outside of the theory.
         lower_bound: no state has a lower cost in exact arithmetic; 0 where nothing better is known, NaN where not applicable.
-        relative_gap: (J - lower_bound) / J, between 0 and 1; NaN where not applicable.
+        relative_gap: (J - lower_bound) / J, between 0 and 1; 0 where J is zero up to rounding; NaN where not applicable.
         reason: one sentence.
         seconds: the time of the check.
         direction: (n, 2) complex changes of z and t (unit complex headings, complex positions) along which the function below
@@ -74,26 +79,31 @@ def prove(graph: Graph, state: Array, *, thorough: bool = True) -> Certificate:
             the cost. That takes some 50 factorisations instead of one.
     """
     begin = time.perf_counter()
-    state = np.asarray(state, dtype=float)
+    state = np.array(state, dtype=float)
     cost = graph.cost(state)
-    if not np.isfinite(cost):
-        outcome: _Outcome = NOT_PROVEN, 0.0, "the cost of the state is not finite", None
+    strayed = state[graph.fixed] - graph.initial[graph.fixed]
+    strayed[:, 2] = wrap(strayed[:, 2])
+    moved = graph.fixed[np.any(np.abs(strayed) > HELD * (1 + np.abs(graph.initial[graph.fixed])), axis=1)]
+    if len(moved):
+        outcome: _Outcome = NOT_PROVEN, 0.0, f"the state moves {graph.names(moved)}, which the graph holds", None
     else:
-        try:
-            outcome = _judged(_Problem.of(graph, state), cost, thorough)
-        except GraphError as error:
-            outcome = NOT_APPLICABLE, np.nan, str(error), None
+        state[graph.fixed] = graph.initial[graph.fixed]
+        outcome = _outcome(lambda: _Problem.of(graph, state), cost, thorough)
     return _certificate(outcome, cost, begin)
 
 
-def prove_edges(edges: Sequence[ConstantEdges], state: Array, fixed: np.ndarray) -> Certificate:
-    """`prove` for edges that belong to no `Graph`; the ``landmarks`` of the edges follow the rows of the state (n, 3)."""
+def prove_edges(edges: Sequence[ConstantEdges], state: Array, fixed: np.ndarray, cost: float) -> Certificate:
+    """`prove` for edges that belong to no `Graph`.
+
+    Args:
+        edges: their ``landmarks`` follow the rows of the state.
+        state: (n, 3) the candidate.
+        fixed: the nodes that are held at their rows of the state.
+        cost: of the state.
+    """
     begin = time.perf_counter()
-    problem = _Problem.of_edges(edges, np.concatenate([state, *(each.landmarks for each in edges)]), fixed, len(state))
-    cost = float(problem.forces.cost.sum())
-    outcome: _Outcome = NOT_PROVEN, 0.0, "the cost of the state is not finite", None
-    if np.isfinite(cost):
-        outcome = _judged(problem, cost, thorough=True)
+    nodes = np.concatenate([state, *(each.landmarks for each in edges)])
+    outcome = _outcome(lambda: _Problem.of_edges(edges, nodes, fixed, len(state)), cost, thorough=True)
     return _certificate(outcome, cost, begin)
 
 
@@ -103,16 +113,30 @@ _Outcome: TypeAlias = tuple[str, float, str, Array | None]
 
 def _certificate(outcome: _Outcome, cost: float, begin: float) -> Certificate:
     status, bound, reason, direction = outcome
-    gap = (cost - bound) / cost if 0 < cost < np.inf else 0.0 if cost == 0 else 1.0
+    # a state of cost zero, also up to rounding, is global with the bound 0
+    zero = status == GLOBAL and bound == 0
+    gap = 0.0 if zero else (cost - bound) / cost if 0 < cost < np.inf else 1.0
     return Certificate(status, float(bound), float(gap), reason, time.perf_counter() - begin, direction)
 
 
+def _outcome(problem: Callable[[], _Problem], cost: float, thorough: bool) -> _Outcome:
+    if not np.isfinite(cost):
+        return NOT_PROVEN, 0.0, "the cost of the state is not finite, or the state violates a constraint", None
+    try:
+        return _judged(problem(), cost, thorough)
+    except GraphError as error:
+        return NOT_APPLICABLE, np.nan, str(error), None
+
+
 def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
-    curve = problem.curvature(SHARE)
+    curve, direction = problem.curvature(SHARE), None
+    problem.check_information(curve)
     function = problem.minorant(curve)
-    exact, direction = float(problem.forces.cost.sum()), None
-    if cost == 0 or exact <= problem.rounding(function):
-        return GLOBAL, 0.0, "the cost is zero up to the rounding of the state", None
+    exact = float(problem.forces.cost.sum())
+    if problem.forces.zero.all() and max(cost, exact) <= PROVEN:
+        return GLOBAL, 0.0, "the residuals of all edges are zero up to the rounding of the state", None
+    if not abs(exact - cost) <= PROVEN * cost:
+        return NOT_PROVEN, 0.0, f"the edges in their constant form have the cost {exact:g} instead of {cost:g}", None
     bound, factor = problem.bound(function)
     if factor.negative is not None:
         direction = factor.negative[: problem.given]
@@ -143,6 +167,8 @@ class _Problem:
     symbolic: HermitianSymbolic
     forces: Forces
     given: int
+    #: the most edges that meet at a node: the numbers that are added to an entry of S or of the gradient
+    summands: int
 
     @classmethod
     def of(cls, graph: Graph, state: Array) -> _Problem:
@@ -186,12 +212,29 @@ class _Problem:
         _hold_roots(first, second, free)
         symbolic = analyze_hermitian(system.indptr, system.indices, order)
         force = Forces(*forces(nodes, *joined))
-        return cls(nodes, joined, free, system.indptr, system.indices, symbolic, force, given)
+        ends = np.bincount(first[first >= 0], minlength=n) + np.bincount(second, minlength=n)
+        summands = int(ends.max(initial=0))
+        return cls(nodes, joined, free, system.indptr, system.indices, symbolic, force, given, summands)
+
+    def check_information(self, curve: Curvature) -> None:
+        """Raise `GraphError` where the information of an edge has a negative eigenvalue, beyond its rounding.
+
+        Only edges without a split can have one.
+        """
+        suspects = np.flatnonzero(curve.beta < 0)
+        W = self.edges[6][suspects][:, [[0, 1, 3], [1, 2, 4], [3, 4, 5]]]
+        diagonal = np.einsum("eii->ei", W)
+        size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+        smallest = np.linalg.eigvalsh(W / size[:, :, None] / size[:, None, :])[:, 0]
+        if (k := first(smallest < -ROUNDED[1])) is not None:
+            a, b = (int(nodes[suspects[k]]) for nodes in self.edges[:2])
+            ends = f"node {b}" if a < 0 else f"the nodes {a} and {b}"
+            raise GraphError(f"the information of an edge at {ends} is not positive semi-definite")
 
     def curvature(self, share: float) -> Curvature:
         """The split of the information of all edges for one share."""
         oriented, information = self.edges[5:]
-        return Curvature(*curvature(information, oriented, self.forces.g, share))
+        return Curvature(*curvature(information, oriented, self.forces, share))
 
     def minorant(self, curve: Curvature) -> Minorant:
         """The function below J for a split."""
@@ -206,17 +249,17 @@ class _Problem:
             function: the function below J.
             shift: (N,) to add to the diagonal of S, and to the multipliers of the headings.
         """
-        # S_exact >= S - assembly * scale, and L L^H - (S - 2 margin scale) is within (margin - assembly) scale
-        degree = int(np.diff(self.indptr).max())
-        assembly, growth = ROUNDOFF * (128 + 4 * degree), 16.0
+        # With S' = S - 4 margin scale: S_exact >= S - assembly scale, L L^H is within (margin - assembly) scale of S', and
+        # solving with L counts twice as much.
+        assembly, growth = ROUNDOFF * (128 + 4 * self.summands), 16.0
         shifts = np.broadcast_to(shift, len(self.state))
         while True:
             margin = assembly + 2 * ROUNDOFF * (4 * self.symbolic.longest + 32) * growth
-            values = _reduced(function.values, self.indptr, function.scale, 2 * margin, shifts)
+            values = _reduced(function.values, self.indptr, function.scale, 4 * margin, shifts)
             factor = factorize(self.symbolic, values)
             if factor.negative is not None:
                 return -np.inf, factor
-            if factor.growth <= growth:
+            if factor.growth * (1 + 1e-6) <= growth:
                 break
             growth = 2 * factor.growth
         gradient, terms = function.gradient, function.error
@@ -226,9 +269,9 @@ class _Problem:
             terms[:, 0] += shift
         # rounding errors of the gradient; S is at least margin * scale
         scale = np.where(function.scale > 0, margin * function.scale, 1.0)
-        error = np.sqrt(np.sum((ROUNDOFF * (64 + degree) * terms) ** 2 / scale))
+        error = np.sqrt(np.sum((ROUNDOFF * (64 + self.summands) * terms) ** 2 / scale))
         decrease = (1.001 * np.sqrt(factor.square(gradient)) + error) ** 2
-        return float(self.forces.cost.sum()) - decrease - function.slack, factor
+        return function.touched - decrease - function.slack, factor
 
     def raised_bound(self, curve: Curvature, function: Minorant) -> float:
         """The best lower bound after each edge has chosen its split for the directions in which S is the smallest.
@@ -250,10 +293,11 @@ class _Problem:
             part = 2 / (k + 3)
             gains = [np.where(c.beta < 0, -np.inf, c.beta * stretched + c.A * turned) for c in choices]
             chosen = np.argmax(gains, axis=0), np.arange(len(first))
-            beta, A, error = (np.array(rows)[chosen] for rows in zip(*choices))
+            beta, A, error, slack = (np.array(rows)[chosen] for rows in zip(*choices))
             beta, A = (1 - part) * curve.beta + part * beta, (1 - part) * curve.A + part * A
             out = (curve.beta < 0) | (beta < 0)
-            curve = Curvature(np.where(out, -1.0, beta), A, np.maximum(curve.error, error))
+            error, slack = np.maximum(curve.error, error), np.maximum(curve.slack, slack)
+            curve = Curvature(np.where(out, -1.0, beta), A, error, slack)
             function = self.minorant(curve)
         return best
 
@@ -286,11 +330,6 @@ class _Problem:
             x /= np.sqrt(np.sum(weight * np.abs(x) ** 2))
         return x
 
-    def rounding(self, function: Minorant) -> float:
-        """What rounding errors of 1e-15 of all coordinates do to the cost."""
-        size = 1e-15 * (1 + np.abs(self.state).max(axis=0, initial=0.0))
-        return float(np.sum(function.scale[:, 0]) * size[2] ** 2 + np.sum(function.scale[:, 1]) * size[:2].max() ** 2)
-
 
 def _joined(parts: Sequence[ConstantEdges]) -> tuple[Array, ...]:
     first = np.concatenate([np.zeros(0, np.int64), *(edges.first for edges in parts)])
@@ -302,6 +341,9 @@ def _joined(parts: Sequence[ConstantEdges]) -> tuple[Array, ...]:
     for edges in parts:
         to = at + len(edges.first)
         W, d = edges.information, edges.information.shape[1]
+        largest = np.abs(W).max(axis=(1, 2), initial=0.0)
+        if np.any(np.abs(W - np.swapaxes(W, 1, 2)).max(axis=(1, 2), initial=0.0) > ROUNDED[0] * largest):
+            raise GraphError("the information of an edge is not symmetric")
         information[at:to, :3] = np.stack([W[:, 0, 0], W[:, 0, 1], W[:, 1, 1]], axis=1)
         if edges.turn is not None:
             turn[at:to], oriented[at:to] = edges.turn, True

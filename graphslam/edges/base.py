@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..checks import first
 from ..errors import GraphError
 from ..linear.information import BlockSystem
 from ..se2 import Array, turn_matrix
@@ -108,6 +109,10 @@ class ConstantEdges:
 class EdgeFamily(ABC):
     """Edges of one kind. All of them write e' Omega e into the cost, B' Omega B into Omega and -B' Omega e into xi."""
 
+    # a family may have two bases, each with its own checks
+    def __post_init__(self) -> None:  # noqa: B027
+        pass
+
     @property
     @abstractmethod
     def count(self) -> int:
@@ -173,6 +178,11 @@ class PairEdges(EdgeFamily):
 
     first: np.ndarray
     second: np.ndarray
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (k := first(np.asarray(self.first) == self.second)) is not None:
+            raise GraphError(f"edge {k} goes from node {self.second[k]} to itself; an edge ties two nodes")
 
     @property
     def count(self) -> int:

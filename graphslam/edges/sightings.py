@@ -45,6 +45,7 @@ class SightingEdges(EdgeFamily):
     trust: Array | None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.kernel is not None:
             object.__setattr__(self, "kernel", self.kernel.of_dimension(self.sightings.shape[1]))
 

@@ -27,6 +27,9 @@ DOUBTFUL, DOUBTFUL_SIGHTINGS = 3.0, 1.12
 SLOW = 16
 #: the most times that the search goes on from an unproven end to a lower one
 DESCENTS = 5
+#: graphs of at most so many nodes are searched on from an end that is accepted, but not proven: a thorough proof (some 50
+#: factorisations), so many further starts, and descents
+PROVABLE, FURTHER = 1000, 2
 #: ends whose costs differ by less than this part are one minimum
 SAME = 1e-6
 
@@ -69,12 +72,20 @@ class End:
         """Whether no state has a lower cost."""
         return self.certificate.status == GLOBAL
 
+    @cached_property
+    def open(self) -> bool:
+        """Whether the search goes on from this end, although it is accepted."""
+        if self.graph.num_nodes > PROVABLE or self.proven or not self.certificate.applicable:
+            return False
+        return prove(self.graph, self.run.state).status != GLOBAL
+
 
 def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
-    """The run with the lowest end among the starts of `AUTO`; `enough` decides when the search ends.
+    """The run with the lowest end among the starts of `AUTO`.
 
-    Where an end is doubtful, other turns are tried from it (`turned`). If no end is accepted, the search goes on from the
-    lowest one along the negative direction that its failed proof shows.
+    The search ends when the lowest end is accepted (`enough`) and no longer `open`, or after `FURTHER` more starts. Before
+    another start, other turns are tried from the end of the last one (`turned`). If the lowest end is not accepted or still
+    open then, the search goes on along the negative direction that its failed proof shows.
     An end with a higher cost than the given values never counts. If no run converges to a lower one,
     Levenberg-Marquardt runs from the given values and accepts only steps that lower J itself. (With state-dependent
     information a fixed point of the iteration may have a higher J.)
@@ -91,6 +102,8 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
     given = _finite(graph.cost(graph.initial))
     ends: list[End] = []
     error: GraphError | None = None
+    good: list[End] = []
+    further = FURTHER
     for initialize, start in _starts(graph):
         tried = len(ends)
         # a start that only serves for comparison is worth one attempt
@@ -103,13 +116,15 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
                 continue
             if ends[-1].run.converged:
                 break
-        if enough(_counted(ends, given)):
+        good = _counted(ends, given)
+        if not _finished(good, further):
+            ends += _turned(graph, run_from, ends, tried, initialize)
+            good = _counted(ends, given)
+        if _finished(good, further):
             break
-        ends += _turned(graph, run_from, ends, tried, initialize)
-        if enough(_counted(ends, given)):
-            break
-    else:
-        ends += _descended(graph, run_from, method, _counted(ends, given))
+        further -= enough(good)
+    if good and (not enough(good) or _lowest(good).open):
+        ends += _descended(graph, run_from, method, _lowest(good))
     if error is not None and not any(end.run.converged for end in ends):
         # if nodes are undetermined, Omega is singular at the given values as well, and this raises; if only a later state
         # was singular, it does not
@@ -159,10 +174,10 @@ def _turned(graph: Graph, run_from: Callable[..., Run], ends: list[End], tried: 
     return [replace(lower, before=lower.before + end.steps)]
 
 
-def _descended(graph: Graph, run_from: Callable[..., Run], method: str, ends: list[End]) -> list[End]:
+def _descended(graph: Graph, run_from: Callable[..., Run], method: str, end: End) -> list[End]:
     """Lower and lower ends, each reached along the negative direction that the proof of the one before has found."""
     found: list[End] = []
-    best = min(ends, key=lambda end: end.cost, default=None)
+    best: End | None = end
     while best is not None and best.certificate.direction is not None and len(found) < DESCENTS:
         lower = None
         for start in descents(graph, best.run.state, best.certificate.direction):
@@ -216,7 +231,7 @@ def _best(graph: Graph, ends: list[End]) -> Run:
     With state-dependent information only a fixed point is a solution, and J on the way to it may be lower.
     """
     converged = min((end for end in ends if end.run.converged), key=lambda end: end.cost, default=None)
-    lowest = min(ends, key=lambda end: end.cost)
+    lowest = _lowest(ends)
     if converged is not None and (graph.state_dependent_information or converged.cost <= lowest.cost * (1 + SAME)):
         return converged.run
     return lowest.run
@@ -230,11 +245,20 @@ def enough(ends: list[End]) -> bool:
     """
     if not ends:
         return False
-    lowest = min(ends, key=lambda end: end.cost)
+    lowest = _lowest(ends)
     same = sum(end.cost <= lowest.cost * (1 + SAME) for end in ends)
     confirmed = same > (1 if same == len(ends) else 2)
     small = lowest.graph.num_nodes <= SMALL
     return (lowest.plausible and confirmed if small else lowest.plausible or confirmed) or lowest.proven
+
+
+def _finished(ends: list[End], further: int) -> bool:
+    """Whether the lowest end is accepted, and the search has no reason or no start left to go on."""
+    return enough(ends) and (further == 0 or not _lowest(ends).open)
+
+
+def _lowest(ends: list[End]) -> End:
+    return min(ends, key=lambda end: end.cost)
 
 
 def _sighted(graph: Graph) -> bool:

@@ -42,7 +42,10 @@ def constant_edges(
     described: dict[str, list[tuple[list[int], FactorDescription]]] = defaultdict(list)
     for factor in listed:
         if isinstance(factor, gtsam.NonlinearEqualityPose2):
-            fixed += map(node.__getitem__, list(factor.keys()))
+            (key,) = factor.keys()
+            if np.isfinite(factor.error(_elsewhere(values, key))):
+                raise GraphError("a NonlinearEqualityPose2 with an error gain is no constraint")
+            fixed.append(node[key])
             continue
         if isinstance(factor, LOGARITHM):
             raise GraphError(
@@ -66,6 +69,13 @@ def constant_edges(
         for each in _EDGES[kind](group, state, len(state) + sum(len(e.landmarks) for e in edges)):
             edges.append(each)
     return edges, state, np.array(fixed, dtype=int)
+
+
+def _elsewhere(values: gtsam.Values, key: int) -> gtsam.Values:
+    """The pose of a key, moved."""
+    moved = gtsam.Values()
+    moved.insert(key, values.atPose2(key).compose(gtsam.Pose2(1.0, 1.0, 1.0)))
+    return moved
 
 
 def _value(values: gtsam.Values, key: int) -> list[float]:

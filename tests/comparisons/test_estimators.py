@@ -33,7 +33,7 @@ def log() -> Log:
     return simulate(seed=2, steps=24, clean=True)
 
 
-OPTIONS = RunOptions.of(particles=50, motion=MotionModel(), sensor=SensorModel())
+OPTIONS = RunOptions.of(particles=50, gibbs_iterations=20, gibbs_warm_up=20, motion=MotionModel(), sensor=SensorModel())
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)

@@ -110,7 +110,7 @@ def test_a_study_knows_every_option_of_a_run(folder: Path) -> None:
         line = f"{each.model}.{each.field}" if each.model in MODELS else name
         for table in ("options", "options.vary"):
             shown = f"[{value!r}]" if table.endswith("vary") else repr(value)
-            text = f"logs = ['a.npz']\nestimators = ['graph', 'fastslam1']\n[{table}]\n{line} = {shown}\n"
+            text = f"logs = ['a.npz']\nestimators = ['graph', 'fastslam1', 'particle-gibbs']\n[{table}]\n{line} = {shown}\n"
             assert {run.options.get(name) for run in study_of(folder, text)} - {None} == {value}, name
 
 

@@ -300,14 +300,14 @@ def wait_for_rows(process: subprocess.Popen[str], study: Study, count: int) -> N
     raise AssertionError("no rows within two minutes")
 
 
-LONGER = SMALL.replace("seeds = 3", "seeds = 40").replace("particles = 20", "particles = 20000")
+LONGER = SMALL.replace("seeds = 3", "seeds = 20").replace("particles = 20", "particles = 20000")
 
 
 @pytest.mark.slow
 def test_killed_and_continued(make: Callable[..., Study]) -> None:
     study = make(LONGER)
     known: list[dict[str, Any]] = []
-    for count in (1, 30, 65):
+    for count in (1, 15, 32):
         process = subprocess.Popen(command(study), env=ENVIRONMENT, stdout=subprocess.DEVNULL, text=True)
         wait_for_rows(process, study, count)
         process.kill()
@@ -316,9 +316,9 @@ def test_killed_and_continued(make: Callable[..., Study]) -> None:
         found = rows(study.database)
         assert [row for row in found if row["key"] in {old["key"] for old in known}] == known
         known = found
-    assert 65 <= len(known) < 120
+    assert 32 <= len(known) < 60
     done = subprocess.run(command(study), env=ENVIRONMENT, capture_output=True, text=True, check=True)
-    assert done.stdout.split() == [str(120 - len(known)), "False"]
+    assert done.stdout.split() == [str(60 - len(known)), "False"]
     assert [row["key"] for row in rows(study.database)] == [run.key for run in study.runs]
     assert intact(study.database)
 
@@ -339,7 +339,7 @@ def test_ctrl_c_keeps_what_is_finished(make: Callable[..., Study]) -> None:
     finally:
         process.kill()
     kept = len(rows(study.database))
-    assert 5 <= kept < 120
+    assert 5 <= kept < 60
     assert (stdout.split(), stderr, process.returncode) == ([str(kept), "True"], "", 0)
     assert intact(study.database)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from graphslam import MotionModel, SensorModel, textbook
@@ -97,6 +97,7 @@ def random_state(rng):
 @pytest.mark.slow
 @pytest.mark.parametrize("frame", frames)
 @pytest.mark.parametrize("name", FAMILIES)
+@settings(max_examples=30)
 @given(seed=seeds)
 def test_jacobians_against_finite_differences(name, frame, seed):
     rng = np.random.default_rng(seed)

@@ -9,7 +9,8 @@ import pytest
 DOCS = Path(__file__).parents[2] / "docs"
 sys.path.insert(0, str(DOCS / "_site"))
 notebooks = pytest.importorskip("notebooks", reason="needs the packages of the site: pip install -e '.[docs]'")
-from cells import Cell  # noqa: E402
+import bundled  # noqa: E402
+from cells import Cell, split  # noqa: E402
 
 PAGE = r"""# Title {#top}
 
@@ -38,6 +39,7 @@ def made(tmp_path):
 
 def test_cells_have_text_code_and_outputs(tmp_path):
     cells = made(tmp_path)["cells"]
+    assert "google.colab" in cells.pop(0)["source"]
     assert [cell["cell_type"] for cell in cells] == ["code", "markdown", "code", "markdown", "code", "markdown"]
     assert cells[0]["source"].startswith("def slider")
     assert cells[1]["source"].startswith("# Title\n")
@@ -55,7 +57,7 @@ def test_cells_follow_those_that_they_need(tmp_path):
     results = {name: Cell(name, f"{name} = 1", "", []) for name in ("first", "second")}
     page = "{{ cell second }}\n\nText\n\n{{ cell first }}\n"
     cells = notebooks.notebook(page, results, tmp_path, str)["cells"]
-    assert [cell["source"] for cell in cells] == ["first = 1", "second = 1", "Text"]
+    assert [cell["source"] for cell in cells[1:]] == ["first = 1", "second = 1", "Text"]
 
 
 def test_the_format_is_valid(tmp_path):
@@ -63,3 +65,18 @@ def test_the_format_is_valid(tmp_path):
     place = tmp_path / "folder" / "page.ipynb"
     notebooks.write(place, made(tmp_path))
     nbformat.validate(nbformat.reads(json.dumps(json.loads(place.read_text())), as_version=4))
+
+
+@pytest.mark.parametrize(
+    ("file", "source", "language"), bundled.bundled(), ids=[file.stem for file, _, _ in bundled.bundled()]
+)
+def test_bundled_notebooks_are_those_of_the_pages(file, source, language):
+    """If this fails: python docs/_site/bundled.py."""
+    results = {name: Cell(name, code, "", []) for name, code in split(source.read_text()).items()}
+    stored = json.loads(file.read_text())
+    assert bundled.sources(stored) == bundled.sources(bundled.make(source, language, results, file.parent))
+    assert any(cell.get("outputs") for cell in stored["cells"])
+
+
+def test_there_are_no_other_notebooks():
+    assert sorted(bundled.EXAMPLES.glob("*.ipynb")) == sorted(file for file, _, _ in bundled.bundled())

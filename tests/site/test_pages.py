@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,8 @@ import pytest
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 SLIDES = tomllib.loads((DOCS / "_site" / "slides.toml").read_text())["slide"]
+FORMULAS = tomllib.loads((DOCS / "_site" / "formulas.toml").read_text())
+LECTURES = ROOT.parent / "shared" / "slides"
 PAGES = sorted(
     page
     for folder in ("method", "beyond", "tutorials")
@@ -16,7 +19,7 @@ PAGES = sorted(
     if not page.name.endswith(".ja.md")
 )
 #: pages of which both languages exist, besides those above
-TRANSLATED = [DOCS / "index.md", DOCS / "gallery.md"]
+TRANSLATED = [DOCS / "index.md", DOCS / "gallery.md", DOCS / "films.md"]
 MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure) (.+?) \}\}$", re.MULTILINE)
 
 
@@ -25,17 +28,44 @@ def markers(page: Path) -> list[tuple[str, ...]]:
     return [(kind, re.sub(r' "[^"]*"$', "", arguments)) for kind, arguments in MARKER.findall(page.read_text())]
 
 
+def section_of(name: str, anchor: str) -> str:
+    """The text below the heading with an id, up to the next heading."""
+    text = (DOCS / name).read_text()
+    found = re.search(rf"^#+ .*\{{ ?#{anchor} ?\}}\n(.*?)(?=^#+ |\Z)", text, re.MULTILINE | re.DOTALL)
+    assert found, f"{name} has no heading {{#{anchor}}}"
+    return found[1]
+
+
+@pytest.mark.parametrize("lecture", FORMULAS)
+def test_every_formula_stands_below_its_heading(lecture):
+    explained = {(slide["page"], slide["anchor"]) for slide in SLIDES}
+    for number, formulas in FORMULAS[lecture].items():
+        for place, formula in formulas:
+            page, anchor = place.split("#")
+            # slides.toml names the code and the test for each of these headings
+            assert (page, anchor) in explained
+            for name in (page, page.replace(".md", ".ja.md")):
+                assert formula in " ".join(section_of(name, anchor).split()), f"slide {number}: {formula}"
+
+
+@pytest.mark.skipif(not LECTURES.exists(), reason="needs the slides of the lectures in ../shared/slides")
+@pytest.mark.parametrize("lecture", FORMULAS)
+def test_no_formula_of_a_slide_is_missing(lecture):
+    for number, slide in enumerate(re.split(r"\n---\n", (LECTURES / lecture).read_text())):
+        found = [a or b for a, b in re.findall(r"\$\$(.+?)\$\$|\$(.+?)\$", slide, re.DOTALL) if "newcommand" not in a]
+        # a statement has a relation; names such as $x_t$ and the single sign in a sentence are no formulas
+        statements = [f for f in found if re.search(r"=|\\approx|\\sim|\\mathcal\{N\}", f) and len(f.strip()) > 1]
+        assert len(FORMULAS[lecture].get(str(number), [])) >= len(statements), f"slide {number}: {statements}"
+
+
 @pytest.mark.parametrize("slide", SLIDES, ids=[f"{slide['section']}-{slide['anchor']}" for slide in SLIDES])
 def test_every_formula_of_the_slides_is_on_a_page(slide):
     where, _, function = slide["function"].rpartition(" ")
     lecture = "graphslam" if "/graph/" in slide["page"] else "fastslam"
     shown = f"{where or lecture + '/textbook.py'}", function
     for name in (slide["page"], slide["page"].replace(".md", ".ja.md")):
-        text = (DOCS / name).read_text()
-        # the heading, with the derivation below it
-        section = re.search(rf"^#+ .*\{{ ?#{slide['anchor']} ?\}}\n(.*?)(?=^#+ |\Z)", text, re.MULTILINE | re.DOTALL)
-        assert section, f"{name} has no heading {{#{slide['anchor']}}}"
-        assert "$" in section[1] or "{{" in section[1]
+        section = section_of(name, slide["anchor"])
+        assert "$" in section or "{{" in section
         assert any(
             kind == "code" and shown[0] in what and shown[1] in what.split() for kind, what in markers(DOCS / name)
         )
@@ -55,12 +85,22 @@ def test_both_languages_have_the_same_content(page):
 
 
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if page.parent.name in ("graph", "fastslam")], ids=lambda page: page.stem
+    "page",
+    [page for page in PAGES if page.parent.name in ("graph", "fastslam", "beyond") and page.stem != "index"],
+    ids=lambda page: page.stem,
 )
-def test_steps_have_two_exercises_with_solutions_that_run(page):
+def test_chapters_have_two_exercises_with_solutions_that_run(page):
     text = page.read_text()
     exercises = re.split(r"^\?\?\? question ", text, flags=re.MULTILINE)[1:]
     assert len(exercises) >= 2
     for exercise in exercises:
         assert '??? success "' in exercise
         assert re.search(r"\{\{ (cell|output) ", exercise)
+
+
+@pytest.mark.parametrize("package", ["graphslam", "graphslam.factors", "fastslam", "comparisons"])
+def test_every_public_name_is_on_a_page_of_the_python_interface(package):
+    page = DOCS / "api" / f"{package.split('.')[-1]}.md"
+    shown = re.findall(rf"^::: {package}\.(\w+)$", page.read_text(), re.MULTILINE)
+    elsewhere = {"factors"} if package == "graphslam" else set()
+    assert sorted({*shown, *elsewhere}) == sorted(import_module(package).__all__)

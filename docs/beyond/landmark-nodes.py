@@ -1,0 +1,85 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from graphslam import Graph, SensorModel, simulate, solve, textbook
+
+log = simulate(seed=0, clean=True)  # the book's world and noise
+sensor = SensorModel()
+graph = Graph.from_log(log, edges="landmark+motion", sensor=sensor)
+
+# %% jacobian
+p, theta, m = np.array([1.0, 2.0]), 0.7, np.array([3.5, 1.0])
+range_, phi = 2.7, -1.1
+
+
+def R(angle):
+    """The rotation by an angle."""
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def residual(p, theta, m):
+    """The landmark in the axes of the robot, minus the sighting."""
+    return R(theta).T @ (m - p) - range_ * np.array([np.cos(phi), np.sin(phi)])
+
+
+h = 1e-6
+numeric = (residual(p, theta + h, m) - residual(p, theta - h, m)) / (2 * h)
+v = R(theta).T @ (m - p)
+print("de/dtheta:", numeric.round(6), " formula (v_y, -v_x):", np.array([v[1], -v[0]]).round(6))
+
+# %% information
+z = np.array([range_, phi])
+L = np.array([[np.cos(phi), -range_ * np.sin(phi)], [np.sin(phi), range_ * np.cos(phi)]])
+Q = textbook.sighting_covariance(z, sensor)
+x = np.array([*p, theta])
+derivative = textbook.sighting_derivative(x, z)
+difference = R(theta) @ L @ Q @ L.T @ R(theta).T - derivative @ Q @ derivative.T
+print("R(theta) L Q L' R(theta)' - R Q R':", np.abs(difference).max())
+
+# %% matrix
+system, _ = graph.linearize(graph.initial)
+Omega = system.to_sparse().toarray()
+poses = 3 * log.num_poses
+used = np.flatnonzero(np.abs(Omega).sum(axis=0) > 0)
+inside, outside = used[used < poses], used[used >= poses]
+A, B, C = Omega[np.ix_(inside, inside)], Omega[np.ix_(inside, outside)], Omega[np.ix_(outside, outside)]
+schur = A - B @ np.linalg.solve(C, B.T)  # the landmarks eliminated
+
+fig, (left, right) = plt.subplots(1, 2, figsize=(8, 4))
+left.spy(np.block([[A, B], [B.T, C]]), markersize=0.5)
+left.set_title(f"landmark nodes: {np.count_nonzero(Omega):,} entries")
+right.spy(np.abs(schur) > 1e-9, markersize=0.5)
+right.set_title(f"landmarks eliminated: {np.count_nonzero(np.abs(schur) > 1e-9):,} entries")
+
+# %% same
+xi = system.xi.ravel()
+whole = np.linalg.solve(Omega[np.ix_(used, used)], xi[used])
+reduced = np.linalg.solve(schur, xi[inside] - B @ np.linalg.solve(C, xi[outside]))
+print("largest difference of the corrections of the poses:", np.abs(whole[: len(inside)] - reduced).max())
+
+# %% count
+for K in (10, 100, 1000):
+    print(f"{K:5} sightings of a landmark: {K:5} edges to its node, {K * (K - 1) // 2:7} virtual-motion edges")
+
+# %% solve
+nodes, marginal = solve(graph), solve(Graph.from_log(log, sensor=sensor, weight="marginal"))
+apart = np.abs(nodes.poses - marginal.poses)[:, :2].max()
+print(f"J {nodes.cost:.4f} (nodes), {marginal.cost:.4f} (marginal), positions differ by {apart:.4f} m at most")
+
+
+# %% order
+def filled(order):
+    """The number of entries of the Cholesky factor for an order of elimination."""
+    return np.count_nonzero(np.abs(np.linalg.cholesky(Omega[np.ix_(order, order)])) > 1e-12)
+
+
+print("poses first, landmarks last:", filled(used))
+print("landmarks first, poses last:", filled(np.concatenate([outside, inside])))
+
+# %% single
+once = np.sort([np.flatnonzero(log.landmarks == j)[0] for j in np.unique(log.landmarks)])
+reduced_log = log.replace(steps=log.steps[once], landmarks=log.landmarks[once], sightings=log.sightings[once])
+with_once = solve(Graph.from_log(reduced_log, edges="landmark+motion", sensor=sensor))
+moved = np.abs(with_once.poses - reduced_log.dead_reckoning())[:, :2].max()
+print(f"every landmark seen once: J {with_once.cost:.1e}; the poses move by at most {moved:.1e} m")

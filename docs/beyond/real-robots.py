@@ -1,0 +1,82 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+from graphslam import Graph, MotionFaults, MotionModel, SensorFaults, SensorModel, calibrate, load, simulate, solve
+from graphslam.metrics import ate
+
+# %% times
+log = load("examples/own_robot")
+print(log)
+print(f"{len(log.controls)} controls for {log.num_poses - 1} motions; composite motions: {log.composite}")
+print("times of the first poses [s]:", log.times[:6].round(3))
+
+# %% biases
+quiet = MotionFaults(kicks_per_metre=0.0, velocity_bias_std=0.0)
+sharp = SensorFaults(range_bias_rate_std=0.0, bearing_bias_std=0.0, orientation_bias_std=0.0)
+cases = {
+    "book's simulator": {},
+    "no sensor bias": {"sensor_faults": sharp},
+    "no speed bias": {"motion_faults": quiet},
+    "no bias at all": {"sensor_faults": sharp, "motion_faults": quiet},
+}
+for name, faults in cases.items():
+    errors, ratios = [], []
+    for seed in range(8):
+        log = simulate(seed=seed, **faults)
+        solution = solve(Graph.from_log(log, edges="landmark+motion"))
+        errors.append(ate(log.true_poses, solution.poses))
+        ratios.append(np.nanmean(solution.nees(log.true_poses)))
+    print(f"{name:17} median ATE {np.median(errors):.3f} m, mean NEES {np.mean(ratios):.2f}")
+
+# %% calibration
+motion, sensor = MotionModel.constant(0.05, 0.05), SensorModel(range_rate=0.0, range_std=0.05, bearing_std=0.02)
+true = simulate(seed=1, clean=True, steps=200, motion=motion, sensor=sensor)
+measured = true.sightings.copy()
+measured[:, 0] = 1.05 * measured[:, 0]  # the range finder reads 5 % too much
+controls = true.controls.copy()
+controls[:, 1] += 0.02  # the gyroscope has a bias of 0.02 rad/s
+drive = true.replace(sightings=measured, controls=controls, initial_poses=None)
+found = calibrate(drive)
+for name in ("range_scale", "wheel_scale", "turn_rate_bias"):
+    print(f"{name:15} {found.numbers[name]:.4f} +- {found.errors.get(name, np.nan):.4f}")
+
+# %% corrected
+for name, used in (("as recorded", drive), ("corrected", found.apply(drive))):
+    solution = solve(Graph.from_log(used, edges="landmark+motion", motion=found.motion, sensor=found.sensor))
+    print(f"{name:12} ATE {ate(true.true_poses, solution.poses):.3f} m")
+
+
+# %% correlated
+rng = np.random.default_rng(0)
+K, std, trials = 100, 0.05, 4000  # a robot stands still and measures the range of one tag 100 times
+correlations = np.array([0.0, 0.3, 0.6, 0.8, 0.9, 0.95])
+nees = []
+for rho in correlations:
+    errors = np.empty((trials, K))
+    errors[:, 0] = rng.normal(0, std, trials)
+    for k in range(1, K):  # each error keeps a part rho of the one before; the variance stays the same
+        errors[:, k] = rho * errors[:, k - 1] + np.sqrt(1 - rho**2) * rng.normal(0, std, trials)
+    nees.append(np.mean(errors.mean(axis=1) ** 2 / (std**2 / K)))  # claimed variance of the mean: std² / K
+    print(f"correlation {rho:4}: NEES of the mean {nees[-1]:5.2f}")
+
+# %% figure
+fig, ax = plt.subplots(figsize=(6.4, 3.2))
+fine = np.linspace(0, 0.96, 200)
+ax.semilogy(fine, (1 + fine) / (1 - fine), "k:", label="(1 + rho) / (1 - rho)")
+ax.semilogy(correlations, nees, "o", label="simulated")
+ax.axhline(1, color="C2", label="consistent")
+ax.set(xlabel="correlation rho of neighbouring errors", ylabel="NEES")
+ax.legend()
+
+# %% independent
+for rho in (0.0, 0.5, 0.9, 0.98):
+    print(f"correlation {rho:4}: 100 sightings are worth {100 * (1 - rho) / (1 + rho):.0f} independent ones")
+
+# %% scale
+for scale in (0.9, 1.0, 1.1):
+    stretched = true.sightings.copy()  # wheels and ranges are both wrong by the same factor
+    stretched[:, 0] *= scale
+    both = true.replace(sightings=stretched, controls=true.controls * [scale, 1.0], initial_poses=None)
+    solution = solve(Graph.from_log(both, edges="landmark+motion", motion=motion, sensor=sensor))
+    print(f"everything times {scale}: J {solution.cost:8.2f}, ATE {ate(true.true_poses, solution.poses):.3f} m")

@@ -1,0 +1,221 @@
+"""Particle Gibbs against posteriors that are known otherwise, and what it says of itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import comparisons
+from fastslam import GibbsOptions, ParticleGibbs
+from fastslam.gibbs.mixing import judge
+from graphslam import Log, LogError, MotionModel, OptionError, SensorModel, simulate
+from graphslam.log import UNIDENTIFIED
+from graphslam.se2 import between, wrap
+
+MOTION = MotionModel(nn=0.19, no=0.001, on=0.13, oo=0.2)
+FIFTH: dict = {
+    "motion": MotionModel(nn=0.038, no=0.0002, on=0.026, oo=0.04, epsilon=4e-6),
+    "sensor": SensorModel(range_rate=0.028, bearing_std=0.01, orientation_std=0.01),
+}
+
+
+def small(seed: int, columns: int, offset: tuple[float, float] = (0.0, 0.0), composite: bool = False) -> Log:
+    """Two landmarks, seen from all of four poses, with the book's noise."""
+    rng, sensor = np.random.default_rng(seed), SensorModel(offset=offset)
+    marks = np.column_stack([rng.uniform(1, 4, 2), rng.uniform(-2, 3, 2), rng.uniform(-3, 3, 2)])[:, :columns]
+    pieces = 3 if composite else 1
+    controls, dt = np.tile([0.3, 0.25], (3 * pieces, 1)), np.full(3 * pieces, 3.0 / pieces)
+    pose, steps, ids, sightings = np.zeros(3), [], [], []
+    for t in range(4):
+        for k in range(pieces if t else 0):
+            std = np.sqrt(np.diag(MOTION.M(controls[0], dt[k])))
+            pose = MOTION.f(pose, controls[0] + std * rng.standard_normal(2), dt[k])
+        pose = pose + 0.01 * rng.standard_normal(3) * (t > 0)
+        for j in range(2):
+            z = sensor.h(pose, marks[j])
+            z = z + np.sqrt(np.diag(sensor.Q(z))) * rng.standard_normal(columns)
+            steps, ids, sightings = [*steps, t], [*ids, j], [*sightings, z]
+    return Log(
+        dt=dt,
+        controls=controls,
+        control_starts=np.arange(0, 3 * pieces + 1, pieces),
+        initial_poses=np.zeros((4, 3)),
+        steps=steps,
+        landmarks=ids,
+        sightings=sightings,
+    )
+
+
+def importance(log: Log, sensor: SensorModel, about: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Mean and standard deviations of the last pose and the positions of the landmarks, by importance sampling.
+
+    Trajectories are drawn from a Student distribution about the samples ``about`` (S, 4, 3), wider than they are;
+    landmarks from their sightings given the poses, with half as much again of the standard deviations. The weights
+    are those of the exact densities, so that the result does not depend on ``about``.
+    """
+    rng, n, size, nu = np.random.default_rng(0), log.sightings.shape[1], 60_000, 6
+    flat = about[:, 1:].reshape(len(about), 9)
+    L = 1.1 * np.linalg.cholesky(np.cov(flat.T))
+    e = rng.standard_normal((size, 9)) * np.sqrt(nu / rng.chisquare(nu, (size, 1)))
+    x = np.concatenate([np.zeros((size, 1, 3)), (flat.mean(axis=0) + e @ L.T).reshape(size, 3, 3)], axis=1)
+    log_weights = (nu + 9) / 2 * np.log1p(np.sum(e * e, axis=1) / nu)
+    for t, (d, C) in enumerate(zip(*log.motions(MOTION), strict=True)):
+        r = between(x[:, t], x[:, t + 1]) - d
+        r[:, 2] = wrap(r[:, 2])
+        log_weights -= 0.5 * np.sum(r * np.linalg.solve(C, r.T).T, axis=1)
+    x = np.moveaxis(x, 1, 0)
+    columns = [x[-1]]
+    for j in (0, 1):
+        seen = np.flatnonzero(log.landmarks == j)
+        places = np.stack([sensor.h_inverse(x[log.steps[k]], log.sightings[k]) for k in seen])
+        if n == 3:
+            places[..., 2] = places[0, :, 2] + wrap(places[..., 2] - places[0, :, 2])
+        W = np.linalg.inv(np.stack([sensor.landmark_covariance(x[log.steps[k]], log.sightings[k]) for k in seen]))
+        C = np.linalg.inv(W.sum(axis=0))
+        mean = (C @ (W @ places[..., None]).sum(axis=0))[..., 0]
+        L, e = 1.5 * np.linalg.cholesky(C), rng.standard_normal((size, n))
+        m = mean + (L @ e[..., None])[..., 0]
+        log_weights += 0.5 * np.sum(e * e, axis=1) + np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
+        for k in seen:
+            r = sensor.h(x[log.steps[k]], m) - log.sightings[k]
+            r[:, 1:] = wrap(r[:, 1:])
+            log_weights -= 0.5 * np.sum(r * r / np.diag(sensor.Q(log.sightings[k])), axis=1)
+        columns.append(m[:, :2])
+    weights = np.exp(log_weights - log_weights.max())
+    weights /= weights.sum()
+    values = np.hstack(columns)
+    mean = weights @ values
+    return mean, np.sqrt(weights @ (values - mean) ** 2), float(1 / np.sum(weights**2))
+
+
+@pytest.mark.parametrize(
+    ("columns", "offset", "composite"), [(2, (0.0, 0.0), False), (3, (0.0, 0.0), False), (2, (0.3, 0.1), True)]
+)
+def test_the_exact_density_against_importance_sampling(columns: int, offset: tuple, composite: bool) -> None:
+    """The book's noise, where the linearised landmarks of FastSLAM are off by up to 0.12 standard deviations."""
+    log, sensor = small(1, columns, offset, composite), SensorModel(offset=offset)
+    gibbs = ParticleGibbs(
+        log, seed=1, motion=MOTION, sensor=sensor, density="exact", particles=8, iterations=2000, warm_up=60, chains=2
+    )
+    result = gibbs.run()
+    assert np.nanmax(result.mixing.rhat) < 1.02
+    mean, std, size = importance(log, sensor, result.trajectories[:, ::4].reshape(-1, 4, 3))
+    assert size > 4000
+    found = np.concatenate([result.poses[-1], *(result.landmarks[j][:2] for j in (0, 1))])
+    spread = np.concatenate(
+        [
+            np.sqrt(np.diag(result.pose_covariances[-1])),
+            *(np.sqrt(np.diag(result.landmark_covariances[j]))[:2] for j in (0, 1)),
+        ]
+    )
+    np.testing.assert_allclose((found - mean) / std, 0, atol=4 * np.sqrt(1 / size + 1 / np.nanmin(result.mixing.ess)))
+    np.testing.assert_allclose(spread / std, 1, atol=0.08)
+    assert 0.3 < result.accepted < 1
+
+
+def test_without_sightings_that_matter_it_samples_the_motions() -> None:
+    """A landmark seen once says nothing of the poses: their samples are those of the motion model."""
+    log = small(0, 2)
+    once = log.replace(steps=[3], landmarks=[0], sightings=log.sightings[:1])
+    result = ParticleGibbs(once, motion=MOTION, particles=3, iterations=1500, warm_up=0, chains=2, block=2).run()
+    motions, covariances = log.motions(MOTION)
+    samples = result.trajectories.reshape(-1, 4, 3)
+    d = samples[:, 1]
+    np.testing.assert_allclose(samples[:, 0], 0)
+    np.testing.assert_allclose(d.mean(axis=0), motions[0], atol=4 * np.sqrt(covariances[0].max() / 1000))
+    np.testing.assert_allclose(np.cov(d.T), covariances[0], atol=0.1 * covariances[0].max())
+
+
+def test_both_kernels_agree() -> None:
+    """Pivots alone and stretches alone have the same posterior; so do short and long stretches, few and many particles."""
+    log = simulate(seed=2, steps=8, clean=True, **FIFTH)
+    results = [
+        ParticleGibbs(
+            log, seed=s, iterations=400, warm_up=20, chains=2, block=block, particles=particles, **FIFTH
+        ).run()
+        for s, (block, particles) in enumerate([(1, 40), (8, 40), (3, 4)])
+    ]
+    scale = np.sqrt(np.diagonal(results[0].pose_covariances[1:], axis1=1, axis2=2))
+    for other in results[1:]:
+        difference = (other.poses - results[0].poses)[1:] / scale
+        assert np.abs(difference).max() < 4 * np.sqrt(2 / min(np.nanmin(r.mixing.ess) for r in results))
+
+
+def test_seed_and_threads() -> None:
+    log = simulate(seed=2, steps=5, clean=True)
+    options = {"iterations": 4, "warm_up": 4, "chains": 2, "particles": 5}
+    first, second = (ParticleGibbs(log, seed=3, threads=threads, **options).run() for threads in (1, 2))
+    np.testing.assert_array_equal(first.trajectories, second.trajectories)
+    np.testing.assert_array_equal(first.maps, second.maps)
+    assert first.trajectories.shape == (2, 4, 6, 3)
+    assert np.abs(first.trajectories - ParticleGibbs(log, seed=4, **options).run().trajectories).max() > 0
+    assert "not mixed" in repr(first)
+
+
+def test_mixing_of_known_chains() -> None:
+    """Of independent samples all count; of a first-order autoregression (1 - rho) / (1 + rho); chains apart do not mix."""
+    rng, rho = np.random.default_rng(0), 0.8
+    noise = rng.standard_normal((4, 4000, 3))
+    chains = noise.copy()
+    for t in range(1, 4000):
+        chains[:, t, 1] = rho * chains[:, t - 1, 1] + np.sqrt(1 - rho**2) * noise[:, t, 1]
+    chains[:, :, 2] += np.arange(4)[:, None]
+    mixing = judge(chains, ["a", "b", "c"])
+    np.testing.assert_allclose(mixing.ess[:2], [16000, 16000 * (1 - rho) / (1 + rho)], rtol=0.15)
+    np.testing.assert_allclose(mixing.rhat[:2], 1, atol=5e-3)
+    # B / n = 5/3 of the means, W = 1
+    assert mixing.rhat[2] == pytest.approx(np.sqrt(1 + 1.25 * 8 / 7), rel=0.02)
+    assert not mixing.mixed and mixing.statement.startswith("not mixed: R-hat at most 1.5")
+    assert "(c)" in mixing.statement and "raise iterations and warm_up" in mixing.statement
+    assert judge(chains[:, :, :2], ["a", "b"]).mixed
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"particles": 1}, "particles must be at least 2, not 1"),
+        ({"iterations": 0}, "iterations must be at least 1"),
+        ({"iterations": 2.5}, "iterations must be a whole number"),
+        ({"warm_up": -1}, "warm_up must be at least 0"),
+        ({"chains": 0}, "chains must be at least 1"),
+        ({"block": 0}, "block must be at least 1"),
+        ({"density": "true"}, "density must be one of linearised, exact"),
+        ({"iterations": 10**12}, "need .* of memory"),
+        ({"seed": -1}, "seed must be a whole number, not below 0"),
+        ({"seed": 0.5}, "seed must be a whole number"),
+        ({"threads": 0}, "threads must be a whole number of at least 1"),
+        ({"log": "sample.npz"}, "log must be a Log"),
+        ({"log": None}, "log must be a Log"),
+        ({"motion": 0.1}, "motion must be a MotionModel"),
+        ({"sensor": 0.1}, "sensor must be a SensorModel"),
+        ({"start": (0.0, np.nan, 0.0)}, "start must be a finite pose"),
+    ],
+)
+def test_bad_options(options: dict, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        ParticleGibbs(**{"log": small(0, 2)} | options)
+
+
+def test_bad_logs() -> None:
+    log = small(0, 2)
+    with pytest.raises(LogError, match="no controls"):
+        ParticleGibbs(Log(initial_poses=np.zeros((2, 3)), steps=[0], landmarks=[0], sightings=[[1.0, 0.0]]))
+    with pytest.raises(OptionError, match="no sightings"):
+        ParticleGibbs(log.replace(steps=[], landmarks=[], sightings=np.empty((0, 2))))
+    with pytest.raises(OptionError, match="without ids"):
+        ParticleGibbs(log.replace(landmarks=np.full(8, UNIDENTIFIED)))
+
+
+def test_the_estimator_and_its_options() -> None:
+    log = simulate(seed=2, steps=5, clean=True)
+    comparison = comparisons.run(
+        log, estimators=["graph", "particle-gibbs"], gibbs_iterations=60, gibbs_chains=2, gibbs_particles=10
+    )
+    result = comparison.results[1]
+    assert result.origin.options == GibbsOptions(iterations=60, chains=2, particles=10)
+    assert result.options["gibbs_iterations"] == 60
+    assert result.reason.startswith("not mixed")
+    assert result.pose_covariances.shape == (6, 3, 3)
+    assert comparison.metrics["particle-gibbs"].ate_m < 1
+    with pytest.raises(OptionError, match="gibbs_chains must be a whole number"):
+        comparisons.run(log, estimators=["particle-gibbs"], gibbs_chains=1.5)
