@@ -19,7 +19,7 @@ from graphslam.se2 import wrap
 from .attempt import Skipped, attempts
 from .config import config_text
 from .display import Displayed
-from .documents import EstimatorDocument, LogDocument, RunDocument, certificate_document, document
+from .documents import EstimatorDocument, RunDocument, certificate_document, describe, document
 from .estimators import ESTIMATORS, check_estimators, default_estimators, make_graph
 from .exchange import texts, write_pose_graph
 from .failures import noted
@@ -349,22 +349,6 @@ def _row(result: EstimatorResult, metrics: Metrics, nees: float | None) -> Row:
     for name in (f.name for f in fields(Row) if f.name not in values):
         values[name] = getattr(metrics if hasattr(metrics, name) else result, name)
     return Row(**values)  # type: ignore[arg-type]
-
-
-def describe(log: Log, source: Path | None = None) -> dict[str, Any]:
-    """A log in a few numbers and with its ground truth, for JSON."""
-    return document(
-        LogDocument,
-        log,
-        file=source,
-        poses=log.num_poses,
-        sightings=len(log.steps),
-        landmarks=len(log.landmark_ids),
-        dimensions=log.sightings.shape[1],
-        has_controls=log.controls is not None,
-        controls=None if log.controls is None else len(log.controls),
-        poses_covered=int(np.count_nonzero(log.covered)),
-    )
 
 
 def _noise(model: MotionModel | SensorModel) -> dict[str, Any]:

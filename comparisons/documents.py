@@ -6,11 +6,16 @@ descriptions of its fields are those of the schema and of docs/json.md.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
+import numpy as np
 
 from .saving import jsonable
+
+if TYPE_CHECKING:
+    from graphslam import Log
 
 _MISSING = object()
 
@@ -40,6 +45,22 @@ def document(model: type[Document], *sources: object, **values: Any) -> dict[str
             raise AttributeError(f"{model.__name__} needs a value for {field.name}")
         content[field.name] = value
     return jsonable(content)
+
+
+def describe(log: Log, source: Path | None = None) -> dict[str, Any]:
+    """A log in a few numbers and with its ground truth, for JSON."""
+    return document(
+        LogDocument,
+        log,
+        file=source,
+        poses=log.num_poses,
+        sightings=len(log.steps),
+        landmarks=len(log.landmark_ids),
+        dimensions=log.sightings.shape[1],
+        has_controls=log.controls is not None,
+        controls=None if log.controls is None else len(log.controls),
+        poses_covered=int(np.count_nonzero(log.covered)),
+    )
 
 
 def about(text: str) -> msgspec.Meta:

@@ -23,9 +23,8 @@ from graphslam.tables.join import Drive, read_drive
 from graphslam.tables.options import TABLES
 from graphslam.tables.recipe import Recipe, merged, read_recipe
 
-from .comparison import describe
 from .display import Displayed
-from .documents import ImportDocument, document
+from .documents import ImportDocument, describe, document
 from .options import ImportOptions
 
 
@@ -184,6 +183,6 @@ def _with_places(recipe: Recipe, named: dict[str, str]) -> Recipe:
 
 def _stream(kind: str, stream: Timed) -> FoundStream:
     begin, end = stream.times[0] / 1e9, stream.times[-1] / 1e9
-    different = len(np.unique(stream.times))
+    different = 1 + int(np.count_nonzero(np.diff(stream.times)))
     rate = (different - 1) / (end - begin) if end > begin else None
     return FoundStream(kind, stream.table.source, len(stream.times), begin, end, rate, stream.columns)

@@ -48,11 +48,12 @@ def read_text(path: Path) -> str:
     """
     check_file(path)
     try:
-        return path.read_text(encoding="utf-8-sig")
+        text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError:
         raise FormatError(path, None, "not a text file (it has bytes that are not UTF-8)") from None
     except OSError as error:
         raise FormatError(path, None, f"cannot be read: {error.strerror}") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
 @contextmanager

@@ -107,7 +107,7 @@ def animate(
     options: RunOptions,
 ) -> None:  # fmt: skip
     """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives."""
-    from ..comparison import describe
+    from ..documents import describe
     from ..show.films import animate as film_of
     from ..show.films import check_can_film
 

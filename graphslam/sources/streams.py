@@ -73,7 +73,7 @@ def parts_of_streams(
     if not inside.all():
         remarks.append(f"{np.sum(~inside)} of {len(inside)} sightings are from before or after the odometry: left out")
     seen = sightings.times[inside]
-    times = np.unique(seen)
+    times = _distinct(seen)
     if options is not None and options.keep_every is not None:
         times = _filled(times, options.keep_every)
     controls, dt, recorded_dt, starts, variances, gaps = divide(odometry, times)
@@ -151,7 +151,8 @@ def divide(odometry: Stream, times: Array) -> tuple[Array, Array, Array, np.ndar
         LogError: a gap is longer than `LONGEST_GAP`.
     """
     within = (odometry.times > times[0]) & (odometry.times < times[-1])
-    cuts = np.union1d(odometry.times[within], times)
+    # two sorted runs are merged, which np.union1d does not know
+    cuts = _distinct(np.sort(np.concatenate([odometry.times[within], times]), kind="stable"))
     # of several rows with one time the last holds
     row = np.searchsorted(odometry.times, cuts[:-1], side="right") - 1
     following = np.minimum(row + 1, len(odometry) - 1)
@@ -162,6 +163,11 @@ def divide(odometry: Stream, times: Array) -> tuple[Array, Array, Array, np.ndar
     gaps = silence[bridged][np.unique(row[bridged], return_index=True)[1]].tolist()
     variances = bridging(odometry.rows, silence, lasting) if gaps else None
     return odometry.rows[row], lasting, silence, np.searchsorted(cuts, times), variances, gaps
+
+
+def _distinct(times: Array) -> Array:
+    """Times (N,) in order, each once."""
+    return times[np.append(True, np.diff(times) > 0)]
 
 
 def check_gaps(silence: Array, after: Array) -> None:

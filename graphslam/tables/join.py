@@ -16,6 +16,7 @@ from ..se2 import Array
 from ..sources.streams import Stream, parts_of_streams
 from .drive import Timed, map_of, odometry_of, sightings_of, truth_of
 from .options import TableOptions
+from .repeats import Doubt
 from .sources import table_of
 from .times import seconds
 
@@ -46,13 +47,14 @@ class Drive:
         named = {"odometry": self.odometry, "sightings": self.sightings, "truth": self.truth}
         return {name: stream for name, stream in named.items() if stream is not None}
 
-    def _covered(self) -> list[str]:
-        """A note where the sightings cover little of the odometry."""
+    def _covered(self) -> list[Doubt]:
+        """A doubt where the sightings cover little of the odometry."""
         spans = [float(stream.times[-1] - stream.times[0]) for stream in (self.odometry, self.sightings)]
         if len(self.sightings.times) < 2 or spans[1] > _FEW * spans[0]:
             return []
         share = f"{spans[1] / 1e9:.1f} s of the {spans[0] / 1e9:.1f} s of the odometry"
-        return [f"the sightings cover {share}; the times of one of them may be in another unit, or count rows"]
+        message = f"the sightings cover {share}; the times of one of them may be in another unit, or count rows"
+        return [("covered", message)]
 
     def parts(self, reading: ReadOptions, name: str) -> dict[str, Any]:
         """The arguments of the `Log` of this drive.
@@ -64,8 +66,8 @@ class Drive:
             if stream is not None:
                 check_overlap(self.odometry, stream)
         origin = int(self.odometry.times[0])
-        remarks = self._covered()
-        remarks += [note for stream in self.streams.values() for note in (*stream.table.notes, *stream.notes)]
+        remarks = [note for stream in self.streams.values() for note in (*stream.table.notes, *stream.notes)]
+        doubts = self._covered() + [doubt for stream in self.streams.values() for doubt in stream.doubts]
         models: dict[str, Any] = {}
         if self.sensor_offset is not None:
             models["sensor"] = SensorModel(offset=self.sensor_offset)  # type: ignore[arg-type]  # checked there
@@ -81,6 +83,7 @@ class Drive:
             origin=origin / 1e9,
             name=name,
             notes=(*self.notes, *remarks),
+            doubts=tuple(doubts),
             **models,
         )
 
