@@ -170,7 +170,10 @@ def _turned(graph: Graph, run_from: Callable[..., Run], ends: list[End], tried: 
     state = turned(graph, end.run.state)
     if state is None:
         return []
-    lower = _end(graph, run_from, state, end.method, f"{started}, other turns", ends)
+    try:
+        lower = _end(graph, run_from, state, end.method, f"{started}, other turns", ends)
+    except GraphError:
+        return []
     return [replace(lower, before=lower.before + end.steps)]
 
 
