@@ -159,12 +159,16 @@ def _end(graph: Graph, run_from: Callable[..., Run], start: Array, search: str, 
 def _turned(graph: Graph, run_from: Callable[..., Run], ends: list[End], tried: int, started: str) -> list[End]:
     """The lower end that other turns lead to from the last end, if it has converged and no end before it has its cost.
 
+    Beyond J of `DOUBTFUL` times the expected one, wrong sightings or wrong noise models decide, and other turns help nobody.
+
     Args:
         ends: all ends; the first ``tried`` of them are those of earlier starts.
     """
     if not _sighted(graph) or len(ends) == tried or not ends[-1].run.converged:
         return []
     end = ends[-1]
+    if end.cost > DOUBTFUL * graph.expected_cost:
+        return []
     if any(abs(other.cost - end.cost) <= SAME * end.cost for other in ends[:tried] if other.run.converged):
         return []
     state = turned(graph, end.run.state)
