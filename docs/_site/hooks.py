@@ -93,9 +93,13 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
 
 
 def on_page_content(html: str, page: Any, config: Any, files: Any) -> str:
-    """Show the formulas of a page as MathML."""
+    """Show the formulas of a page as MathML; load its pictures when they come into view; search its text, not its code.
+
+    Every page loads the index of the search, which would be twice as large with the code.
+    """
     try:
-        return mathml.replace(html)
+        made = re.sub(r"<img (?![^>]*loading=)", '<img loading="lazy" ', mathml.replace(html))
+        return re.sub(r'<div class="(?=[^"]*\bhighlight\b|formula")', '<div data-search-exclude class="', made)
     except mathml.FormulaError as error:
         raise PageError(f"{page.file.src_uri}: {error}") from None
 
@@ -103,10 +107,11 @@ def on_page_content(html: str, page: Any, config: Any, files: Any) -> str:
 def on_post_build(config: Any) -> None:
     """Copy the figures of all pages into the site, and write the notebooks."""
     for source in cells.sources():
-        target = Path(config["site_dir"]) / _place(source)
-        shutil.copytree(cells.folder(source), target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*.json"))
+        if cells.folder(source).exists():
+            target = Path(config["site_dir"]) / _place(source)
+            shutil.copytree(cells.folder(source), target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*.json"))
         for language in bundled.LANGUAGES:
-            content = bundled.make(source, language, cells.run(source), cells.folder(source))
+            content = bundled.make(source, language, cells.results(source), cells.folder(source))
             notebooks.write(Path(config["site_dir"]) / _notebook(source, language), content)
 
 
@@ -137,7 +142,7 @@ def _slides(folder: Path, language: str) -> str:
 def _cell(kind: str, source: Path, arguments: list[str], page: Any, language: str) -> str:
     """Return a cell as the marker asks for it."""
     name, alternative = arguments[0], arguments[1] if len(arguments) > 1 else ""
-    results = cells.run(source)
+    results = cells.results(source)
     if name not in results:
         raise PageError(f"{page.file.src_uri}: {source.name} has no cell {name!r}; it has {', '.join(results)}")
     cell = results[name]

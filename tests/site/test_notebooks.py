@@ -10,6 +10,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 sys.path.insert(0, str(DOCS / "_site"))
 notebooks = pytest.importorskip("notebooks", reason="needs the packages of the site: pip install -e '.[docs]'")
 import bundled  # noqa: E402
+import cells  # noqa: E402
 from cells import Cell, split  # noqa: E402
 
 PAGE = r"""# Title {#top}
@@ -80,3 +81,28 @@ def test_bundled_notebooks_are_those_of_the_pages(file, source, language):
 
 def test_there_are_no_other_notebooks():
     assert sorted(bundled.EXAMPLES.glob("*.ipynb")) == sorted(file for file, _, _ in bundled.bundled())
+
+
+def test_pages_that_had_no_time_show_their_code(tmp_path, monkeypatch):
+    page = tmp_path / "page.py"
+    page.write_text("# %% one\nprint(1)\n")
+    monkeypatch.setattr(cells, "DOCS", tmp_path)
+    monkeypatch.setattr(cells, "CACHE", tmp_path / "cache")
+    monkeypatch.setattr(cells, "SECONDS", 0.0)
+    monkeypatch.setattr(cells, "HURRIED", True)
+    cells.run_all()
+    assert cells.results(page) == {"one": Cell("one", "print(1)", "", [])}
+    monkeypatch.setattr(cells, "HURRIED", False)
+    assert cells.results(page)["one"].output == "1\n"
+    # a page that has run keeps its results
+    monkeypatch.setattr(cells, "HURRIED", True)
+    assert cells.results(page)["one"].output == "1\n"
+
+
+def test_an_error_names_page_and_cell(tmp_path, monkeypatch):
+    (tmp_path / "page.py").write_text("# %% fails\n1 / 0\n")
+    monkeypatch.setattr(cells, "DOCS", tmp_path)
+    monkeypatch.setattr(cells, "CACHE", tmp_path / "cache")
+    monkeypatch.setattr(cells, "ROOT", tmp_path)
+    with pytest.raises(cells.CellError, match=r"(?s)page.py: cell 'fails'.*ZeroDivisionError"):
+        cells.run_all()
