@@ -122,6 +122,12 @@ class Comparison(Displayed):
             for name, used in self.models.items()
         }
 
+    @property
+    def noise_ratio(self) -> tuple[str, float] | None:
+        """The first estimator with a cost, except the lectures' program, and its J per degree of freedom; None if none."""
+        solved = (r for r in self.results if r.cost_per_dof is not None and r.name != "textbook")
+        return next(((r.name, r.cost_per_dof or 0.0) for r in solved), None)
+
     @cached_property
     def metrics(self) -> dict[str, Metrics]:
         """The metrics of every result against the ground truth, by name."""

@@ -56,6 +56,10 @@ class ReadingOptions(Options):
 
 #: the value of ``noise`` that calibrates first
 AUTO = Path("auto")
+#: J per degree of freedom above this, or below its inverse, says that the noise models do not fit
+DOUBTFUL = 2.0
+#: how the note of ``--noise auto`` begins where it took what it found
+AUTO_TOOK = "noise auto took, from the residuals of this log"
 #: the options that correct all measurements, and their ideal values
 CORRECTIONS = {"range_scale": 1.0, "range_bias": 0.0, "wheel_scale": 1.0, "turn_rate_bias": 0.0}
 
@@ -326,7 +330,8 @@ class CalibrationOptions(ReadingOptions):
     )  # fmt: skip
     source: str = option(
         "auto", "Where the noise is measured: against the ground truth, or from residuals of the solved graph. auto "
-        "takes the ground truth where there is one.", choices=("auto", "truth", "residuals"),
+        "takes the ground truth where there is one; without a true map for the motion only.",
+        choices=("auto", "truth", "residuals"),
     )  # fmt: skip
     scale: str = option(
         "odometry", "What has the right scale where only residuals tell; what has not is corrected.",

@@ -20,6 +20,7 @@ from rich.text import Text
 
 from graphslam.metrics import exchanged
 
+from ..options import AUTO_TOOK, DOUBTFUL
 from .cells import NOTHING, LeanTable, number, optimum, seconds, yes_no
 from .placement import placement_of_result
 
@@ -36,8 +37,6 @@ Tables = tuple[list[Table], list[str]]
 PYTHON_FACTORS = "Python"
 #: the width of text that is not written to a terminal
 WIDTH = 140
-#: J per degree of freedom above this, or below its inverse, says that the noise models do not fit
-DOUBTFUL = 2.0
 #: class of results -> the functions that make its tables and its figure, empty where it has none
 RESULTS = {
     "ResultTable": ("tables.result_tables", ""),
@@ -207,13 +206,14 @@ def _exchanged(comparison: Comparison) -> list[str]:
 def _noise_remarks(comparison: Comparison) -> list[str]:
     """Which noise models were used, and what J per degree of freedom says about them."""
     names = {"book": "the book's", "log": "published with the log", "given": "as given"}
+    if any(note.startswith(AUTO_TOOK) for note in comparison.log.notes):
+        names["given"] = "calibrated from the residuals of this log"
     sources = {name: names[source] for name, source in comparison.noise_source.items()}
     same = len(set(sources.values())) == 1
     which = sources["motion"] if same else ", ".join(f"{name} {source}" for name, source in sources.items())
     remarks = [f"Noise models: {which}."]
-    solved = [result for result in comparison.results if result.cost_per_dof is not None and result.name != "textbook"]
-    if solved:
-        first, ratio = solved[0].name, solved[0].cost_per_dof or 0.0
+    if (solved := comparison.noise_ratio) is not None:
+        first, ratio = solved
         verdict = ""
         if ratio > DOUBTFUL:
             verdict = f" {first} has {number(ratio, 1)}: the noise is too small, or sightings are wrong."

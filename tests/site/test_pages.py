@@ -1,6 +1,7 @@
 """The sources of the site: every formula of the lectures has its place, and both languages have the same content."""
 
 import re
+import sys
 import tomllib
 from importlib import import_module
 from pathlib import Path
@@ -96,6 +97,16 @@ def test_chapters_have_two_exercises_with_solutions_that_run(page):
     for exercise in exercises:
         assert '??? success "' in exercise
         assert re.search(r"\{\{ (cell|output) ", exercise)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))
+def test_the_code_that_a_page_shows_exists(page):
+    sys.path.insert(0, str(DOCS / "_site"))
+    listings = import_module("listings")
+    sys.path.pop(0)
+    for kind, arguments in markers(page):
+        if kind == "code":
+            assert listings.listing(*arguments.split(), language="en")
 
 
 @pytest.mark.parametrize("package", ["graphslam", "graphslam.factors", "fastslam", "comparisons"])
