@@ -13,7 +13,7 @@ import numpy as np
 from graphslam import FormatError, Log, LogError, OptionError
 from graphslam.bags.bag import is_bag
 from graphslam.bags.read import drive_of_bag, topics_of
-from graphslam.files import check_file, check_path
+from graphslam.files import check_file, check_path, check_unpacked
 from graphslam.formats.bag import recipe_beside
 from graphslam.formats.tables import drive_of, recipe_of
 from graphslam.plausibility import Finding, plausibility
@@ -152,6 +152,7 @@ def imported(source: Path | None, options: ImportOptions) -> Import:
         except LogError as error:
             return replace(found, reason=str(error))
     if not source.is_dir():
+        check_unpacked(source, _head(source))
         raise FormatError(
             source, None, "this is no bag; give the folder of tables, or the file of each: --odometry .. --sightings .."
         )

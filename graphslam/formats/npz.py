@@ -105,4 +105,6 @@ def _write(log: Log, path: Path) -> None:
                 np.lib.format.write_array(entry, np.asarray(values), allow_pickle=False)
 
 
-FORMAT = Format("npz", lambda _, head: head.startswith(b"PK\x03\x04"), _read, _write, (".npz",))
+FORMAT = Format(
+    "npz", lambda path, head: head.startswith(b"PK\x03\x04") and path.suffix != ".zip", _read, _write, (".npz",)
+)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -139,7 +140,7 @@ def check_overlap(odometry: Timed, other: Timed) -> None:
         longer = (last - first) / (end - begin)
         if inside < _FEW * len(other.times) and longer > _LONGER:
             raise LogError(
-                f"{other.table.source} lasts {longer:.0f} times as long as {odometry.table.source}, and only {inside} of "
+                f"{_name(other)} lasts {longer:.0f} times as long as {_name(odometry)}, and only {inside} of "
                 f"{len(other.times)} rows are within its time ({_interval(begin, end)}): are its times in milliseconds? Then "
                 f"add --time {kind}=ms"
             )
@@ -154,10 +155,18 @@ def check_overlap(odometry: Timed, other: Timed) -> None:
         cause = f"one seems to be in units {ratio} times as large"
     else:
         cause = "they are of different drives, or one clock was not set"
+    names = [
+        f"{_name(stream)} ({_interval(*ends)})" for stream, ends in ((odometry, (begin, end)), (other, (first, last)))
+    ]
     raise LogError(
-        f"the clocks of {odometry.table.source} ({_interval(begin, end)}) and {other.table.source} "
-        f"({_interval(first, last)}) do not overlap: {cause}; --clocks {kind}={offset:.6g} lets both begin together"
+        f"the clocks of {' and '.join(names)} do not overlap: {cause}; --clocks {kind}={offset:.6g} lets both begin together"
     )
+
+
+def _name(stream: Timed) -> str:
+    """The table without its folder: a sentence with two paths is hard to read."""
+    path, colon, topic = stream.table.source.partition(": ")
+    return f"{Path(path).name}{colon}{topic}"
 
 
 def _unit_ratio(one: int, other: int) -> int | None:

@@ -1,5 +1,7 @@
 """Tables of your own robot become a log; every mistake is one sentence with its place and likely cause."""
 
+import gzip
+
 import numpy as np
 import pytest
 
@@ -469,6 +471,18 @@ def test_a_folder_without_sightings(drive):
     (folder / "sightings.csv").unlink()
     with pytest.raises(FormatError, match=r"sightings.csv: this file is missing; it would hold the measured landmarks"):
         load(folder)
+
+
+def test_tables_that_are_compressed(drive):
+    folder = drive()
+    packed = gzip.compress((folder / "odometry.csv").read_bytes())
+    (folder / "odometry.csv").unlink()
+    (folder / "odometry.csv.gz").write_bytes(packed)
+    message = r"odometry.csv.gz: the file is compressed as a whole; unpack it first: gunzip odometry.csv.gz"
+    with pytest.raises(FormatError, match=message):
+        load(folder)
+    with pytest.raises(FormatError, match=message):
+        Log.from_tables(folder / "odometry.csv.gz", folder / "sightings.csv")
 
 
 def test_a_recipe_is_checked(tmp_path):
