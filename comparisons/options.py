@@ -142,7 +142,19 @@ class GraphOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions(GraphOptions, LogOptions):
+class FrontEndOptions(Options):
+    """What finds the ids of sightings for estimators that solve graphs, where the log has none or they are ignored."""
+
+    panel = "Graph"
+    front_end: str = option(
+        "fastslam2", "What finds ids for the graph where sightings have none: fastslam2, or batch, which solves graphs "
+        "along the drive. Both are then refined in the graph.", choices=("fastslam2", "batch"),
+    )  # fmt: skip
+    front_particles: int = option(30, "Particles of the front end fastslam2.", minimum=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions(FrontEndOptions, GraphOptions, LogOptions):
     """All options of a run: reading, noise, graph, filters and smoother; ``comparisons.run(log, kernel="huber")``."""
 
     components = LogOptions.components | {"filter": (FilterOptions, FILTER), "gibbs": (GibbsOptions, GIBBS)}

@@ -25,6 +25,8 @@ from .cells import NOTHING, LeanTable, number, optimum, seconds, yes_no
 from .placement import placement_of_result
 
 if TYPE_CHECKING:
+    from graphslam import AssociationScore
+
     from ..backends import BackendComparison
     from ..comparison import Comparison, ResultTable
     from ..solvers import SolverComparison
@@ -114,13 +116,28 @@ def result_tables(results: ResultTable) -> Tables:
     known = any(row.nees is not None for row in results)
     proofs = any(row.certificate is not None and row.certificate.applicable for row in results)
     headings = ["converged,\niterations", "time", "cost J", "J per\ndof", *["optimum"] * proofs]
-    table = LeanTable(results.title, ["estimator"], [*headings, *metrics.values(), *["NEES"] * known])
+    scored = any(row.association is not None for row in results)
+    last = [*["NEES"] * known, *["precision,\nrecall", "landmarks"] * scored]
+    table = LeanTable(results.title, ["estimator"], [*headings, *metrics.values(), *last])
     for row in results:
         values = (number(getattr(row, metric)) for metric in metrics)
         cells: list[Text | str] = [yes_no(row.converged, f", {row.iterations}"), seconds(row.seconds)]
         cells += [number(row.cost, 2), number(row.cost_per_dof, 2), *[optimum(row.certificate)] * proofs]
-        table.add_row(row.name, *cells, *values, *[number(row.nees, 2)] * known)
+        of_ids = [_precision_recall(row.association), _counts(row.association)] * scored
+        table.add_row(row.name, *cells, *values, *[number(row.nees, 2)] * known, *of_ids)
     return [table], []
+
+
+def _precision_recall(association: AssociationScore | None) -> str:
+    if association is None:
+        return NOTHING
+    return ", ".join(NOTHING if v is None else f"{v:.3f}" for v in (association.precision, association.recall))
+
+
+def _counts(association: AssociationScore | None) -> str:
+    if association is None:
+        return NOTHING
+    return f"{association.found} {association.missed} {association.doubled} {association.invented}"
 
 
 def comparison_tables(comparison: Comparison) -> Tables:
@@ -129,6 +146,11 @@ def comparison_tables(comparison: Comparison) -> Tables:
     remarks += [f"WARNING: {finding.message}." for finding in comparison.findings]
     if any(value is not None for value in comparison.nees.values()):
         remarks.append("NEES: 1 means consistent covariances, above 1 overconfident ones.")
+    if any(comparison.associations.values()):
+        remarks.append(
+            "Precision and recall: of the ids that an estimator gave the sightings itself, against the true ones. Landmarks: "
+            "found, missed, doubled, invented."
+        )
     if (difference := comparison.difference("graph", "gtsam")) is not None:
         remarks.append(f"graph and gtsam differ by at most {difference:.1e} in any x, y [m] or heading [rad].")
     if log.true_poses is None and any(metrics.aligned_by for metrics in comparison.metrics.values()):

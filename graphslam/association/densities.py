@@ -45,7 +45,7 @@ class Field:
         """Its area [m²]."""
         return max(self.bearing, 0.05) * max(self.farthest**2 - self.nearest**2, 1e-6)
 
-    def holds(self, places: Array, origin: tuple[float, float], inside: float = INSIDE) -> np.ndarray:
+    def holds(self, places: Array, origin: tuple[float, float], inside: float) -> np.ndarray:
         """Whether places (..., 2) in the robot's axes, seen from ``origin``, lie within a share of the field."""
         d = places[..., :2] - origin
         r, phi = np.hypot(d[..., 0], d[..., 1]), np.abs(np.arctan2(d[..., 1], d[..., 0]))

@@ -15,11 +15,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from ..log import Log
-from ..se2 import Array, transform, turn_matrix, wrap
+from ..se2 import Array
+from .assignment import World, assign
 from .classes import Classes
 from .densities import INSIDE, Densities, Field
 from .geometry import differences
@@ -30,6 +30,10 @@ from .solved import Backbone, Solved
 
 #: chains of landmarks that are one are merged link by link, at most so often in a round
 MERGING = 4
+
+
+#: the association has settled where a round changes at most this share of the sightings
+SETTLED = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +65,12 @@ def refine(
         if not np.any(labels >= 0):
             return None
         solved = _merged(log, Solved.of(backbone, labels, poses), backbone, field, densities, classes, options)
-        world = _World.of(backbone, solved.poses)
+        world = World.of(backbone.places, solved.poses[log.steps])
         labels, margins = _assigned(world, log, solved, densities, classes, options)
         labels = _born(world, log, labels, options)
         labels, densities = _kept(log, backbone, solved, field, labels, densities, options)
         poses, labels = solved.poses, _compact(labels)
-        settled = np.array_equal(labels, before)
+        settled = int(np.count_nonzero(labels != before)) <= SETTLED * len(labels)
     if not np.any(labels >= 0):
         return None
     return Refined(labels, Solved.of(backbone, labels, poses), rounds, settled, margins, densities)
@@ -90,7 +94,7 @@ def _merged(
     for _ in range(MERGING):
         everyone = np.arange(len(solved.labels))
         shown = classes.sums(solved.which, solved.rows, len(everyone))
-        views, _ = _views(log, backbone, solved, field)
+        ((views, _),) = _views(log, backbone, solved, field, INSIDE)
         found = merges(solved, everyone, solved.seen(log.steps), shown, densities, classes, options, views)
         root = np.arange(len(solved.labels))
         taken: set[int] = set()
@@ -106,70 +110,22 @@ def _merged(
     return solved
 
 
-@dataclass(frozen=True, eq=False)
-class _World:
-    """Where every sighting puts its landmark in the world, (M, d), and with what covariance (M, d, d), poses known."""
-
-    means: Array
-    covariances: Array
-
-    @classmethod
-    def of(cls, backbone: Backbone, poses: Array) -> _World:
-        y, at = backbone.places.means, poses[backbone.log.steps]
-        d = y.shape[1]
-        means = transform(at, y[:, :2])
-        if d == 3:
-            means = np.column_stack([means, wrap(at[:, 2] + y[:, 2])])
-        turn = turn_matrix(at[:, 2])[:, :d, :d]
-        return cls(means, turn @ backbone.places.covariances @ np.swapaxes(turn, 1, 2))
-
-
 def _assigned(
-    world: _World, log: Log, solved: Solved, densities: Densities, classes: Classes, options: AssociationOptions
+    world: World, log: Log, solved: Solved, densities: Densities, classes: Classes, options: AssociationOptions
 ) -> tuple[np.ndarray, Array]:
     """The label and the margin (M,) of each sighting: the best assignment of every scan."""
-    gate = float(gates(options.gate, world.means.shape[1], 1)[1])
-    own = solved.own_covariances + solved.slack
-    radius = np.sqrt(gate * (np.linalg.norm(world.covariances[:, :2, :2], 2, axis=(1, 2)) + np.max(own[:, :2, :2])))
-    tree = cKDTree(solved.landmarks[:, :2])
-    lists = tree.query_ball_point(world.means[:, :2], radius)
-    item = np.repeat(np.arange(len(lists)), [len(each) for each in lists])
-    landmark = np.fromiter((j for each in lists for j in each), dtype=np.int64, count=len(item))
-    nu = differences(world.means[item], solved.landmarks[landmark])
-    density, squares = log_density(nu, world.covariances[item] + own[landmark])
     shown = classes.sums(solved.which, solved.rows, len(solved.labels))
     each = classes.log_confusion[:, classes.shown].T
-    evidence = densities.seen - densities.clutter + density + classes.together(each[item], shown[landmark])
-    kept = (squares <= gate) & (evidence > 0)
-    item, landmark, evidence = item[kept], landmark[kept], evidence[kept]
-    labels, margins = np.full(len(log.steps), -1), np.full(len(log.steps), np.inf)
-    step = log.steps[item]
-    for begin, end in _runs(step):
-        k, j, e = item[begin:end], landmark[begin:end], evidence[begin:end]
-        rows, row = np.unique(k, return_inverse=True)
-        names, column = np.unique(j, return_inverse=True)
-        if len(names) == len(k) == len(rows):
-            labels[k], margins[k] = solved.labels[j], e
-            continue
-        table = np.zeros((len(rows), len(names) + len(rows)))
-        table[row, column] = e
-        a, b = linear_sum_assignment(table, maximize=True)
-        good = table[a, b] > 0
-        a, b = a[good], b[good]
-        labels[rows[a]] = solved.labels[names[b]]
-        others = table[a].copy()
-        others[np.arange(len(a)), b] = 0.0
-        margins[rows[a]] = table[a, b] - others.max(axis=1)
-    return labels, margins
+
+    def weights(item: np.ndarray, landmark: np.ndarray) -> Array:
+        return densities.seen - densities.clutter + classes.together(each[item], shown[landmark])
+
+    own = solved.own_covariances + solved.slack
+    chosen, margins = assign(world, log.steps, solved.landmarks, own, options.gate, weights)
+    return np.where(chosen < 0, -1, solved.labels[chosen]), margins
 
 
-def _runs(values: np.ndarray) -> list[tuple[int, int]]:
-    """The beginnings and ends of runs of equal values."""
-    cuts = np.flatnonzero(np.diff(values)) + 1
-    return list(zip([0, *cuts.tolist()], [*cuts.tolist(), len(values)], strict=True)) if len(values) else []
-
-
-def _born(world: _World, log: Log, labels: np.ndarray, options: AssociationOptions) -> np.ndarray:
+def _born(world: World, log: Log, labels: np.ndarray, options: AssociationOptions) -> np.ndarray:
     """The labels with new ones for sightings that none has, but that agree with each other."""
     d, gate = world.means.shape[1], float(gates(options.gate, world.means.shape[1], 1)[1])
     labels, rows = labels.copy(), np.flatnonzero(labels < 0)
@@ -206,15 +162,15 @@ def _kept(
 ) -> tuple[np.ndarray, Densities]:  # fmt: skip
     """The labels of landmarks with enough evidence, -1 for the others; and the densities counted anew."""
     solved = Solved.of(backbone, labels, solved.poses)
-    views, within = _views(log, backbone, solved, field)
-    border, at_border = (a - b for a, b in zip(_views(log, backbone, solved, field, 1.0), (views, within)))
+    (views, within), (whole, anywhere) = _views(log, backbone, solved, field, INSIDE, 1.0)
     densities = densities.counted(int(within.sum()), int(views.sum()), float(np.mean(labels < 0)))
-    world = _World.of(backbone, solved.poses)
+    world = World.of(backbone.places, solved.poses[log.steps])
     nu = differences(world.means[solved.rows], solved.landmarks[solved.which])
     each = densities.seen - densities.clutter + log_density(nu, world.covariances[solved.rows])[0]
     total = np.bincount(solved.which, each) + (views - within) * densities.missed
     # at the border of the field noise decides whether a landmark is in it
-    total += np.maximum(border - at_border, 0) * np.log1p(-np.exp(densities.seen) / 2)
+    border = (whole - anywhere) - (views - within)
+    total += np.maximum(border, 0) * np.log1p(-np.exp(densities.seen) / 2)
     total += densities.new + 0.5 * log_volume(solved.own_covariances)
     good = (total > np.log(options.factor)) & (np.bincount(solved.which) > 1)
     labels = labels.copy()
@@ -223,20 +179,24 @@ def _kept(
 
 
 def _views(
-    log: Log, backbone: Backbone, solved: Solved, field: Field, inside: float = INSIDE
-) -> tuple[np.ndarray, np.ndarray]:
-    """In how many scans each landmark (L,) was within a share of the field of view, and in how many of these it was seen."""
+    log: Log, backbone: Backbone, solved: Solved, field: Field, *shares: float
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """For shares of the field of view, in how many scans each landmark (L,) was within it, and in how many of these seen."""
     scans, origin = np.unique(log.steps), backbone.origin
     poses = solved.poses[scans]
-    within = cKDTree(poses[:, :2]).query_ball_point(solved.landmarks[:, :2], field.farthest + np.hypot(*origin))
-    at, landmark = (
-        np.concatenate([np.zeros(0, int), *within]).astype(int),
-        np.repeat(np.arange(len(within)), list(map(len, within))),
-    )
-    seen = field.holds(_in_axes(poses[at], solved.landmarks[landmark]), origin, inside)
-    views = np.bincount(landmark, seen, len(within)).astype(np.int64)
-    h = _in_axes(solved.poses[log.steps[solved.rows]], solved.landmarks[solved.which])
-    return views, np.bincount(solved.which, field.holds(h, origin, inside), len(views)).astype(np.int64)
+    near = cKDTree(poses[:, :2]).query_ball_point(solved.landmarks[:, :2], field.farthest + np.hypot(*origin))
+    at = np.concatenate([np.zeros(0, int), *near]).astype(int)
+    landmark = np.repeat(np.arange(len(near)), [len(each) for each in near])
+    places = _in_axes(poses[at], solved.landmarks[landmark])
+    seen = _in_axes(solved.poses[log.steps[solved.rows]], solved.landmarks[solved.which])
+    count = len(near)
+    return [
+        (
+            np.bincount(landmark, field.holds(places, origin, share), count).astype(np.int64),
+            np.bincount(solved.which, field.holds(seen, origin, share), count).astype(np.int64),
+        )
+        for share in shares
+    ]
 
 
 def _in_axes(poses: Array, places: Array) -> Array:
