@@ -366,10 +366,6 @@ def _check_graph(log: Log, options: RunOptions) -> None:
     """Raise `SlamError` where the log cannot make the graph; whatever else fails is the failure of one estimator."""
     try:
         make_graph(log, options)
-    except GraphError as error:
-        if log.identified or not (notes := [note for note in log.notes if "no column for id" in note]):
-            raise
-        raise GraphError(f"{error}; {notes[0]}") from None
     except SlamError:
         raise
     except Exception:  # it comes again, and becomes the reason of the row

@@ -86,7 +86,7 @@ def test_mistakes_end_with_one_sentence(call, folder):
 def test_sightings_without_ids_name_the_column(call, folder):
     table = (folder / "sightings.csv").read_text().replace("t,id,", "t,serial,")
     (folder / "sightings.csv").write_text(table)
-    output = call("run", folder, "--estimators", "graph", code=2)
+    output = call("import", folder)
     assert "no column for id (named id or landmark or" in output and "it has t, serial, range, bearing, psi" in output
 
 
