@@ -60,11 +60,11 @@ def parts_of_streams(
 ) -> dict[str, Any]:
     """The arguments of the `Log` that `synchronize` returns; its arguments and errors are the same."""
     remarks = list(notes)
-    odometry = _in_order("odometry", odometry, remarks)[0]
-    sightings, order = _in_order("sightings", sightings, remarks)
+    odometry = in_order("odometry", odometry, remarks)[0]
+    sightings, order = in_order("sightings", sightings, remarks)
     landmarks = np.asarray(landmarks)[order]
     if truth is not None:
-        truth = _in_order("truth", truth, remarks)[0]
+        truth = in_order("truth", truth, remarks)[0]
     if len(odometry) < 2:
         raise LogError(f"the odometry has {len(odometry)} rows, but motion takes two")
     inside = (sightings.times >= odometry.times[0]) & (sightings.times <= odometry.times[-1])
@@ -122,8 +122,12 @@ def disorder(times: Array) -> Array:
     return np.maximum.accumulate(times) - times if len(times) else times
 
 
-def _in_order(what: str, stream: Stream, remarks: list[str]) -> tuple[Stream, np.ndarray]:
-    """The rows sorted by time, with a remark where that changes anything, and the row of each in the order given."""
+def in_order(what: str, stream: Stream, remarks: list[str]) -> tuple[Stream, np.ndarray]:
+    """The rows sorted by time, with a remark where that changes anything, and the row of each in the order given.
+
+    Raises:
+        LogError: rows run backwards by more than `MOST_DISORDER`.
+    """
     behind = disorder(stream.times)
     if (k := first(behind > MOST_DISORDER)) is not None:
         raise LogError(

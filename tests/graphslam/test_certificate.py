@@ -530,6 +530,12 @@ def test_no_false_proofs_on_random_graphs(benchmark):
     assert tried > 100 and proven > 10 and above > 50
 
 
+def test_a_grid_over_all_headings_contradicts_no_proof(benchmark, capsys):
+    benchmark.global_search(6)
+    outcome = capsys.readouterr().out
+    assert "'contradicted': 0" in outcome and "'solve above the search': 0" in outcome and "solve global" in outcome
+
+
 def test_the_split_leaves_a_positive_semidefinite_rest(benchmark):
     """diag(beta, beta, kappa) <= Omega, in exact rational arithmetic."""
     rng = np.random.default_rng(0)
