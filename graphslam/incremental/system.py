@@ -122,7 +122,9 @@ class OnlineSystem:
             array[:] = 0
         for array in (nodes.owned, nodes.local):
             array[:] = -1
-        nodes.scratch[:] = 0.0
+        # the stamps of the new tree begin at zero
+        for array in (nodes.scratch, nodes.mark, edges.mark):
+            array[:] = 0
         for array in (nodes.x, nodes.passed, nodes.evaluated):
             array[: len(x)] = x
         self.tree = new_arrays(Tree, 64)
@@ -155,7 +157,8 @@ class OnlineSystem:
 
     def _advance(self, touched: np.ndarray, fresh: np.ndarray, newest: np.ndarray) -> tuple[int, int]:
         """Call `advance`, with larger arrays as often as it asks for them: its result, and the undetermined node."""
-        while True:
+        late_rounds = 0
+        while late_rounds < PASSES:
             result, *rest = advance(
                 self.nodes, self.edges, self.tree, touched, fresh, newest, self._robust, self._room(),
                 self._limits, self.tolerance, self.apart, self.share, PASSES,
@@ -167,7 +170,9 @@ class OnlineSystem:
             self._tallest = max(self._tallest, tallest)
             self.tree = with_room(self.tree, supernodes, floats, ints)
             if late >= 0:
+                late_rounds += 1
                 touched, fresh = self.edges.owner[self._buffers[3][:late]], fresh[:0]
+        return UNFINISHED, 0
 
     def _room(self) -> tuple[np.ndarray, ...]:
         needed = (self._tallest, 2 * len(self.nodes.x), len(self.tree.w), len(self.edges.rows))
