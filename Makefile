@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
-.PHONY: compare test check lint docs clean
+.PHONY: compare test check lint docs docs-check clean
 
 compare: .venv/.compiled
 	$(BIN)/slam-compare run
@@ -46,6 +46,10 @@ lint: .venv/.installed-test
 docs: .venv/.installed-docs .venv/.compiled
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "open site/index.html, or run: $(BIN)/mkdocs serve"
+
+# a quick check of the site: links, formulas, both languages, and the code of some pages, which the commit chooses
+docs-check: .venv/.installed-docs .venv/.compiled
+	NO_MKDOCS_2_WARNING=1 SITE_SECONDS=$${SITE_SECONDS:-30} $(BIN)/mkdocs build --strict --quiet --site-dir .cache/site-check
 
 .venv/.installed-docs: pyproject.toml | .venv/bin/python
 	$(PIP) install --no-compile --editable '.[docs]'

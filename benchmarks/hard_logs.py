@@ -1,6 +1,6 @@
 """`initialize="auto"` on a hundred logs that are hard to start: does it reach the optimum, and in which time?
 
-    python benchmarks/hard_logs.py [--logs 100] [--edges landmark+motion] [--json FILE] [--before FILE]
+    python benchmarks/hard_logs.py [--logs 100] [--seed 20] [--edges landmark+motion] [--json FILE] [--before FILE]
 
 A robot wanders through a square of 20 x 20 m with 13 to 36 landmarks, for 217 to 720 steps. Its sensor measures range and
 bearing. Five noise levels take turns; the models that the estimators use have the noise of the level. "Truth" is the end
@@ -28,9 +28,9 @@ HALF_SIDE, DT = 10.0, 1.0
 MISSED = 1e-6
 
 
-def hard_log(number: int) -> Log:
-    """The log with a number, at the noise level ``LEVELS[number % 5]``."""
-    rng = np.random.default_rng([20, number])
+def hard_log(number: int, seed: int = 20) -> Log:
+    """The log with a number, at the noise level ``LEVELS[number % 5]``; another seed makes another hundred."""
+    rng = np.random.default_rng([seed, number])
     level = LEVELS[number % len(LEVELS)]
     motion = MotionModel(nn=0.19 * level, no=0.001 * level, on=0.13 * level, oo=0.2 * level, epsilon=1e-4)
     sensor = SensorModel(range_rate=0.14 * level, bearing_std=0.05 * level)
@@ -90,9 +90,9 @@ def optimum(graph: Graph) -> float:
     return min(ends)
 
 
-def row(number: int, options: dict[str, Any], repeat: int) -> dict[str, Any]:
+def row(number: int, seed: int, options: dict[str, Any], repeat: int) -> dict[str, Any]:
     """What `auto` reaches on a log, and the median time."""
-    graph = Graph.from_log(hard_log(number), **options)
+    graph = Graph.from_log(hard_log(number, seed), **options)
     runs = [solve(graph) for _ in range(repeat)]
     return {
         "number": number, "level": LEVELS[number % len(LEVELS)], "poses": len(graph.steps), "cost": runs[0].cost,
@@ -105,6 +105,7 @@ def main() -> None:
     """Run the logs and print what was missed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--logs", type=int, default=100, help="how many logs")
+    parser.add_argument("--seed", type=int, default=20, help="another hundred logs")
     parser.add_argument("--edges", default="landmark+motion")
     parser.add_argument("--repeat", type=int, default=1, help="the time of a log is the median of this many runs")
     parser.add_argument("--json", type=Path, help="write the rows there")
@@ -113,7 +114,7 @@ def main() -> None:
     solve(Graph.from_log(hard_log(0), edges=arguments.edges))  # compiles
     rows = []
     for number in range(arguments.logs):
-        rows.append(row(number, {"edges": arguments.edges}, arguments.repeat))
+        rows.append(row(number, arguments.seed, {"edges": arguments.edges}, arguments.repeat))
         r = rows[-1]
         if not r["converged"] or r["cost"] > r["optimum"] * (1 + MISSED):
             costs = f"J {r['cost']:12.6g} truth {r['optimum']:12.6g}"

@@ -1,6 +1,6 @@
-"""Time and memory of reading own tables and bags: ``python benchmarks/own_robot.py [--bag-gb 2]``.
+"""Time and memory of ``slam-compare import`` of own tables and bags: ``python benchmarks/own_robot.py [--bag-gb 2]``.
 
-Each case runs in its own process, so that its peak memory is its own. Files are made in a temporary folder and removed.
+Each import is a process of its own: it reads, checks for plausibility and writes a log. Files are made in a temporary folder.
 """
 
 from __future__ import annotations
@@ -90,28 +90,24 @@ def make_bag(path: Path, gigabytes: float) -> None:
         writer.finish()
 
 
-def measure(path: Path) -> None:
-    """Read a log in this process, and print time and peak memory."""
-    from graphslam import load
-
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    begin, cpu = time.perf_counter(), time.process_time()
-    log = load(path)
-    seconds, cpu = time.perf_counter() - begin, time.process_time() - cpu
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(f"{path.name}: {log!r}")
-    print(f"  {seconds:.2f} s ({cpu:.2f} s of one core), peak {peak / 1e6:.2f} GB (before: {before / 1e6:.2f} GB)")
+def measure(source: Path) -> None:
+    """Import tables or a bag by the command line, and print time and peak memory of the whole process."""
+    begin = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "comparisons", "import", str(source), f"{folder}/drive.npz", "-q"]
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
+    seconds = time.perf_counter() - begin
+    print(f"{source.name}: {seconds:.2f} s ({cpu:.2f} s of one core), peak of all so far {used.ru_maxrss / 1e6:.2f} GB")
 
 
 def main() -> None:
-    """Make the files and measure each in a process of its own."""
+    """Make the files and measure each three times."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bag-gb", type=float, default=2.0, help="size of the bag [GB]; 0 leaves it out")
-    parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.measure:
-        measure(arguments.measure)
-        return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "tables").mkdir()
@@ -123,7 +119,7 @@ def main() -> None:
             paths.append(folder / "large.mcap")
         for path in paths:
             for _ in range(3):
-                subprocess.run([sys.executable, __file__, "--measure", str(path)], check=True)
+                measure(path)
 
 
 if __name__ == "__main__":

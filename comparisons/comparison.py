@@ -11,7 +11,9 @@ from typing import Any, overload
 
 import numpy as np
 
-from graphslam import Certificate, GraphError, Log, MotionModel, OptionError, SensorModel, SlamError
+from graphslam import AssociationScore, Certificate, GraphError, Log, MotionModel, OptionError, SensorModel, SlamError
+from graphslam.association import score
+from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import Metrics, evaluate
 from graphslam.plausibility import Finding, plausibility
 from graphslam.se2 import wrap
@@ -19,7 +21,7 @@ from graphslam.se2 import wrap
 from .attempt import Skipped, attempts
 from .config import config_text
 from .display import Displayed
-from .documents import EstimatorDocument, LogDocument, RunDocument, certificate_document, document
+from .documents import AssociationDocument, EstimatorDocument, RunDocument, certificate_document, describe, document
 from .estimators import ESTIMATORS, check_estimators, default_estimators, make_graph
 from .exchange import texts, write_pose_graph
 from .failures import noted
@@ -37,6 +39,7 @@ class Row:
     ``cost_per_dof`` is J per degree of freedom, about 1 where the noise models fit; see `results.of_expected`.
     ``certificate`` says whether the end is proven to be the global minimum of J; see `graphslam.Certificate`.
     ``nees`` is the mean normalised error squared of the poses, 1 means consistent; see `EstimatorResult.nees`.
+    ``association`` compares the landmarks of the sightings with the true ids, where the estimator did not use these.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Row:
     skipped: str | None = None
     cost_per_dof: float | None = None
     certificate: Certificate | None = None
+    association: AssociationScore | None = None
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,12 @@ class Comparison(Displayed):
             for name, used in self.models.items()
         }
 
+    @property
+    def noise_ratio(self) -> tuple[str, float] | None:
+        """The first estimator with a cost, except the lectures' program, and its J per degree of freedom; None if none."""
+        solved = (r for r in self.results if r.cost_per_dof is not None and r.name != "textbook")
+        return next(((r.name, r.cost_per_dof or 0.0) for r in solved), None)
+
     @cached_property
     def metrics(self) -> dict[str, Metrics]:
         """The metrics of every result against the ground truth, by name."""
@@ -131,6 +141,15 @@ class Comparison(Displayed):
     def nees(self) -> dict[str, float | None]:
         """The mean NEES of every result, by name; None where truth or covariances are not known."""
         return {result.name: result.nees(self.log.robot_truth) for result in self.results}
+
+    @cached_property
+    def associations(self) -> dict[str, AssociationScore | None]:
+        """The association of every result against the true ids, by name; None where either is not known."""
+        true = self.log.landmarks
+        known = bool(np.any(true != UNIDENTIFIED))
+        return {
+            r.name: score(r.association, true) if known and r.association is not None else None for r in self.results
+        }
 
     def __getitem__(self, name: str) -> EstimatorResult:
         """The result of an estimator.
@@ -149,7 +168,7 @@ class Comparison(Displayed):
     @cached_property
     def table(self) -> ResultTable:
         """The metrics as a table, results and skipped estimators in the order of the registry."""
-        rows = [_row(result, self.metrics[result.name], self.nees[result.name]) for result in self.results]
+        rows = [_row(r, self.metrics[r.name], self.nees[r.name], self.associations[r.name]) for r in self.results]
         rows += [Row(name=entry.name, skipped=entry.reason) for entry in self.skipped]
         order = list(ESTIMATORS)
         rows.sort(key=lambda row: order.index(row.name) if row.name in order else len(order))
@@ -183,7 +202,7 @@ class Comparison(Displayed):
         by_name = {
             r.name: document(
                 EstimatorDocument, r, self.metrics[r.name], nees=self.nees[r.name], notes=self.notes_of(r),
-                certificate=certificate_document(r.certificate),
+                certificate=certificate_document(r.certificate), association=self._association(r),
             )
             for r in self.results
         }  # fmt: skip
@@ -197,6 +216,15 @@ class Comparison(Displayed):
             notes=getattr(files, "notes", []),
             warnings=[finding.message for finding in self.findings],
         )
+
+    def _association(self, result: EstimatorResult) -> dict[str, Any] | None:
+        if result.association is None:
+            return None
+        given = result.association != UNIDENTIFIED
+        unknown = dict.fromkeys(AssociationScore.__dataclass_fields__)
+        scores = self.associations[result.name]
+        counted = {"landmarks": len(np.unique(result.association[given])), "clutter": int(np.sum(~given))}
+        return document(AssociationDocument, **counted, **(unknown if scores is None else asdict(scores)))
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
@@ -344,27 +372,11 @@ def _check_graph(log: Log, options: RunOptions) -> None:
         pass
 
 
-def _row(result: EstimatorResult, metrics: Metrics, nees: float | None) -> Row:
-    values = {"nees": nees, "skipped": None}
+def _row(result: EstimatorResult, metrics: Metrics, nees: float | None, association: AssociationScore | None) -> Row:
+    values: dict[str, Any] = {"nees": nees, "skipped": None, "association": association}
     for name in (f.name for f in fields(Row) if f.name not in values):
         values[name] = getattr(metrics if hasattr(metrics, name) else result, name)
-    return Row(**values)  # type: ignore[arg-type]
-
-
-def describe(log: Log, source: Path | None = None) -> dict[str, Any]:
-    """A log in a few numbers and with its ground truth, for JSON."""
-    return document(
-        LogDocument,
-        log,
-        file=source,
-        poses=log.num_poses,
-        sightings=len(log.steps),
-        landmarks=len(log.landmark_ids),
-        dimensions=log.sightings.shape[1],
-        has_controls=log.controls is not None,
-        controls=None if log.controls is None else len(log.controls),
-        poses_covered=int(np.count_nonzero(log.covered)),
-    )
+    return Row(**values)
 
 
 def _noise(model: MotionModel | SensorModel) -> dict[str, Any]:

@@ -6,11 +6,16 @@ descriptions of its fields are those of the schema and of docs/json.md.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
+import numpy as np
 
 from .saving import jsonable
+
+if TYPE_CHECKING:
+    from graphslam import Log
 
 _MISSING = object()
 
@@ -40,6 +45,22 @@ def document(model: type[Document], *sources: object, **values: Any) -> dict[str
             raise AttributeError(f"{model.__name__} needs a value for {field.name}")
         content[field.name] = value
     return jsonable(content)
+
+
+def describe(log: Log, source: Path | None = None) -> dict[str, Any]:
+    """A log in a few numbers and with its ground truth, for JSON."""
+    return document(
+        LogDocument,
+        log,
+        file=source,
+        poses=log.num_poses,
+        sightings=len(log.steps),
+        landmarks=len(log.landmark_ids),
+        dimensions=log.sightings.shape[1],
+        has_controls=log.controls is not None,
+        controls=None if log.controls is None else len(log.controls),
+        poses_covered=int(np.count_nonzero(log.covered)),
+    )
 
 
 def about(text: str) -> msgspec.Meta:
@@ -114,6 +135,19 @@ def certificate_document(certificate: object | None) -> dict[str, Any] | None:
     return None if certificate is None else document(CertificateDocument, certificate)
 
 
+class AssociationDocument(Document):
+    """The ids that an estimator gave sightings itself; what needs true ids is null where there are none."""
+
+    landmarks: Annotated[Count, about("landmarks that some sighting was given to")]
+    clutter: Annotated[Count, about("sightings that are of no landmark")]
+    precision: Annotated[float | None, about("correct sightings over sightings that were given a landmark")]
+    recall: Annotated[float | None, about("correct sightings over sightings that truly are of a landmark")]
+    found: Annotated[Count | None, about("true landmarks that are matched with one of the estimate")]
+    missed: Annotated[Count | None, about("true landmarks without a match")]
+    doubled: Annotated[Count | None, about("further landmarks made of sightings of a true one that is matched already")]
+    invented: Annotated[Count | None, about("landmarks made mostly of clutter")]
+
+
 class EstimatorDocument(Document):
     """The result of one estimator. Every metric is null where it cannot be known, or the estimator did not run."""
 
@@ -140,6 +174,9 @@ class EstimatorDocument(Document):
     weighed_down: Annotated[
         Count | None,
         about("number of sightings that a robust kernel gives less than half of their weight; null without one"),
+    ]
+    association: Annotated[
+        AssociationDocument | None, about("ids found for the sightings; null where the ids of the log were used")
     ]
     poses_counted: Annotated[Count | None, about("number of poses that the metrics are of")]
     poses: Annotated[list[Pose] | None, about("the trajectory, T + 1 poses")]

@@ -18,6 +18,7 @@ from graphslam import Graph, GraphError, Log, OptionError, SensorModel, Solution
 from graphslam.checks import suggestion
 from graphslam.se2 import wrap
 
+from .association import identified
 from .failures import noted
 from .option import options_of
 from .options import GraphOptions, RunOptions
@@ -61,12 +62,12 @@ class Estimator:
 
 
 def make_graph(log: Log, options: RunOptions) -> Graph:
-    """The one graph that ``graph`` and ``gtsam`` solve.
+    """The one graph that ``graph`` and ``gtsam`` solve. Where sightings have no ids, these are found first.
 
     Raises:
         GraphError: the log does not determine it.
     """
-    return Graph.from_log(log, **graph_keywords(log, options))
+    return Graph.from_log(identified(log, options)[0], **graph_keywords(log, options))
 
 
 def graph_keywords(log: Log, options: RunOptions) -> dict[str, Any]:
@@ -281,6 +282,7 @@ def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResul
         landmark_covariances=dict(result.landmark_covariances) if maps else {},
         named=named,
         notes=() if named else ("landmarks are numbered by discovery, and matched to the true ones by position",),
+        association=result.association,
         options={k: v for k, v in asdict(options.filter).items() if k in ("seed", *ESTIMATORS[name].uses)},
         reason=f"processed the log once with {options.filter.particles} particles",
         origin=result,
@@ -366,6 +368,7 @@ def check_estimators(names: Any) -> tuple[str, ...]:
 
 def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -> EstimatorResult:
     options = chosen(log, options)
+    found = None if name == "isam2" else identified(log, options)[1]
     # the fields that both have under the same names
     shared = {f.name for f in fields(EstimatorResult)} & {f.name for f in fields(Solution)}
     values = {field: getattr(solution, field) for field in shared}
@@ -382,6 +385,10 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
             f"({weighed_down / len(weights):.1%}; {usual:.1%} would be usual if none were wrong)"
         )
     values |= {"name": name, "origin": solution, "notes": tuple(notes), "weighed_down": weighed_down}
+    if found is not None:
+        # the notes of the association came with its log
+        values |= {"named": False, "association": found.ids, "seconds": solution.seconds + found.seconds}
+        values["notes"] = (*found.notes, *notes)
     return EstimatorResult(**values, options={name: getattr(options, name) for name in _GRAPH})
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from graphslam import FormatError, Log, LogError, OptionError
 from graphslam.bags.bag import is_bag
 from graphslam.bags.read import drive_of_bag, topics_of
-from graphslam.files import check_file, check_path
+from graphslam.files import check_file, check_path, check_unpacked
 from graphslam.formats.bag import recipe_beside
 from graphslam.formats.tables import drive_of, recipe_of
 from graphslam.plausibility import Finding, plausibility
@@ -23,9 +23,8 @@ from graphslam.tables.join import Drive, read_drive
 from graphslam.tables.options import TABLES
 from graphslam.tables.recipe import Recipe, merged, read_recipe
 
-from .comparison import describe
 from .display import Displayed
-from .documents import ImportDocument, document
+from .documents import ImportDocument, describe, document
 from .options import ImportOptions
 
 
@@ -153,6 +152,7 @@ def imported(source: Path | None, options: ImportOptions) -> Import:
         except LogError as error:
             return replace(found, reason=str(error))
     if not source.is_dir():
+        check_unpacked(source, _head(source))
         raise FormatError(
             source, None, "this is no bag; give the folder of tables, or the file of each: --odometry .. --sightings .."
         )
@@ -184,6 +184,6 @@ def _with_places(recipe: Recipe, named: dict[str, str]) -> Recipe:
 
 def _stream(kind: str, stream: Timed) -> FoundStream:
     begin, end = stream.times[0] / 1e9, stream.times[-1] / 1e9
-    different = len(np.unique(stream.times))
+    different = 1 + int(np.count_nonzero(np.diff(stream.times)))
     rate = (different - 1) / (end - begin) if end > begin else None
     return FoundStream(kind, stream.table.source, len(stream.times), begin, end, rate, stream.columns)

@@ -56,6 +56,10 @@ class ReadingOptions(Options):
 
 #: the value of ``noise`` that calibrates first
 AUTO = Path("auto")
+#: J per degree of freedom above this, or below its inverse, says that the noise models do not fit
+DOUBTFUL = 2.0
+#: how the note of ``--noise auto`` begins where it took what it found
+AUTO_TOOK = "noise auto took, from the residuals of this log"
 #: the options that correct all measurements, and their ideal values
 CORRECTIONS = {"range_scale": 1.0, "range_bias": 0.0, "wheel_scale": 1.0, "turn_rate_bias": 0.0}
 
@@ -138,7 +142,19 @@ class GraphOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions(GraphOptions, LogOptions):
+class FrontEndOptions(Options):
+    """What finds the ids of sightings for estimators that solve graphs, where the log has none or they are ignored."""
+
+    panel = "Graph"
+    front_end: str = option(
+        "fastslam2", "What finds ids for the graph where sightings have none: fastslam2, or batch, which solves graphs "
+        "along the drive. Both are then refined in the graph.", choices=("fastslam2", "batch"),
+    )  # fmt: skip
+    front_particles: int = option(30, "Particles of the front end fastslam2.", minimum=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions(FrontEndOptions, GraphOptions, LogOptions):
     """All options of a run: reading, noise, graph, filters and smoother; ``comparisons.run(log, kernel="huber")``."""
 
     components = LogOptions.components | {"filter": (FilterOptions, FILTER), "gibbs": (GibbsOptions, GIBBS)}
@@ -314,7 +330,8 @@ class CalibrationOptions(ReadingOptions):
     )  # fmt: skip
     source: str = option(
         "auto", "Where the noise is measured: against the ground truth, or from residuals of the solved graph. auto "
-        "takes the ground truth where there is one.", choices=("auto", "truth", "residuals"),
+        "takes the ground truth where there is one; without a true map for the motion only.",
+        choices=("auto", "truth", "residuals"),
     )  # fmt: skip
     scale: str = option(
         "odometry", "What has the right scale where only residuals tell; what has not is corrected.",

@@ -14,9 +14,8 @@ from graphslam import Log, SensorModel
 from graphslam.plausibility import Finding, plausibility
 from graphslam.se2 import Array
 
-from .comparison import describe
 from .display import Displayed
-from .documents import ShowDocument, document
+from .documents import ShowDocument, describe, document
 from .exchange import elapsed_of
 from .options import ReadingOptions
 from .reading import read_log

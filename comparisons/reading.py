@@ -26,7 +26,7 @@ from graphslam.keyframes import with_poses_every
 
 from .noise_files import read_noise
 from .option import options_of
-from .options import AUTO, CORRECTIONS, LogOptions, NoiseOptions, ReadingOptions
+from .options import AUTO, AUTO_TOOK, CORRECTIONS, LogOptions, NoiseOptions, ReadingOptions
 
 Given = TypeVar("Given", bound=LogOptions)
 
@@ -86,15 +86,20 @@ def _calibrated(log: Log) -> tuple[Log, Calibration | None]:
         reason = "; ".join(found.doubts)
         if found.range_scale != 1 and not reason:
             reason = (
-                f"ranges and odometry differ by a factor of {found.range_scale:.3f} in scale, and only ground truth tells "
-                "which is wrong; calibrate with --scale odometry or ranges, and run with that noise file"
+                f"ranges and odometry differ by a factor of {found.range_scale:.3f} in scale, and residuals do not tell "
+                "which is wrong; "
+            )
+            reason += (
+                "the true poses do: slam-compare calibrate this log, and run with that noise file"
+                if log.true_poses is not None
+                else "calibrate with --scale odometry or ranges, and run with that noise file"
             )
     except (GraphError, LogError) as error:
         reason = str(error)
     if found is None or reason:
         return log.replace(notes=(*log.notes, f"noise auto {kept}: {reason}")), None
     numbers = ", ".join(f"{n} {v:.3g}" for n, v in found.numbers.items() if v != CORRECTIONS.get(n, 0.0))
-    return log.replace(notes=(*log.notes, f"noise auto took, from the residuals of this log: {numbers}")), found
+    return log.replace(notes=(*log.notes, f"{AUTO_TOOK}: {numbers}")), found
 
 
 def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> tuple[Log, Path | None]:

@@ -36,6 +36,8 @@ class EstimatorResult:
         landmarks, landmark_covariances: {id: (2,) or (3,)} and {id: (n, n)}; empty where no map is estimated.
         named: whether the ids of the landmarks are those of the log; False where the estimator numbered them itself,
             so that their true counterparts are known by position only.
+        association: (M,) the landmark that the estimator gave each sighting of the log, `graphslam.log.UNIDENTIFIED` for
+            none; None where it used the ids of the log.
         weighed_down: the number of sightings that a robust kernel gives less than half of their weight; None without one.
         options: the options that it used, for the record.
         reason: why it ended, one sentence.
@@ -58,6 +60,7 @@ class EstimatorResult:
     landmarks: Mapping[int, Array] = field(default_factory=dict)
     landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
     named: bool = True
+    association: np.ndarray | None = field(default=None, repr=False)
     weighed_down: int | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     reason: str = ""

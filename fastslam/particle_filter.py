@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from graphslam.association import ids_by_map
 from graphslam.errors import LogError, OptionError
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
@@ -232,13 +233,14 @@ class ParticleFilter(ABC):
         """Return the estimate so far."""
         mean_poses, ancestors = self._genealogy.summary(np.exp(self._log_weights))
         best_map = self._map(self._best, provisional=False)
+        poses = self.trajectory()
         return FilterResult(
             estimator=type(self).__name__,
             log="" if self.log is None else self.log.name,
             options=self.options,
             motion=self.motion,
             sensor=self.sensor,
-            poses=self.trajectory(),
+            poses=poses,
             mean_poses=robot_poses(self.sensor, mean_poses),
             landmarks={j: estimate.mean for j, estimate in best_map.items()},
             landmark_covariances={j: estimate.covariance for j, estimate in best_map.items()},
@@ -246,7 +248,19 @@ class ParticleFilter(ABC):
             ess=np.array(self._ess_history),
             resampled=np.array(self._resampled_history),
             ancestors=ancestors,
+            **self._association(poses),
         )
+
+    def _association(self, poses: Array) -> dict[str, np.ndarray]:
+        """The fields ``association`` and ``unconfirmed`` of the result, where they are defined."""
+        if self.log is None or self._needs_ids or self._next < self.log.num_poses:
+            return {}
+        estimates = self._map(self._best, provisional=True)
+        means = {j: estimate.mean for j, estimate in estimates.items()}
+        covariances = {j: estimate.covariance for j, estimate in estimates.items()}
+        ids = ids_by_map(self.log, poses, means, covariances, self.sensor)
+        doubtful = [j for j, estimate in estimates.items() if not estimate.confirmed]
+        return {"association": ids, "unconfirmed": np.isin(ids, doubtful)}
 
     # -- the filter --------------------------------------------------------------------------------------------------
 

@@ -111,6 +111,9 @@ class FilterResult:
         ess: (T+1,) effective sample size after each step, before resampling.
         resampled: (T+1,) whether the step resampled.
         ancestors: (T+1,) how many distinct particles of each step have descendants at the end (the depletion curve).
+        association: with unknown association, after the whole log, the landmark (M,) of each sighting on the final map of
+            the best particle, unconfirmed landmarks included; `graphslam.log.UNIDENTIFIED` for clutter. Otherwise None.
+        unconfirmed: (M,) whether that landmark is not confirmed.
     """
 
     estimator: str
@@ -126,6 +129,8 @@ class FilterResult:
     ess: Array
     resampled: np.ndarray
     ancestors: np.ndarray
+    association: np.ndarray | None = None
+    unconfirmed: np.ndarray | None = None
 
     def __repr__(self) -> str:
         return (

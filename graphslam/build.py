@@ -100,8 +100,8 @@ def _check_log(log: Log, with_motion: bool) -> None:
         raise GraphError(f"{log.name} has no sightings at all, so there is nothing to correct dead reckoning with")
     if not log.identified:
         raise GraphError(
-            f"{log.name} has sightings of unidentified landmarks, and a graph needs the identities; use FastSLAM with "
-            "the association maximum-likelihood"
+            f"{log.name} has sightings of unidentified landmarks, and a graph needs the identities; find them with "
+            "graphslam.associate, or use FastSLAM with the association maximum-likelihood"
         )
     if with_motion and log.controls is None:
         raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")

@@ -10,6 +10,23 @@ from pathlib import Path
 
 from .errors import FormatError
 
+#: first bytes of files that are compressed as a whole -> the program that unpacks them
+_PACKED = {
+    b"\x1f\x8b": "gunzip",
+    b"\x28\xb5\x2f\xfd": "unzstd",
+    b"\x04\x22\x4d\x18": "unlz4",
+    b"BZh": "bunzip2",
+    b"\xfd7zXZ": "unxz",
+    b"PK\x03\x04": "unzip",
+}
+
+
+def check_unpacked(path: Path, head: bytes) -> None:
+    """Raise `FormatError` for a file whose first bytes say that it is compressed as a whole."""
+    for first, program in _PACKED.items():
+        if head.startswith(first):
+            raise FormatError(path, None, f"the file is compressed as a whole; unpack it first: {program} {path.name}")
+
 
 def check_path(path: Path) -> None:
     """Raise `FormatError` where the system refuses the path itself: it is too long, holds a zero byte or links to itself."""
@@ -48,11 +65,14 @@ def read_text(path: Path) -> str:
     """
     check_file(path)
     try:
-        return path.read_text(encoding="utf-8-sig")
+        content = path.read_bytes()
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
+        check_unpacked(path, content)
         raise FormatError(path, None, "not a text file (it has bytes that are not UTF-8)") from None
     except OSError as error:
         raise FormatError(path, None, f"cannot be read: {error.strerror}") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
 @contextmanager

@@ -51,6 +51,7 @@ class Log:
         simulated: whether `simulate` made the log. All other logs count as real data, whose sightings may be wrong.
         name: the name of the log in messages and tables.
         notes: remarks of the reader about the data, one sentence each.
+        doubts: what the reader found that is probably a mistake, (name of the check, sentence) each; `plausibility` tells it.
 
     Raises:
         LogError: an argument has the wrong shape, is not finite, or is impossible (a range not above zero, ...).
@@ -76,6 +77,7 @@ class Log:
     simulated: bool = field(default=False, compare=False)
     name: str = field(default="log", compare=False)
     notes: tuple[str, ...] = field(default=(), compare=False)
+    doubts: tuple[tuple[str, str], ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         values = self._checked_controls()

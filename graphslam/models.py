@@ -118,12 +118,8 @@ class MotionModel(NoiseModel):
         without cancellation near it. The heading is not wrapped, so that a trajectory can count its turns.
         """
         pose, control, dt = _broadcast(pose, control, dt)
-        forward, a = control[..., 0] * dt, control[..., 1] * dt / 2
-        chord, heading = forward * sinc(a), pose[..., 2] + a
-        return np.stack(
-            [pose[..., 0] + chord * np.cos(heading), pose[..., 1] + chord * np.sin(heading), pose[..., 2] + 2 * a],
-            axis=-1,
-        )
+        x, y, turn = _arc(pose[..., 2], control, dt)
+        return np.stack([pose[..., 0] + x, pose[..., 1] + y, pose[..., 2] + turn], axis=-1)
 
     def F(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
         """The derivative df/dx of the motion by the pose it starts from; (..., 3, 3)."""
@@ -217,13 +213,21 @@ class MotionModel(NoiseModel):
         """The poses x_t = f(x_{t-1}, u_t) from a start (3,), noise-free; controls (T, 2), dt (T,) -> (T+1, 3)."""
         start, controls = np.asarray(start, dtype=float), np.asarray(controls, dtype=float)
         dt = np.broadcast_to(np.asarray(dt, dtype=float), controls.shape[:1])
-        heading = start[2] + np.concatenate([[0.0], np.cumsum(controls[:, 1] * dt)])
-        # each step rotated by the heading before it: f is affine in (x, y), so the sum can be taken at once
-        at_origin = np.zeros((len(controls), 3))
-        at_origin[:, 2] = heading[:-1]
-        steps = self.f(at_origin, controls, dt)[:, :2]
-        position = start[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-        return np.column_stack([position, heading])
+        poses = np.zeros((len(controls) + 1, 3))
+        poses[1:, 2] = np.cumsum(controls[:, 1] * dt)
+        poses[:, 2] += start[2]
+        # f is affine in (x, y), so the sum of all steps can be taken at once
+        x, y, _ = _arc(poses[:-1, 2], controls, dt)
+        poses[1:, 0], poses[1:, 1] = np.cumsum(x), np.cumsum(y)
+        poses[:, :2] += start[:2]
+        return poses
+
+
+def _arc(heading: Array, control: Array, dt: Array) -> tuple[Array, Array, Array]:
+    """How far a control moves a pose of this heading in x and y, and how far it turns it; each (...)."""
+    a = control[..., 1] * dt / 2
+    chord, along = control[..., 0] * dt * sinc(a), heading + a
+    return chord * np.cos(along), chord * np.sin(along), 2 * a
 
 
 def _sum_before(values: Array, first: np.ndarray, count: np.ndarray) -> Array:

@@ -22,6 +22,7 @@ LAUNCHER = """
 import os, sys
 reads, writes = (os.dup(int(a)) if int(a) < 5 else int(a) for a in sys.argv[1:3])
 os.dup2(reads, 3), os.dup2(writes, 4)
+os.set_inheritable(3, True), os.set_inheritable(4, True)  # a copy may have been 3 or 4 already, and then dup2 does nothing
 os.execvp(sys.argv[3], sys.argv[3:])
 """
 

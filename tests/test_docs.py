@@ -36,7 +36,10 @@ def test_there_are_examples():
     assert (pages.count("factors.md"), pages.count("extending.md")) == (6, 3)
 
 
-@pytest.mark.parametrize("page", [DOCS.parent / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda page: page.name)
+PAGES = [*sorted(DOCS.parent.glob("*.md")), *sorted(DOCS.rglob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS.parent)))
 def test_named_files_exist(page):
     """Every path of this repository that a page names in backquotes exists."""
     named = re.findall(

@@ -29,8 +29,7 @@ def simulate(
     """
     import graphslam
 
-    from ..comparison import describe
-    from ..documents import SimulateDocument, document
+    from ..documents import SimulateDocument, describe, document
     from ..saving import check_can_write
 
     check_can_write(out)

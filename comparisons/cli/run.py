@@ -65,10 +65,26 @@ def run(
     if plotly:
         output.hint(plotly)
     output.hint(f"Interactive report:  {command('report', log, 'report.html', options=(chosen, options))}")
+    if (advice := _noise_advice(outcome, log, options)) is not None:
+        output.hint(advice)
     if options.kernel != "gnc":
         output.hint(f"Animation:           {command('animate', log, 'animation.gif', options=options)}")
     if "graph" in outcome and (reason := reason_without_graph(outcome)):
         output.hint(f"There is no graph.g2o: {reason}.")
+
+
+def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) -> str | None:
+    """The command that finds better noise models, where those of the book do not fit a log in which nothing is suspicious."""
+    from ..options import DOUBTFUL
+
+    fits = outcome.noise_ratio is None or 1 / DOUBTFUL <= outcome.noise_ratio[1] <= DOUBTFUL
+    if fits or options.noise is not None or outcome.findings or set(outcome.noise_source.values()) != {"book"}:
+        return None
+    if not outcome.log.identified or outcome.log.controls is None:
+        return None
+    if outcome.log.true_poses is not None:
+        return f"Noise of this robot: {command('calibrate', log, '--out', 'noise.toml')}"
+    return f"Noise of this robot: {command('run', log, '--noise', 'auto', options=options)}"
 
 
 def report(
@@ -107,7 +123,7 @@ def animate(
     options: RunOptions,
 ) -> None:  # fmt: skip
     """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives."""
-    from ..comparison import describe
+    from ..documents import describe
     from ..show.films import animate as film_of
     from ..show.films import check_can_film
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.cells import cell_len
@@ -12,8 +12,10 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Column, Table
 from rich.text import Text
 
-from graphslam import Certificate
 from graphslam.errors import printable
+
+if TYPE_CHECKING:
+    from graphslam import Certificate
 
 NOTHING = "–"
 #: columns of names wrap in a narrow terminal, but each keeps this width where it needs it

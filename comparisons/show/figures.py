@@ -160,7 +160,8 @@ def _draw_convergence(axes: Axes, comparison: Comparison) -> None:
                 style |= {"linestyle": "-", "linewidth": 0.7}
             axes.plot(np.arange(1, len(norms) + 1), norms, **style)
             longest = max(longest, len(norms))
-    axes.set_yscale("log")
+    if any(np.any(np.asarray(result.step_norms) > 0) for result in comparison.results):
+        axes.set_yscale("log")
     axes.set_xlim(0.5, longest + 0.5)
     axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
     axes.set(xlabel="iteration", ylabel="norm of the correction", title="(b) convergence (the log has no true poses)")

@@ -20,10 +20,13 @@ from rich.text import Text
 
 from graphslam.metrics import exchanged
 
+from ..options import AUTO_TOOK, DOUBTFUL
 from .cells import NOTHING, LeanTable, number, optimum, seconds, yes_no
 from .placement import placement_of_result
 
 if TYPE_CHECKING:
+    from graphslam import AssociationScore
+
     from ..backends import BackendComparison
     from ..comparison import Comparison, ResultTable
     from ..solvers import SolverComparison
@@ -34,8 +37,6 @@ Tables = tuple[list[Table], list[str]]
 PYTHON_FACTORS = "Python"
 #: the width of text that is not written to a terminal
 WIDTH = 140
-#: J per degree of freedom above this, or below its inverse, says that the noise models do not fit
-DOUBTFUL = 2.0
 #: class of results -> the functions that make its tables and its figure, empty where it has none
 RESULTS = {
     "ResultTable": ("tables.result_tables", ""),
@@ -115,13 +116,28 @@ def result_tables(results: ResultTable) -> Tables:
     known = any(row.nees is not None for row in results)
     proofs = any(row.certificate is not None and row.certificate.applicable for row in results)
     headings = ["converged,\niterations", "time", "cost J", "J per\ndof", *["optimum"] * proofs]
-    table = LeanTable(results.title, ["estimator"], [*headings, *metrics.values(), *["NEES"] * known])
+    scored = any(row.association is not None for row in results)
+    last = [*["NEES"] * known, *["precision,\nrecall", "landmarks"] * scored]
+    table = LeanTable(results.title, ["estimator"], [*headings, *metrics.values(), *last])
     for row in results:
         values = (number(getattr(row, metric)) for metric in metrics)
         cells: list[Text | str] = [yes_no(row.converged, f", {row.iterations}"), seconds(row.seconds)]
         cells += [number(row.cost, 2), number(row.cost_per_dof, 2), *[optimum(row.certificate)] * proofs]
-        table.add_row(row.name, *cells, *values, *[number(row.nees, 2)] * known)
+        of_ids = [_precision_recall(row.association), _counts(row.association)] * scored
+        table.add_row(row.name, *cells, *values, *[number(row.nees, 2)] * known, *of_ids)
     return [table], []
+
+
+def _precision_recall(association: AssociationScore | None) -> str:
+    if association is None:
+        return NOTHING
+    return ", ".join(NOTHING if v is None else f"{v:.3f}" for v in (association.precision, association.recall))
+
+
+def _counts(association: AssociationScore | None) -> str:
+    if association is None:
+        return NOTHING
+    return f"{association.found} {association.missed} {association.doubled} {association.invented}"
 
 
 def comparison_tables(comparison: Comparison) -> Tables:
@@ -130,6 +146,11 @@ def comparison_tables(comparison: Comparison) -> Tables:
     remarks += [f"WARNING: {finding.message}." for finding in comparison.findings]
     if any(value is not None for value in comparison.nees.values()):
         remarks.append("NEES: 1 means consistent covariances, above 1 overconfident ones.")
+    if any(comparison.associations.values()):
+        remarks.append(
+            "Precision and recall: of the ids that an estimator gave the sightings itself, against the true ones. Landmarks: "
+            "found, missed, doubled, invented."
+        )
     if (difference := comparison.difference("graph", "gtsam")) is not None:
         remarks.append(f"graph and gtsam differ by at most {difference:.1e} in any x, y [m] or heading [rad].")
     if log.true_poses is None and any(metrics.aligned_by for metrics in comparison.metrics.values()):
@@ -185,13 +206,14 @@ def _exchanged(comparison: Comparison) -> list[str]:
 def _noise_remarks(comparison: Comparison) -> list[str]:
     """Which noise models were used, and what J per degree of freedom says about them."""
     names = {"book": "the book's", "log": "published with the log", "given": "as given"}
+    if any(note.startswith(AUTO_TOOK) for note in comparison.log.notes):
+        names["given"] = "calibrated from the residuals of this log"
     sources = {name: names[source] for name, source in comparison.noise_source.items()}
     same = len(set(sources.values())) == 1
     which = sources["motion"] if same else ", ".join(f"{name} {source}" for name, source in sources.items())
     remarks = [f"Noise models: {which}."]
-    solved = [result for result in comparison.results if result.cost_per_dof is not None and result.name != "textbook"]
-    if solved:
-        first, ratio = solved[0].name, solved[0].cost_per_dof or 0.0
+    if (solved := comparison.noise_ratio) is not None:
+        first, ratio = solved
         verdict = ""
         if ratio > DOUBTFUL:
             verdict = f" {first} has {number(ratio, 1)}: the noise is too small, or sightings are wrong."

@@ -13,7 +13,6 @@ The cells are described in `cells`. The alternative text describes the figure fo
 
 from __future__ import annotations
 
-import ast
 import html
 import re
 import shlex
@@ -25,7 +24,9 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+import bundled
 import cells
+import listings
 import mathml
 import notebooks
 from mkdocs.exceptions import PluginError
@@ -36,15 +37,15 @@ _MARKER = re.compile(r"^([ \t]*)\{\{ (code|cell|output|figure|slides)(?: (.+?))?
 WORDS = {
     "en": {
         "code": "Show the code",
-        "lines": "lines",
         "slides": "| Section | Explained in | Function | Test |",
         "notebook": "This page as a notebook",
+        "colab": "Open it in Colab",
     },
     "ja": {
         "code": "コードを表示",
-        "lines": "行",
         "slides": "| 節 | 説明 | 関数 | テスト |",
         "notebook": "このページのノートブック",
+        "colab": "Colabで開く",
     },
 }
 
@@ -69,7 +70,10 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     def text(found: re.Match[str]) -> str:
         indent, kind, arguments = found[1], found[2], shlex.split(found[3] or "")
         if kind == "code":
-            made = _code(*arguments, language=language)
+            try:
+                made = listings.listing(*arguments, language=language)
+            except listings.ListingError as error:
+                raise PageError(f"{page.file.src_uri}: {error}") from None
         elif kind == "slides":
             made = _slides(Path(page.file.src_uri).parent, language)
         else:
@@ -79,14 +83,23 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     made = _MARKER.sub(text, markdown)
     if source.exists():
         url = get_relative_url(_notebook(source, language), page.file.url)
-        made += f'\n\n<p><a href="{url}" download>{WORDS[language]["notebook"]}</a></p>\n'
+        links = f'<a href="{url}" download>{WORDS[language]["notebook"]}</a>'
+        stored = [file for file, of, its in bundled.bundled() if (of, its) == (source, language)]
+        if stored and notebooks.REPOSITORY:
+            place = notebooks.REPOSITORY.removeprefix("https://github.com/") + "/blob/main/examples/" + stored[0].name
+            links += f' · <a href="https://colab.research.google.com/github/{place}">{WORDS[language]["colab"]}</a>'
+        made += f"\n\n<p>{links}</p>\n"
     return made
 
 
 def on_page_content(html: str, page: Any, config: Any, files: Any) -> str:
-    """Show the formulas of a page as MathML."""
+    """Show the formulas of a page as MathML; load its pictures when they come into view; search its text, not its code.
+
+    Every page loads the index of the search, which would be twice as large with the code.
+    """
     try:
-        return mathml.replace(html)
+        made = re.sub(r"<img (?![^>]*loading=)", '<img loading="lazy" ', mathml.replace(html))
+        return re.sub(r'<div class="(?=[^"]*\bhighlight\b|formula")', '<div data-search-exclude class="', made)
     except mathml.FormulaError as error:
         raise PageError(f"{page.file.src_uri}: {error}") from None
 
@@ -94,15 +107,11 @@ def on_page_content(html: str, page: Any, config: Any, files: Any) -> str:
 def on_post_build(config: Any) -> None:
     """Copy the figures of all pages into the site, and write the notebooks."""
     for source in cells.sources():
-        target = Path(config["site_dir"]) / _place(source)
-        shutil.copytree(cells.folder(source), target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*.json"))
-        for language, suffix in (("en", ".md"), ("ja", ".ja.md")):
-            content = notebooks.notebook(
-                source.with_suffix(suffix).read_text(),
-                cells.run(source),
-                cells.folder(source),
-                lambda arguments, language=language: _code(*shlex.split(arguments), language=language),
-            )
+        if cells.folder(source).exists():
+            target = Path(config["site_dir"]) / _place(source)
+            shutil.copytree(cells.folder(source), target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*.json"))
+        for language in bundled.LANGUAGES:
+            content = bundled.make(source, language, cells.results(source), cells.folder(source))
             notebooks.write(Path(config["site_dir"]) / _notebook(source, language), content)
 
 
@@ -112,24 +121,6 @@ def _notebook(source: Path, language: str) -> str:
 
 def _place(source: Path) -> str:
     return f"figures/{source.relative_to(cells.DOCS).with_suffix('').as_posix()}"
-
-
-def _code(path: str, *names: str, language: str) -> str:
-    """Return the present source of functions or classes as a block of code with its place as the title."""
-    file = cells.ROOT / path
-    lines, tree = file.read_text().splitlines(), ast.parse(file.read_text())
-    made = []
-    for name in names:
-        nodes: list[Any] = [tree]
-        for part in name.split("."):
-            nodes = [node for parent in nodes for node in parent.body if getattr(node, "name", None) == part]
-        if not nodes:
-            raise PageError(f"{path} has no {name}; functions that pages show must not be renamed without the page")
-        node = nodes[0]
-        first = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
-        title = f"{path}, {WORDS[language]['lines']} {first}-{node.end_lineno}"
-        made += [f'```python title="{title}"', *lines[first - 1 : node.end_lineno], "```", ""]
-    return "\n".join(made)
 
 
 def _slides(folder: Path, language: str) -> str:
@@ -151,7 +142,7 @@ def _slides(folder: Path, language: str) -> str:
 def _cell(kind: str, source: Path, arguments: list[str], page: Any, language: str) -> str:
     """Return a cell as the marker asks for it."""
     name, alternative = arguments[0], arguments[1] if len(arguments) > 1 else ""
-    results = cells.run(source)
+    results = cells.results(source)
     if name not in results:
         raise PageError(f"{page.file.src_uri}: {source.name} has no cell {name!r}; it has {', '.join(results)}")
     cell = results[name]

@@ -2,13 +2,15 @@
 
 Text becomes Markdown cells, each marker of a cell a code cell with what it printed and drew, each marker of code a block.
 A page may show its cells in another order than that in which they run; a cell then follows those that it may need.
-Boxes and exercises lose their indentation, because notebooks have no boxes. Links to other pages become plain text.
+Boxes and exercises lose their indentation, because notebooks have no boxes. Links to other pages become plain text. The first
+cell installs the project where the notebook runs in Colab.
 """
 
 from __future__ import annotations
 
 import base64
 import json
+import os
 import re
 import shlex
 from collections.abc import Callable, Mapping
@@ -19,6 +21,13 @@ import mathml
 from cells import Cell
 
 _MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure|slides)(?: (.+?))? \}\}$", re.MULTILINE)
+#: where Colab installs the project from, and finds the notebooks; the workflow that publishes the site sets it
+REPOSITORY = os.environ.get("SITE_REPOSITORY", "")
+INSTALL = f'''%matplotlib inline
+import sys
+
+if "google.colab" in sys.modules:  # Colab does not have the project yet
+    %pip install --quiet "virtual-motion-slam @ git+{REPOSITORY or "https://github.com/OWNER/REPOSITORY"}"'''
 #: what the site gives to cells, for a notebook
 SLIDER = '''def slider(label, values, draw):
     """Draw one figure for each value."""
@@ -34,7 +43,7 @@ def notebook(markdown: str, results: Mapping[str, Cell], folder: Path, code: Cal
         results: of its cells, whose figures are in ``folder``.
         code: makes the block for the arguments of a marker of code.
     """
-    made: list[dict[str, Any]] = []
+    made = [_code_cell(INSTALL, [])]
     if any("slider(" in cell.code for cell in results.values()):
         made.append(_code_cell(SLIDER, []))
     end, waiting = 0, list(results)
@@ -64,7 +73,10 @@ def write(place: Path, content: dict[str, Any]) -> None:
 def _text(markdown: str) -> list[dict[str, Any]]:
     if not markdown.strip():
         return []
-    if not markdown.startswith("```"):
+    if markdown.startswith("```"):
+        # notebooks show no titles of blocks
+        markdown = re.sub(r'^```python title="(\S+), .*"$', r"```python\n# \1", markdown, flags=re.MULTILINE)
+    else:
         markdown = re.sub(r"^[ \t]*(?:!!!|\?\?\?)\+? \w+ \"(.+?)\"$", r"**\1**", markdown, flags=re.MULTILINE)
         markdown = re.sub(r"^(?: {4})+(?=\S)", "", markdown, flags=re.MULTILINE)
         markdown = re.sub(r" \{ ?#[\w-]+ ?\}$", "", markdown, flags=re.MULTILINE)

@@ -9,17 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FormatError
+from ..files import check_unpacked
 
 #: the first bytes of files
 MAGIC = {"ROS 1": b"#ROSBAG V", "MCAP": b"\x89MCAP0\r\n", "SQLite": b"SQLite format 3\x00"}
-#: first bytes of files that are compressed as a whole -> the program that unpacks them
-_PACKED = {
-    b"\x1f\x8b": "gunzip",
-    b"\x28\xb5\x2f\xfd": "unzstd",
-    b"BZh": "bunzip2",
-    b"\xfd7zXZ": "unxz",
-    b"PK\x03\x04": "unzip",
-}
+#: the suffix of each kind of file
+SUFFIXES = {".bag": "ROS 1", ".mcap": "MCAP", ".db3": "SQLite"}
 INSTALL = "bags are read by the package rosbags: pip install -e '.[ros]' in the clone, or pip install rosbags"
 
 
@@ -73,7 +68,7 @@ def is_bag(path: Path, head: bytes) -> bool:
     """Whether a file or folder is a bag, by its first bytes or its metadata."""
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
-    return head.startswith((MAGIC["ROS 1"], MAGIC["MCAP"])) or path.suffix.lower() in (".bag", ".mcap", ".db3")
+    return head.startswith((MAGIC["ROS 1"], MAGIC["MCAP"])) or path.suffix.lower() in SUFFIXES
 
 
 @contextmanager
@@ -83,7 +78,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
     Raises:
         FormatError: it cannot be read; the message has the likely cause.
     """
-    _check_packed(path)
+    _check_head(path)
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -104,17 +99,25 @@ def open_bag(path: Path) -> Iterator[Bag]:
         reader.close()
 
 
-def _check_packed(path: Path) -> None:
-    """Raise `FormatError` for a file that is empty or compressed as a whole."""
+def _check_head(path: Path) -> None:
+    """Raise `FormatError` for a file that is empty, compressed as a whole, or begins as no bag does."""
     if path.is_dir():
         return
     with path.open("rb") as stream:
         head = stream.read(16)
     if not head:
         raise FormatError(path, None, "the file is empty; was the recording ended before anything was written?")
-    for first, program in _PACKED.items():
-        if head.startswith(first):
-            raise FormatError(path, None, f"the file is compressed as a whole; unpack it first: {program} {path.name}")
+    check_unpacked(path, head)
+    for suffix, kind in SUFFIXES.items():
+        if head.startswith(MAGIC[kind]) and path.suffix.lower() in SUFFIXES and path.suffix.lower() != suffix:
+            raise FormatError(
+                path, None, f"its content is that of {kind}; give it the name {path.with_suffix(suffix).name}"
+            )
+    if not head.startswith(tuple(MAGIC.values())):
+        raise FormatError(
+            path, None, "not a readable bag: it does not begin as one of ROS 1, MCAP or SQLite; was it overwritten, or is it "
+            "another kind of file with this name?",
+        )  # fmt: skip
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from ..errors import LogError
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from .from_residuals import CORRELATED, MAX_ROUNDS, SCALES, noise_from_residuals
-from .from_truth import knows_enough, motion_noise, sensor_noise
+from .from_truth import Means, knows_enough, knows_poses, motion_noise, sensor_noise
 from .parts import OF_SENSOR, with_variances
 from .variances import VarianceFit
 
@@ -39,7 +39,7 @@ class Calibration:
             are few, the models describe typical motions and sightings, without the outliers, and a robust kernel is
             needed.
         counts: {"motion": number of motions, "sensor": number of sightings} that were used.
-        source: "truth" or "residuals".
+        source: "truth" or "residuals"; the latter, too, where true poses without a map tell the numbers of the motion only.
         logs: the names of the logs.
         notes: what the user should know, one sentence each.
         doubts: why the noise should not be used, one sentence each; empty where all checks pass. Only noise from residuals
@@ -121,7 +121,8 @@ def calibrate(
 
     Args:
         log, others: the logs; of one kind of robot, since they share all numbers.
-        source: "truth", "residuals", or "auto": the truth where poses, headings and landmarks are known.
+        source: "truth", "residuals", or "auto": the truth where poses, headings and landmarks are known. Where the map is
+            not, "auto" takes the numbers of the motion from the true poses, and those of the sensor from residuals.
         motion, sensor: the start of the search by "residuals", and the offset of the sensor; default: the first log's, or
             the book's.
         degrees: degrees of freedom; None to estimate them, infinity for a Gaussian likelihood.
@@ -137,7 +138,7 @@ def calibrate(
     check_choice("scale", scale, tuple(SCALES))
     logs = (log, *others)
     motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
-    if source == "auto":
+    if auto := source == "auto":
         source = "truth" if all(map(knows_enough, logs)) else "residuals"
     _check(logs, source)
     notes: list[str] = []
@@ -149,12 +150,28 @@ def calibrate(
             moved, odometry = motion_noise(logs, degrees)
             means, errors = means | odometry[0], errors | odometry[1]
     else:
-        found = noise_from_residuals(logs, motion, sensor, degrees, scale=scale)
+        known: tuple[VarianceFit, Means] | None = None
+        drives = logs
+        if auto and log.controls is not None and all(map(knows_poses, logs)):
+            known = motion_noise(logs, degrees)
+            means = known[1][0]
+            drives = tuple(each.with_corrected_odometry(means["wheel_scale"], means["turn_rate_bias"]) for each in logs)
+            scale = "odometry"
+            notes.append(
+                "there is no true map: the numbers of the motion, with wheel_scale and turn_rate_bias, are from the true "
+                "poses, and those of the sensor from residuals"
+            )
+        elif auto:
+            notes.append("no true poses with headings are known: all numbers are from residuals")
+        found = noise_from_residuals(drives, motion, sensor, degrees, scale=scale)
         moved, seen, means, errors = found.motion, found.sensor, found.means, found.errors
+        if known is not None:
+            moved, (of_odometry, errors_of_odometry) = known
+            means, errors = means | of_odometry, errors | errors_of_odometry
         if not found.settled:
             doubts.append(f"the variances had not settled after {MAX_ROUNDS} rounds")
         for name, reference in (("range_scale", "odometry"), ("wheel_scale", "ranges")):
-            if means[name] != 1:
+            if means[name] != 1 and known is None:
                 other = ", ".join(each for each in SCALES if each != reference)
                 notes.append(
                     f"{name} {means[name]:.3f} is relative to the {reference}; only ground truth tells which of the two has "

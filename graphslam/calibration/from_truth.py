@@ -38,10 +38,13 @@ Means = tuple[dict[str, float], dict[str, float]]
 
 def knows_enough(log: Log) -> bool:
     """Whether true poses with headings and the positions of landmarks that were seen are known."""
+    return knows_poses(log) and bool(np.isin(log.landmarks, list(log.true_landmarks or {})).any())
+
+
+def knows_poses(log: Log) -> bool:
+    """Whether true poses with headings are known."""
     truth = log.robot_truth
-    if truth is None or not log.true_landmarks:
-        return False
-    return bool(np.isfinite(truth[:, 2]).any() and np.isin(log.landmarks, list(log.true_landmarks)).any())
+    return truth is not None and bool(np.isfinite(truth[:, 2]).any())
 
 
 def motion_noise(logs: Sequence[Log], degrees: float | None = None) -> tuple[VarianceFit, Means]:

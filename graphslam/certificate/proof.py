@@ -107,6 +107,8 @@ def prove_edges(edges: Sequence[ConstantEdges], state: Array, fixed: np.ndarray,
     return _certificate(outcome, cost, begin)
 
 
+#: where the six numbers of a row of `_Problem.edges` stand in an information matrix; the first three are those of positions
+_UPPER = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 #: status, lower bound, reason and direction of a `Certificate`
 _Outcome: TypeAlias = tuple[str, float, str, Array | None]
 
@@ -167,8 +169,8 @@ class _Problem:
     symbolic: HermitianSymbolic
     forces: Forces
     given: int
-    #: the most edges that meet at a node: the numbers that are added to an entry of S or of the gradient
-    summands: int
+    #: (N,) a bound on the rounding errors of sums over the edges that meet at a node, in units of their terms
+    summation: Array
 
     @classmethod
     def of(cls, graph: Graph, state: Array) -> _Problem:
@@ -213,8 +215,8 @@ class _Problem:
         symbolic = analyze_hermitian(system.indptr, system.indices, order)
         force = Forces(*forces(nodes, *joined))
         ends = np.bincount(first[first >= 0], minlength=n) + np.bincount(second, minlength=n)
-        summands = int(ends.max(initial=0))
-        return cls(nodes, joined, free, system.indptr, system.indices, symbolic, force, given, summands)
+        summation = ROUNDOFF * (128.0 + 4 * ends)
+        return cls(nodes, joined, free, system.indptr, system.indices, symbolic, force, given, summation)
 
     def check_information(self, curve: Curvature) -> None:
         """Raise `GraphError` where the information of an edge has a negative eigenvalue, beyond its rounding.
@@ -249,28 +251,30 @@ class _Problem:
             function: the function below J.
             shift: (N,) to add to the diagonal of S, and to the multipliers of the headings.
         """
-        # With S' = S - 4 margin scale: S_exact >= S - assembly scale, L L^H is within (margin - assembly) scale of S', and
-        # solving with L counts twice as much.
-        assembly, growth = ROUNDOFF * (128 + 4 * self.summands), 16.0
-        shifts = np.broadcast_to(shift, len(self.state))
+        # S is at least what is assembled minus ``assembled``, and L L^H is at most that minus ``assembled + margin``,
+        # so that S is at least L L^H plus ``margin``.
+        free, shifts = function.scale > 0, np.zeros_like(function.scale)
+        shifts[:, 0] = shift
+        scale = function.scale + shifts
+        assembled, c = self.summation[:, None] * scale, np.empty(len(scale))
+        c[self.symbolic.order] = self.symbolic.rounding
+        margin = assembled + 2 * np.sqrt(c * c.max(initial=0.0))[:, None] * scale
         while True:
-            margin = assembly + 2 * ROUNDOFF * (4 * self.symbolic.longest + 32) * growth
-            values = _reduced(function.values, self.indptr, function.scale, 4 * margin, shifts)
+            margin[~free] = 1.0
+            values = _changed(function.values, self.indptr, np.where(free, shifts - assembled - 2 * margin, 1.0))
             factor = factorize(self.symbolic, values)
             if factor.negative is not None:
                 return -np.inf, factor
-            if factor.growth * (1 + 1e-6) <= growth:
+            if np.all(factor.error <= margin):
                 break
-            growth = 2 * factor.growth
+            margin = np.maximum(margin, assembled + 2 * factor.error)
         gradient, terms = function.gradient, function.error
         if np.any(shift):
-            gradient, terms = gradient.copy(), terms.copy()
+            gradient, terms = gradient.copy(), terms + shifts
             gradient[:, 0] += shift * np.exp(1j * self.state[:, 2]) * self.free
-            terms[:, 0] += shift
-        # rounding errors of the gradient; S is at least margin * scale
-        scale = np.where(function.scale > 0, margin * function.scale, 1.0)
-        error = np.sqrt(np.sum((ROUNDOFF * (64 + self.summands) * terms) ** 2 / scale))
-        decrease = (1.001 * np.sqrt(factor.square(gradient)) + error) ** 2
+        # rounding errors of the gradient
+        error = np.sqrt(np.sum((self.summation[:, None] * terms) ** 2 / margin))
+        decrease = (np.sqrt(factor.square(gradient)) + 1.001 * error) ** 2
         return function.touched - decrease - function.slack, factor
 
     def raised_bound(self, curve: Curvature, function: Minorant) -> float:
@@ -340,15 +344,15 @@ def _joined(parts: Sequence[ConstantEdges]) -> tuple[Array, ...]:
     at = 0
     for edges in parts:
         to = at + len(edges.first)
-        W, d = edges.information, edges.information.shape[1]
-        largest = np.abs(W).max(axis=(1, 2), initial=0.0)
-        if np.any(np.abs(W - np.swapaxes(W, 1, 2)).max(axis=(1, 2), initial=0.0) > ROUNDED[0] * largest):
-            raise GraphError("the information of an edge is not symmetric")
-        information[at:to, :3] = np.stack([W[:, 0, 0], W[:, 0, 1], W[:, 1, 1]], axis=1)
+        W = edges.information
+        for k, (i, j) in enumerate(_UPPER[: 3 * (W.shape[1] - 1)]):
+            information[at:to, k] = W[:, i, j]
+            if i != j and np.any(
+                np.abs(W[:, i, j] - W[:, j, i]) > ROUNDED[0] * (np.abs(W[:, i, i]) + np.abs(W[:, j, j]))
+            ):
+                raise GraphError("the information of an edge is not symmetric")
         if edges.turn is not None:
             turn[at:to], oriented[at:to] = edges.turn, True
-        if d == 3:
-            information[at:to, 3:] = W[:, :, 2]
         at = to
     return first, second, start, end, turn, oriented, information
 
@@ -386,14 +390,11 @@ def _hold_roots(first, second, free):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _reduced(values, indptr, scale, part, shift):  # type: ignore[no-untyped-def]
-    """S minus ``part`` of its scale (N, 2), plus ``shift`` (N,) for the headings, plus 1 for what is no variable."""
+def _changed(values, indptr, change):  # type: ignore[no-untyped-def]
+    """S plus a change (N, 2) of its diagonal."""
     out = values.copy()
     for j in range(len(indptr) - 1):
         block = out[indptr[j + 1] - 1]
-        block[0, 0] += shift[j]
-        for k in range(2):
-            # the shift is part of the scale, because its sum with the diagonal is rounded, too
-            size = scale[j, k] + (shift[j] if k == 0 else 0.0)
-            block[k, k] += 1.0 if scale[j, k] == 0 else -part * size
+        block[0, 0] += change[j, 0]
+        block[1, 1] += change[j, 1]
     return out

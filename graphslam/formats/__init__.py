@@ -13,7 +13,7 @@ from typing import Any
 
 from ..checks import check_choice
 from ..errors import FormatError, OptionError
-from ..files import check_file, check_path
+from ..files import check_file, check_path, check_unpacked
 from ..keyframes import with_poses_every
 from ..log import Log
 from ..reading import ReadOptions
@@ -76,6 +76,7 @@ def _recognised(path: Path) -> Format:
         raise FormatError(
             path, None, "this is a folder, and not that of a known data set; slam-compare datasets lists their files"
         )
+    check_unpacked(path, head)
     raise FormatError(
         path,
         None if is_mat(head) else 1,

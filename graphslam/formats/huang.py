@@ -71,7 +71,9 @@ def _read(folder: Path, _: ReadOptions) -> Log:
     if len(seen) == 0:
         raise FormatError(path, None, NO_SIGHTING)
     seen = seen[np.argsort(seen[:, 0], kind="stable")]
-    if seen[0, 0] < 1 or seen[-1, 0] > len(speed) + 1 or np.any(seen[:, :2] != np.round(seen[:, :2])):
+    # beyond 2^53 floating-point numbers leave out whole numbers
+    whole = not np.any((seen[:, :2] % 1 != 0) | (np.abs(seen[:, :2]) > 2**53))
+    if seen[0, 0] < 1 or seen[-1, 0] > len(speed) + 1 or not whole:
         raise FormatError(path, None, f"steps and beacons must be whole numbers, and steps 1 to {len(speed) + 1}")
     positive = seen[:, 2] > 0
     if not positive.all():

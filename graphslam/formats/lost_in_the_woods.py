@@ -31,7 +31,7 @@ from ..errors import FormatError
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..reading import ReadOptions
-from ..sources.streams import BRIDGED_GAP, bridging, check_gaps, gap_note
+from ..sources.streams import BRIDGED_GAP, Stream, bridging, check_gaps, gap_note, in_order
 from .base import NO_SIGHTING, Format, errors_name, member
 from .mat import Shape, has_variables, read_mat
 
@@ -54,18 +54,21 @@ def _recognises(path: Path, head: bytes) -> bool:
 def _read(path: Path, _: ReadOptions) -> Log:
     if path.is_dir():
         path = member(path, "dataset2.mat", "the whole log")
-    content = read_mat(path, _SHAPES)
-    times, valid = content["t"][:, 0], content["true_valid"][:, 0] != 0
+    content, notes = read_mat(path, _SHAPES), list[str]()
+    with errors_name(path):
+        ordered, order = in_order("data", Stream(content["t"][:, 0], content["v"]), notes)
+    content |= {name: content[name][order] for name, shape in _SHAPES.items() if shape and shape[0] == "times"}
+    times, valid = ordered.times, content["true_valid"][:, 0] != 0
     r_std, b_std, v_std, om_std = (content[name].item() ** 0.5 for name in ("r_var", "b_var", "v_var", "om_var"))
     dt = np.diff(times)
     if (k := first(dt <= 0)) is not None:
-        raise FormatError(path, None, f"the times t run backwards or stand still at row {k + 2}")
+        raise FormatError(path, None, f"two rows have the time t = {times[k]:.3f} s; every row should have its own")
     steps, columns = np.nonzero(content["r"] > 0)
     if len(steps) == 0:
         raise FormatError(path, None, NO_SIGHTING)
     truth = np.column_stack([content[name] for name in ("x_true", "y_true", "th_true")])
     truth[~valid] = np.nan
-    notes = [] if valid.all() else [f"the truth covers {valid.sum()} of {len(times)} poses"]
+    notes += [] if valid.all() else [f"the truth covers {valid.sum()} of {len(times)} poses"]
     controls = np.column_stack([content["v"], content["om"]])[1:]
     with errors_name(path):
         check_gaps(dt, times[:-1])

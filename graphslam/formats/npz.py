@@ -5,13 +5,14 @@ Arrays (absent = None): ``format`` ("graphslam-log-1"), ``dt`` (T,), ``controls`
 the robot's pose), ``true_landmark_ids`` (L,), ``true_landmark_poses`` (L, 3; a third column of NaN marks a landmark
 without heading), ``start_time``, and for logs with several controls per motion ``control_starts`` (T+1,),
 ``control_variances`` (S, 2), ``recorded_dt`` (S,) and ``true_path`` (S+1, 3); ``motion`` and ``sensor``, the fields of the
-noise models in their order, where the log has such models; ``notes`` (N,), texts; ``simulated``, where `simulate` made
-the log. No pickles.
+noise models in their order, where the log has such models; ``notes`` (N,) and ``doubts`` (N, 2),
+texts; ``simulated``, where `simulate` made the log. No pickles.
 """
 
 from __future__ import annotations
 
 import io
+import zipfile
 from dataclasses import astuple, fields
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,7 @@ def _read(path: Path, _: ReadOptions) -> Log:
             true_landmarks=truth,
             start_time=float(content.get("start_time", 0.0)),
             notes=tuple(map(str, content.get("notes", ()))),
+            doubts=tuple((str(check), str(message)) for check, message in content.get("doubts", ())),
             simulated=bool(content.get("simulated", False)),
             name=path.stem,
         )
@@ -89,10 +91,20 @@ def _write(log: Log, path: Path) -> None:
         content["true_landmark_poses"] = np.array(poses).reshape(-1, 3)
     if log.simulated:
         content["simulated"] = np.array(True)
-    if log.notes:
-        content["notes"] = np.array(log.notes)
-    with write_whole(path) as temporary, temporary.open("wb") as stream:
-        np.savez_compressed(stream, allow_pickle=False, format=VERSION, start_time=log.start_time, **content)
+    for name in ("notes", "doubts"):
+        if texts := getattr(log, name):
+            content[name] = np.array(texts)
+    content |= {"format": np.array(VERSION), "start_time": np.array(log.start_time)}
+    # at its default level the compression takes four times as long, for files that are a few percent smaller
+    with (
+        write_whole(path) as temporary,
+        zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+    ):
+        for name, values in content.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                np.lib.format.write_array(entry, np.asarray(values), allow_pickle=False)
 
 
-FORMAT = Format("npz", lambda _, head: head.startswith(b"PK\x03\x04"), _read, _write, (".npz",))
+FORMAT = Format(
+    "npz", lambda path, head: head.startswith(b"PK\x03\x04") and path.suffix != ".zip", _read, _write, (".npz",)
+)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FormatError
+from ..files import check_unpacked
 from ..log import Log
 from ..reading import ReadOptions
 from ..tables.join import Drive, read_drive
@@ -51,6 +52,9 @@ def find_tables(folder: Path, recipe: Recipe) -> dict[str, Path]:
         if paths:
             found[table] = paths[0]
         elif table in ("odometry", "sightings"):
+            for packed in sorted(folder.glob(f"{table}.*.*")):
+                with packed.open("rb") as stream:
+                    check_unpacked(packed, stream.read(16))
             message = (
                 f"this file is missing; it would hold {holds}. Another name can stand in {RECIPE}: [{table}] file = .."
             )

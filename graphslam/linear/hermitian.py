@@ -29,7 +29,7 @@ class HermitianSymbolic:
     """The structure of the factor: order (n,), where each row's blocks come from, the tree, and the columns of L.
 
     ``rows`` (n+1,), ``columns``, ``sources``, ``turned``: the entries left of the diagonal of each row in elimination order.
-    ``starts`` (n+1,): where the columns of L begin. ``longest``: the most blocks in a row of L.
+    ``starts`` (n+1,): where the columns of L begin. ``rounding`` (n,): c of each row, see `factorize`.
     """
 
     order: NDArray[Any]
@@ -40,7 +40,7 @@ class HermitianSymbolic:
     turned: NDArray[Any]
     parent: NDArray[Any]
     starts: NDArray[Any]
-    longest: int
+    rounding: NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class HermitianFactor:
 
     Attributes:
         negative: None, or a vector (n, 2) in node order with v^H A v <= 0 up to rounding; L is then incomplete.
-        growth: a bound on the scaled norm of |L| |L|^H, see `factorize`.
+        error: (n, 2) in node order, a bound on the rounding errors, see `factorize`.
     """
 
     symbolic: HermitianSymbolic
@@ -57,7 +57,7 @@ class HermitianFactor:
     targets: NDArray[Any]
     pivots: NDArray[Any]
     negative: NDArray[Any] | None
-    growth: float
+    error: NDArray[Any]
 
     def solve(self, rhs: NDArray[Any]) -> NDArray[Any]:
         """A^-1 rhs (n, 2), in node order."""
@@ -70,10 +70,15 @@ class HermitianFactor:
         return out
 
     def square(self, rhs: NDArray[Any]) -> float:
-        """rhs^H A^-1 rhs = |L^-1 rhs|²."""
+        """A bound on rhs^H (A + diag(e))^-1 rhs for any e of at least `error`, rounding errors included.
+
+        The computed x = L^-1 rhs solves L x = rhs - f exactly, with |f_i| <= c_i (|L| |x|)_i <= c_i sqrt(d_i) |x|, d the
+        diagonal of L L^H. As `error` is at least c d, f adds at most |x| times the root of the sum of c.
+        """
         x = rhs[self.symbolic.order].astype(np.complex128)
         _forward(self.symbolic.starts, self.targets, self.blocks, self.pivots, x)
-        return float(np.sum(x.real**2 + x.imag**2))
+        lost = np.sqrt(2 * self.symbolic.rounding.sum())
+        return float(np.sum(x.real**2 + x.imag**2)) * (1.001 + lost) ** 2
 
 
 def analyze_hermitian(indptr: NDArray[Any], indices: NDArray[Any], order: NDArray[Any]) -> HermitianSymbolic:
@@ -85,23 +90,26 @@ def analyze_hermitian(indptr: NDArray[Any], indices: NDArray[Any], order: NDArra
     rows, columns, sources, turned = _entries(n, indptr, indices, position)
     parent, count = elimination_tree(n, rows, columns.astype(np.int32))
     starts = np.concatenate([[0], np.cumsum(count - 1)]).astype(np.int64)
-    longest = _longest_row(n, rows, columns, parent)
-    return HermitianSymbolic(order, indptr[1:][order] - 1, rows, columns, sources, turned, parent, starts, longest)
+    rounding = 2 * ROUNDOFF * (16.0 + 2 * _row_lengths(n, rows, columns, parent))
+    return HermitianSymbolic(order, indptr[1:][order] - 1, rows, columns, sources, turned, parent, starts, rounding)
 
 
 def factorize(symbolic: HermitianSymbolic, values: NDArray[Any]) -> HermitianFactor:
     """The factor of blocks (nnzb, 2, 2), of which the diagonal ones are Hermitian.
 
-    ``growth`` is the largest entry of (|L| |L|^H v) / (diag(A) v) over all rows, with v = diag(A)^(-1/2). The matrix
-    |L| |L|^H has no negative entries and is symmetric, so that x^H E x <= c growth x^H diag(A) x for every x, wherever
-    |E| <= c |L| |L|^H (Perron and Frobenius).
+    A row i of b blocks has c_i = 2 u (16 + 2 b): an entry of L L^H is a sum of at most 2 min(b_i, b_j) complex products, so
+    that its error is at most min(c_i, c_j) (|L| |L|^H)_ij. For every positive vector w these errors are, as a matrix, at most
+    the diagonal matrix of the quotients (C |L| |L|^H C w)_i / w_i with C = diag(c)^1/2, because 2 x y <= r x² + y² / r.
+    ``error`` holds these quotients for w = diag(L L^H)^-1/2.
     """
     s = symbolic
     arguments = (s.order, s.diagonal, s.rows, s.columns, s.sources, s.turned, s.parent, s.starts)
     blocks, targets, pivots, bad, negative = _factorize(*arguments, np.ascontiguousarray(values))
     if bad >= 0:
-        return HermitianFactor(s, blocks, targets, pivots, negative, np.inf)
-    return HermitianFactor(s, blocks, targets, pivots, None, _growth(s.starts, targets, blocks, pivots))
+        return HermitianFactor(s, blocks, targets, pivots, negative, np.full((len(s.order), 2), np.inf))
+    error = np.empty((len(s.order), 2))
+    error[s.order] = _error(s.starts, targets, blocks, pivots, np.sqrt(s.rounding))
+    return HermitianFactor(s, blocks, targets, pivots, None, error)
 
 
 @njit(cache=True, error_model="numpy")
@@ -128,20 +136,19 @@ def _entries(n, indptr, indices, position):
 
 
 @njit(cache=True, error_model="numpy")
-def _longest_row(n, rows, columns, parent):
-    longest = 0
+def _row_lengths(n, rows, columns, parent):
+    """The number of blocks left of the diagonal in each row of L."""
+    lengths = np.zeros(n, np.int64)
     mark = np.full(n, -1, np.int64)
     for k in range(n):
         mark[k] = k
-        count = 0
         for p in range(rows[k], rows[k + 1]):
             i = columns[p]
             while mark[i] != k:
                 mark[i] = k
-                count += 1
+                lengths[k] += 1
                 i = parent[i]
-        longest = max(longest, count)
-    return longest
+    return lengths
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -240,7 +247,8 @@ def _size(z):
 
 
 @njit(cache=True, error_model="numpy")
-def _growth(starts, targets, blocks, pivots):
+def _error(starts, targets, blocks, pivots, root):
+    """The quotients of `factorize`, in the order of elimination, for the square roots of c."""
     n = len(starts) - 1
     # diag(A) from L: the squares of its rows
     square = np.empty((n, 2))
@@ -254,7 +262,9 @@ def _growth(starts, targets, blocks, pivots):
                 size[p, c] = _size(blocks[p, c])
             square[targets[p], 0] += size[p, 0] ** 2 + size[p, 1] ** 2
             square[targets[p], 1] += size[p, 2] ** 2 + size[p, 3] ** 2
-    v, after = 1 / np.sqrt(square), np.zeros((n, 2))
+    v, after = np.empty((n, 2)), np.zeros((n, 2))
+    for i in range(n):
+        v[i, 0], v[i, 1] = root[i] / np.sqrt(square[i, 0]), root[i] / np.sqrt(square[i, 1])
     for i in range(n):
         cross = _size(pivots[i, 1])
         w0 = v[i, 0] / pivots[i, 0].real + cross * v[i, 1]
@@ -269,11 +279,10 @@ def _growth(starts, targets, blocks, pivots):
             t = targets[p]
             after[t, 0] += size[p, 0] * w0 + size[p, 1] * w1
             after[t, 1] += size[p, 2] * w0 + size[p, 3] * w1
-    largest = 0.0
     for i in range(n):
         for c in range(2):
-            largest = max(largest, after[i, c] * v[i, c])
-    return largest
+            after[i, c] *= 1.001 * root[i] ** 2 / v[i, c]
+    return after
 
 
 @njit(cache=True, error_model="numpy")

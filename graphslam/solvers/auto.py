@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,7 @@ from ..graph import Graph
 from ..se2 import Array
 from .iteration import Run, factorized
 from .starting import AUTO, GROWING, starting_state
+from .turns import turned
 
 DAMPED = "levenberg-marquardt"
 #: graphs of at most so many nodes are always run from a second start: that takes milliseconds
@@ -35,16 +36,22 @@ SAME = 1e-6
 
 @dataclass(frozen=True)
 class End:
-    """The end of one run by a method."""
+    """The end of one run by a method; ``before`` counts the steps of the runs that led to its start."""
 
     graph: Graph
     run: Run
     method: str
+    before: int = 0
 
     @cached_property
     def cost(self) -> float:
         """J, infinite where it is no number."""
         return _finite(self.graph.cost(self.run.state))
+
+    @cached_property
+    def steps(self) -> int:
+        """All steps that led to the end."""
+        return self.before + len(self.run.step_norms)
 
     @cached_property
     def plausible(self) -> bool:
@@ -53,7 +60,7 @@ class End:
         limit = (DOUBTFUL_SIGHTINGS if sighted else DOUBTFUL) * self.graph.expected_cost
         # re-weighted edges and damped steps take more steps in any case
         quick = not sighted or self.method == DAMPED or self.graph.reweighted or self.graph.state_dependent_information
-        return self.cost <= limit and (quick or len(self.run.step_norms) <= SLOW)
+        return self.cost <= limit and (quick or self.steps <= SLOW)
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -76,8 +83,9 @@ class End:
 def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
     """The run with the lowest end among the starts of `AUTO`.
 
-    The search ends when the lowest end is accepted (`enough`) and no longer `open`, or after `FURTHER` more starts. If it is
-    not accepted or still open then, the search goes on along the negative direction that its failed proof shows.
+    The search ends when the lowest end is accepted (`enough`) and no longer `open`, or after `FURTHER` more starts. Before
+    another start, other turns are tried from the end of the last one (`turned`). If the lowest end is not accepted or still
+    open then, the search goes on along the negative direction that its failed proof shows.
     An end with a higher cost than the given values never counts. If no run converges to a lower one,
     Levenberg-Marquardt runs from the given values and accepts only steps that lower J itself. (With state-dependent
     information a fixed point of the iteration may have a higher J.)
@@ -97,23 +105,24 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
     good: list[End] = []
     further = FURTHER
     for initialize, start in _starts(graph):
+        tried = len(ends)
         # a start that only serves for comparison is worth one attempt
-        searches = (method,) if any(_allowed(end, given) and end.run.converged for end in ends) else (method, DAMPED)
+        searches = (method,) if _counted(ends, given) else (method, DAMPED)
         for search in dict.fromkeys(searches):
             try:
-                run = run_from(start, search)
+                ends.append(_end(graph, run_from, start, search, initialize, ends))
             except GraphError as failure:
                 error = failure
                 continue
-            run.reason += f" (started {initialize}, {search})"
-            ends.append(End(graph, run, search))
-            if run.converged:
+            if ends[-1].run.converged:
                 break
-        good = [end for end in ends if end.run.converged and _allowed(end, given)]
-        accepted = enough(good)
-        if accepted and (further == 0 or not _lowest(good).open):
+        good = _counted(ends, given)
+        if not _finished(good, further):
+            ends += _turned(graph, run_from, ends, tried, initialize)
+            good = _counted(ends, given)
+        if _finished(good, further):
             break
-        further -= accepted
+        further -= enough(good)
     if good and (not enough(good) or _lowest(good).open):
         ends += _descended(graph, run_from, method, _lowest(good))
     if error is not None and not any(end.run.converged for end in ends):
@@ -131,6 +140,45 @@ def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
             run.state, run.converged = graph.initial.copy(), False
         allowed.append(End(graph, run, DAMPED))
     return _best(graph, allowed)
+
+
+def _end(graph: Graph, run_from: Callable[..., Run], start: Array, search: str, started: str, ends: list[End]) -> End:
+    """The end of a run from a start. A run that has not converged, but is below all other ends, goes on once.
+
+    Raises:
+        GraphError: the edges do not determine the nodes.
+    """
+    run, before = run_from(start, search), 0
+    if not run.converged and graph.cost(run.state) < min((end.cost for end in ends), default=np.inf):
+        before = len(run.step_norms)
+        run = run_from(run.state, search)
+    run.reason += f" (started {started}, {search})"
+    return End(graph, run, search, before)
+
+
+def _turned(graph: Graph, run_from: Callable[..., Run], ends: list[End], tried: int, started: str) -> list[End]:
+    """The lower end that other turns lead to from the last end, if it has converged and no end before it has its cost.
+
+    Beyond J of `DOUBTFUL` times the expected one, wrong sightings or wrong noise models decide, and other turns help nobody.
+
+    Args:
+        ends: all ends; the first ``tried`` of them are those of earlier starts.
+    """
+    if not _sighted(graph) or len(ends) == tried or not ends[-1].run.converged:
+        return []
+    end = ends[-1]
+    if end.cost > DOUBTFUL * graph.expected_cost:
+        return []
+    if any(abs(other.cost - end.cost) <= SAME * end.cost for other in ends[:tried] if other.run.converged):
+        return []
+    state = turned(graph, end.run.state)
+    if state is None:
+        return []
+    try:
+        lower = _end(graph, run_from, state, end.method, f"{started}, other turns", ends)
+    except GraphError:
+        return []
+    return [replace(lower, before=lower.before + end.steps)]
 
 
 def _descended(graph: Graph, run_from: Callable[..., Run], method: str, end: End) -> list[End]:
@@ -174,6 +222,11 @@ def _starts(graph: Graph) -> Iterator[tuple[str, Array]]:
         names, growing = growing + names, []
 
 
+def _counted(ends: list[End], given: float) -> list[End]:
+    """The ends that have converged and are allowed."""
+    return [end for end in ends if end.run.converged and _allowed(end, given)]
+
+
 def _allowed(end: End, given: float) -> bool:
     """Whether an end is not above the cost of the given values, but for rounding."""
     return end.cost <= given * (1 + 1e-9)
@@ -204,6 +257,11 @@ def enough(ends: list[End]) -> bool:
     confirmed = same > (1 if same == len(ends) else 2)
     small = lowest.graph.num_nodes <= SMALL
     return (lowest.plausible and confirmed if small else lowest.plausible or confirmed) or lowest.proven
+
+
+def _finished(ends: list[End], further: int) -> bool:
+    """Whether the lowest end is accepted, and the search has no reason or no start left to go on."""
+    return enough(ends) and (further == 0 or not _lowest(ends).open)
 
 
 def _lowest(ends: list[End]) -> End:

@@ -70,7 +70,7 @@ def _tree(graph: Graph) -> _Tree:
     poses, unturned = len(graph.steps), np.zeros_like(graph.initial)
     parents, offsets = np.full(graph.num_nodes, -1), np.zeros((graph.num_nodes, 3))
     parents[1:poses] = np.arange(poses - 1)
-    offsets[:poses] = odometry(graph, "grow")
+    offsets[:poses], _ = odometry(graph, "grow")
     for family in graph.families:
         for relations, columns in ((family.positions(unturned), slice(0, 2)), (family.headings(), 2)):
             if relations is None:

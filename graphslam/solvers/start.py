@@ -71,29 +71,37 @@ def dead_reckoning(graph: Graph) -> Array:
     Raises:
         GraphError: there is no chain of motion edges through all poses.
     """
-    state, step = graph.initial.copy(), odometry(graph, "dead-reckoning")
+    state, (step, _) = graph.initial.copy(), odometry(graph, "dead-reckoning")
     for k in range(1, len(graph.steps)):
         state[k] = compose(state[k - 1], step[k])
     return state
 
 
-def odometry(graph: Graph, initialize: str) -> Array:
-    """The measured motion (P, 3) to each pose from the pose before it; zero for the first pose.
+def odometry(graph: Graph, initialize: str) -> tuple[Array, Array]:
+    """The measured motion (P, 3) to each pose from the pose before it, and the variance (P,) of its turn; 0 for the first.
 
     Raises:
         GraphError: no motion edge leads to a pose; the message names the option's value ``initialize``.
     """
-    step = np.full((len(graph.steps), 3), np.nan)
+    step, variance = np.full((len(graph.steps), 3), np.nan), np.zeros(len(graph.steps))
     step[:1] = 0.0
     for family in graph.families:
         if isinstance(family, RelativePoseEdges):
             # several edges may lead to the next pose; the first in the file is the odometry
             following = np.flatnonzero(family.second == family.first + 1)[::-1]
             step[family.second[following]] = family.measured[following]
+            variance[family.second[following]] = _turn_variance(family.information[following])
     missing = np.flatnonzero(np.isnan(step[:, 0]))
     if len(missing):
         raise GraphError(f"initialize={initialize!r} needs motion edges; none leads to {graph.names(missing)}")
-    return step
+    return step, variance
+
+
+def _turn_variance(information: Array) -> Array:
+    """The last diagonal element of the inverse of each matrix (E, 3, 3); infinite where it is singular."""
+    determinant = np.linalg.det(information)
+    minor = information[:, 0, 0] * information[:, 1, 1] - information[:, 0, 1] * information[:, 1, 0]
+    return np.divide(minor, determinant, out=np.full(len(minor), np.inf), where=determinant > 0)
 
 
 def place_landmarks(graph: Graph, poses: Array) -> Array:

@@ -60,11 +60,11 @@ def parts_of_streams(
 ) -> dict[str, Any]:
     """The arguments of the `Log` that `synchronize` returns; its arguments and errors are the same."""
     remarks = list(notes)
-    odometry = _in_order("odometry", odometry, remarks)[0]
-    sightings, order = _in_order("sightings", sightings, remarks)
+    odometry = in_order("odometry", odometry, remarks)[0]
+    sightings, order = in_order("sightings", sightings, remarks)
     landmarks = np.asarray(landmarks)[order]
     if truth is not None:
-        truth = _in_order("truth", truth, remarks)[0]
+        truth = in_order("truth", truth, remarks)[0]
     if len(odometry) < 2:
         raise LogError(f"the odometry has {len(odometry)} rows, but motion takes two")
     inside = (sightings.times >= odometry.times[0]) & (sightings.times <= odometry.times[-1])
@@ -73,7 +73,7 @@ def parts_of_streams(
     if not inside.all():
         remarks.append(f"{np.sum(~inside)} of {len(inside)} sightings are from before or after the odometry: left out")
     seen = sightings.times[inside]
-    times = np.unique(seen)
+    times = _distinct(seen)
     if options is not None and options.keep_every is not None:
         times = _filled(times, options.keep_every)
     controls, dt, recorded_dt, starts, variances, gaps = divide(odometry, times)
@@ -122,8 +122,12 @@ def disorder(times: Array) -> Array:
     return np.maximum.accumulate(times) - times if len(times) else times
 
 
-def _in_order(what: str, stream: Stream, remarks: list[str]) -> tuple[Stream, np.ndarray]:
-    """The rows sorted by time, with a remark where that changes anything, and the row of each in the order given."""
+def in_order(what: str, stream: Stream, remarks: list[str]) -> tuple[Stream, np.ndarray]:
+    """The rows sorted by time, with a remark where that changes anything, and the row of each in the order given.
+
+    Raises:
+        LogError: rows run backwards by more than `MOST_DISORDER`.
+    """
     behind = disorder(stream.times)
     if (k := first(behind > MOST_DISORDER)) is not None:
         raise LogError(
@@ -147,7 +151,8 @@ def divide(odometry: Stream, times: Array) -> tuple[Array, Array, Array, np.ndar
         LogError: a gap is longer than `LONGEST_GAP`.
     """
     within = (odometry.times > times[0]) & (odometry.times < times[-1])
-    cuts = np.union1d(odometry.times[within], times)
+    # two sorted runs are merged, which np.union1d does not know
+    cuts = _distinct(np.sort(np.concatenate([odometry.times[within], times]), kind="stable"))
     # of several rows with one time the last holds
     row = np.searchsorted(odometry.times, cuts[:-1], side="right") - 1
     following = np.minimum(row + 1, len(odometry) - 1)
@@ -158,6 +163,11 @@ def divide(odometry: Stream, times: Array) -> tuple[Array, Array, Array, np.ndar
     gaps = silence[bridged][np.unique(row[bridged], return_index=True)[1]].tolist()
     variances = bridging(odometry.rows, silence, lasting) if gaps else None
     return odometry.rows[row], lasting, silence, np.searchsorted(cuts, times), variances, gaps
+
+
+def _distinct(times: Array) -> Array:
+    """Times (N,) in order, each once."""
+    return times[np.append(True, np.diff(times) > 0)]
 
 
 def check_gaps(silence: Array, after: Array) -> None:

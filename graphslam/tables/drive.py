@@ -18,6 +18,7 @@ from ..se2 import Array
 from .columns import MEASURES, NAMES, Chosen, find, unit_of
 from .options import ANGLES, LENGTHS, TableOptions
 from .poses import checked_heading, controls_between
+from .repeats import Doubt, repeated_sightings, repeated_times
 from .table import Table
 from .times import nanoseconds
 
@@ -47,7 +48,7 @@ _SIDEWAYS = 0.3
 class Timed:
     """A table that has been read: times (N,) in nanoseconds, not decreasing, and rows (N, k); ids of sightings.
 
-    ``columns`` says which column was taken for what, and in which unit.
+    ``columns`` says which column was taken for what, and in which unit; ``notes`` and ``doubts`` are those of a `Log`.
     """
 
     table: Table
@@ -56,6 +57,7 @@ class Timed:
     columns: tuple[str, ...]
     ids: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     notes: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
 
 class _Reader:
@@ -67,7 +69,6 @@ class _Reader:
         self.found = find(kind, table, ROLES[kind], options.columns_of(kind), ORDERS[kind])
         if len(table) == 0:
             raise table.error(None, f"there is no row of {kind} in it")
-        table.prepare([chosen.column for chosen in self.found.values()])
 
     def has(self, *roles: str) -> bool:
         return all(role in self.found for role in roles)
@@ -179,6 +180,8 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
             reader.need("theta")
     ns, order, notes = _ordered(reader, ns)
     rows = rows[order]
+    more, doubts = repeated_times("odometry", table, ns, rows, np.arange(len(ns))[order])
+    notes += more
     dt = np.diff(ns) / 1e9
     if len(dt) and not reader.stated("t") and (middle := float(np.median(dt))) > SLOWEST:
         unit, word = ("ms", "milli") if middle < 5e3 else ("us", "micro") if middle < 5e6 else ("ns", "nano")
@@ -188,8 +191,8 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
             f"odometry={unit}; if they are seconds, add --time odometry=s",
         )
     if rows.shape[1] == 3:
-        rows, ns, more = _controls(reader, rows, ns)
-        notes += more
+        rows, ns, sideways = _controls(reader, rows, ns)
+        doubts += sideways
     else:
         speed, turn = np.abs(rows).T
         if np.quantile(speed, 0.95) > FASTEST:
@@ -199,11 +202,11 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
                 "omega", turn, turn > QUICKEST, "the turn rate is {:g} rad/s: is it in degrees per second?",
                 "degrees/radians",
             )  # fmt: skip
-    return Timed(table, ns, rows, reader.described(), notes=notes)
+    return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts)
 
 
-def _controls(reader: _Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.ndarray, tuple[str, ...]]:
-    """The controls between poses of odometry, their times, and notes."""
+def _controls(reader: _Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.ndarray, tuple[Doubt, ...]]:
+    """The controls between poses of odometry, their times, and doubts."""
     # of several rows with one time the last holds
     last = np.append(np.diff(ns) > 0, True)
     poses, ns = poses[last], ns[last]
@@ -218,13 +221,14 @@ def _controls(reader: _Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.
     speed = np.abs(controls[:-1, 0])
     if len(speed) and np.quantile(speed, 0.95) > FASTEST:
         reader.refuse("x", speed, speed > FASTEST, "the poses move by {:g} m/s: are they in mm?", "mm/m")
-    notes: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
     if sideways > _SIDEWAYS:
-        notes = (
+        message = (
             f"{reader.table.source}: the poses move sideways for {sideways:.0%} of their way, which wheels cannot; the "
-            "heading may be in another unit, turn the other way, or not be the robot's",
+            "heading may be in another unit, turn the other way, or not be the robot's"
         )
-    return controls, ns, notes
+        doubts = (("sideways", message),)
+    return controls, ns, doubts
 
 
 def sightings_of(table: Table, options: TableOptions) -> Timed:
@@ -263,7 +267,9 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     if options.centre == "robot" and any(options.sensor_offset or ()):
         rows[:, :2] = _moved(rows[:, :2], np.array(options.sensor_offset))
     ns, order, more = _ordered(reader, ns)
-    return Timed(table, ns, rows[order], reader.described(), ids[order], (*notes, *more))
+    ids, rows = ids[order], rows[order]
+    doubts = repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
+    return Timed(table, ns, rows, reader.described(), ids, (*notes, *more), doubts)
 
 
 def _polar(places: Array, axes: str) -> Array:
@@ -336,7 +342,9 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
         )  # fmt: skip
     kept = np.flatnonzero(known)
     ns, order, more = _ordered(reader, ns[kept], kept)
-    return Timed(table, ns, rows[kept][order], reader.described(), notes=(*notes, *more))
+    rows = rows[kept][order]
+    few, doubts = repeated_times("truth", table, ns, rows, kept[order])
+    return Timed(table, ns, rows, reader.described(), notes=(*notes, *more, *few), doubts=doubts)
 
 
 def map_of(table: Table, options: TableOptions) -> dict[int, Array]:

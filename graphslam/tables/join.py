@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from ..se2 import Array
 from ..sources.streams import Stream, parts_of_streams
 from .drive import Timed, map_of, odometry_of, sightings_of, truth_of
 from .options import TableOptions
+from .repeats import Doubt
 from .sources import table_of
 from .times import seconds
 
@@ -46,13 +48,14 @@ class Drive:
         named = {"odometry": self.odometry, "sightings": self.sightings, "truth": self.truth}
         return {name: stream for name, stream in named.items() if stream is not None}
 
-    def _covered(self) -> list[str]:
-        """A note where the sightings cover little of the odometry."""
+    def _covered(self) -> list[Doubt]:
+        """A doubt where the sightings cover little of the odometry."""
         spans = [float(stream.times[-1] - stream.times[0]) for stream in (self.odometry, self.sightings)]
         if len(self.sightings.times) < 2 or spans[1] > _FEW * spans[0]:
             return []
         share = f"{spans[1] / 1e9:.1f} s of the {spans[0] / 1e9:.1f} s of the odometry"
-        return [f"the sightings cover {share}; the times of one of them may be in another unit, or count rows"]
+        message = f"the sightings cover {share}; the times of one of them may be in another unit, or count rows"
+        return [("covered", message)]
 
     def parts(self, reading: ReadOptions, name: str) -> dict[str, Any]:
         """The arguments of the `Log` of this drive.
@@ -64,8 +67,8 @@ class Drive:
             if stream is not None:
                 check_overlap(self.odometry, stream)
         origin = int(self.odometry.times[0])
-        remarks = self._covered()
-        remarks += [note for stream in self.streams.values() for note in (*stream.table.notes, *stream.notes)]
+        remarks = [note for stream in self.streams.values() for note in (*stream.table.notes, *stream.notes)]
+        doubts = self._covered() + [doubt for stream in self.streams.values() for doubt in stream.doubts]
         models: dict[str, Any] = {}
         if self.sensor_offset is not None:
             models["sensor"] = SensorModel(offset=self.sensor_offset)  # type: ignore[arg-type]  # checked there
@@ -81,6 +84,7 @@ class Drive:
             origin=origin / 1e9,
             name=name,
             notes=(*self.notes, *remarks),
+            doubts=tuple(doubts),
             **models,
         )
 
@@ -136,7 +140,7 @@ def check_overlap(odometry: Timed, other: Timed) -> None:
         longer = (last - first) / (end - begin)
         if inside < _FEW * len(other.times) and longer > _LONGER:
             raise LogError(
-                f"{other.table.source} lasts {longer:.0f} times as long as {odometry.table.source}, and only {inside} of "
+                f"{_name(other)} lasts {longer:.0f} times as long as {_name(odometry)}, and only {inside} of "
                 f"{len(other.times)} rows are within its time ({_interval(begin, end)}): are its times in milliseconds? Then "
                 f"add --time {kind}=ms"
             )
@@ -151,10 +155,18 @@ def check_overlap(odometry: Timed, other: Timed) -> None:
         cause = f"one seems to be in units {ratio} times as large"
     else:
         cause = "they are of different drives, or one clock was not set"
+    names = [
+        f"{_name(stream)} ({_interval(*ends)})" for stream, ends in ((odometry, (begin, end)), (other, (first, last)))
+    ]
     raise LogError(
-        f"the clocks of {odometry.table.source} ({_interval(begin, end)}) and {other.table.source} "
-        f"({_interval(first, last)}) do not overlap: {cause}; --clocks {kind}={offset:.6g} lets both begin together"
+        f"the clocks of {' and '.join(names)} do not overlap: {cause}; --clocks {kind}={offset:.6g} lets both begin together"
     )
+
+
+def _name(stream: Timed) -> str:
+    """The table without its folder: a sentence with two paths is hard to read."""
+    path, colon, topic = stream.table.source.partition(": ")
+    return f"{Path(path).name}{colon}{topic}"
 
 
 def _unit_ratio(one: int, other: int) -> int | None:

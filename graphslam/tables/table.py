@@ -48,8 +48,9 @@ class Table(ABC):
         words = self.words(column)
         return words if words.dtype.kind in "iu" else np.char.encode(words, "ascii", "replace")
 
-    def prepare(self, columns: Sequence[int]) -> None:  # noqa: B027  # only where it saves time
-        """Columns that will be needed, so that they can be read at once."""
+    def decimals(self, column: int) -> tuple[np.ndarray, np.ndarray] | None:  # noqa: ARG002  # of tables in text files
+        """A column as whole numbers m (N,) and decimal places k (N,), each number m / 10^k; None where it is none."""
+        return None
 
     @abstractmethod
     def error(self, row: int | None, message: str) -> LogError:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +13,13 @@ import numpy as np
 from ..errors import FormatError
 from ..files import read_text
 from ..se2 import Array
+from .grid import MISSING, grid_of
 from .table import Table
 
 #: separators; None is any white space
 _SEPARATORS = ("\t", ";", ",", "|", None)
 #: how many lines decide
 _HEAD = 50
-#: cells that stand for a number that is not known
-_MISSING = ("", "na", "n/a", "null", "none", "-")
 
 
 class TextTable(Table):
@@ -39,61 +40,57 @@ class TextTable(Table):
         text = read_text(path)
         if not text.strip():
             raise FormatError(path, None, "the file is empty; a table with a row for each time is needed here")
-        lines = text.strip("\r\n").splitlines()
-        comments, self._quoted = "#" in text, '"' in text
-        blank = re.search(r"\n[ \t\r\f\v]*\n", text) or lines[0].isspace()
-        rows = [line for line in lines if line and not line.isspace()] if blank else lines
-        if comments:
-            rows = [line for line in rows if not line.lstrip().startswith("#")]
-        if not rows:
+        text = text.strip("\n")
+        lines: list[str] = []
+        if "#" in text or re.search(r"\n[ \t\r\f\v]*\n", text) or not text.partition("\n")[0].strip():
+            lines = text.split("\n")
+            text = "\n".join(line for line in lines if line.strip() and not line.lstrip().startswith("#"))
+        if not text:
             raise FormatError(path, None, "the file has comments only; a table with a row for each time is needed here")
-        self._separator, self._decimal_comma = _form(path, rows[1 : _HEAD + 1] or rows)
-        first = self._cells(rows[0])
+        head = text.split("\n", _HEAD + 1)[: _HEAD + 1]
+        self._separator, self._decimal_comma = _form(path, head[1:] or head)
+        first = self._cells(head[0])
         self._header = not any(map(self._is_number, first))
         # above the rows a comment with as many words may name the columns, as in the files of TUM
-        titles = first if self._header else self._titles_in_comments(lines, len(first)) if comments else []
-        self.names: tuple[str, ...] = tuple(titles)
-        self._rows = rows[1:] if self._header else rows
+        self.names = tuple(first if self._header else self._titles_in_comments(lines, len(first)))
         self.width = len(first)
-        if not self._rows:
-            raise FormatError(path, 1, "there is a header, but no row below it")
+        if self._header:
+            _, below, text = text.partition("\n")
+            if not below:
+                raise FormatError(path, 1, "there is a header, but no row below it")
+        self._text, self._length = text, text.count("\n") + 1
+        self._grid = grid_of(text, self._separator or " ", self.width, "," if self._decimal_comma else ".")
         self._known: dict[int, Array] = {}
-        self._checked = False
         decimal = f"{path.name}: commas were read as decimal points"
         self.notes = (decimal,) if self._decimal_comma else ()
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return self._length
 
-    def prepare(self, columns: Sequence[int]) -> None:
-        try:
-            numbers = self._loaded(columns)
-        except ValueError:
-            return  # `numbers` reads column by column, and says what is wrong
-        self._known = dict(zip(columns, numbers.T))
-
-    def _loaded(self, columns: Sequence[int]) -> Array:
-        rows = [row.replace(",", ".") for row in self._rows] if self._decimal_comma else self._rows
-        return np.loadtxt(rows, delimiter=self._separator, usecols=columns, ndmin=2, quotechar='"')
+    @cached_property
+    def _rows(self) -> list[str]:
+        return self._text.split("\n")
 
     def numbers(self, columns: Sequence[int]) -> Array:
-        self._check_widths(columns)
-        if self._known.keys() >= set(columns):
-            return np.column_stack([self._known[column] for column in columns])
-        try:
-            return self._loaded(columns)
-        except ValueError:
-            self._refuse(columns)
-            # what loadtxt refuses though every cell is a number: missing cells, and words for NaN
-            return np.array([[self._number(self._cells(row)[k]) for k in columns] for row in self._rows])
+        for column in columns:
+            if column not in self._known:
+                self._known[column] = self._column(column)
+        return np.column_stack([self._known[column] for column in columns])
 
-    def _check_widths(self, columns: Sequence[int]) -> None:
-        """Raise the error of a row with other columns, which loadtxt ignores where they are more."""
-        if self._separator is None or self._quoted or self._checked:
-            return
-        if {row.count(self._separator) for row in self._rows} != {self.width - 1}:
-            self._refuse(columns)
-        self._checked = True
+    def _column(self, column: int) -> Array:
+        if self._grid is not None:
+            with suppress(ValueError):
+                return self._grid.numbers(column)
+        elif self._separator is None or '"' in self._text:
+            rows = [row.replace(",", ".") for row in self._rows] if self._decimal_comma else self._rows
+            with suppress(ValueError):
+                return np.loadtxt(rows, delimiter=self._separator, usecols=[column], ndmin=1, quotechar='"')
+        # line by line, which takes longer and says what is wrong
+        self._refuse([column])
+        return np.array([self._number(self._cells(row)[column]) for row in self._rows])
+
+    def decimals(self, column: int) -> tuple[np.ndarray, np.ndarray] | None:
+        return None if self._grid is None else self._grid.decimals(column)
 
     def words(self, column: int) -> np.ndarray:
         texts = np.loadtxt(
@@ -177,7 +174,7 @@ def _number(cell: str, decimal_comma: bool = False) -> float:
         ValueError: it is neither.
     """
     cell = cell.strip().strip('"')
-    if cell.lower() in _MISSING:
+    if cell.lower().encode() in MISSING:
         return float("nan")
     if "_" in cell:
         raise ValueError  # Python reads 1_0 as 10, other programs do not

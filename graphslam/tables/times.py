@@ -10,6 +10,8 @@ from .table import Table
 UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
 #: floating-point numbers hold nanoseconds up to here
 _EXACT = 2.0**53
+#: 64 bits hold powers of ten up to here
+_LARGEST_POWER = 18
 
 
 def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
@@ -23,6 +25,8 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
     Raises:
         LogError: a time is no finite number.
     """
+    if (parts := table.decimals(column)) is not None and (exact := _of_decimals(*parts, unit)) is not None:
+        return exact
     values = table.numbers([column])[:, 0]
     if (bad := np.flatnonzero(~np.isfinite(values))).size:
         raise table.error(int(bad[0]), f"the time {table.title(column)} is {values[bad[0]]}; every row needs a time")
@@ -40,6 +44,17 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
     except (ValueError, OverflowError):
         # with exponents or beyond 64 bits
         return np.rint(values * factor).astype(np.int64)
+
+
+def _of_decimals(whole: np.ndarray, places: np.ndarray, unit: str | None) -> np.ndarray | None:
+    """Times (N,) of m / 10^k, rounded to nanoseconds; None where they do not fit into 64 bits."""
+    factor = UNITS[unit or by_size(whole / 10.0**places)]
+    exponents = len(str(factor)) - 1 - places
+    up, down = max(0, int(exponents.max())), max(0, -int(exponents.min()))
+    if down > _LARGEST_POWER or np.abs(whole).max() > (2**63 - 1 - 10**down) // 10**up:
+        return None
+    divisors = 10 ** np.maximum(-exponents, 0)
+    return (whole * 10 ** np.maximum(exponents, 0) + divisors // 2) // divisors
 
 
 def by_size(values: np.ndarray) -> str:

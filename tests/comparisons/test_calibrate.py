@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+import comparisons
 from comparisons.cli import app
 from comparisons.config import read_config
 from comparisons.noise_files import read_noise, write_noise
 from comparisons.options import NoiseOptions, RunOptions
 from comparisons.reading import prepare
-from graphslam import FormatError, LogError, SensorModel, load, save, simulate
+from graphslam import FormatError, LogError, MotionModel, SensorModel, load, save, simulate
 from graphslam.calibration import calibrate
 
 Invoke = Callable[..., Result]
@@ -193,6 +194,26 @@ def test_noise_auto_says_what_it_took(invoke: Invoke, tmp_path: Path) -> None:
     assert run["noise"]["sensor"]["model"]["bearing_std"] == found.sensor.bearing_std
     # the saved configuration has the numbers
     assert read_config(Path("a/config.toml"))["bearing_std"] == found.sensor.bearing_std
+    text = str(comparisons.run(log, noise="auto", estimators="graph"))
+    assert "Noise models: calibrated from the residuals of this log." in text
+
+
+def test_better_noise_is_offered_where_that_of_the_book_does_not_fit(invoke: Invoke, tmp_path: Path) -> None:
+    log = simulate(seed=2, steps=80, clean=True, orientation=False)
+    precise = simulate(
+        seed=2, steps=80, clean=True, orientation=False, motion=MotionModel(nn=0.02, no=0.001, on=0.01, oo=0.02),
+        sensor=SensorModel(range_rate=0.02, bearing_std=0.01),
+    )  # fmt: skip
+    fits, calibrate_it, auto = "fits.npz", "calibrate.npz", "auto.npz"
+    for name, each in ((fits, log), (calibrate_it, precise), (auto, precise.replace(true_poses=None))):
+        save(each, tmp_path / name)
+    outputs = {
+        name: invoke("run", name, "--estimators", "graph", "--out", "a", "--figures", "").output
+        for name in (fits, calibrate_it, auto)
+    }
+    assert "Noise of this robot" not in outputs[fits]
+    assert "Noise of this robot: slam-compare calibrate calibrate.npz --out noise.toml" in outputs[calibrate_it]
+    assert "Noise of this robot: slam-compare run auto.npz --noise auto" in outputs[auto]
 
 
 def test_noise_auto_keeps_the_models_where_its_checks_fail(tmp_path: Path) -> None:

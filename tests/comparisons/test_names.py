@@ -21,8 +21,9 @@ from comparisons.show.tables import as_html
 from comparisons.show.tables import as_text as table_text
 from comparisons.studies.export import write_csv, write_json_lines
 from comparisons.toml_files import to_toml
-from graphslam import Log, LogError, OptionError, SlamError, load, save, simulate
+from graphslam import Graph, Log, LogError, OptionError, SlamError, load, save, simulate
 from graphslam.errors import printable
+from graphslam.relative import relative_graph
 
 NAMES = ["$$", "a$x^{$b", r"\$", "$\\frac{", "=1+1", "@SUM(1)", "[red]x[/blue]", "<script>alert(1)</script>", "a\x1b[31mb",
          "x\ny", "\udcff\udcfe", "%s{0}", "_hidden", "\u202eleft", "ü日本"]  # fmt: skip
@@ -165,3 +166,19 @@ def test_comments_of_toml_are_lines() -> None:
     assert to_toml({}, printable("a\nb = 1")) == "# a b = 1\n"
     with pytest.raises(OptionError, match="must be one of"):
         comparisons.run(kernel="a\nb")
+
+
+@pytest.mark.parametrize("name", NAMES, ids=ascii)
+def test_a_name_cannot_break_a_graph_file(log: Log, tmp_path: Path, name: str) -> None:
+    """A g2o file holds no text but its tags, so the graph of a log with any name is the same file."""
+    graphs = [relative_graph(Graph.from_log(each)) for each in (log, log.replace(name=name))]
+    for number, graph in enumerate(graphs):
+        graph.save_g2o(tmp_path / f"{number}.g2o")
+    text = (tmp_path / "1.g2o").read_text()
+    assert text == (tmp_path / "0.g2o").read_text()
+    # and names in the comments of a file are no lines of it
+    safe = name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+    comments = "".join(f"# {line}\n" for line in safe.split("\n"))
+    (tmp_path / "2.g2o").write_text(comments + text, encoding="utf-8")
+    read = [Graph.from_g2o(tmp_path / f"{number}.g2o") for number in (1, 2)]
+    assert read[0].cost(read[0].initial) == read[1].cost(read[1].initial)

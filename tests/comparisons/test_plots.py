@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import warnings
 from itertools import combinations
 from pathlib import Path
 
@@ -186,6 +187,13 @@ def test_without_truth_the_right_panel_shows_convergence(log: Log, tmp_path: Pat
         r.iterations for r in outcome.results[1:]
     ]
     save_figure(figure, [tmp_path / "a.png"])
+
+
+def test_a_single_sighting_is_drawn_without_warnings(log: Log) -> None:
+    one = log.replace(steps=log.steps[:1], landmarks=log.landmarks[:1], sightings=log.sightings[:1], true_poses=None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run(one, estimators=["graph"]).figure()
 
 
 @pytest.mark.parametrize("names", [["dead-reckoning"], ["mcl"], ["graph"], ["fastslam1", "dead-reckoning"]])

@@ -6,11 +6,13 @@ import math
 import numpy as np
 import pytest
 
+import comparisons
+
 pytest.importorskip("rosbags")
 
 from bags import Maker, point, pose, quaternion, transform, twist
 
-from graphslam import FormatError, Log, LogError, load
+from graphslam import FormatError, Graph, Log, LogError, load, solve
 from graphslam.bags.frames import Frames, rotation_of
 from graphslam.bags.paths import getter, leaves
 from graphslam.bags.read import drive_of_bag, topics_of
@@ -93,6 +95,41 @@ def test_csv_of_the_same_drive_gives_the_same_log(expected, tmp_path):
     lines = [f"{seconds(t)},{j},{x!r},{y!r}" for t, j, x, y in SEEN]
     (tmp_path / "sightings.csv").write_text("\n".join(["t,id,x,y", *lines]))
     assert load(tmp_path).equals(expected)
+
+
+def test_every_source_of_a_drive_with_truth_has_the_same_log_and_results(tmp_path):
+    """MCAP, ROS 1 bag and CSV of one drive: the logs, with the truth, and the solved poses are equal to the last bit."""
+
+    def seconds(ns):
+        return f"{ns // 10**9}.{ns % 10**9:09d}"
+
+    logs = []
+    true = [(t + 3, 0.025 * k, 0.3 * math.sin(k / 40), 0.01 * k) for k, t in enumerate(TIMES)]
+    for ros, name in ((1, "a.bag"), (2, "a.mcap")):
+        maker = Maker(ros)
+        odometry(maker)
+        tags(maker)
+        for t, x, y, theta in true:
+            maker.add("/ground_truth", "geometry_msgs/PoseStamped", t, header=maker.header(t), pose=pose(x, y, theta))
+        logs.append(load(maker.write(tmp_path / name)))
+    folder = tmp_path / "tables"
+    folder.mkdir()
+    turns = [quaternion(theta) for *_, theta in true]
+    for name, header, rows in (
+        ("odometry", "t,nu,omega", zip(TIMES, NU.tolist(), OMEGA.tolist())), ("sightings", "t,id,x,y", SEEN),
+        ("truth", "t,x,y,qx,qy,qz,qw", [(t, x, y, *turn.values()) for (t, x, y, _), turn in zip(true, turns)]),
+    ):  # fmt: skip
+        lines = [",".join([seconds(t), *map(repr, numbers)]) for t, *numbers in rows]
+        (folder / f"{name}.csv").write_text("\n".join([header, *lines]))
+    logs.append(load(folder))
+    solved = [solve(Graph.from_log(log, edges="landmark+motion")) for log in logs]
+    for log, solution in zip(logs[1:], solved[1:]):
+        assert log.equals(logs[0])
+        assert log.true_poses is not None and np.array_equal(log.true_poses, logs[0].true_poses, equal_nan=True)
+        assert np.array_equal(log.true_path, logs[0].true_path, equal_nan=True)
+        assert log.start_time == logs[0].start_time
+        np.testing.assert_array_equal(solution.poses, solved[0].poses)
+        assert solution.cost == solved[0].cost and solution.iterations == solved[0].iterations
 
 
 def test_the_topics_and_what_they_could_be(tmp_path):
@@ -307,6 +344,8 @@ def broken(tmp_path, name):
         path.write_bytes(gzip.compress(b"anything"))
     elif name == "empty":
         path.write_bytes(b"")
+    elif name == "another suffix":
+        path = path.rename(path.with_suffix(".bag"))
     elif name == "no bag":
         path.write_bytes(b"something else entirely, but long enough for a header")
     elif name == "damaged":
@@ -342,7 +381,8 @@ MISTAKES = {
     "cut ROS 1": "a.bag: the bag has no complete index, it was cut short; repair it first: rosbag reindex a.bag",
     "packed": "a.mcap.gz: the file is compressed as a whole; unpack it first: gunzip a.mcap.gz",
     "empty": "a.mcap: the file is empty; was the recording ended before anything was written?",
-    "no bag": "a.mcap: not a readable bag",
+    "no bag": "a.mcap: not a readable bag: it does not begin as one of ROS 1, MCAP or SQLite; was it overwritten",
+    "another suffix": "a.bag: its content is that of MCAP; give it the name a.mcap",
     "damaged": "a.mcap: .*",
 }
 
@@ -353,6 +393,23 @@ def test_mistakes(name, tmp_path):
     with pytest.raises(LogError, match=MISTAKES[name]) as caught:
         Log(**drive_of_bag(path, recipe).parts(_READING, "a"))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "program"),
+    [
+        ("drive.mcap.gz", b"\x1f\x8b", "gunzip"), ("drive.mcap.zst", b"\x28\xb5\x2f\xfd", "unzstd"),
+        ("drive.bag.bz2", b"BZh9", "bunzip2"), ("drive.bag.zip", b"PK\x03\x04", "unzip"),
+    ],
+)  # fmt: skip
+def test_files_that_are_compressed_as_a_whole(name, first, program, tmp_path):
+    path = tmp_path / name
+    path.write_bytes(first + bytes(range(256)))
+    message = f"{name}: the file is compressed as a whole; unpack it first: {program} {name}$"
+    with pytest.raises(FormatError, match=message):
+        load(path)
+    with pytest.raises(FormatError, match=message):
+        comparisons.import_log(path)
 
 
 def test_a_stated_place_of_the_sensor_needs_no_frames(expected, tmp_path):

@@ -270,6 +270,22 @@ def test_a_log_without_sightings() -> None:
         calibrate(empty)
 
 
+def test_true_poses_without_a_map() -> None:
+    """They tell the wheel scale and the turn-rate bias, and then residuals tell the range scale."""
+    log = wrong(drive(6, steps=150), wheel_scale=1.1, turn_rate_bias=0.05, range_scale=1.05)
+    whole, found = calibrate(log), calibrate(log.replace(true_landmarks=None))
+    for name in ("wheel_scale", "turn_rate_bias", "nn", "oo"):
+        assert found.numbers[name] == whole.numbers[name], name
+    assert abs(found.wheel_scale - 1.1) < 4 * found.errors["wheel_scale"] < 0.1
+    assert abs(found.range_scale - 1.05) < 4 * found.errors["range_scale"] < 0.2
+    (note,) = [note for note in found.notes if "true map" in note]
+    assert "with wheel_scale and turn_rate_bias, are from the true poses" in note
+    # without headings nothing is taken from the truth, and a note says so
+    log = drive(0, steps=60)
+    blind = calibrate(log.replace(true_landmarks=None, true_poses=log.true_poses * [1, 1, np.nan]))
+    assert "no true poses with headings are known: all numbers are from residuals" in blind.notes
+
+
 def test_truth_without_landmarks_or_headings() -> None:
     log = drive(0, steps=20)
     for poorer in (log.replace(true_landmarks=None), log.replace(true_poses=log.true_poses * [1, 1, np.nan])):

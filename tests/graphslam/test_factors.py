@@ -106,7 +106,7 @@ def test_motion_error_is_half_of_the_textbooks_cost(a, b, nu, omega, dt):
 
 
 def test_a_graph_of_somebody_else():
-    """Our factors between GTSAM's own, as in the README."""
+    """Our factors between GTSAM's own, as in docs/factors.md."""
     landmark, truth = np.array([2.0, 1.0, 0.3]), [gtsam.Pose2(0, 0, 0), gtsam.Pose2(1, 0.2, 0.4)]
     z = [sensor.h([p.x(), p.y(), p.theta()], landmark) for p in truth]
     graph = gtsam.NonlinearFactorGraph()

@@ -23,6 +23,7 @@ from graphslam.se2 import wrap
 from graphslam.solvers.growing import grown
 from graphslam.solvers.solve import starting_state
 from graphslam.solvers.start import dead_reckoning, rotation_first
+from graphslam.solvers.turns import turned
 from graphslam.transform import first_poses
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "hard_logs.py"
@@ -286,3 +287,36 @@ def test_cartesian_landmark_nodes_have_no_singular_place(dimensions):
     ours = solve(graph.with_initial(start), initialize="given")
     assert ours.converged
     assert ours.cost == pytest.approx(best.cost, rel=1e-9)
+
+
+def test_other_turns_lead_out_of_a_wrong_minimum():
+    """The robot turns by pi out of sight of its only landmarks; the odometry leaves open in which direction."""
+    steps = 12
+    controls = np.column_stack([np.full(steps, 0.5), np.full(steps, np.pi / steps)])
+    motion = MotionModel(nn=0.1, no=0.01, on=0.1, oo=0.6)
+    poses = motion.dead_reckoning(np.zeros(3), controls, np.ones(steps))
+    places = np.array([[2.0, 1.0], [1.0, 3.0], [3.0, 2.0]])
+    at = np.repeat([0, 1, steps - 1, steps], 3)
+    seen = np.tile([0, 1, 2], 4)
+    sightings = SensorModel().h(poses[at], places[seen])
+    log = Log(dt=1.0, controls=controls, steps=at, landmarks=seen, sightings=sightings)
+    graph = Graph.from_log(log, motion=motion, edges="landmark+motion")
+    best = solve(graph)
+    start = best.state.copy()
+    # from pose 1 on the headings turn to the other side, so that the last ones are what they were, less a full turn
+    start[1:steps, 2] -= 2 * np.pi * np.arange(steps - 1) / (steps - 2)
+    wrong = solve(graph.with_initial(start), initialize="given")
+    assert wrong.converged
+    assert wrong.cost > best.cost + 1
+    state = turned(graph, wrong.state)
+    assert graph.cost(state) == pytest.approx(best.cost, abs=1e-6)
+    assert turned(graph, best.state) is None
+
+
+def test_auto_tries_other_turns_where_an_end_is_doubtful(hard_logs):
+    """At number 63 the robot sees nothing for 21 poses and turns by about pi; growing the graph ends 0.4 % too high."""
+    graph = Graph.from_log(hard_logs.hard_log(63), edges="landmark+motion")
+    solution = solve(graph)
+    assert solution.converged
+    assert "other turns" in solution.reason
+    assert solution.cost == pytest.approx(1540.2417004, rel=1e-8)

@@ -106,6 +106,7 @@ def test_a_missing_map_is_said(folder):
         ("Robot2_Groundtruth.dat", "1248444170.000 1 1 1", "time runs backwards"),
         ("Robot2_Measurement.dat", "1248444178.900 63 0.0 0.5", ":8: the range should be above zero, not 0"),
         ("Robot2_Measurement.dat", "1248444178.900 63.7 1.0 0.5", ":8: the barcode should be a whole number, not 63.7"),
+        ("Barcodes.dat", "9 1e308", "Barcodes.dat:7: expected two whole numbers, subject and barcode, not 9 and 1e.308"),
         ("Barcodes.dat", "9 63", "two subjects have the same barcode"),
     ],
 )  # fmt: skip

@@ -1,9 +1,12 @@
 """Tables of your own robot become a log; every mistake is one sentence with its place and likely cause."""
 
+import gzip
+
 import numpy as np
 import pytest
 
-from graphslam import FormatError, Log, LogError, OptionError, load
+from graphslam import FormatError, Log, LogError, OptionError, load, save
+from graphslam.plausibility import plausibility
 from graphslam.tables.columns import plain
 from graphslam.tables.recipe import read_recipe
 
@@ -187,6 +190,58 @@ def test_rows_are_sorted_with_a_note(drive, expected):
     assert "odometry.csv:42: time runs backwards (3.900 s comes after 4.000 s); the rows were sorted" in note
 
 
+def messages(log, check):
+    return [finding.message for finding in plausibility(log) if finding.check == check]
+
+
+def test_rows_that_come_twice_are_a_doubt(drive, expected, tmp_path):
+    log = load(drive(odometry=text("t,nu,omega", [row for row in ODOMETRY for _ in range(2)])))
+    assert log.equals(expected)
+    (message,) = messages(log, "odometry repeats")
+    assert message.endswith(
+        "odometry.csv:3: the first of 201 odometry rows (of 402) with the time and numbers of the row before: the rows were "
+        "probably written twice, or two files joined"
+    )
+    log = load(drive(sightings=text("t,id,range,bearing", [*SEEN[:4], *SEEN])))
+    (message,) = messages(log, "doubled sightings")
+    assert "sightings.csv:6: the first of 4 sightings (of 11) with the time, id and numbers of another row" in message
+    save(log, tmp_path / "log.npz")
+    assert messages(load(tmp_path / "log.npz"), "doubled sightings") == [message]
+    # a log without lines tells the step
+    (message,) = messages(log.replace(doubts=()), "doubled sightings")
+    assert (
+        "4 of 11 sightings repeat another one of the same step, landmark and numbers, the first of landmark 3"
+        in message
+    )
+
+
+def test_times_that_are_rounded_are_a_doubt(drive):
+    rows = [(float(np.floor(t)), *row) for t, *row in ODOMETRY]
+    (message,) = messages(load(drive(odometry=text("t,nu,omega", rows))), "odometry repeats")
+    assert (
+        "odometry.csv:3: the first of 180 odometry rows (of 201) with the time of the row before and other" in message
+    )
+    assert "the times were probably rounded to seconds, and one row per time is used" in message
+    rows = [(float(t), 3, 2.0 + t / 10, 0.1) for t in np.repeat(np.arange(1.0, 9.0), 4) + np.tile(np.arange(4) / 10, 8)]
+    rounded = [(float(np.floor(t)), *row) for t, *row in rows]
+    (message,) = messages(load(drive(sightings=text("t,id,range,bearing", rounded))), "duplicate ids")
+    assert "sightings.csv:3: the first of 24 sightings (of 32) with the time and id of another row" in message
+    assert "the times were probably rounded to seconds, or several objects have one id" in message
+    assert not plausibility(load(drive(sightings=text("t,id,range,bearing", [*rows, (9.0, 4, 1.0, 0.1)]))))
+
+
+def test_a_single_row_that_comes_twice_is_a_note(drive, expected):
+    log = load(drive(odometry=text("t,nu,omega", [*ODOMETRY[:5], *ODOMETRY[4:]])))
+    assert log.equals(expected) and not messages(log, "odometry repeats")
+    assert "odometry.csv:7: the only odometry row (of 202) with the time and numbers of the row before" in log.notes[0]
+
+
+def test_truth_that_comes_twice_is_a_doubt(drive):
+    truth = [(t, 0.5 * t, 0.1, 0.0) for t in T.tolist() for _ in range(2)]
+    (message,) = messages(load(drive(truth=text("t,x,y,theta", truth))), "truth repeats")
+    assert "truth.csv:3: the first of 201 truth rows (of 402) with the time and numbers of the row before" in message
+
+
 def test_landmarks_with_names(drive):
     log = load(drive(sightings=text("t,tag,range,bearing", [(t, f"tag36h11:{j}", r, b) for t, j, r, b in SEEN])))
     assert log.landmarks.tolist() == [row[1] for row in SEEN]
@@ -365,13 +420,14 @@ def test_sightings_without_ids_are_remarked(drive):
     assert not log.identified and any("no column for id, so no landmark is identified" in note for note in log.notes)
 
 
-def test_poses_that_move_sideways_are_remarked(drive):
+def test_poses_that_move_sideways_are_a_doubt(drive):
     from graphslam import MotionModel
 
     poses = MotionModel().dead_reckoning(np.zeros(3), np.column_stack([NU, OMEGA])[:-1], np.diff(T))
     poses[:, 2] += np.pi / 2
     log = load(drive(odometry=text("t,x,y,theta", np.column_stack([T, poses]).tolist())))
-    assert "the poses move sideways for 99% of their way" in log.notes[0] or "100% of their way" in log.notes[0]
+    (finding,) = (each for each in plausibility(log) if each.check == "sideways")
+    assert "odometry.csv: the poses move sideways for 99% of their way" in finding.message.replace("100%", "99%")
 
 
 def test_names_of_columns():
@@ -415,6 +471,18 @@ def test_a_folder_without_sightings(drive):
     (folder / "sightings.csv").unlink()
     with pytest.raises(FormatError, match=r"sightings.csv: this file is missing; it would hold the measured landmarks"):
         load(folder)
+
+
+def test_tables_that_are_compressed(drive):
+    folder = drive()
+    packed = gzip.compress((folder / "odometry.csv").read_bytes())
+    (folder / "odometry.csv").unlink()
+    (folder / "odometry.csv.gz").write_bytes(packed)
+    message = r"odometry.csv.gz: the file is compressed as a whole; unpack it first: gunzip odometry.csv.gz"
+    with pytest.raises(FormatError, match=message):
+        load(folder)
+    with pytest.raises(FormatError, match=message):
+        Log.from_tables(folder / "odometry.csv.gz", folder / "sightings.csv")
 
 
 def test_a_recipe_is_checked(tmp_path):

@@ -1,10 +1,13 @@
 """Mistakes in a log are found before it is solved, each with its cause; correct logs are left alone."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from graphslam import MotionModel, Stream, load, sample_log_path, simulate, synchronize
-from graphslam.plausibility import pairs_of, plausibility
+from graphslam.plausibility import plausibility
+from graphslam.plausibility.readings import pairs_of
 from graphslam.reading import UNIDENTIFIED
 
 
@@ -15,6 +18,11 @@ def checks(log):
 @pytest.fixture(scope="module")
 def sample():
     return load(sample_log_path()).replace(true_poses=None)
+
+
+@pytest.fixture(scope="module")
+def own():
+    return load(Path(__file__).parents[2] / "examples" / "own_robot")
 
 
 def bearings(log, change):
@@ -68,6 +76,7 @@ def test_correct_logs_are_left_alone(seed):
     assert not checks(simulate(seed=seed))
     assert not checks(simulate(seed=seed, clean=True))
     assert not checks(simulate(seed=seed).without_orientation())
+    assert not checks(simulate(seed=seed).replace(true_poses=None))
 
 
 @pytest.mark.data
@@ -136,3 +145,85 @@ def test_duplicate_ids(sample):
     other = sample.landmarks.copy()
     other[other == 9] = 6
     assert "duplicate ids" in checks(sample.replace(landmarks=other))
+
+
+def message(log, check):
+    (finding,) = (finding for finding in plausibility(log) if finding.check == check)
+    return finding.message
+
+
+@pytest.mark.parametrize("truth", [True, False], ids=["with truth", "without"])
+@pytest.mark.parametrize("change", [lambda ids: ids + 1, lambda ids: ids + 100], ids=["by one", "new ones"])
+def test_ids_that_change_in_the_middle(own, change, truth):
+    log = own if truth else own.replace(true_poses=None)
+    ids, middle = log.landmarks.copy(), len(log.landmarks) // 2
+    ids[middle:] = change(ids[middle:])
+    found = message(log.replace(landmarks=ids), "ids change")
+    when = log.times[log.steps[middle]] - log.start_time
+    assert found.startswith(f"landmarks have other ids from about {when:.1f} s after the start on (")
+    assert found.endswith("); a detector may have counted them anew") and " becomes " in found
+
+
+def test_ids_that_are_exchanged_in_the_middle(own):
+    ids, middle = own.landmarks.copy(), len(own.landmarks) // 2
+    names = own.landmark_ids
+    ids[middle:] = np.roll(names, 5)[np.searchsorted(names, ids[middle:])]
+    found = message(own.replace(landmarks=ids, true_poses=None), "ids change")
+    assert "distances between two landmarks change" in found or " becomes " in found
+
+
+def test_ids_that_change_are_shown_by_the_true_poses():
+    log = simulate(seed=0)
+    ids, middle, names = log.landmarks.copy(), len(log.landmarks) // 2, log.landmark_ids
+    ids[middle:] = np.roll(names, 1)[np.searchsorted(names, ids[middle:])]
+    found = message(log.replace(landmarks=ids), "ids change")
+    assert "(seen from the true poses 6 of 6 landmarks are elsewhere)" in found
+
+
+TRUTH = {
+    "x and y of the truth are swapped: read like this, the robot looks where it drives": lambda x: x[:, [1, 0, 2]],
+    "x of the truth has the wrong sign: read like this, the robot looks where it drives": lambda x: x * [-1, 1, 1],
+    "y of the truth has the wrong sign: read like this, the robot looks where it drives": lambda x: x * [1, -1, 1],
+    "the true path turns the other way than the odometry: x and y of the truth may be swapped, or one of them or of the turn "
+    "rates have the wrong sign": lambda x: x[:, [1, 0, 2]] * [1, 1, np.nan],
+}
+
+
+@pytest.mark.parametrize("expected", TRUTH, ids=["swapped", "x", "y", "without headings"])
+def test_truth_that_is_mirrored(own, expected):
+    for log in (own, simulate(seed=1)):
+        assert message(log.replace(true_poses=TRUTH[expected](log.true_poses)), "truth mirrored") == expected
+
+
+def test_truth_whose_headings_mean_nothing():
+    log = load(sample_log_path())
+    log = log.replace(true_poses=log.true_poses * [1, 1, np.rad2deg(1)])
+    assert "have nothing to do with the direction of driving" in message(log, "truth heading")
+
+
+def test_a_map_that_does_not_belong_to_the_log(own):
+    true = own.true_landmarks
+    assert message(own.replace(true_landmarks={j + 500: m for j, m in true.items()}), "map ids") == (
+        "none of the 14 landmarks that are seen (1, 2, 3, ...) is among the 14 of the true map (501, 502, 503, ...); the ids "
+        "of one of them may be of another list or column"
+    )
+    found = message(own.replace(true_landmarks={j: 1000 * m for j, m in true.items()}), "map")
+    assert found.endswith(" times as large: it may be in another unit")
+    assert "mirror image of what is seen" in message(
+        own.replace(true_landmarks={j: m[::-1] for j, m in true.items()}), "map mirrored"
+    )
+    shifted = own.replace(true_landmarks=dict(zip(true, np.roll(list(true.values()), 1, axis=0))))
+    assert "its ids may belong to other landmarks" in message(shifted, "map")
+    exchanged = np.random.default_rng(0).permutation(list(true.values()))
+    log = own.replace(true_landmarks=dict(zip(true, exchanged)), true_poses=None)
+    assert "the ids of the map may belong to other landmarks" in message(log, "map")
+    assert not checks(own.replace(true_landmarks={j: true[j] for j in list(true)[:3]}))
+
+
+def test_landmarks_that_are_seen_once(sample):
+    one = sample.replace(steps=[5], landmarks=[7], sightings=[[1.0, 0.2]])
+    assert message(one, "seen once") == (
+        "the only sighting is of landmark 7, so that nothing corrects the odometry; rows may be missing, or clocks differ"
+    )
+    two = sample.replace(steps=[5, 9], landmarks=[7, 8], sightings=[[1.0, 0.2], [1.0, 0.2]])
+    assert "the 2 sightings are of 2 landmarks" in message(two, "seen once")

@@ -1,6 +1,7 @@
 """The sources of the site: every formula of the lectures has its place, and both languages have the same content."""
 
 import re
+import sys
 import tomllib
 from importlib import import_module
 from pathlib import Path
@@ -19,7 +20,7 @@ PAGES = sorted(
     if not page.name.endswith(".ja.md")
 )
 #: pages of which both languages exist, besides those above
-TRANSLATED = [DOCS / "index.md", DOCS / "gallery.md"]
+TRANSLATED = [DOCS / "index.md", DOCS / "gallery.md", DOCS / "films.md"]
 MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure) (.+?) \}\}$", re.MULTILINE)
 
 
@@ -98,9 +99,22 @@ def test_chapters_have_two_exercises_with_solutions_that_run(page):
         assert re.search(r"\{\{ (cell|output) ", exercise)
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))
+def test_the_code_that_a_page_shows_exists(page):
+    sys.path.insert(0, str(DOCS / "_site"))
+    listings = import_module("listings")
+    sys.path.pop(0)
+    for kind, arguments in markers(page):
+        if kind == "code":
+            assert listings.listing(*arguments.split(), language="en")
+
+
 @pytest.mark.parametrize("package", ["graphslam", "graphslam.factors", "fastslam", "comparisons"])
 def test_every_public_name_is_on_a_page_of_the_python_interface(package):
-    page = DOCS / "api" / f"{package.split('.')[-1]}.md"
-    shown = re.findall(rf"^::: {package}\.(\w+)$", page.read_text(), re.MULTILINE)
+    pages = [
+        DOCS / "api" / f"{package.split('.')[-1]}.md",
+        *([DOCS / "api" / "modules.md"] if package == "graphslam" else []),
+    ]
+    shown = re.findall(rf"^::: {package}\.(\w+)$", "".join(page.read_text() for page in pages), re.MULTILINE)
     elsewhere = {"factors"} if package == "graphslam" else set()
     assert sorted({*shown, *elsewhere}) == sorted(import_module(package).__all__)

@@ -68,6 +68,10 @@ class DenseStore:
             return _symmetric(block)
         return block.copy() if i < j else block.T.copy()
 
+    def inverse_blocks(self, nodes: NDArray[np.int64]) -> NDArray[np.float64]:
+        """The blocks (k, 3, k, 3) between all pairs of nodes; ``invert`` has run."""
+        return np.array([[self.inverse_block(i, j) for j in nodes] for i in nodes]).transpose(0, 2, 1, 3)
+
 
 def _symmetric(upper: NDArray[np.float64]) -> NDArray[np.float64]:
     """Blocks (..., 3, 3) of which the upper triangle is given."""

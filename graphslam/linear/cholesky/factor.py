@@ -175,6 +175,20 @@ class Factor:
         unit[j] = np.eye(3)
         return self.solve(unit)[i].copy()
 
+    def joint_covariance(self, nodes: NDArray[Any]) -> NDArray[np.float64]:
+        """The covariance (3 k, 3 k) of nodes (k,) together: read where the pattern of L has it, else by solves.
+
+        An ``ordering`` that ends with these nodes makes their blocks part of the pattern where the graph is connected.
+        """
+        nodes = np.asarray(nodes, dtype=np.int64)
+        self.diagonal_covariances()
+        blocks = self._store.inverse_blocks(nodes)
+        if blocks is None:
+            units = np.zeros((self.symbolic.layout.order.size, 3, nodes.size, 3))
+            units[nodes, :, np.arange(nodes.size), :] = np.eye(3)
+            blocks = self.solve(units.reshape(len(units), 3, -1)).reshape(units.shape)[nodes]
+        return blocks.reshape(3 * nodes.size, 3 * nodes.size)
+
 
 @njit(cache=True, error_model="numpy")
 def _pattern_fault(indptr, indices):

@@ -55,3 +55,8 @@ class MultifrontalStore:
         if not selected_inverse.stored_block(*((j, i) if turned else (i, j)), t, self.z, block):
             return None
         return block.T if turned else block
+
+    def inverse_blocks(self, nodes: NDArray[np.int64]) -> NDArray[np.float64] | None:
+        """The blocks (k, 3, k, 3) between all pairs of nodes if they lie on the pattern of L; ``invert`` has run."""
+        out = np.empty((nodes.size, 3, nodes.size, 3))
+        return out if selected_inverse.stored_blocks(nodes, self.layout, self.z, out) else None

@@ -189,3 +189,20 @@ def stored_block(i, j, layout, z, block):
         for k in range(3):
             block[k, c] = z[at + c * ld + k]
     return True
+
+
+@njit(cache=True, error_model="numpy")
+def stored_blocks(nodes, layout, z, out):
+    """The blocks between all pairs of nodes (k,) into ``out`` (k, 3, k, 3); False where one is outside the pattern of L."""
+    block = np.empty((3, 3))
+    for a in range(nodes.size):
+        for b in range(nodes.size):
+            if layout.position[nodes[a]] < layout.position[nodes[b]]:
+                continue
+            if not stored_block(nodes[a], nodes[b], layout, z, block):
+                return False
+            for r in range(3):
+                for c in range(3):
+                    out[a, r, b, c] = block[r, c]
+                    out[b, c, a, r] = block[r, c]
+    return True

@@ -1,0 +1,146 @@
+"""Association of sightings without ids: simulated logs with clutter and misses, and logs whose ids are hidden.
+
+    python benchmarks/association.py simulated --logs 100 --apart 4
+    python benchmarks/association.py real sample woods mrclam-1 mrclam-3 huang victoria
+
+The simulated logs are 62 steps among thirty landmarks, at least so many standard deviations of the range (at 6 m) apart. One
+sighting in ten is missing, and one in ten is a false one, uniform over the field of view. "Number exact" counts the logs
+whose number of landmarks is that of the landmarks seen at least twice. The error is compared with that of the same graph
+with the true ids and without the false sightings.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from graphslam import Graph, Log, MotionModel, SensorModel, associate, load, sample_log_path, simulate, solve
+from graphslam.association import score
+from graphslam.log import UNIDENTIFIED
+from graphslam.metrics import ate
+
+DATA = Path(os.environ.get("SLAM_DATA", Path(__file__).parents[1] / "../shared/data"))
+#: the fifth part of the book's noise
+PART = 5
+MOTION = MotionModel(nn=0.19 / PART, no=0.001 / PART, on=0.13 / PART, oo=0.2 / PART, epsilon=1e-4 / PART**2)
+SENSOR = SensorModel(range_rate=0.14 / PART, bearing_std=0.05 / PART, orientation_std=0.05 / PART)
+BY_HAND = {"motion": MotionModel.constant(0.1, 0.3, epsilon=1e-8), "sensor": SensorModel.constant(0.12, 0.02)}
+
+
+def scattered(seed: int, count: int, apart: float, arena: float) -> np.ndarray:
+    """Landmarks drawn uniformly, none nearer than ``apart`` to another; (count, 3)."""
+    rng, places = np.random.default_rng(1000 + seed), []
+    while len(places) < count:
+        place = rng.uniform(-arena, arena, 2)
+        if all(np.hypot(*(place - other)) >= apart for other in places):
+            places.append(place)
+    return np.column_stack([places, rng.uniform(-np.pi, np.pi, count)])
+
+
+def with_clutter(log: Log, seed: int, missed: float = 0.1, clutter: float = 0.1) -> Log:
+    """The log without a share of its sightings, and with false ones, uniform over the field of view; their id is -1."""
+    rng = np.random.default_rng(2000 + seed)
+    kept = rng.random(len(log.steps)) >= missed
+    steps, ids, z = log.steps[kept], log.landmarks[kept], log.sightings[kept]
+    count = int(rng.binomial(len(steps), clutter))
+    false = np.column_stack([6.0 * np.sqrt(rng.random(count)), rng.uniform(-np.pi / 3, np.pi / 3, count)])
+    if z.shape[1] == 3:
+        false = np.column_stack([false, rng.uniform(-np.pi, np.pi, count)])
+    steps = np.concatenate([steps, rng.choice(log.num_poses, count)])
+    order = np.argsort(steps, kind="stable")
+    return replace(
+        log, steps=steps[order], landmarks=np.concatenate([ids, np.full(count, UNIDENTIFIED)])[order],
+        sightings=np.concatenate([z, np.maximum(false, [[0.5, *[-9] * (z.shape[1] - 1)]])])[order],
+    )  # fmt: skip
+
+
+def known(log: Log) -> Log:
+    """The log with its true ids, without clutter."""
+    true = log.landmarks != UNIDENTIFIED
+    return replace(log, steps=log.steps[true], landmarks=log.landmarks[true], sightings=log.sightings[true])
+
+
+def solved(log: Log, models: dict) -> np.ndarray:
+    """The poses of the graph with the ids of a log."""
+    return log.at_truth(solve(Graph.from_log(log, edges="landmark+motion", **models)).poses)
+
+
+def simulated(logs: int, apart: float, psi: bool) -> None:
+    """The table of the simulated logs, for joint compatibility and for the nearest neighbour alone."""
+    models = {"motion": MOTION, "sensor": SENSOR}
+    distance = apart * SENSOR.range_rate * 6.0
+    # a square in which so many landmarks fit at random
+    arena = max(4.5, 0.9 * distance * 30**0.5)
+    rows: dict[str, list] = {"joint": [], "nearest": []}
+    for seed in range(logs):
+        world = {"landmarks": scattered(seed, 30, distance, 4.5 if apart <= 4 else arena)}
+        log = with_clutter(simulate(seed=seed, clean=True, orientation=psi, **world, **models), seed)
+        _, counts = np.unique(known(log).landmarks, return_counts=True)
+        best = ate(log.true_poses, solved(known(log), models))
+        for method, found in rows.items():
+            begin = time.perf_counter()
+            a = associate(log, method=method, **models)
+            seconds = time.perf_counter() - begin
+            s = score(a.ids, log.landmarks)
+            error = ate(log.true_poses, solved(a.log, models))
+            found.append(
+                (a.landmarks - np.sum(counts > 1), error, best, s.precision, s.recall, s.doubled, s.invented, seconds)
+            )
+    for method, found in rows.items():
+        off, error, best, precision, recall, doubled, invented, seconds = np.array(found).T
+        print(
+            f"{apart:g} sigma, psi {psi!s:5}, {method:7}: number exact in {np.sum(off == 0)} of {logs} (off by one "
+            f"{np.sum(np.abs(off) == 1)}); ATE / known ids median {np.median(error / best):.3f}, mean "
+            f"{error.mean() / best.mean():.3f}, worst {np.max(error / best):.2f}; precision {precision.mean():.4f}, recall "
+            f"{recall.mean():.4f}; doubled {doubled.sum():.0f}, invented {invented.sum():.0f}; {np.median(seconds):.2f} s",
+            flush=True,
+        )
+
+
+def real(name: str) -> None:
+    """One line on a log with hidden ids."""
+    log: Log
+    if name.startswith("mrclam"):
+        log = load(DATA / "mrclam6", robot=int(name[-1])).replace(**BY_HAND)
+    elif name == "woods":
+        log = load(DATA / "lost_in_the_woods/dataset2.mat").nearer_than(5.0)
+        log = log.at_steps(np.arange(0, log.num_poses, 5))
+    else:
+        log = load(
+            {"sample": sample_log_path(), "huang": DATA / "simulated_535", "victoria": DATA / "victoria_park"}[name]
+        )
+    begin = time.perf_counter()
+    a = associate(log)
+    poses = solved(a.log, {})
+    seconds = time.perf_counter() - begin
+    unaligned = np.sqrt(np.nanmean(np.sum((poses - log.true_poses)[:, :2] ** 2, axis=1)))
+    line = f"{name}: {a.landmarks} landmarks, {a.clutter} of {len(a.ids)} clutter, {a.ambiguous} ambiguous, "
+    line += f"J/dof {a.cost_per_dof:.2f}, ATE {ate(log.true_poses, poses):.3f} m (unaligned "
+    line += f"{unaligned:.3f} m), {seconds:.1f} s"
+    if log.identified:
+        s = score(a.ids, log.landmarks)
+        line += f"; with ids {ate(log.true_poses, solved(log, {})):.3f} m, precision {s.precision:.4f}, recall {s.recall:.4f}"
+        line += f", found {s.found}, missed {s.missed}, doubled {s.doubled}, invented {s.invented}"
+    print(line, flush=True)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    sub = verbs.add_parser("simulated")
+    sub.add_argument("--logs", type=int, default=100)
+    sub.add_argument("--apart", type=float, default=4.0)
+    sub.add_argument("--psi", action="store_true")
+    sub = verbs.add_parser("real")
+    sub.add_argument("names", nargs="+")
+    given = parser.parse_args()
+    if given.verb == "simulated":
+        simulated(given.logs, given.apart, given.psi)
+    else:
+        for name in given.names:
+            real(name)

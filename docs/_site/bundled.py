@@ -1,0 +1,49 @@
+"""The notebooks in ``examples/``, made from pages: ``python docs/_site/bundled.py`` writes them with their outputs.
+
+The site has a notebook of every page with cells. These few are kept in the repository, where Colab and GitHub can open them.
+A test fails when a page has changed and its notebook has not.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cells
+import listings
+import notebooks
+
+EXAMPLES = cells.ROOT / "examples"
+PAGES = ("tutorials/first-picture", "method/graph/information", "method/fastslam/weights")
+LANGUAGES = {"en": ".md", "ja": ".ja.md"}
+
+
+def make(source: Path, language: str, results: Mapping[str, cells.Cell], folder: Path) -> dict[str, Any]:
+    """Return the notebook of a page in one language."""
+    text = source.with_suffix(LANGUAGES[language]).read_text()
+    return notebooks.notebook(
+        text, results, folder, lambda arguments: listings.listing(*shlex.split(arguments), language=language)
+    )
+
+
+def bundled() -> list[tuple[Path, Path, str]]:
+    """Return each bundled notebook: its file, the file with the cells of its page, and the language."""
+    return [
+        (EXAMPLES / f"{Path(page).name}.{language}.ipynb", cells.DOCS / f"{page}.py", language)
+        for page in PAGES
+        for language in LANGUAGES
+    ]
+
+
+def sources(notebook: Mapping[str, Any]) -> list[str]:
+    """The text and code of a notebook without its outputs and without the cell that installs."""
+    return [cell["source"] for cell in notebook["cells"][1:]]
+
+
+if __name__ == "__main__":
+    for file, source, language in bundled():
+        notebooks.write(file, make(source, language, cells.run(source), cells.folder(source)))
+        print(f"{file.relative_to(cells.ROOT)}: {len(json.loads(file.read_text())['cells'])} cells")

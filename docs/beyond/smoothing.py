@@ -1,0 +1,124 @@
+# %% setup
+import matplotlib.pyplot as plt
+import numpy as np
+
+rng = np.random.default_rng(0)
+T, move, see = 40, 1.0, 0.5  # steps; standard deviations of a motion and of a measurement
+truth = np.cumsum(rng.normal(0, move, T))
+z = truth + rng.normal(0, see, T)  # a robot on a line measures its position
+
+
+def log_normal(x, std):
+    """The logarithm of the Gaussian density, without its constant."""
+    return -0.5 * (x / std) ** 2
+
+
+def draw(log_weights, size=None):
+    """Indices drawn with probabilities in proportion to exp(log_weights)."""
+    w = np.exp(log_weights - log_weights.max())
+    return rng.choice(len(w), size=size, p=w / w.sum())
+
+
+# %% depletion
+def distinct(N):
+    """The number of distinct histories at each step, after a filter with resampling at every step."""
+    ancestors, x = np.zeros((T, N), dtype=int), rng.normal(0, move, N)
+    for t in range(1, T):
+        ancestors[t] = draw(log_normal(z[t - 1] - x, see), N)
+        x = x[ancestors[t]] + rng.normal(0, move, N)
+    alive, counts = np.arange(N), np.zeros(T, dtype=int)
+    for t in range(T - 1, -1, -1):
+        counts[t] = len(np.unique(alive))
+        alive = ancestors[t][alive]
+    return counts
+
+
+fig, ax = plt.subplots(figsize=(6.4, 3.2))
+for N in (20, 100, 500):
+    ax.semilogy(distinct(N), label=f"{N} particles")
+ax.set(xlabel="step", ylabel="distinct poses among the histories")
+ax.legend()
+
+
+# %% gibbs
+def sweep(kept, N=10, ancestor_sampling=True):
+    """A new trajectory, given the one that is kept: a filter whose last particle is the kept trajectory."""
+    x, ancestors = np.zeros((T, N)), np.zeros((T, N), dtype=int)
+    x[0] = rng.normal(0, move, N)
+    x[0, -1] = kept[0]
+    for t in range(1, T):
+        log_w = log_normal(z[t - 1] - x[t - 1], see)
+        ancestors[t] = draw(log_w, N)
+        x[t] = x[t - 1, ancestors[t]] + rng.normal(0, move, N)
+        x[t, -1] = kept[t]
+        # which particle could have moved to the kept pose?
+        ancestors[t, -1] = draw(log_w + log_normal(kept[t] - x[t - 1], move)) if ancestor_sampling else N - 1
+    k, new = draw(log_normal(z[-1] - x[-1], see)), np.zeros(T)
+    for t in range(T - 1, -1, -1):
+        new[t] = x[t, k]
+        k = ancestors[t, k]
+    return new
+
+
+samples = [truth * 0]
+for _ in range(3000):
+    samples.append(sweep(samples[-1]))
+samples = np.array(samples[100:])
+
+# %% exact
+information = np.diag(np.full(T, 2 / move**2 + 1 / see**2)) - np.eye(T, k=1) / move**2 - np.eye(T, k=-1) / move**2
+information[-1, -1] -= 1 / move**2
+mean, std = np.linalg.solve(information, z / see**2), np.sqrt(np.diag(np.linalg.inv(information)))
+print(
+    "largest error of the mean:",
+    np.abs(samples.mean(axis=0) - mean).max().round(3),
+    "of a standard deviation",
+    std.mean().round(3),
+)
+print("standard deviations, sampled / exact:", (samples.std(axis=0) / std)[::8].round(2))
+
+# %% figure
+fig, ax = plt.subplots(figsize=(6.4, 3.4))
+ax.plot(samples[::100].T, "C0", lw=0.5, alpha=0.4)
+ax.plot(truth, "k:", label="truth")
+ax.fill_between(range(T), mean - 2 * std, mean + 2 * std, color="C1", alpha=0.3, label="exact, two standard deviations")
+ax.plot([], [], "C0", label="samples")
+ax.set(xlabel="step", ylabel="position [m]")
+ax.legend()
+
+# %% slam
+from fastslam import FastSLAM2, ParticleGibbs
+from graphslam import Graph, SensorModel, simulate, solve
+
+sensor = SensorModel(range_rate=0.05, bearing_std=0.02, orientation_std=0.02)
+log = simulate(seed=0, clean=True, sensor=sensor)
+smoother = ParticleGibbs(log, particles=20, iterations=800, warm_up=100, seed=0, sensor=sensor).run()
+print(smoother.mixing.statement)
+graph = solve(Graph.from_log(log, edges="landmark+motion", sensor=sensor))
+for step in (10, 30, 60):
+    by_graph = np.sqrt(np.diag(graph.covariance(step)))
+    by_samples = np.sqrt(np.diag(smoother.pose_covariances[step]))
+    print(f"std of pose {step}: graph {by_graph.round(3)}, samples {by_samples.round(3)}")
+
+# %% filter
+filtered = FastSLAM2(log, particles=200, seed=0, sensor=sensor).run()
+for name, poses in (
+    ("FastSLAM 2.0, one history", filtered.poses),
+    ("samples, their mean", smoother.poses),
+    ("graph", graph.poses),
+):
+    print(f"{name:26} position error {np.sqrt(np.mean((poses - log.true_poses)[:, :2] ** 2)):.3f} m")
+
+# %% stuck
+for sampling in (False, True):
+    kept, firsts = truth * 0, []
+    for _ in range(300):
+        kept = sweep(kept, N=10, ancestor_sampling=sampling)
+        firsts.append(kept[5])
+    print(f"ancestor sampling {sampling}: {len(np.unique(firsts))} different values of step 5 in 300 sweeps")
+
+# %% early
+for N in (20, 100, 500):
+    print(
+        f"{N} particles: {distinct(N)[0]} distinct poses at the first step, {distinct(N)[T - 5]} five steps before the end"
+    )

@@ -1,0 +1,161 @@
+"""`associate`: a log whose sightings have no ids, with ids, and a report on how they were found."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..errors import GraphError, LogError, OptionError
+from ..log import UNIDENTIFIED, Log
+from ..models import MotionModel, SensorModel
+from ..precision import check_log
+from ..se2 import Array
+from .classes import Classes
+from .densities import Densities, Field
+from .driving import drive
+from .options import AssociationOptions
+from .refining import Refined, refine
+from .solved import Backbone
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Association:
+    """Which landmark each sighting of a log is of.
+
+    Attributes:
+        of: the log that was associated; its own ids were not used.
+        ids: (M,) the landmark of each sighting, numbered from 0 in the order of discovery; `UNIDENTIFIED` for clutter.
+        margins: (M,) the logarithm of the evidence for the landmark over that for the best other one, or for clutter;
+            infinite for clutter.
+        poses: (T+1, 3) the trajectory of the graph in which the ids were found.
+        rounds, settled: how often sightings were assigned anew, and whether the last time changed nothing.
+        cost_per_dof: J of that graph per degree of freedom: about 1 where noise models and ids are right, far above it
+            where one of them is wrong.
+        options: what was used.
+        seconds: the time it took [s].
+        notes: what the user should know, one sentence each.
+    """
+
+    of: Log
+    ids: np.ndarray
+    margins: Array
+    poses: Array
+    rounds: int
+    settled: bool
+    cost_per_dof: float
+    options: AssociationOptions
+    seconds: float
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return (
+            f"<Association of {self.of.name}: {self.landmarks} landmarks, {self.clutter} of {len(self.ids)} sightings are "
+            f"clutter, {self.ambiguous} ambiguous, {self.seconds:.3g} s>"
+        )
+
+    @property
+    def landmarks(self) -> int:
+        """The number of landmarks."""
+        return int(self.ids.max(initial=-1)) + 1
+
+    @property
+    def clutter(self) -> int:
+        """The number of sightings that are of no landmark."""
+        return int(np.count_nonzero(self.ids == UNIDENTIFIED))
+
+    @property
+    def ambiguous(self) -> int:
+        """The number of sightings for whose landmark the evidence is less than the factor of the options."""
+        return int(np.count_nonzero(self.margins < np.log(self.options.factor)))
+
+    @cached_property
+    def log(self) -> Log:
+        """The log with these ids, without clutter. It starts from ``poses``."""
+        kept = self.ids != UNIDENTIFIED
+        log = self.of
+        return replace(
+            log, steps=log.steps[kept], landmarks=self.ids[kept], sightings=log.sightings[kept],
+            initial_poses=self.poses, notes=(*log.notes, *self.notes),
+        )  # fmt: skip
+
+
+def associate(
+    log: Log,
+    *,
+    motion: MotionModel | None = None,
+    sensor: SensorModel | None = None,
+    options: AssociationOptions | None = None,
+    start: tuple[np.ndarray, Array] | None = None,
+    **changes: Any,
+) -> Association:
+    """Find out which sightings are of the same landmark, from the log alone. Ids that the log has are not used.
+
+    The robot drives along the log once: a local Kalman filter joins sightings of neighbouring scans to tracks, and every
+    ``window`` steps the graph of the drive so far is solved, and tracks are joined to landmarks that were seen before by
+    the best joint hypothesis under their covariance. Then association and solving take turns (`association.refining`).
+
+    Args:
+        log: with controls.
+        motion, sensor: the noise models; default: those of the log, else the book's.
+        options: the options; ``changes`` replace single fields of `AssociationOptions`.
+        start: (ids (M,), poses (T+1, 3)) that another front end found, such as a particle filter; instead of the drive.
+
+    Raises:
+        LogError: the log has no controls.
+        GraphError: the log has no sightings, or no landmark was seen twice: all sightings may be clutter.
+        OptionError: an option has an impossible value.
+    """
+    begin = time.perf_counter()
+    options = replace(options or AssociationOptions(), **changes)
+    motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
+    if log.controls is None:
+        raise LogError(f"{log.name} has no controls, so nothing tells where sightings without ids were made")
+    if len(log.steps) == 0:
+        raise GraphError(f"{log.name} has no sightings at all, so there is nothing to associate")
+    check_log(log, motion, sensor)
+    backbone, field = Backbone.of(log, sensor, motion), Field.of(log, sensor)
+    densities = Densities.of(log, field, options.clutter)
+    classes = Classes.of(log, options.confusion)
+    if start is None:
+        driven = drive(log, motion, backbone, densities, classes, options)
+        labels, poses = driven.labels, driven.poses
+    else:
+        labels, poses = np.asarray(start[0]), np.asarray(start[1], dtype=float)
+        if labels.shape != log.steps.shape or poses.shape != log.initial_poses.shape:
+            raise OptionError(f"start must be {len(log.steps)} ids and poses of shape {log.initial_poses.shape}")
+    refined = refine(log, backbone, labels, poses, field, densities, classes, options)
+    if refined is None:
+        raise GraphError(
+            f"no landmark of {log.name} was seen often enough to be one: all its {len(log.steps)} sightings may be clutter"
+        )
+    return _report(log, refined, options, time.perf_counter() - begin)
+
+
+def _report(log: Log, refined: Refined, options: AssociationOptions, seconds: float) -> Association:
+    graph = refined.solved.graph
+    found = Association(
+        of=log, ids=np.where(refined.labels < 0, UNIDENTIFIED, refined.labels),
+        margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solved.poses, rounds=refined.rounds,
+        settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), options=options,
+        seconds=seconds, notes=(),
+    )  # fmt: skip
+    notes = [
+        f"found {found.landmarks} landmarks in sightings without ids; {found.clutter} of {len(log.steps)} sightings are "
+        f"of no landmark (clutter), J per degree of freedom is {found.cost_per_dof:.2f}"
+    ]
+    if found.ambiguous:
+        notes.append(
+            f"the landmark of {found.ambiguous} sightings is ambiguous: the evidence for it is less than "
+            f"{options.factor:g} times that for another one, or for clutter"
+        )
+    if found.clutter > len(found.ids) / 2:
+        notes.append("most sightings are of no landmark that was seen again: the few landmarks may be there by chance")
+    if found.landmarks == 1:
+        notes.append("one landmark alone cannot tell a wrong association from drift")
+    if not found.settled:
+        notes.append(f"the association had not settled after {found.rounds} rounds")
+    return replace(found, notes=tuple(notes))

@@ -1,0 +1,56 @@
+"""Classes of sightings, such as the colour of a cone: how much they speak for or against a landmark.
+
+A sighting shows the class of its landmark, or, with the probability of confusion, any of the others. With n classes and
+the counts of the classes that a landmark's sightings have shown, p(c) is the probability that it is of class c, and the
+sighting's class k has the probability sum over c of p(c) P(k given c). Against 1/n, that of a new landmark, this is the
+factor on the evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..log import Log
+from ..se2 import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Classes:
+    """The class (M,) of each sighting as a number from 0 to n - 1, and log P(shown given true) (n, n); n = 1 for none."""
+
+    shown: np.ndarray
+    log_confusion: Array
+
+    @classmethod
+    def of(cls, log: Log, confusion: float) -> Classes:
+        """The classes of a log, and a matrix with this probability of confusion."""
+        given = getattr(log, "classes", None)
+        if given is None:
+            return cls(np.zeros(len(log.steps), dtype=np.int64), np.zeros((1, 1)))
+        names, shown = np.unique(given, return_inverse=True)
+        n = len(names)
+        if n == 1:
+            return cls(shown, np.zeros((1, 1)))
+        log_confusion = np.full((n, n), np.log(confusion / (n - 1)))
+        np.fill_diagonal(log_confusion, np.log(1 - confusion))
+        return cls(shown, log_confusion)
+
+    @property
+    def count(self) -> int:
+        """The number n of classes."""
+        return len(self.log_confusion)
+
+    def sums(self, group: np.ndarray, rows: np.ndarray, groups: int) -> Array:
+        """The sum (groups, n) of log P(shown given true) over the sightings in rows (k,) of each group (k,)."""
+        total = np.zeros((groups, self.count))
+        np.add.at(total, group, self.log_confusion[:, self.shown[rows]].T)
+        return total
+
+    def together(self, a: Array, b: Array) -> Array:
+        """log of P(both | one landmark) / (P(a) P(b)) for sums (..., n), broadcast; 0 where there are no classes."""
+        if self.count == 1:
+            return np.zeros(np.broadcast_shapes(a.shape, b.shape)[:-1])
+        one, first, second = (np.logaddexp.reduce(each, axis=-1) for each in (a + b, a, b))
+        return one - first - second + np.log(self.count)

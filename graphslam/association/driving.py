@@ -1,0 +1,107 @@
+"""Association along the drive: tracks from a local filter, joined to landmarks by graphs of the drive so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..log import Log
+from ..models import MotionModel
+from ..se2 import Array, between, compose
+from .classes import Classes
+from .densities import Densities
+from .local_map import LocalMap
+from .merging import merges
+from .options import AssociationOptions
+from .solved import Backbone, Solved
+
+#: the most solutions of the graph along a drive
+MOST_WINDOWS = 150
+#: so many windows long a landmark that was just found may turn out to be an older one
+OPEN = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """The label (M,) of each sighting after the drive, -1 where it was left out, and the poses (T+1, 3)."""
+
+    labels: np.ndarray
+    poses: Array
+    deferred: int
+
+
+def drive(
+    log: Log, motion: MotionModel, backbone: Backbone, densities: Densities, classes: Classes, options: AssociationOptions
+) -> Driven:  # fmt: skip
+    """Drive along the log once."""
+    motions, noises = log.motions(motion)
+    window = max(options.window, -(-log.num_poses // MOST_WINDOWS))
+    local = LocalMap(log.initial_poses[0], backbone.places, densities, classes, window, options)
+    first = np.searchsorted(log.steps, np.arange(log.num_poses + 1))
+    filtered = np.empty((log.num_poses, 3))
+    tracks, fresh = np.full(len(log.steps), -1), 0
+    root = np.arange(len(log.steps))
+    poses, done, deferred = filtered[:0], 0, 0
+    for t in range(log.num_poses):
+        if t:
+            local.move(motions[t - 1], noises[t - 1])
+        if first[t + 1] > first[t]:
+            rows = np.arange(first[t], first[t + 1])
+            tracks[rows] = local.scan(rows, t, fresh)
+            fresh = max(fresh, int(tracks[rows].max()) + 1)
+        filtered[t] = local.pose
+        if ((t + 1) % window and t + 1 < log.num_poses) or first[t + 1] == 0:
+            continue
+        # the graph of the drive so far
+        if done:
+            ahead = compose(poses[-1], between(filtered[done - 1], filtered[done : t + 1]))
+            poses = np.concatenate([poses, ahead])
+        else:
+            poses = filtered[: t + 1].copy()
+        done = t + 1
+        for _ in range(3):
+            labels = np.where(tracks >= 0, root[tracks], -1)[: first[t + 1]]
+            labels[_alone(labels, log.steps[: first[t + 1]], t - OPEN * window)] = -1
+            if not np.any(labels >= 0):
+                break
+            solved = Solved.of(backbone, labels, poses)
+            poses = solved.poses
+            joined, deferred = _join(log, solved, t - OPEN * window, densities, classes, options)
+            if not joined:
+                break
+            for new, old in joined.items():
+                root[root == new] = old
+            active = root[local.tracks]
+            doubled = [k for k in range(len(active)) if active[k] in active[k + 1 :]]
+            local.remove(local.tracks[doubled])
+    labels = np.where(tracks >= 0, root[tracks], -1) if len(tracks) else tracks
+    return Driven(labels, poses if done == log.num_poses else filtered, deferred)
+
+
+def _alone(labels: np.ndarray, steps: np.ndarray, since: int) -> np.ndarray:
+    """Which sightings are the only one of their landmark, and old."""
+    _, which, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    return (counts[which] == 1) & (steps < since)
+
+
+def _join(
+    log: Log, solved: Solved, since: int, densities: Densities, classes: Classes,
+    options: AssociationOptions,
+) -> tuple[dict[int, int], int]:  # fmt: skip
+    """{new: old} labels of landmarks that are one, and how many decisions are left for later because they are ambiguous."""
+    seen = solved.seen(log.steps)
+    items = np.flatnonzero([steps[0] >= since for steps in seen])
+    shown = classes.sums(solved.which, solved.rows, len(seen))
+    found = merges(solved, items, seen, shown, densities, classes, options)
+    # one landmark may lie near an old one by chance; a place that is seen again has several
+    least = np.log(options.factor)
+    sure = [m for m in found if m.margin >= least and m.evidence >= 2 * least]
+    # chains, of which each member was seen with another one, are joined in several rounds
+    taken: set[int] = set()
+    joined = {}
+    for m in sorted(sure, key=lambda m: -m.margin):
+        if m.item not in taken and m.into not in taken:
+            joined[int(solved.labels[m.item])] = int(solved.labels[m.into])
+            taken |= {m.item, m.into}
+    return joined, len(found) - len(sure)

@@ -1,0 +1,44 @@
+"""The options of the association of sightings without ids."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..checks import check_choice, check_count, option
+from ..errors import OptionError
+
+#: how the sightings of one scan are assigned to landmarks
+METHODS = ("joint", "nearest")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssociationOptions:
+    """How `associate` decides which sightings are of the same landmark.
+
+    Raises:
+        OptionError: an option has an impossible value.
+    """
+
+    method: str = option(
+        "joint", "Assign the sightings of a scan jointly (joint compatibility), or each to its nearest landmark."
+    )
+    gate: float = option(0.999, "Share of correct sightings that lie within the gate of their landmark")
+    clutter: float = option(0.05, "Share of sightings that are of no landmark, before the log is known")
+    factor: float = option(
+        100.0,
+        "A decision between two landmarks is called ambiguous where the evidence for the better one is less than this",
+    )
+    confusion: float = option(0.05, "Probability that the class of a sighting is wrong, where the log has classes")
+    window: int = option(30, "Steps between two solutions of the graph along the drive; more on long logs")
+    rounds: int = option(10, "The most rounds of association and solving, in turn, at the end")
+
+    def __post_init__(self) -> None:
+        check_choice("method", self.method, METHODS)
+        for name in ("gate", "clutter", "confusion"):
+            if not 0 < getattr(self, name) < 1:
+                raise OptionError(f"{name} must lie between 0 and 1, not {getattr(self, name)!r}")
+        if not self.factor >= 1:
+            raise OptionError(f"factor must be at least 1, not {self.factor!r}")
+        check_count(window=self.window, rounds=self.rounds)
+        if self.window < 1:
+            raise OptionError("window must be at least 1")

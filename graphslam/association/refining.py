@@ -1,0 +1,206 @@
+"""Association and solving in turn: with the whole drive solved, every sighting is assigned anew.
+
+Each round merges landmarks that are one, assigns the sightings of every scan to the landmarks of the solved graph, makes
+landmarks of sightings that no landmark explains but that agree with each other, and drops landmarks whose sightings are
+better explained as clutter. A landmark with sightings z_k, assigned with squares nu_k' S_k^-1 nu_k, is kept where
+
+    log(density) + 1/2 log det(2 pi C) + sum of [log P_D + log N(nu_k; 0, S_k) - log(density of clutter)]
+    + (views without a sighting) log(1 - P_D) > log(factor),
+
+Laplace's approximation of the evidence for it, C its covariance from its sightings alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..log import Log
+from ..se2 import Array
+from .assignment import World, assign
+from .classes import Classes
+from .densities import INSIDE, Densities, Field
+from .geometry import differences
+from .hypotheses import gates, log_density, log_volume
+from .merging import merges
+from .options import AssociationOptions
+from .solved import Backbone, Solved
+
+#: chains of landmarks that are one are merged link by link, at most so often in a round
+MERGING = 4
+
+
+#: the association has settled where a round changes at most this share of the sightings
+SETTLED = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """The label (M,) of each sighting, -1 for clutter; the solved graph; how many rounds it took; and what is doubtful.
+
+    ``margins`` (M,): the logarithm of the evidence for the label over that for the best other one, infinite for none.
+    ``close``: how many pairs of landmarks may as well be one, by the factor of the options.
+    """
+
+    labels: np.ndarray
+    solved: Solved
+    rounds: int
+    settled: bool
+    margins: Array
+    densities: Densities
+
+
+def refine(
+    log: Log, backbone: Backbone, labels: np.ndarray, poses: Array, field: Field, densities: Densities, classes: Classes,
+    options: AssociationOptions,
+) -> Refined | None:  # fmt: skip
+    """Association and solving in turn, from labels (M,) and poses (T+1, 3); None where no landmark is left."""
+    labels, settled = _compact(labels), False
+    margins = np.full(len(labels), np.inf)
+    rounds = 0
+    while rounds < options.rounds and not settled:
+        rounds, before = rounds + 1, labels
+        if not np.any(labels >= 0):
+            return None
+        solved = _merged(log, Solved.of(backbone, labels, poses), backbone, field, densities, classes, options)
+        world = World.of(backbone.places, solved.poses[log.steps])
+        labels, margins = _assigned(world, log, solved, densities, classes, options)
+        labels = _born(world, log, labels, options)
+        labels, densities = _kept(log, backbone, solved, field, labels, densities, options)
+        poses, labels = solved.poses, _compact(labels)
+        settled = int(np.count_nonzero(labels != before)) <= SETTLED * len(labels)
+    if not np.any(labels >= 0):
+        return None
+    return Refined(labels, Solved.of(backbone, labels, poses), rounds, settled, margins, densities)
+
+
+def _compact(labels: np.ndarray) -> np.ndarray:
+    """The same labels numbered from 0 in the order of their first sightings."""
+    names, first, which = np.unique(labels, return_index=True, return_inverse=True)
+    order = np.argsort(np.where(names < 0, -1, first), kind="stable")
+    number = np.empty(len(names), dtype=np.int64)
+    number[order] = np.arange(len(names)) - np.sum(names < 0)
+    number[names < 0] = -1
+    return number[which]
+
+
+def _merged(
+    log: Log, solved: Solved, backbone: Backbone, field: Field, densities: Densities, classes: Classes,
+    options: AssociationOptions,
+) -> Solved:  # fmt: skip
+    """The graph after all landmarks that are more likely one than two are merged."""
+    for _ in range(MERGING):
+        everyone = np.arange(len(solved.labels))
+        shown = classes.sums(solved.which, solved.rows, len(everyone))
+        ((views, _),) = _views(log, backbone, solved, field, INSIDE)
+        found = merges(solved, everyone, solved.seen(log.steps), shown, densities, classes, options, views)
+        root = np.arange(len(solved.labels))
+        taken: set[int] = set()
+        for m in sorted(found, key=lambda m: -m.margin):
+            if m.item not in taken and m.into not in taken:
+                root[m.item] = m.into
+                taken |= {m.item, m.into}
+        if not taken:
+            break
+        labels = np.full(len(log.steps), -1)
+        labels[solved.rows] = root[solved.which]
+        solved = Solved.of(backbone, labels, solved.poses)
+    return solved
+
+
+def _assigned(
+    world: World, log: Log, solved: Solved, densities: Densities, classes: Classes, options: AssociationOptions
+) -> tuple[np.ndarray, Array]:
+    """The label and the margin (M,) of each sighting: the best assignment of every scan."""
+    shown = classes.sums(solved.which, solved.rows, len(solved.labels))
+    each = classes.log_confusion[:, classes.shown].T
+
+    def weights(item: np.ndarray, landmark: np.ndarray) -> Array:
+        return densities.seen - densities.clutter + classes.together(each[item], shown[landmark])
+
+    own = solved.own_covariances + solved.slack
+    chosen, margins = assign(world, log.steps, solved.landmarks, own, options.gate, weights)
+    return np.where(chosen < 0, -1, solved.labels[chosen]), margins
+
+
+def _born(world: World, log: Log, labels: np.ndarray, options: AssociationOptions) -> np.ndarray:
+    """The labels with new ones for sightings that none has, but that agree with each other."""
+    d, gate = world.means.shape[1], float(gates(options.gate, world.means.shape[1], 1)[1])
+    labels, rows = labels.copy(), np.flatnonzero(labels < 0)
+    if len(rows) < 2:
+        return labels
+    means, information, spread = np.zeros((len(rows), d)), np.zeros((len(rows), d, d)), np.zeros((len(rows), d, d))
+    reach = np.sqrt(2 * gate * np.linalg.norm(world.covariances[rows][:, :2, :2], 2, axis=(1, 2)))
+    reach += reach.max()
+    last, number, count = np.full(len(rows), -1), np.full(len(rows), -1), 0
+    for n, k in enumerate(rows):
+        away = np.abs(world.means[k, :2] - means[:count, :2]).max(axis=1)
+        near = np.flatnonzero((away <= reach[n]) & (last[:count] != log.steps[k]))
+        best, square = count, np.inf
+        if len(near):
+            nu = differences(world.means[k], means[near])
+            squares = log_density(nu, world.covariances[k] + spread[near])[1]
+            best, square = int(near[np.argmin(squares)]), float(squares.min())
+        if square > gate:
+            best, count = count, count + 1
+        own = np.linalg.inv(world.covariances[k])
+        total = information[best] + own
+        means[best] = differences(
+            means[best] + np.linalg.solve(total, own @ differences(world.means[k], means[best])), np.zeros(d)
+        )
+        information[best], spread[best], last[best], number[n] = total, np.linalg.inv(total), log.steps[k], best
+    born = np.bincount(number, minlength=count) >= 2
+    labels[rows] = np.where(born[number], labels.max() + 1 + number, -1)
+    return labels
+
+
+def _kept(
+    log: Log, backbone: Backbone, solved: Solved, field: Field, labels: np.ndarray, densities: Densities,
+    options: AssociationOptions,
+) -> tuple[np.ndarray, Densities]:  # fmt: skip
+    """The labels of landmarks with enough evidence, -1 for the others; and the densities counted anew."""
+    solved = Solved.of(backbone, labels, solved.poses)
+    (views, within), (whole, anywhere) = _views(log, backbone, solved, field, INSIDE, 1.0)
+    densities = densities.counted(int(within.sum()), int(views.sum()), float(np.mean(labels < 0)))
+    world = World.of(backbone.places, solved.poses[log.steps])
+    nu = differences(world.means[solved.rows], solved.landmarks[solved.which])
+    each = densities.seen - densities.clutter + log_density(nu, world.covariances[solved.rows])[0]
+    total = np.bincount(solved.which, each) + (views - within) * densities.missed
+    # at the border of the field noise decides whether a landmark is in it
+    border = (whole - anywhere) - (views - within)
+    total += np.maximum(border, 0) * np.log1p(-np.exp(densities.seen) / 2)
+    total += densities.new + 0.5 * log_volume(solved.own_covariances)
+    good = (total > np.log(options.factor)) & (np.bincount(solved.which) > 1)
+    labels = labels.copy()
+    labels[solved.rows] = np.where(good[solved.which], labels[solved.rows], -1)
+    return labels, densities
+
+
+def _views(
+    log: Log, backbone: Backbone, solved: Solved, field: Field, *shares: float
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """For shares of the field of view, in how many scans each landmark (L,) was within it, and in how many of these seen."""
+    scans, origin = np.unique(log.steps), backbone.origin
+    poses = solved.poses[scans]
+    near = cKDTree(poses[:, :2]).query_ball_point(solved.landmarks[:, :2], field.farthest + np.hypot(*origin))
+    at = np.concatenate([np.zeros(0, int), *near]).astype(int)
+    landmark = np.repeat(np.arange(len(near)), [len(each) for each in near])
+    places = _in_axes(poses[at], solved.landmarks[landmark])
+    seen = _in_axes(solved.poses[log.steps[solved.rows]], solved.landmarks[solved.which])
+    count = len(near)
+    return [
+        (
+            np.bincount(landmark, field.holds(places, origin, share), count).astype(np.int64),
+            np.bincount(solved.which, field.holds(seen, origin, share), count).astype(np.int64),
+        )
+        for share in shares
+    ]
+
+
+def _in_axes(poses: Array, places: Array) -> Array:
+    """Places (n, 2 or 3) in the axes of poses (n, 3): the positions (n, 2)."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x, y = places[:, 0] - poses[:, 0], places[:, 1] - poses[:, 1]
+    return np.column_stack([c * x + s * y, c * y - s * x])

@@ -1,0 +1,150 @@
+"""Whether landmarks have other ids from some time on, as after a detector that counts them was started again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..log import Log
+from ..models import SensorModel
+from ..reading import UNIDENTIFIED
+from ..se2 import Array
+from .distances import Distances
+from .finding import Finding
+from .readings import moves
+
+#: a landmark is compared with those seen within this way before, [rad] turned plus [ranges] driven, among so many sightings
+_WAY, _BACK = 0.6, 40
+#: a landmark stays where it is up to the first number [ranges], or the second times the median error
+_NEAR, _TIMES = 0.1, 3.0
+#: landmarks that change their ids at one time at least, and how many times as many as those that keep theirs
+_FEWEST, _MORE = 3, 2
+#: times that are tried at most
+_MOST = 2000
+#: a value changes if its means before and after differ by the first number [ranges] and the second times its spread; the
+#: number of times that are tried
+_CHANGE, _SPREAD, _TRIED = 0.25, 3.0, 100
+#: the ids cannot be checked where sightings move by more than this [ranges, median]
+_COARSE = 0.15
+
+
+def renamed(log: Log, distances: Distances, *, trusted: bool) -> Iterator[Finding]:
+    """The time from which on ids are other ones: where landmarks are, by the true poses if ``trusted``, by distances."""
+    for change in (_in_one_place(log), _by_truth(log) if trusted else None, _by_distances(distances)):
+        if change is not None:
+            step, evidence = change
+            when = f"step {step}"
+            if log.times is not None:
+                when = f"{log.times[step] - log.start_time:.1f} s after the start"
+            yield Finding(
+                "ids change",
+                f"landmarks have other ids from about {when} on ({evidence}); a detector may have counted them anew",
+            )
+            return
+
+
+def _by_truth(log: Log) -> tuple[int, str] | None:
+    if log.robot_truth is None:
+        return None
+    rows = np.flatnonzero((log.landmarks != UNIDENTIFIED) & np.isfinite(log.robot_truth[log.steps]).all(axis=1))
+    steps, sightings = log.steps[rows], log.sightings[rows]
+    places = (log.sensor or SensorModel()).h_inverse(log.robot_truth[steps], sightings)[:, :2]
+    change = _change(log.landmarks[rows, None], steps, places, sightings[:, 0])
+    return change and (change[0], f"seen from the true poses {change[1]} of {change[2]} landmarks are elsewhere")
+
+
+def _by_distances(found: Distances) -> tuple[int, str] | None:
+    change = _change(found.pair, found.step, found.distance[:, None], found.range)
+    return change and (change[0], f"{change[1]} of {change[2]} distances between two landmarks change")
+
+
+def _change(keys: np.ndarray, steps: np.ndarray, values: Array, scale: Array) -> tuple[int, int, int] | None:
+    """The step at which most values change, how many do, and of how many; None where few change.
+
+    Args:
+        keys: (K, n) what has the value, for example the id of a landmark.
+        steps: (K,) at which it is measured.
+        values: (K, c).
+        scale: (K,) the range of the measurement [m].
+    """
+    if len(steps) < _FEWEST:
+        return None
+    order = np.lexsort((steps, *keys.T))
+    keys, steps, values, scale = keys[order], steps[order], values[order], scale[order]
+    first = np.flatnonzero(np.append(True, np.any(np.diff(keys, axis=0) != 0, axis=1)))
+    best = (0, 0, 0)
+    for k in np.unique(np.quantile(steps, np.linspace(0.02, 0.98, _TRIED), method="nearest")).tolist():
+        sides = []
+        for side in (steps < k, steps >= k):
+            n = np.add.reduceat(side.astype(float), first)
+            mean = np.add.reduceat(values * side[:, None], first) / np.maximum(n, 1)[:, None]
+            square = np.add.reduceat(values**2 * side[:, None], first) / np.maximum(n, 1)[:, None]
+            sides.append((n, mean, n * np.sum(square - mean**2, axis=1)))
+        (n, before, spread), (m, after, spread_after) = sides
+        both = (n > 0) & (m > 0)
+        noise = np.sqrt(np.maximum((spread + spread_after) / (n + m), 0))
+        size = np.add.reduceat(scale, first) / (n + m)
+        changed = both & (np.linalg.norm(before - after, axis=1) > np.maximum(_CHANGE * size, _SPREAD * noise))
+        if 2 * np.sum(changed) - np.sum(both) > 2 * best[1] - best[2]:
+            best = k, int(np.sum(changed)), int(np.sum(both))
+    return best if best[1] > _FEWEST else None
+
+
+def _in_one_place(log: Log) -> tuple[int, str] | None:
+    """Several landmarks at once are where others have just been seen."""
+    known = np.flatnonzero(log.landmarks != UNIDENTIFIED)
+    if log.controls is None or log.dt is None or len(known) < 10 * _FEWEST:
+        return None
+    steps, ids, sightings = log.steps[known], log.landmarks[known], log.sightings[known, :2]
+    driven = np.abs(log.controls) @ [1 / float(np.median(sightings[:, 0])), 1.0] * log.dt
+    way = np.concatenate([[0.0], np.cumsum(driven)])[log.control_starts][steps]
+    poses, sensor = log.dead_reckoning()[steps], log.sensor or SensorModel()
+
+    def apart(a: np.ndarray, b: np.ndarray) -> Array:
+        both = np.stack([a, b])
+        return np.where(way[b] - way[a] <= _WAY, moves(sensor, poses[both], sightings[both]), np.inf)
+
+    own = _previous(ids)
+    error = np.where(own >= 0, apart(np.maximum(own, 0), np.arange(len(ids))), np.inf)
+    if not np.isfinite(error).any() or (usual := float(np.median(error[np.isfinite(error)]))) > _COARSE:
+        return None
+    near = max(_NEAR, _TIMES * usual)
+    stays = error <= near
+    moved = np.flatnonzero(~stays)
+    least, other = np.full(len(moved), np.inf), np.full(len(moved), -1)
+    for back in range(1, _BACK + 1):
+        before = np.maximum(moved - back, 0)
+        distance = np.where((ids[before] != ids[moved]) & (moved >= back), apart(before, moved), np.inf)
+        other = np.where(distance < least, before, other)
+        least = np.minimum(distance, least)
+    new = np.zeros(len(ids), dtype=bool)
+    new[moved] = least <= near
+    partner = own.copy()
+    partner[moved] = other
+    # (landmarks with another id, those that keep theirs, the first ones) at each time at which there may be a change
+    times: list[tuple[int, int, np.ndarray]] = []
+    for k in np.flatnonzero(new)[:_MOST]:
+        after = np.arange(k, np.searchsorted(way, way[k] + _WAY / 2, side="right"))
+        after = after[(partner[after] < k) & (partner[after] >= 0)]
+        changed = after[new[after]]
+        changed = changed[np.unique(ids[changed], return_index=True)[1]]
+        changed = changed[np.unique(partner[changed], return_index=True)[1]]
+        times.append((len(changed), int(np.sum(stays[after])), np.sort(changed)))
+    if not times:
+        return None
+    count, kept, changed = max(times, key=lambda each: each[0] - each[1])
+    far = [n > m for n, m, first in times if abs(way[first[0]] - way[changed[0]]) > 2 * _WAY]
+    # two are enough where nothing else in the log looks like it
+    if (count >= _FEWEST and count > _MORE * kept) or (count == _FEWEST - 1 and not kept and not any(far)):
+        return int(steps[changed[0]]), ", ".join(f"{ids[partner[k]]} becomes {ids[k]}" for k in changed[:3].tolist())
+    return None
+
+
+def _previous(ids: np.ndarray) -> np.ndarray:
+    """For each id (N,) the last place before it with the same id; -1 where there is none."""
+    order = np.argsort(ids, kind="stable")
+    previous = np.full(len(ids), -1)
+    again = ids[order[1:]] == ids[order[:-1]]
+    previous[order[1:][again]] = order[:-1][again]
+    return previous

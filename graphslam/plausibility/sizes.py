@@ -1,0 +1,31 @@
+"""Numbers that are too large for their unit, or all zero."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..log import Log
+from .finding import Finding
+
+#: beyond these values numbers are probably in another unit: range [m], speed [m/s], turn rate [rad/s], time of a control [s]
+FARTHEST, FASTEST, QUICKEST, SLOWEST = 1000.0, 100.0, 2 * np.pi, 5.0
+
+
+def sizes(log: Log) -> Iterator[Finding]:
+    """Ranges, speeds, turn rates and times that no robot has."""
+    if len(log.sightings) and (far := float(np.median(log.sightings[:, 0]))) > FARTHEST:
+        yield Finding("range unit", f"half of the ranges are above {far:.0f} m; they may be in millimetres")
+    if log.controls is None or log.dt is None or len(log.controls) == 0:
+        return
+    speed, turn = np.quantile(np.abs(log.controls), 0.95, axis=0)
+    if speed > FASTEST:
+        yield Finding("speed unit", f"the speed reaches {speed:.0f} m/s; it may be in mm/s")
+    within = float(np.median(np.abs(log.controls[:, 1]) * log.dt))
+    if turn > QUICKEST or within > np.pi:
+        yield Finding("turn rate unit", f"the turn rate reaches {turn:.1f} rad/s; it may be in degrees per second")
+    if (lasting := float(np.median(log.dt))) > SLOWEST:
+        yield Finding("time unit", f"controls last {lasting:g} s (median); the times may be in milliseconds")
+    if not np.any(log.controls):
+        yield Finding("no motion", "all controls are zero; the odometry may be another column or topic")

@@ -1,0 +1,92 @@
+"""Does the robot turn another way on some stretch? A search for a lower minimum near the end of a solver.
+
+Sightings hold headings up to full turns. Where they are few or noisy, mainly the motion edges say how far the robot turns
+over a stretch of poses, and one full turn more or less, spread over the stretch, leads to another minimum. If the headings
+of an end deviate from those of the odometry by E over a stretch whose odometry has the variance V, the motion edges
+cost about E² / V there, and (2 pi - abs(E))² / V after the other turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..errors import GraphError
+from ..graph import Graph
+from ..se2 import Array, rotation, wrap
+from .gauss_newton import gauss_newton
+from .iteration import Run
+from .start import odometry
+
+#: a turn is tried where it raises the cost of the motion edges by at most this: a factor of exp(-5) in likelihood
+MOST_RISE = 10.0
+#: lengths of stretches [motions], from shortest to longest; stretches of one group do not overlap
+LENGTHS = ((2, 8), (9, 32), (33, 100))
+#: a turn is kept if it lowers J by more than this part of it
+LOWER = 1e-6
+#: the most turns to try, at most one for so many poses, and the most steps after each
+TURNS, POSES_PER_TURN, STEPS = 40, 4, 30
+
+
+def turned(graph: Graph, state: Array) -> Array | None:
+    """The state (n, 3) that other turns lead to, one after the other, each kept if it lowers J; None if none does."""
+    most = min(TURNS, len(graph.steps) // POSES_PER_TURN)
+    best, cost, tried, again = state, graph.cost(state), set[tuple[int, int, float]](), True
+    while again:
+        again = False
+        for stretch, start in _turns(graph, best):
+            if stretch in tried or len(tried) == most:
+                continue
+            tried.add(stretch)
+            run = Run(start, tolerance=1e-6 * graph.num_nodes**0.5, max_iterations=STEPS)
+            try:
+                gauss_newton(graph, run)
+            except GraphError:
+                continue
+            lower = graph.cost(run.state)
+            if lower < cost * (1 - LOWER):
+                best, cost, again = run.state, lower, True
+                break
+    return None if best is state else best
+
+
+def _turns(graph: Graph, state: Array) -> Iterator[tuple[tuple[int, int, float], Array]]:
+    """Stretches (first pose, last pose, sign of E) and the states (n, 3) after their turns, in the order of the costs."""
+    try:
+        driven, variance = odometry(graph, "auto")
+    except GraphError:
+        return
+    deviation = np.zeros(len(driven))
+    deviation[1:] = wrap(np.diff(state[: len(driven), 2]) - driven[1:, 2])
+    E, V, headings = np.cumsum(deviation), np.cumsum(variance), np.cumsum(driven[:, 2])
+    for first, last in _stretches(E, V):
+        sign, stretch = float(np.sign(E[last] - E[first])), slice(first, last + 1)
+        share = (V[stretch] - V[first]) / (V[last] - V[first])
+        turn = headings[stretch] - headings[first] + E[stretch] - E[first] - 2 * np.pi * sign * share
+        heading = state[first, 2] + turn
+        steps = np.einsum("kij,kj->ki", rotation(heading[:-1]), driven[first + 1 : last + 1, :2])
+        place = state[first, :2] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+        # what is missing at the last pose is shared evenly
+        place += np.linspace(0, 1, len(place))[:, None] * (state[last, :2] - place[-1])
+        start = state.copy()
+        start[first:last] = np.column_stack([place, heading])[:-1]
+        yield (first, last, sign), start
+
+
+def _stretches(E: Array, V: Array) -> list[tuple[int, int]]:
+    """The first and last poses of the stretches whose other turn is cheap, the cheapest first."""
+    found = list[tuple[float, int, int]]()
+    for shortest, longest in LENGTHS:
+        group = list[tuple[float, int, int]]()
+        for length in range(shortest, min(longest, len(E) - 1) + 1):
+            variance = np.maximum(V[length:] - V[:-length], 1e-300)
+            rise = 4 * np.pi * (np.pi - np.abs(E[length:] - E[:-length])) / variance
+            cheap = np.flatnonzero(rise < MOST_RISE)
+            group += zip(rise[cheap].tolist(), cheap.tolist(), (cheap + length).tolist())
+        taken = np.zeros(len(E), dtype=bool)
+        for rise, first, last in sorted(group):
+            if not taken[first:last].any():
+                taken[first:last] = True
+                found.append((rise, first, last))
+    return [(first, last) for _, first, last in sorted(found)]

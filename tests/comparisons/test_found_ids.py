@@ -1,0 +1,62 @@
+"""Estimators on logs whose sightings have no ids: the graph finds them, and they are compared with the true ones."""
+
+import json
+
+import numpy as np
+import pytest
+
+from comparisons import run
+from fastslam import FastSLAM2
+from graphslam import GraphError, load, sample_log_path
+from graphslam.association import score
+from graphslam.log import UNIDENTIFIED
+
+
+@pytest.fixture(scope="module")
+def log():
+    return load(sample_log_path())
+
+
+def test_the_graph_finds_ids_that_the_log_lacks(log):
+    hidden = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+    comparison = run(hidden, estimators=["graph", "gtsam"])
+    known = run(log, estimators="graph")
+    for name in ("graph", "gtsam"):
+        result = comparison[name]
+        assert score(result.association, log.landmarks).precision == 1.0
+        assert not result.named and "found 13 landmarks" in result.notes[0]
+        assert comparison.metrics[name].ate_m < 1.1 * known.metrics["graph"].ate_m
+        assert comparison.metrics[name].landmark_rmse_m < 1.1 * known.metrics["graph"].landmark_rmse_m
+    # without true ids there is nothing to compare with
+    assert comparison.associations["graph"] is None
+    assert comparison.to_json()["estimators"][0]["association"]["landmarks"] == 13
+    assert known["graph"].association is None
+
+
+@pytest.mark.parametrize("front_end", ["fastslam2", "batch"])
+def test_ignored_ids_are_compared_with_those_found(log, front_end):
+    comparison = run(log, estimators="graph", association="maximum-likelihood", front_end=front_end)
+    row = comparison.table["graph"]
+    assert (row.association.precision, row.association.recall, row.association.found) == (1.0, 1.0, 13)
+    assert "1.000, 1.000" in str(comparison) and "13 0 0 0" in str(comparison)
+    entry = json.loads(json.dumps(comparison.to_json()))["estimators"][0]["association"]
+    assert entry == {
+        "landmarks": 13, "clutter": 0, "precision": 1.0, "recall": 1.0, "found": 13, "missed": 0, "doubled": 0, "invented": 0,
+    }  # fmt: skip
+
+
+def test_a_filter_gives_the_association_of_each_sighting(log):
+    result = FastSLAM2(log, particles=50, seed=0, association="maximum-likelihood").run()
+    assert result.association.shape == result.unconfirmed.shape == log.steps.shape
+    assert score(result.association, log.landmarks).precision > 0.95
+    assert set(result.association[~result.unconfirmed]) - {UNIDENTIFIED} == set(result.landmarks)
+    assert FastSLAM2(log, particles=50, seed=0).run().association is None
+
+
+def test_all_clutter_is_refused(log):
+    rng = np.random.default_rng(0)
+    steps = np.arange(8) * 20
+    far = np.column_stack([np.linspace(1, 6, 8), rng.uniform(-3, 3, 8), rng.uniform(-3, 3, 8)])
+    clutter = log.replace(steps=steps, landmarks=np.full(8, UNIDENTIFIED), sightings=far)
+    with pytest.raises(GraphError, match="may be clutter"):
+        run(clutter, estimators="graph")
