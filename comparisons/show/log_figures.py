@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from ..exchange import time_axis
 from .canvas import WIDTH, paper_figure, set_limits
 from .figures import MOST_SIGHTINGS
+from .placement import between_poses, true_line
 from .style import SIGHTING, START, TRUE_LANDMARK, TRUTH, colour_of, style_of
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ def overview_figure(overview: Overview) -> Figure:
 def _draw_plan(axes: Axes, overview: Overview) -> dict[str, Any]:
     """The path and the sightings; returns the entries of the legend."""
     log, path = overview.log, overview.path
+    line = between_poses(log, None).through(path)
     legend: dict[str, Any] = {}
     every = max(1, -(-len(log.steps) // MOST_SIGHTINGS))
     begins, ends = path[log.steps[::every], :2], overview.seen_at[::every]
@@ -46,11 +48,11 @@ def _draw_plan(axes: Axes, overview: Overview) -> dict[str, Any]:
     lines.set_rasterized(True)
     axes.add_collection(lines, autolim=False)
     (legend["sighting"],) = axes.plot(*ends.T, ".", color="0.45", markersize=2, zorder=2)
-    (legend["dead reckoning"],) = axes.plot(path[:, 0], path[:, 1], **style_of("dead-reckoning"))
-    core = [path[:, :2]]
-    if log.true_poses is not None:
-        (legend["ground truth"],) = axes.plot(log.true_poses[:, 0], log.true_poses[:, 1], **TRUTH)
-        core.append(log.true_poses[log.covered, :2])
+    (legend["dead reckoning"],) = axes.plot(line[:, 0], line[:, 1], **style_of("dead-reckoning"))
+    core = [line[:, :2]]
+    if (truth := true_line(log)) is not None:
+        (legend["ground truth"],) = axes.plot(truth[:, 0], truth[:, 1], **TRUTH)
+        core.append(truth[np.isfinite(truth[:, 0]), :2])
     if log.true_landmarks:
         places = np.array([place[:2] for place in log.true_landmarks.values()])
         (legend["true landmark"],) = axes.plot(*places.T, **TRUE_LANDMARK)

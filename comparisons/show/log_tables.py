@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from .cells import NOTHING, LeanTable, number
+from .placement import between_poses
 from .text_plots import bars, plan
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def overview_tables(overview: Overview) -> Tables:
         remarks.append(f"The odometry drives {driven} m and turns by {turned} rad in all, in {overview.seconds:.1f} s.")
     remarks += ["", "ranges", *bars(overview.ranges.edges, overview.ranges.counts, "m")]
     remarks += ["", "bearings", *bars(overview.bearings.edges, overview.bearings.counts, "rad")]
-    remarks += ["", *plan(overview.path[:, :2], overview.seen_at), ""]
+    remarks += ["", *plan(between_poses(log, None).through(overview.path)[:, :2], overview.seen_at), ""]
     remarks += [f"{note}." for note in log.notes]
     remarks += [f"WARNING: {finding.message}." for finding in overview.findings]
     if not overview.findings:

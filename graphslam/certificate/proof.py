@@ -118,6 +118,7 @@ def _certificate(outcome: _Outcome, cost: float, begin: float) -> Certificate:
     # a state of cost zero, also up to rounding, is global with the bound 0
     zero = status == GLOBAL and bound == 0
     gap = 0.0 if zero else (cost - bound) / cost if 0 < cost < np.inf else 1.0
+    gap = np.nan if status == NOT_APPLICABLE else gap
     return Certificate(status, float(bound), float(gap), reason, time.perf_counter() - begin, direction)
 
 
@@ -137,7 +138,7 @@ def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
     exact = float(problem.forces.cost.sum())
     if problem.forces.zero.all() and max(cost, exact) <= PROVEN:
         return GLOBAL, 0.0, "the residuals of all edges are zero up to the rounding of the state", None
-    if not abs(exact - cost) <= PROVEN * cost:
+    if not abs(exact - cost) <= PROVEN * cost + function.slack:
         return NOT_PROVEN, 0.0, f"the edges in their constant form have the cost {exact:g} instead of {cost:g}", None
     bound, factor = problem.bound(function)
     if factor.negative is not None:

@@ -33,6 +33,8 @@ def against_map(log: Log, found: Distances, *, trusted: bool) -> Iterator[Findin
             f"({_listed(known)}); the ids of one of them may be of another list or column",
         )
         return
+    if len(seen) == 1:
+        return
     inside = np.isin(found.pair, list(known)).all(axis=1)
     places = {j: np.asarray(place[:2]) for j, place in log.true_landmarks.items()}
     ends = np.array([[places[a], places[b]] for a, b in found.pair[inside].tolist()]).reshape(-1, 2, 2)

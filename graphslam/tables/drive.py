@@ -75,16 +75,16 @@ class _Reader:
 
     def need(self, *roles: str, instead: str = "") -> None:
         """Raise an error that lists the columns unless these are there."""
-        missing = [role for role in roles if role not in self.found]
-        if missing:
-            have = ", ".join(self.table.names) if self.table.names else f"{self.table.width} columns without names"
-            names = " or ".join(dict.fromkeys((missing[0], *NAMES[missing[0]][:3])))
-            raise self.table.error(
-                None,
-                f"no column for {missing[0]} (named {names}, ...){instead}; it has {have}. "
-                f"Say which it is: --columns {self.kind}.{missing[0]}=NAME",
-            )
+        if missing := [role for role in roles if role not in self.found]:
+            raise self.table.error(None, self.missing(missing[0], instead))
         self.used |= dict.fromkeys(roles)
+
+    def missing(self, role: str, consequence: str = "") -> str:
+        """The sentence about a column that is not there, with those that are."""
+        have = ", ".join(self.table.names) if self.table.names else f"{self.table.width} columns without names"
+        names = " or ".join(dict.fromkeys((role, *NAMES[role][:3])))
+        which = f"Say which it is: --columns {self.kind}.{role}=NAME"
+        return f"no column for {role} (named {names}, ...){consequence}; it has {have}. {which}"
 
     def described(self) -> tuple[str, ...]:
         """The columns that were used, "range = 'dist' [m]"."""
@@ -293,7 +293,8 @@ def _ids(reader: _Reader) -> tuple[np.ndarray, tuple[str, ...]]:
     """The ids (N,) as whole numbers, and notes; `UNIDENTIFIED` where there is no column of them."""
     table = reader.table
     if not reader.has("id"):
-        return np.full(len(table), UNIDENTIFIED), (f"{table.source}: no column for id, so no landmark is identified",)
+        missing = reader.missing("id", ", so no landmark is identified")
+        return np.full(len(table), UNIDENTIFIED), (f"{table.source}: {missing}",)
     reader.need("id")
     column = reader.found["id"].column
     try:

@@ -155,11 +155,12 @@ def check_overlap(odometry: Timed, other: Timed) -> None:
         cause = f"one seems to be in units {ratio} times as large"
     else:
         cause = "they are of different drives, or one clock was not set"
+    text = f"{offset:.3f}".rstrip("0").rstrip(".")
     names = [
         f"{_name(stream)} ({_interval(*ends)})" for stream, ends in ((odometry, (begin, end)), (other, (first, last)))
     ]
     raise LogError(
-        f"the clocks of {' and '.join(names)} do not overlap: {cause}; --clocks {kind}={offset:.6g} lets both begin together"
+        f"the clocks of {' and '.join(names)} do not overlap: {cause}; --clocks {kind}={text} lets both begin together"
     )
 
 

@@ -55,12 +55,14 @@ def repeated_sightings(
         cause = "the rows were probably written twice, or two files joined, and these sightings count twice"
         doubts.append(("doubled sightings", f"{which}: {cause}"))
     other = same & ~twice & (ids[1:] != UNIDENTIFIED)
-    if np.sum(other) > _SHARE * len(ns):
+    if np.sum(other) > _SHARE * len(ns) and np.ptp(ids) > 0:
         later = np.maximum(numbers[1:], numbers[:-1])[other]
         which = (
             f"{_first(table, later, 'sighting')} (of {len(ns)}) with the time and id of another row and other numbers"
         )
-        cause = f"the times were probably rounded{_rounded(ns)}, or several objects have one id"
+        cause = "several objects have one id, or the times were rounded"
+        if rounded := _rounded(ns):
+            cause = f"the times were probably rounded{rounded}, or several objects have one id"
         doubts.append(("duplicate ids", f"{which}: {cause}"))
     return tuple(doubts)
 

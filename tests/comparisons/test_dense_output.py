@@ -9,13 +9,15 @@ import pytest
 from matplotlib.figure import Figure
 
 from comparisons.comparison import Comparison, run
+from comparisons.overview import inspect_log
 from comparisons.show.figures import comparison_figure
 from comparisons.show.films import animate
 from comparisons.show.placement import placement_of_result
 from comparisons.show.report import paths
 from comparisons.show.report.view import view_of
 from comparisons.show.style import colour_of
-from graphslam import Log, control_path, save, simulate
+from comparisons.show.text_plots import plan
+from graphslam import Log, MotionModel, control_path, save, simulate
 from graphslam.se2 import compose
 
 
@@ -44,6 +46,17 @@ def test_the_figure(comparison: Comparison, expected: np.ndarray) -> None:
     truth = next(line for line in lines if line.get_color() == "black")
     assert comparison.log.true_path is not None
     np.testing.assert_array_equal(truth.get_xydata(), comparison.log.true_path[:, :2])
+
+
+def test_the_figure_and_plan_of_a_log_before_it_is_solved(log: Log) -> None:
+    overview = inspect_log(log)
+    assert log.controls is not None and log.dt is not None and log.true_path is not None
+    driven = MotionModel().dead_reckoning(log.initial_poses[0], log.controls, log.dt)[:, :2]
+    _, ours, truth, *_ = overview.figure().axes[0].get_lines()
+    np.testing.assert_allclose(ours.get_xydata(), driven, atol=1e-9)
+    np.testing.assert_array_equal(truth.get_xydata(), log.true_path[:, :2])
+    coarse = plan(overview.path[:, :2], overview.seen_at)
+    assert str(overview).count("·") > "".join(coarse).count("·")
 
 
 def test_the_film(log: Log, expected: np.ndarray) -> None:

@@ -83,6 +83,13 @@ def test_mistakes_end_with_one_sentence(call, folder):
     assert output.count("\n") == 1 and "sightings.csv: no column for bearing" in output
 
 
+def test_sightings_without_ids_name_the_column(call, folder):
+    table = (folder / "sightings.csv").read_text().replace("t,id,", "t,serial,")
+    (folder / "sightings.csv").write_text(table)
+    output = call("import", folder)
+    assert "no column for id (named id or landmark or" in output and "it has t, serial, range, bearing, psi" in output
+
+
 def test_show(call, folder):
     output = call("show", folder, "--figure", "show.png", "--json", "show.json")
     assert "Nothing is suspicious" in output and "· dead reckoning" in output and "landmark 6" in output

@@ -474,6 +474,7 @@ def test_information_that_is_no_information_stands_outside(information, words):
     proof = certify(graph, graph.initial)
     assert proof.status == "not applicable"
     assert words in proof.reason
+    assert np.isnan(proof.lower_bound) and np.isnan(proof.relative_gap)
 
 
 def test_information_that_is_singular_up_to_rounding_is_inside():
