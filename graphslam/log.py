@@ -35,6 +35,8 @@ class Log:
         steps: the step of each sighting, (M,), not decreasing.
         landmarks: the id of the landmark of each sighting, (M,) integers; `UNIDENTIFIED` where the sensor gives none.
         sightings: (l, phi) or (l, phi, psi) [m, rad, rad], (M, 2) or (M, 3); angles are wrapped to [-pi, pi).
+        classes: what each sighting looks like, (M,) integers, such as the colour of a cone; None where the sensor tells none.
+            `graphslam.associate` uses them.
         initial_poses: (T+1, 3), the initial guess of the trajectory; default: dead reckoning from (0, 0, 0). Headings
             are not wrapped, so that they can count turns.
         true_poses: the ground truth, (T+1, 3), or None where unknown. A row is NaN where the pose is unknown, and (x, y,
@@ -63,6 +65,7 @@ class Log:
     steps: np.ndarray
     landmarks: np.ndarray
     sightings: Array
+    classes: np.ndarray | None = None
     initial_poses: Array = None  # type: ignore[assignment]  # filled in by __post_init__
     true_poses: Array | None = None
     true_path: Array | None = None
@@ -195,7 +198,14 @@ class Log:
             raise LogError(
                 f"sighting {k + 1} runs backwards, from step {steps[k]} to {steps[k + 1]}: sort sightings by step"
             )
-        return {"steps": steps, "landmarks": landmarks, "sightings": sightings}
+        classes = None if self.classes is None else _integers("classes", self.classes, len(sightings))
+        return {"steps": steps, "landmarks": landmarks, "sightings": sightings, "classes": classes}
+
+    def with_sightings(self, kept: np.ndarray, **changes: Any) -> Log:
+        """The same log with some of its sightings, given by their rows or a mask (M,), and with other arguments replaced."""
+        rows = ("steps", "landmarks", "sightings", "classes")
+        chosen = {name: values[kept] for name in rows if (values := getattr(self, name)) is not None}
+        return replace(self, **(chosen | changes))
 
     def __repr__(self) -> str:
         """One line: name, sizes, and what is known."""
@@ -307,7 +317,7 @@ class Log:
     def nearer_than(self, most: float) -> Log:
         """The same log without sightings from farther than ``most`` [m]."""
         kept = self.sightings[:, 0] <= most
-        return replace(self, steps=self.steps[kept], landmarks=self.landmarks[kept], sightings=self.sightings[kept])
+        return self.with_sightings(kept)
 
     def with_corrected_ranges(self, scale: float, bias: float) -> Log:
         """The same log with ranges (l - bias) / scale, from a sensor that measured ranges as scale * l + bias [m].
@@ -391,14 +401,17 @@ class Log:
             changes |= {"control_starts": starts - starts[0], "start_time": float(times[kept[0]])}
         seen = np.isin(self.steps, kept)
         changes["steps"] = np.searchsorted(kept, self.steps[seen])
-        return replace(self, landmarks=self.landmarks[seen], sightings=self.sightings[seen], **changes)
+        return self.with_sightings(seen, **changes)
 
     def replace(self, **changes: Any) -> Log:
         """The same log with some arguments replaced.
 
         A different number of controls needs its own ``control_starts``, ``control_variances``, ``recorded_dt`` and
-        ``true_path``, and other ``true_poses`` need their own ``true_path``; the old ones are dropped.
+        ``true_path``, a different number of sightings needs its own ``classes``, and other ``true_poses`` need their own
+        ``true_path``; the old ones are dropped.
         """
+        if "sightings" in changes and len(changes["sightings"]) != len(self.sightings):
+            changes = {"classes": None} | changes
         if "controls" in changes and (
             changes["controls"] is None or self.controls is None or len(changes["controls"]) != len(self.controls)
         ):

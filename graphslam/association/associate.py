@@ -77,10 +77,8 @@ class Association:
         """The log with these ids, without clutter. It starts from ``poses``."""
         kept = self.ids != UNIDENTIFIED
         log = self.of
-        return replace(
-            log, steps=log.steps[kept], landmarks=self.ids[kept], sightings=log.sightings[kept],
-            initial_poses=self.poses, notes=(*log.notes, *self.notes),
-        )  # fmt: skip
+        notes = (*log.notes, *self.notes)
+        return log.with_sightings(kept, landmarks=self.ids[kept], initial_poses=self.poses, notes=notes)
 
 
 def associate(

@@ -26,10 +26,9 @@ class Classes:
     @classmethod
     def of(cls, log: Log, confusion: float) -> Classes:
         """The classes of a log, and a matrix with this probability of confusion."""
-        given = getattr(log, "classes", None)
-        if given is None:
+        if log.classes is None:
             return cls(np.zeros(len(log.steps), dtype=np.int64), np.zeros((1, 1)))
-        names, shown = np.unique(given, return_inverse=True)
+        names, shown = np.unique(log.classes, return_inverse=True)
         n = len(names)
         if n == 1:
             return cls(shown, np.zeros((1, 1)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from graphslam import (
     associate,
     load,
     sample_log_path,
+    save,
     simulate,
 )
 from graphslam.association import score
@@ -174,3 +176,35 @@ def test_one_landmark_is_said() -> None:
     found = associate(hidden(alone))
     assert found.landmarks == 1
     assert any("one landmark alone" in note for note in found.notes)
+
+
+def pair_of_cones(apart: float) -> Log:
+    """A robot drives past two cones of different classes again and again; a tenth of the classes are wrong."""
+    rng = np.random.default_rng(0)
+    controls = np.tile([0.3, 0.0], (80, 1))
+    controls[:, 0] *= np.repeat([1, -1, 1, -1], 20)
+    poses = MotionModel().dead_reckoning(np.zeros(3), controls, 1.0)
+    cones = np.array([[8.0, 1.0], [8.0, 1.0 + apart]])
+    sensor = SensorModel.constant(0.3, 0.03)
+    # one of the two at a time, so that no scan tells that they are two
+    which = rng.integers(0, 2, len(poses))
+    seen = sensor.h(poses, cones[which]) + rng.normal(size=(len(poses), 2)) * [0.3, 0.03]
+    shown = np.where(rng.random(len(poses)) < 0.05, 1 - which, which)
+    return Log(
+        dt=1.0, controls=controls, steps=np.arange(len(poses)), landmarks=which, sightings=seen, classes=shown, sensor=sensor,
+        motion=MotionModel.constant(0.01, 0.003, epsilon=1e-6), initial_poses=poses,
+    )  # fmt: skip
+
+
+def test_classes_keep_neighbours_apart(tmp_path: Path) -> None:
+    log = pair_of_cones(0.5)
+    assert associate(log).landmarks == 2
+    assert score(associate(log).ids, log.landmarks).precision > 0.85
+    without = score(associate(replace(log, classes=None)).ids, log.landmarks)
+    assert without.precision < score(associate(log).ids, log.landmarks).precision - 0.05
+    save(log, tmp_path / "cones.npz")
+    np.testing.assert_array_equal(load(tmp_path / "cones.npz").classes, log.classes)
+    near = log.nearer_than(6.0)
+    assert len(near.classes) == len(near.steps) < len(log.steps)
+    with pytest.raises(LogError, match="classes must have one entry per sighting"):
+        replace(log, classes=log.classes[1:])

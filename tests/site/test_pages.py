@@ -118,3 +118,8 @@ def test_every_public_name_is_on_a_page_of_the_python_interface(package):
     shown = re.findall(rf"^::: {package}\.(\w+)$", "".join(page.read_text() for page in pages), re.MULTILINE)
     elsewhere = {"factors"} if package == "graphslam" else set()
     assert sorted({*shown, *elsewhere}) == sorted(import_module(package).__all__)
+
+
+def test_stored_pictures_are_small():
+    for picture in (DOCS / "img").iterdir():
+        assert picture.stat().st_size < (1_000_000 if picture.suffix == ".gif" else 400_000), picture.name
