@@ -329,8 +329,8 @@ def _isam2_seconds(log: Log, options: RunOptions) -> float:
 _GRAPH = tuple(options_of(GraphOptions))
 _FILTER = tuple(name for name in options_of(fastslam.FilterOptions) if name not in ("seed", "threads"))
 _GIBBS = tuple(name for name, each in options_of(RunOptions).items() if each.model == "gibbs")
-#: localisation knows its map, and does not use the last two options
-_LOCALISATION = _FILTER[:-2]
+#: localisation knows its map: it has no association, no landmarks to update and no corrected proposal
+_LOCALISATION = ("particles", "resampling", "ess_threshold", "stage")
 
 #: the estimators by name, in the order in which they run and are shown
 ESTIMATORS: dict[str, Estimator] = {
