@@ -177,6 +177,13 @@ def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     return _of_solution("gtsam", log, options, graphslam.solve_with_gtsam(graph, initialize=options.initialize))
 
 
+def online(log: Log, options: RunOptions) -> EstimatorResult:
+    """The hand-written solver step by step through the log, at the optimum of the graph with landmark nodes after each."""
+    keywords = online_keywords(log, options) | {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
+    solution = graphslam.solve_by_steps(Graph.from_log(log, **keywords))
+    return replace(_of_solution("online", log, options, solution), converged=None)
+
+
 def isam2(log: Log, options: RunOptions) -> EstimatorResult:
     """ISAM2 on our factor types, step by step through the log, as a robot that drives could."""
     keywords = online_keywords(log, options)
@@ -185,15 +192,15 @@ def isam2(log: Log, options: RunOptions) -> EstimatorResult:
 
 
 def online_keywords(log: Log, options: RunOptions) -> dict[str, Any]:
-    """The keywords of `solve_online` that the options ask for.
+    """The keywords of graphs that are solved step by step, without the frame.
 
     Raises:
-        GraphError: ISAM2 cannot do what they ask for.
+        GraphError: the options ask for what that cannot do.
     """
     _no_gnc(options)
     keywords = graph_keywords(log, options)
     if keywords.pop("frame") != "body":
-        raise GraphError("isam2 cannot re-evaluate the information of the world frame; use --frame body")
+        raise GraphError("online and isam2 have no world frame, whose information is re-evaluated; use --frame body")
     return keywords
 
 
@@ -322,8 +329,8 @@ def _isam2_seconds(log: Log, options: RunOptions) -> float:
 _GRAPH = tuple(options_of(GraphOptions))
 _FILTER = tuple(name for name in options_of(fastslam.FilterOptions) if name not in ("seed", "threads"))
 _GIBBS = tuple(name for name, each in options_of(RunOptions).items() if each.model == "gibbs")
-#: localisation knows its map, and does not use the last two options
-_LOCALISATION = _FILTER[:-2]
+#: localisation knows its map: it has no association, no landmarks to update and no corrected proposal
+_LOCALISATION = ("particles", "resampling", "ess_threshold", "stage")
 
 #: the estimators by name, in the order in which they run and are shown
 ESTIMATORS: dict[str, Estimator] = {
@@ -335,6 +342,7 @@ ESTIMATORS: dict[str, Estimator] = {
     ),
     "graph-no-kernel": Estimator(graph_no_kernel, tuple(name for name in _GRAPH if name != "kernel"), on_request=True),
     "gtsam": Estimator(gtsam_estimator, _GRAPH, _gtsam_seconds),
+    "online": Estimator(online, ("motion_weight", "kernel"), on_request=True),
     "isam2": Estimator(isam2, tuple(name for name in _GRAPH if name != "initialize"), _isam2_seconds),
     "mcl": Estimator(mcl, _LOCALISATION),
     "fastslam1": Estimator(fastslam1, _FILTER),

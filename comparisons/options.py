@@ -189,9 +189,10 @@ class EstimatorOptions(LimitOptions):
     """Which estimators run, and for how long."""
 
     estimators: tuple[str, ...] | None = option(
-        None, "Estimators to run: dead-reckoning, textbook, graph, graph-marginal, graph-no-kernel, gtsam, isam2, mcl, "
-        "fastslam1, fastslam2, particle-gibbs.",
-        metavar="NAME,...", default_text="all that can run on the log, without graph-no-kernel and particle-gibbs",
+        None, "Estimators to run: dead-reckoning, textbook, graph, graph-marginal, graph-no-kernel, gtsam, online, "
+        "isam2, mcl, fastslam1, fastslam2, particle-gibbs.",
+        metavar="NAME,...",
+        default_text="all that can run on the log, without graph-no-kernel, online and particle-gibbs",
     )  # fmt: skip
 
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
     from .formats import load, save
     from .graph import Graph
+    from .incremental.solver import OnlineSolver
+    from .incremental.stream import OnlineEstimate, online, solve_by_steps
     from .keyframes import with_poses_every
     from .log import Log
     from .mapping import LandmarkMap, estimate_map
@@ -47,6 +49,8 @@ _PUBLIC = {
     "errors": "FactorError FormatError GraphError LogError OptionError SlamError",
     "formats": "load save",
     "graph": "Graph",
+    "incremental.solver": "OnlineSolver",
+    "incremental.stream": "OnlineEstimate online solve_by_steps",
     "keyframes": "with_poses_every",
     "log": "Log",
     "mapping": "LandmarkMap estimate_map",

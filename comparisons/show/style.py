@@ -17,6 +17,7 @@ ESTIMATORS: dict[str, dict[str, Any]] = {
     "graph-marginal": {"color": "#663333", "linestyle": (0, (8, 1.5)), "linewidth": 1.2, "zorder": 2.75},
     "graph-no-kernel": {"color": "#666633", "linestyle": (0, (2, 1, 2, 1)), "linewidth": 1.0, "zorder": 2.75},
     "gtsam": {"color": "#0072B2", "linestyle": "none", "marker": "o", "markerfacecolor": "none", "zorder": 3.5},
+    "online": {"color": "#117733", "linestyle": (0, (4, 1, 1, 1)), "linewidth": 1.3, "zorder": 2.78},
     "isam2": {"color": "#332288", "linestyle": (0, (2, 2)), "linewidth": 1.0, "zorder": 2.8},
     "mcl": {"color": "#CC79A7", "linestyle": (0, (1, 1.2)), "linewidth": 1.4, "zorder": 2.5},
     "fastslam1": {"color": "#009E73", "linestyle": (0, (6, 1.2, 1, 1.2)), "linewidth": 1.1, "zorder": 2.6},

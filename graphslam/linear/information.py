@@ -40,7 +40,7 @@ class BlockSystem:
         parts = list(cliques)
         nodes = np.concatenate([np.zeros(0, dtype=np.int64)] + [nodes for _, nodes in parts])
         sizes = np.concatenate([np.zeros(0, dtype=np.int64)] + [starts[1:] - starts[:-1] for starts, _ in parts])
-        indptr, indices = _pattern(num_nodes, sizes, nodes)
+        indptr, indices = pattern(num_nodes, sizes, nodes)
         values, xi, workspace = np.zeros((len(indices), 3, 3)), np.zeros((num_nodes, 3)), np.zeros(num_nodes, np.int64)
         return cls(indptr, indices, values, xi, workspace)
 
@@ -110,7 +110,7 @@ class BlockSystem:
 
 
 @njit(cache=True)
-def _pattern(num_nodes, sizes, nodes):  # type: ignore[no-untyped-def]
+def pattern(num_nodes, sizes, nodes):  # type: ignore[no-untyped-def]
     """Column pointers and rows of the upper triangle for groups of given sizes, whose nodes follow each other."""
     # where each node occurs, and where the group of each occurrence begins
     begin = np.empty(len(nodes), dtype=np.int64)

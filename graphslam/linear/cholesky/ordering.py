@@ -282,6 +282,20 @@ def minimum_degree(n, pointer, neighbours, dense):
     return order
 
 
+@njit(cache=True, error_model="numpy")
+def fewest_neighbours(n, indptr, indices, limit):
+    """The order of `amd`; nodes with more than ``limit`` neighbours go last."""
+    start, graph, twin = twin_lists(n, indptr, indices)
+    head, gone, length = eliminate_low_degree(n, start, graph, twin)
+    nodes, pointer, neighbours = remaining(gone, start, length, graph)
+    rest = minimum_degree(nodes.size, pointer, neighbours, limit)
+    order = np.empty(n, np.int32)
+    order[: head.size] = head
+    for k in range(rest.size):
+        order[head.size + k] = nodes[rest[k]]
+    return order
+
+
 def amd(indptr: NDArray[Any], indices: NDArray[Any], *, dense: float = 10.0) -> NDArray[np.int32]:
     """Approximate minimum degree ordering of a symmetric pattern (Amestoy, Davis & Duff 1996).
 
@@ -298,8 +312,4 @@ def amd(indptr: NDArray[Any], indices: NDArray[Any], *, dense: float = 10.0) -> 
     """
     n = indptr.size - 1
     limit = n if dense < 0.0 else int(max(16.0, dense * np.sqrt(n)))
-    start, graph, twin = twin_lists(n, np.ascontiguousarray(indptr, np.int64), np.ascontiguousarray(indices, np.int32))
-    head, gone, length = eliminate_low_degree(n, start, graph, twin)
-    nodes, pointer, neighbours = remaining(gone, start, length, graph)
-    rest = nodes[minimum_degree(nodes.size, pointer, neighbours, limit)]
-    return np.concatenate([head, rest], dtype=np.int32)
+    return fewest_neighbours(n, np.ascontiguousarray(indptr, np.int64), np.ascontiguousarray(indices, np.int32), limit)

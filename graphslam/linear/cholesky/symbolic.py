@@ -180,7 +180,8 @@ def _inverse(order):
 
 
 @njit(cache=True, error_model="numpy")
-def _structure(n, indptr, indices, order):
+def structure(n, indptr, indices, order):
+    """The fields of `Layout` for an elimination order: structure, entries of the matrix, and sizes."""
     # one compiled function: a call from Python costs as much as a step of the analysis of a small graph
     row_pointer, columns = _permuted_lists(n, indptr, indices, _inverse(order))
     parent, count = elimination_tree(n, row_pointer, columns)
@@ -199,11 +200,11 @@ def _structure(n, indptr, indices, order):
     )
     panel_start, stack_start, stack_size, tallest = _storage(first, row_start, tree, child_start, children)
     entries = _entries(n, indptr, indices, position, owner, first, row_start, rows)
-    structure = (order, position, first, row_start, rows, relative, child_start, children, panel_start, stack_start)
-    return structure, entries, (stack_size, tallest, blocks, flops)
+    parts = (order, position, first, row_start, rows, relative, child_start, children, panel_start, stack_start)
+    return parts, entries, (stack_size, tallest, blocks, flops)
 
 
 def layout(n: int, indptr: NDArray[Any], indices: NDArray[Any], order: NDArray[np.int32]) -> Layout:
     """All of the symbolic analysis for a given elimination order."""
-    structure, entries, sizes = _structure(n, indptr, indices, order)
-    return Layout(*structure, *entries, *sizes)
+    parts, entries, sizes = structure(n, indptr, indices, order)
+    return Layout(*parts, *entries, *sizes)

@@ -1,0 +1,188 @@
+"""The online solver on real and simulated logs: accuracy against the batch optimum at sampled steps, and time per step.
+
+    python benchmarks/online.py [--data ../shared/data] [--only mrclam6] [--steps 1000] [--sample 0.1] [--isam2]
+
+Step times are processor times, so that other programs on the machine enter less; they include the passes over the tree,
+but not the batch solutions, which start where the estimate is. With --isam2, GTSAM's ISAM2 goes through the same graph with
+GTSAM's C++ factors (polar sightings), relinearising what moves by more than 0.01 at every step, by QR.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from graphslam import Graph, GraphError, Log, MotionModel, OnlineSolver, SensorModel, load, solve
+from graphslam.edges import AnchorEdges, CartesianObservationEdges, RelativePoseEdges
+from graphslam.incremental.stream import OnlineEstimate, steps_of
+from graphslam.transform import first_poses
+
+#: the noise of benchmarks/real_logs.py for MR.CLAM, set by hand
+BY_HAND = {
+    "motion": MotionModel.constant(0.1, 0.3, epsilon=1e-8),
+    "sensor": SensorModel(range_rate=0.0, range_std=0.12, bearing_std=0.02),
+}
+
+
+def logs(data: Path) -> dict[str, Callable[[], tuple[Log, dict]]]:
+    """What reads a log and the options of its graph, by name."""
+    return {
+        "mrclam6": lambda: (load(data / "mrclam6", robot=3), BY_HAND),
+        "woods": lambda: (load(data / "lost_in_the_woods" / "dataset2.mat").nearer_than(5.0), {}),
+        "huang": lambda: (load(data / "simulated_8240"), {}),
+    }
+
+
+def excess(graph: Graph, estimate: OnlineEstimate) -> float:
+    """By how much J of an estimate is above the batch optimum next to it, as a part of that."""
+    piece, nodes = first_poses(graph, estimate.step + 1)
+    state = np.zeros((graph.num_nodes, 3))
+    state[: estimate.step + 1] = estimate.poses
+    for landmark, mark in estimate.landmarks.items():
+        state[len(graph.steps) + np.searchsorted(graph.landmark_ids, landmark), : len(mark)] = mark
+    best = solve(piece.with_initial(state[nodes]), initialize="given").cost
+    return (piece.cost(state[nodes]) - best) / max(best, 1e-9)
+
+
+def report(name: str, seconds: list[float], gaps: list[float]) -> None:
+    """One line: time per step and accuracy."""
+    ms = 1e3 * np.array(seconds)
+    gap = f"above batch at most {max(gaps):.1e}, median {np.median(gaps):.1e} ({len(gaps)} steps)" if gaps else ""
+    median, most = np.median(ms), ms.max()
+    high = np.quantile(ms, 0.99)
+    print(f"{name:28} {len(ms):6} steps, {median:7.3f} ms median, {high:7.2f} ms 99 %, {most:7.1f} ms most; {gap}")
+
+
+def ours(name: str, graph: Graph, steps: int, sampled: set[int]) -> None:
+    """Go through a graph with the online solver."""
+    seconds, gaps, passes, iterator = [], [], [], steps_of(graph)
+    for _ in range(steps):
+        begin = time.process_time()
+        estimate = next(iterator)
+        seconds.append(time.process_time() - begin)
+        passes.append(estimate.solver.passes)
+        if estimate.step in sampled:
+            gaps.append(excess(graph, estimate))
+    begin = time.process_time()
+    for _ in range(20):
+        estimate.solver.covariance(landmarks=list(estimate.landmarks)[:3])
+    covariance = (time.process_time() - begin) / 20
+    report(name, seconds[1:], gaps)
+    size = estimate.solver._system.tree.floats.nbytes / 2**20
+    print(f"{'':28} {np.mean(passes):.2f} passes, tree {size:.0f} MiB", end=", ")
+    print(f"covariance of the pose and three landmarks {1e3 * covariance:.3f} ms")
+
+
+def isam2(name: str, graph: Graph, steps: int) -> None:
+    """The same log through ISAM2 with native factors."""
+    import gtsam
+
+    assert graph.log is not None and graph.sensor is not None
+    params = gtsam.ISAM2Params()
+    params.relinearizeSkip = 1
+    params.setRelinearizeThreshold(0.01)
+    params.setFactorization("QR")
+    smoother, X, L = gtsam.ISAM2(params), gtsam.symbol_shorthand.X, gtsam.symbol_shorthand.L
+    motions = next(family for family in graph.families if isinstance(family, RelativePoseEdges))
+    log, seen, seconds = graph.log, set(), []
+    latest = gtsam.Pose2(*graph.initial[0])
+    for step in range(steps):
+        begin = time.process_time()
+        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        if step:
+            z = gtsam.Pose2(*motions.measured[step - 1])
+            noise = gtsam.noiseModel.Gaussian.Information(motions.information[step - 1])
+            factors.add(gtsam.BetweenFactorPose2(X(step - 1), X(step), z, noise))
+            latest = latest.compose(z)
+        else:
+            factors.add(gtsam.PriorFactorPose2(X(0), latest, gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)))
+        values.insert(X(step), latest)
+        for row in np.flatnonzero(log.steps == step):
+            landmark, (distance, bearing) = int(log.landmarks[row]), log.sightings[row, :2]
+            sigmas = np.sqrt(np.diagonal(graph.sensor.Q(log.sightings[row, :2])))[::-1]
+            noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+            factors.add(gtsam.BearingRangeFactor2D(X(step), L(landmark), gtsam.Rot2(bearing), distance, noise))
+            if landmark not in seen:
+                seen.add(landmark)
+                towards = np.array([distance * np.cos(bearing), distance * np.sin(bearing)])
+                values.insert(L(landmark), latest.transformFrom(towards))
+        try:
+            smoother.update(factors, values)
+            latest = smoother.calculateEstimatePose2(X(step))
+        except RuntimeError as error:
+            print(f"{name:28} ISAM2 fails at step {step}: {str(error).strip().splitlines()[0]}")
+            break
+        seconds.append(time.process_time() - begin)
+    report(f"{name}, ISAM2", seconds[1:], [])
+
+
+def pose_graph(path: Path, steps: int, sample: float) -> None:
+    """A pose graph edge by edge in the order of its file: a step is a new pose with all edges to earlier ones."""
+    graph = Graph.from_g2o(path)
+    edges = next(family for family in graph.families if isinstance(family, RelativePoseEdges))
+    later = np.maximum(edges.first, edges.second)
+    order = np.argsort(later, kind="stable")
+    bounds = np.searchsorted(later[order], np.arange(len(graph.initial) + 1))
+    solver, seconds, gaps = OnlineSolver(graph.initial[0]), [], []
+    rng, steps = np.random.default_rng(0), min(steps, len(graph.initial))
+    for pose in range(1, steps):
+        rows = order[bounds[pose] : bounds[pose + 1]]
+        forward = [row for row in rows if edges.second[row] == pose]
+        row = max(forward, key=lambda k: edges.first[k])
+        rest = np.array([k for k in rows if k != row], dtype=int)
+        begin = time.process_time()
+        closures = (
+            np.column_stack([edges.first[rest], edges.second[rest]]),
+            edges.measured[rest],
+            edges.information[rest],
+        )
+        edge = int(edges.first[row]), edges.measured[row], edges.information[row]
+        solver._add(edge, (), np.zeros((0, 2)), np.zeros((0, 2, 2)), relations=closures)
+        seconds.append(time.process_time() - begin)
+        if rng.random() < sample:
+            kept, poses = later <= pose, solver.poses
+            families = (
+                AnchorEdges(np.zeros(1, dtype=int), graph.initial[:1], 1e6 * np.eye(3)[None]),
+                RelativePoseEdges(edges.first[kept], edges.second[kept], edges.measured[kept], edges.information[kept]),
+            )
+            ids = np.arange(pose + 1)
+            piece = Graph(poses, families=families, steps=ids, trajectory=poses, pose_ids=ids)
+            best = solve(piece, initialize="given").cost
+            gaps.append((piece.cost(poses) - best) / max(best, 1e-9))
+    report(path.stem, seconds, gaps)
+
+
+def main() -> None:
+    """All logs, or one."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--only", choices=("mrclam6", "woods", "huang", "city10000"))
+    parser.add_argument("--steps", type=int, default=10**9)
+    parser.add_argument("--sample", type=float, default=0.1)
+    parser.add_argument("--kernel")
+    parser.add_argument("--isam2", action="store_true")
+    options = parser.parse_args()
+    for name, read in logs(options.data).items():
+        if options.only not in (None, name):
+            continue
+        log, models = read()
+        graph = Graph.from_log(log, edges="landmark+motion", kernel=options.kernel, **models)
+        steps = min(options.steps, log.num_poses)
+        sampled = set(np.random.default_rng(0).choice(steps, int(options.sample * steps), replace=False).tolist())
+        assert any(isinstance(family, CartesianObservationEdges) for family in graph.families)
+        try:
+            ours(name, graph, steps, sampled)
+        except GraphError as error:
+            print(f"{name:28} fails: {error}")
+        if options.isam2:
+            isam2(name, graph, steps)
+    if options.only in (None, "city10000"):
+        pose_graph(options.data / "posegraph" / "city10000.g2o", options.steps, options.sample)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""The batch solution of an online system, for steps from which undamped passes do not converge."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..edges import AnchorEdges, EdgeFamily, RelativePointEdges, RelativePoseEdges
+from ..edges.relative import accumulate
+from ..edges.robust import Kernel, code_and_width
+from ..graph import Graph
+from ..linear.information import BlockSystem
+from ..se2 import Array
+from ..solvers.gauss_newton import gauss_newton
+from ..solvers.iteration import Run
+from .arrays import Edges, Nodes
+
+
+@dataclass(frozen=True, eq=False)
+class _RobustPoses(RelativePoseEdges):
+    kernel: Kernel | None = field(default=None, kw_only=True)
+
+    def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
+        return accumulate(self, state, reference, *code_and_width(self.kernel), self._targets(system))
+
+
+@dataclass(frozen=True, eq=False)
+class _RobustPoints(RelativePointEdges):
+    kernel: Kernel | None = field(default=None, kw_only=True)
+
+    def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
+        return accumulate(self, state, reference, *code_and_width(self.kernel), self._targets(system))
+
+
+def batch_state(
+    nodes: Nodes,
+    edges: Edges,
+    counts: tuple[int, int],
+    anchors: list[tuple[list[int], Array, Array]],
+    kernel: Kernel | None,
+) -> Array:
+    """The values (n, 3) of n nodes after Gauss-Newton, damped where necessary, over E edges; ``counts`` is (n, E).
+
+    Raises:
+        GraphError: a node is not determined.
+    """
+    n, total = counts
+    point = nodes.point[:n]
+    order = np.argsort(point, kind="stable")
+    number = np.empty(n, dtype=np.int64)
+    number[order] = np.arange(n)
+    families: list[EdgeFamily] = [
+        AnchorEdges(number[members], centre, information[None]) for members, centre, information in anchors
+    ]
+    rows, robust = edges.rows[:total], edges.robust[:total]
+    for d, kind in ((3, _RobustPoses), (2, _RobustPoints)):
+        for weighed in (False, True):
+            k = np.flatnonzero((rows == d) & (robust == weighed))
+            if len(k):
+                information = edges.information[k][:, [0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(-1, 3, 3)[:, :d, :d]
+                ends = number[edges.ends[k]]
+                families.append(
+                    kind(ends[:, 0], ends[:, 1], edges.measured[k, :d], information, kernel=kernel if weighed else None)
+                )
+    x, poses = nodes.x[order], int(n - point.sum())
+    graph = Graph(
+        x, families=tuple(families), steps=np.arange(poses), trajectory=x[:poses], pose_ids=np.arange(poses),
+        landmark_ids=np.arange(n - poses),
+    )  # fmt: skip
+    run = Run(x, tolerance=1e-9, cost_tolerance=1e-9)
+    gauss_newton(graph, run)
+    return np.asarray(run.state[number])

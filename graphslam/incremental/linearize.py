@@ -1,0 +1,138 @@
+# mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
+"""Single edges of an online solution: their values at the estimate, and when their part of the factor is out of date.
+
+Increments d of poses are in their own axes, those of points in the world's. Then the information of an edge is constant
+in the axes of its first end, and Omega stays as it is when poses move and turn together. The Jacobians there are
+
+    B_i = -[I, u; 0, 1],  u the lever, and B_j = blkdiag(R(alpha), 1), alpha = theta_j - theta_i, or -theta_i for a point.
+
+The factor holds every edge with the lever, alpha and robust weight of the last time at which its part of the tree was
+factorised. The right-hand side is kept up to date: with the sum d of all increments of both ends,
+
+    rhs_e = -B(x)' W e(x) + B' W B d,
+
+so that Omega d = rhs is the condition for an optimum at x, whatever B is in Omega. If it is near B(x), iterating
+converges fast. `evaluate` compares them.
+"""
+
+import numpy as np
+from numba import njit
+
+from ..edges import kernels
+from ..edges.robust import loss, weight
+
+#: how far the factor's part of an edge may be from the present one: weights by a third, and lever and alpha so far that an
+#: increment of one standard deviation (`Nodes.scale`) changes the residual, squared and in its own standard deviations, by
+#: this much. Poses tied by a stiff edge move together, so that a change of the lever relative to itself says nothing.
+#: `advance` lowers the second limit where the passes converge slowly, because the changes of many edges add up.
+REWEIGHTED, CHANGED = 0.33, 0.1
+
+
+@njit(cache=True, error_model="numpy")
+def linearize(e, nodes, edges, kernel, width):
+    """Of an edge at the estimate: lever u, cos and sin of alpha, the weight, w W e, and the cost."""
+    i, j = edges.ends[e, 0], edges.ends[e, 1]
+    x, y, z = nodes.x[i], nodes.x[j], edges.measured[e]
+    c, s = np.cos(x[2]), np.sin(x[2])
+    dx, dy = y[0] - x[0], y[1] - x[1]
+    ahead, left = c * dx + s * dy, c * dy - s * dx
+    turn = 0.0
+    if edges.rows[e] == 3:
+        turn = kernels.wrap(y[2] - x[2] - z[2])
+        c, s = np.cos(y[2] - x[2]), np.sin(y[2] - x[2])
+    else:
+        s = -s
+    residual = (ahead - z[0], left - z[1], turn)
+    g = kernels.product(kernels.row(edges.information, e), residual)
+    cost = kernels.dot(g, residual)
+    factor = 1.0
+    if edges.robust[e]:
+        factor = weight(kernel, width, cost)
+        g = (factor * g[0], factor * g[1], factor * g[2])
+        cost = loss(kernel, width, cost)
+    return (-left, ahead), c, s, factor, g, cost
+
+
+@njit(cache=True, error_model="numpy")
+def information(e, edges, gain):
+    """W of an edge with its weight in the factor; with a kernel times ``gain`` (`Kernel.information_per_weight`)."""
+    W = kernels.row(edges.information, e)
+    # the weight is zero before the edge is in the factor
+    return kernels.scaled(edges.weight[e] * (gain if edges.robust[e] else 1.0), W)
+
+
+@njit(cache=True, error_model="numpy")
+def _store(e, nodes, edges, gain, u, c, s, g, cost):
+    """Put the gradients of an edge plus Omega_e d into the right-hand sides of its ends."""
+    i, j = edges.ends[e, 0], edges.ends[e, 1]
+    a, b = nodes.d[i], nodes.d[j]
+    v, w, cos, sin = edges.linear[e, 0], edges.linear[e, 1], edges.linear[e, 2], edges.linear[e, 3]
+    turn = b[2] - a[2] if edges.rows[e] == 3 else 0.0
+    moved = (cos * b[0] - sin * b[1] - a[0] - v * a[2], sin * b[0] + cos * b[1] - a[1] - w * a[2], turn)
+    p = kernels.product(information(e, edges, gain), moved)
+    first = (g[0] - p[0], g[1] - p[1], u[0] * g[0] + u[1] * g[1] + g[2] - v * p[0] - w * p[1] - p[2])
+    second = (
+        cos * p[0] + sin * p[1] - c * g[0] - s * g[1],
+        cos * p[1] - sin * p[0] - c * g[1] + s * g[0],
+        p[2] - g[2],
+    )
+    for k in range(3):
+        nodes.rhs[i, k] += first[k] - edges.rhs[e, k]
+        nodes.rhs[j, k] += second[k] - edges.rhs[e, 3 + k]
+        edges.rhs[e, k], edges.rhs[e, 3 + k] = first[k], second[k]
+    edges.total[0] += cost - edges.cost[e]
+    edges.cost[e] = cost
+
+
+@njit(cache=True, error_model="numpy")
+def _add_diagonal(e, nodes, edges, gain, sign):
+    """Add the edge's part of the diagonal blocks of Omega, as it is in the factor, to both ends."""
+    i, j = edges.ends[e, 0], edges.ends[e, 1]
+    W, u, v = information(e, edges, gain), edges.linear[e, 0], edges.linear[e, 1]
+    a = kernels.product(W, (u, v, 1.0))
+    own = (W[0], W[1], W[2], a[0], a[1], u * a[0] + v * a[1] + a[2])
+    other = kernels.turned(edges.linear[e, 2], -edges.linear[e, 3], W)
+    for c in range(6):
+        nodes.diagonal[i, c] += sign * own[c]
+        nodes.diagonal[j, c] += sign * other[c]
+
+
+@njit(cache=True, error_model="numpy")
+def relinearize(e, nodes, edges, kernel, width, gain):
+    """Take lever, alpha and weight from the estimate."""
+    u, c, s, factor, g, cost = linearize(e, nodes, edges, kernel, width)
+    _add_diagonal(e, nodes, edges, gain, -1.0)
+    edges.weight[e] = factor
+    edges.linear[e, 0], edges.linear[e, 1] = u
+    edges.linear[e, 2], edges.linear[e, 3] = c, s
+    _add_diagonal(e, nodes, edges, gain, 1.0)
+    _store(e, nodes, edges, gain, u, c, s, g, cost)
+
+
+@njit(cache=True, error_model="numpy")
+def between(e, edges, gain):
+    """The block of Omega between the ends of an edge, B_i' W B_j, row by row."""
+    W, u, v = information(e, edges, gain), edges.linear[e, 0], edges.linear[e, 1]
+    c, s = edges.linear[e, 2], edges.linear[e, 3]
+    a = kernels.product(W, (u, v, 1.0))
+    return (
+        (-(W[0] * c + W[1] * s), W[0] * s - W[1] * c, -W[3]),
+        (-(W[1] * c + W[2] * s), W[1] * s - W[2] * c, -W[4]),
+        (-(a[0] * c + a[1] * s), a[0] * s - a[1] * c, -a[2]),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def evaluate(e, nodes, edges, kernel, width, gain, limit):
+    """Bring the right-hand side of an edge up to date, unless its part of the factor is too old: returns whether it is."""
+    u, c, s, factor, g, cost = linearize(e, nodes, edges, kernel, width)
+    if edges.robust[e] and abs(factor - edges.weight[e]) > min(REWEIGHTED, 3 * limit) * edges.weight[e] + 0.01:
+        return True
+    W = kernels.row(edges.information, e)
+    turned = nodes.scale[edges.ends[e, 1], 0] * (s * edges.linear[e, 2] - c * edges.linear[e, 3])
+    size = nodes.scale[edges.ends[e, 0], 1]
+    a, b = size * (u[0] - edges.linear[e, 0]), size * (u[1] - edges.linear[e, 1])
+    if W[0] * a * a + 2 * W[1] * a * b + W[2] * b * b + (W[0] + W[2]) * turned * turned > limit:
+        return True
+    _store(e, nodes, edges, gain, u, c, s, g, cost)
+    return False

@@ -1,0 +1,271 @@
+# mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
+"""Passes through the elimination tree: forward where right-hand sides changed, backward where the solution changes."""
+
+import numpy as np
+from numba import njit
+
+from ..linear.cholesky.kernels import dot_columns, subtract_columns
+from ..linear.cholesky.simd import clear, get, put
+from .arrays import FLOATS, STAMP, sizes
+from .linearize import evaluate, linearize
+
+
+@njit(cache=True, error_model="numpy")
+def forward_one(s, nodes, tree, work):
+    """y and carry of a supernode from its right-hand sides and its children; returns the squared change of y."""
+    w, r = np.int64(tree.w[s]), np.int64(tree.r[s])
+    ld, padded, _ = sizes(w, r)
+    width, at, front = 3 * w, tree.at[s], tree.nodes_at[s]
+    c = tree.child[s]
+    while c > 0:
+        wc, rc = np.int64(tree.w[c]), np.int64(tree.r[c])
+        carry, below = tree.at[c] + sizes(wc, rc)[2] - 3 * rc, tree.nodes_at[c] + wc
+        for q in range(rc):
+            node = tree.ints[below + q]
+            for k in range(3):
+                nodes.scratch[node, k] += tree.floats[carry + 3 * q + k]
+        c = tree.sibling[c]
+    for q in range(w + r):
+        node = tree.ints[front + q]
+        for k in range(3):
+            work[3 * q + k] = nodes.scratch[node, k] + (nodes.rhs[node, k] if q < w else 0.0)
+            nodes.scratch[node, k] = 0.0
+    clear(work, width + 3 * r, padded - 3 * r)
+    x, y = tree.floats, at + width * ld + 3 * r * padded
+    change = _eliminate(x, at, ld, width, work, y)
+    carry = y + width
+    for k in range(3 * r):
+        x[carry + k] = work[width + k]
+    return change
+
+
+@njit(cache=True, error_model="numpy")
+def _eliminate(x, at, ld, width, work, y):
+    """L11 y = work and work -= L21 y, as in `linear.cholesky.triangular`; returns the squared change of y in x."""
+    change = 0.0
+    for j in range(0, width, 3):
+        p0 = at + j * (ld + 1)
+        p1 = p0 + ld
+        p2 = p1 + ld
+        y0 = get(work, j) * get(x, p0)
+        y1 = (get(work, j + 1) - get(x, p0 + 1) * y0) * get(x, p1 + 1)
+        y2 = (get(work, j + 2) - get(x, p0 + 2) * y0 - get(x, p1 + 2) * y1) * get(x, p2 + 2)
+        change += (y0 - x[y + j]) ** 2 + (y1 - x[y + j + 1]) ** 2 + (y2 - x[y + j + 2]) ** 2
+        put(x, y + j, y0)
+        put(x, y + j + 1, y1)
+        put(x, y + j + 2, y2)
+        count = (ld - j) & ~3
+        if count > 0:
+            subtract_columns(work, ld - count, x, at + j * ld + ld - count, ld, y0, y1, y2, count)
+    return change
+
+
+@njit(cache=True, error_model="numpy")
+def _substitute(x, at, ld, width, work, y):
+    """L11' work_front = y - L21' work_separator; the front of ``work`` is zero at first."""
+    for j in range(width - 3, -1, -3):
+        p0 = at + j * (ld + 1)
+        p1 = p0 + ld
+        p2 = p1 + ld
+        y0, y1, y2 = get(x, y + j), get(x, y + j + 1), get(x, y + j + 2)
+        count = (ld - j) & ~3
+        if count > 0:
+            s0, s1, s2 = dot_columns(work, ld - count, x, at + j * ld + ld - count, ld, count)
+            y0 -= s0
+            y1 -= s1
+            y2 -= s2
+        y2 *= get(x, p2 + 2)
+        y1 = (y1 - get(x, p1 + 2) * y2) * get(x, p1 + 1)
+        y0 = (y0 - get(x, p0 + 1) * y1 - get(x, p0 + 2) * y2) * get(x, p0)
+        put(work, j, y0)
+        put(work, j + 1, y1)
+        put(work, j + 2, y2)
+
+
+@njit(cache=True, error_model="numpy")
+def _upwards(homes, count, tree):
+    """The supernodes from ``homes`` up to the roots, children before their parents."""
+    done, chains = 0, 0
+    for k in range(count):
+        s = homes[k]
+        if tree.mark[s]:
+            continue
+        tree.stack[chains] = done
+        chains += 1
+        while s > 0 and not tree.mark[s]:
+            tree.mark[s] = 1
+            tree.path[done] = s
+            done += 1
+            s = tree.parent[s]
+    # a chain ends below a supernode of an earlier chain, so the last one comes first
+    order, end, place = np.empty(done, np.int32), done, 0
+    for chain in range(chains - 1, -1, -1):
+        for q in range(tree.stack[chain], end):
+            order[place] = tree.path[q]
+            place += 1
+        end = tree.stack[chain]
+    for s in order:
+        tree.mark[s] = 0
+    return order
+
+
+@njit(cache=True, error_model="numpy")
+def forward(homes, count, nodes, tree, work):
+    """Repeat the forward solution from supernodes up to the roots; returns the squared change of y, the predicted
+    decrease of the cost."""
+    change = 0.0
+    for s in _upwards(homes, count, tree):
+        change += forward_one(s, nodes, tree, work)
+        tree.changed[s] = 1
+    return change
+
+
+@njit(cache=True, error_model="numpy")
+def backward(nodes, tree, work, share, apart, moved, count):
+    """Solve from the roots down wherever y changed or a separator moved by ``share`` standard deviations.
+
+    With a negative ``share`` the whole tree is solved. Nodes that are ``apart`` standard deviations from where their
+    edges were evaluated are added to ``moved``, which has ``count``; returns how many there are then.
+    """
+    tree.counts[STAMP] += 1
+    stamp, depth = tree.counts[STAMP], 1
+    tree.stack[0] = 0
+    x = tree.floats
+    while depth > 0:
+        depth -= 1
+        s = tree.stack[depth]
+        if s > 0:
+            w, r = np.int64(tree.w[s]), np.int64(tree.r[s])
+            ld, padded, _ = sizes(w, r)
+            width, at, front = 3 * w, tree.at[s], tree.nodes_at[s]
+            clear(work, 0, ld)
+            for q in range(w, w + r):
+                node = tree.ints[front + q]
+                for k in range(3):
+                    work[3 * q + k] = nodes.d[node, k]
+            _substitute(x, at, ld, width, work, at + width * ld + 3 * r * padded)
+            for q in range(w):
+                node = tree.ints[front + q]
+                a, b = work[3 * q] - nodes.d[node, 0], work[3 * q + 1] - nodes.d[node, 1]
+                if not nodes.point[node]:
+                    c, t = np.cos(nodes.x[node, 2]), np.sin(nodes.x[node, 2])
+                    a, b = c * a - t * b, t * a + c * b
+                    nodes.x[node, 2] += work[3 * q + 2] - nodes.d[node, 2]
+                nodes.x[node, 0] += a
+                nodes.x[node, 1] += b
+                for k in range(3):
+                    nodes.d[node, k] = work[3 * q + k]
+                if _beyond(nodes.x[node], nodes.passed[node], nodes.scale[node], share):
+                    nodes.mark[node] = stamp
+                    nodes.passed[node] = nodes.x[node]
+                if _beyond(nodes.x[node], nodes.evaluated[node], nodes.scale[node], apart):
+                    moved[count] = node
+                    count += 1
+            tree.changed[s] = 0
+        c = tree.child[s]
+        while c > 0:
+            if tree.w[c] > 0:
+                visit = share < 0 or tree.changed[c] == 1
+                below = tree.nodes_at[c] + tree.w[c]
+                for q in range(tree.r[c]):
+                    if visit:
+                        break
+                    visit = nodes.mark[tree.ints[below + q]] == stamp
+                if visit:
+                    tree.stack[depth] = c
+                    depth += 1
+            c = tree.sibling[c]
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _beyond(x, y, scale, share):
+    far, turned = share * scale[0], share * scale[1]
+    return abs(x[0] - y[0]) > far or abs(x[1] - y[1]) > far or abs(x[2] - y[2]) > turned
+
+
+@njit(cache=True, error_model="numpy")
+def reevaluate(moved, count, nodes, edges, tree, kernel, width, gain, limit, homes, late):
+    """Evaluate the edges of nodes that moved; returns how many supernodes (``homes``) and late edges there are."""
+    tree.counts[STAMP] += 1
+    stamp, changed, old = tree.counts[STAMP], 0, 0
+    for k in range(count):
+        nodes.evaluated[moved[k]] = nodes.x[moved[k]]
+    for k in range(count):
+        node = moved[k]
+        e = nodes.edges[node]
+        while e >= 0:
+            side = 0 if edges.ends[e, 0] == node else 1
+            if edges.mark[e] != stamp:
+                edges.mark[e] = stamp
+                if evaluate(e, nodes, edges, kernel, width, gain, limit):
+                    late[old] = e
+                    old += 1
+                else:
+                    for end in range(2):
+                        s = nodes.home[edges.ends[e, end]]
+                        if not tree.mark[s]:
+                            tree.mark[s] = 1
+                            homes[changed] = s
+                            changed += 1
+            e = edges.next[e, side]
+    for k in range(changed):
+        tree.mark[homes[k]] = 0
+    return changed, old
+
+
+@njit(cache=True, error_model="numpy")
+def marginals(wanted, nodes, tree, work):
+    """The joint covariance (3k, 3k) of k nodes in the axes of their increments, by solves on their paths to the roots."""
+    homes = np.empty(len(wanted), np.int32)
+    for k in range(len(wanted)):
+        homes[k] = nodes.home[wanted[k]]
+    path, x, result = _upwards(homes, len(homes), tree), tree.floats, np.empty((3 * len(wanted), 3 * len(wanted)))
+    for column in range(3 * len(wanted)):
+        nodes.scratch[wanted[column // 3], column % 3] = 1.0
+        y = tree.counts[FLOATS]
+        for s in path:
+            w, r = np.int64(tree.w[s]), np.int64(tree.r[s])
+            ld, _, _ = sizes(w, r)
+            clear(work, 0, ld)
+            for q in range(w):
+                node = tree.ints[tree.nodes_at[s] + q]
+                for k in range(3):
+                    work[3 * q + k] = nodes.scratch[node, k]
+                    nodes.scratch[node, k] = 0.0
+            _eliminate(x, tree.at[s], ld, 3 * w, work, y)
+            for q in range(w, w + r):
+                node = tree.ints[tree.nodes_at[s] + q]
+                for k in range(3):
+                    nodes.scratch[node, k] += work[3 * q + k]
+            y += 3 * w
+        for s in path[::-1]:
+            w, r = np.int64(tree.w[s]), np.int64(tree.r[s])
+            ld, _, _ = sizes(w, r)
+            y -= 3 * w
+            clear(work, 0, ld)
+            for q in range(w, w + r):
+                node = tree.ints[tree.nodes_at[s] + q]
+                for k in range(3):
+                    work[3 * q + k] = nodes.scratch[node, k]
+            _substitute(x, tree.at[s], ld, 3 * w, work, y)
+            for q in range(w):
+                node = tree.ints[tree.nodes_at[s] + q]
+                for k in range(3):
+                    nodes.scratch[node, k] = work[3 * q + k]
+        for k in range(len(wanted)):
+            for c in range(3):
+                result[3 * k + c, column] = nodes.scratch[wanted[k], c]
+        for s in path:
+            for q in range(tree.w[s]):
+                nodes.scratch[tree.ints[tree.nodes_at[s] + q]] = 0.0
+    return result
+
+
+@njit(cache=True, error_model="numpy")
+def total_cost(nodes, edges, count, kernel, width):
+    """The cost of the first ``count`` edges at the estimate."""
+    total = 0.0
+    for e in range(count):
+        total += linearize(e, nodes, edges, kernel, width)[5]
+    return total

@@ -1,0 +1,304 @@
+"""`OnlineSolver`: graph SLAM while the robot drives, at the optimum of the whole graph after every step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..checks import check_positive
+from ..edges import ANCHOR_INFORMATION
+from ..edges.robust import Kernel, kernel_of
+from ..errors import GraphError, OptionError
+from ..models import MotionModel, SensorModel
+from ..precision import check_model, inverses
+from ..se2 import Array, compose, wrap
+from .system import OnlineSystem
+
+
+class OnlineSolver:
+    """Poses, landmarks and edges step by step; after every step the estimate is the optimum of all edges so far.
+
+    The graph is that of `Graph.from_log` with ``edges="landmark+motion"``: landmarks are nodes, sightings have the
+    Cartesian residual, and the first pose is anchored. Call `step` once for each motion.
+
+    The estimate follows the nearest minimum from step to step. Only what a step changes is eliminated again; see
+    `graphslam.incremental.top`.
+
+    Args:
+        start: the first pose (3,).
+        motion, sensor: the noise models; default: the book's.
+        motion_weight: lambda, the factor on the information of the motion edges.
+        kernel: a robust kernel on the sightings, or its name.
+        tolerance: a step ends where the next pass would lower J by less than this part of it. Together with what passes
+            leave out, J is then within 1e-6 of the optimum (`docs/benchmarks.md`).
+
+    Raises:
+        OptionError: an option has an impossible value.
+        GraphError: a noise model is outside of what double precision can hold.
+    """
+
+    def __init__(
+        self,
+        start: ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        motion: MotionModel | None = None,
+        sensor: SensorModel | None = None,
+        motion_weight: float = 1.0,
+        kernel: Kernel | str | None = None,
+        tolerance: float = 1e-7,
+    ) -> None:
+        check_positive(motion_weight=motion_weight, tolerance=tolerance)
+        self.motion, self.sensor = motion or MotionModel(), sensor or SensorModel()
+        check_model(self.motion)
+        check_model(self.sensor)
+        self.motion_weight, self.kernel = motion_weight, kernel_of(kernel)
+        self._system = OnlineSystem(tolerance)
+        self._poses: list[int] = [self._system.add_node(_numbers("start", start, (3,)))]
+        self._landmarks: dict[int, int] = {}
+        self._columns: int | None = None
+        self._time = -np.inf
+        self._system.add_prior(self._poses[:], ANCHOR_INFORMATION)
+        self._system.solve(self._poses, [], self._poses)
+
+    @property
+    def num_poses(self) -> int:
+        """The number of poses so far."""
+        return len(self._poses)
+
+    @property
+    def passes(self) -> int:
+        """How often the last step solved the tree again because edges had to be evaluated again."""
+        return self._system.passes
+
+    def step(
+        self,
+        control: ArrayLike | None = None,
+        dt: float | None = None,
+        *,
+        motion: ArrayLike | None = None,
+        covariance: ArrayLike | None = None,
+        ids: ArrayLike = (),
+        sightings: ArrayLike = (),
+        pose: int | None = None,
+        relations: Iterable[tuple[int, int, ArrayLike, ArrayLike]] = (),
+        time: float | None = None,
+    ) -> Array:
+        """A motion to a new pose, and what is seen from there; returns the newest pose (3,).
+
+        Args:
+            control, dt: (nu, omega) [m/s, rad/s] for dt [s].
+            motion, covariance: instead of a control, the new pose (3,) measured from the one before, with (3, 3).
+            ids, sightings: landmarks (K,) and what the sensor measures (K, 2 or 3).
+            pose: the number of the known pose from which the landmarks are seen, instead of a motion.
+            relations: loop closures (first, second, measured (3,), covariance (3, 3)) between poses. Without a motion the
+                first relation may lead to the next pose number, which is then new.
+            time: of the step [s]; with a control, dt may be left out, and time may not run backwards.
+
+        Raises:
+            OptionError: a value is impossible. GraphError: a pose is unknown or not determined.
+                The solver then is as it was before the step.
+        """
+        related = [(int(i), int(j), z, P) for i, j, z, P in relations]
+        last, clock = len(self._poses) - 1, self._time
+        if time is not None:
+            if not np.isfinite(time) or time <= clock:
+                raise OptionError(f"time runs backwards: {time!r} s after {clock!r} s")
+            if dt is None and np.isfinite(clock):
+                dt = time - clock
+            clock = time
+        moves = (control is not None) + (motion is not None) + (pose is not None)
+        created = next((row for row, (i, j, *_) in enumerate(related) if j == last + 1 and 0 <= i <= last), None)
+        if moves > 1 or (moves == 0 and created is None and not (related and not np.size(ids))):
+            raise OptionError(
+                "a step needs a motion: give a control and dt, a motion and its covariance, or a known pose"
+            )
+        edge: tuple[int, Array, Array] | None = None
+        if control is not None:
+            check_positive(dt=dt)  # type: ignore[arg-type]
+            u, seconds = _numbers("control", control, (2,))[None], np.array([float(dt)])  # type: ignore[arg-type]
+            z, P = self.motion.accumulate(u, seconds, np.array([0, 1]))
+            edge = last, z[0], self.motion_weight * inverses(P, "motion", "raise epsilon")[0]
+        elif motion is not None:
+            edge = last, _numbers("motion", motion, (3,)), self.motion_weight * _information(covariance)
+        elif pose is None and created is not None:
+            way = related.pop(created)
+            edge = way[0], _numbers("relation", way[2], (3,)), _information(way[3])
+        known = last + 1 + (edge is not None)
+        for i, j, *_ in related:
+            if not (0 <= i < known and 0 <= j < known and i != j):
+                raise GraphError(f"a relation between poses {i} and {j}: the poses so far are 0 to {known - 1}")
+        if pose is not None and not 0 <= pose <= last:
+            raise GraphError(f"sightings from the unknown pose {pose}: the poses so far are 0 to {last}")
+        ends = np.array([(i, j) for i, j, *_ in related], dtype=np.int64).reshape(-1, 2)
+        loops = np.array([_numbers("relation", z, (3,)) for _, _, z, _ in related]).reshape(-1, 3)
+        weights = np.array([_information(P) for *_, P in related]).reshape(-1, 3, 3)
+        seen = self._checked(ids, sightings)
+        self._add(edge, seen[0], *self.edges_of(seen[1]), pose=pose, relations=(ends, loops, weights))
+        self._time = clock
+        return self.pose
+
+    def edges_of(self, sightings: Array) -> tuple[Array, Array]:
+        """Landmarks measured in the robot's axes (K, 2 or 3), and their information, from sightings."""
+        at_origin = np.zeros((len(sightings), 3))
+        measured = self.sensor.h_inverse(at_origin, sightings)
+        covariances = self.sensor.landmark_covariance(at_origin, sightings)
+        return measured, inverses(covariances, "sighting", "check the noise of the sensor") if len(
+            measured
+        ) else covariances
+
+    def _checked(self, ids: ArrayLike, sightings: ArrayLike) -> tuple[list[int], Array]:
+        landmarks = np.atleast_1d(np.asarray(ids))
+        if landmarks.size == 0:
+            return [], np.zeros((0, self._columns or 2))
+        if landmarks.dtype.kind not in "iu" or landmarks.ndim != 1:
+            raise OptionError(f"ids must be whole numbers, not {ids!r}")
+        z = _numbers("sightings", sightings, (len(landmarks), np.shape(sightings)[-1] if np.ndim(sightings) else 0))
+        if z.shape[1] not in (2, 3) or np.any(z[:, 0] <= 0):
+            raise OptionError(
+                f"sightings must be (range, bearing) or with psi, with ranges above zero, not {sightings!r}"
+            )
+        if self._columns not in (None, z.shape[1]):
+            raise OptionError(f"the sightings so far have {self._columns} numbers each, these have {z.shape[1]}")
+        return landmarks.tolist(), z
+
+    def _add(
+        self,
+        edge: tuple[int, Array, Array] | None,
+        landmarks: Sequence[int],
+        measured: Array,
+        information: Array,
+        *,
+        pose: int | None = None,
+        relations: tuple[np.ndarray, Array, Array] | None = None,
+    ) -> None:
+        """A step of checked numbers: a motion edge (from, measured, information), and landmarks in the robot's axes."""
+        system, before = self._system, (self._system.num_nodes, self._system.num_edges)
+        known = set(self._landmarks)
+        fresh, touched = [], []
+        if edge is not None:
+            origin = self._poses[edge[0]]
+            new = system.add_node(compose(system.nodes.x[origin], edge[1]))
+            # headings are not wrapped: increments add up
+            system.nodes.x[new, 2] = system.nodes.x[origin, 2] + edge[1][2]
+            system.nodes.passed[new] = system.nodes.evaluated[new] = system.nodes.x[new]
+            self._poses.append(new)
+            fresh.append(system.add_edges(np.array([[origin, new]]), edge[1][None], edge[2][None]))
+            touched += [origin, new]
+            scale, own = system.nodes.scale, _scale(edge[2][None], None)[0]
+            scale[origin] = np.where(np.isfinite(scale[origin]), scale[origin], own)
+            scale[new] = scale[origin]
+        if len(landmarks):
+            fresh.append(
+                self._see(self._poses[-1 if pose is None else pose], landmarks, measured, information, touched)
+            )
+        if relations is not None and len(relations[0]):
+            ends = np.array(self._poses)[relations[0]]
+            fresh.append(system.add_edges(ends, *relations[1:]))
+            touched += ends.ravel().tolist()
+            for pair, size in zip(ends.tolist(), _scale(relations[2], None)):
+                for node in pair:
+                    system.nodes.scale[node] = np.minimum(system.nodes.scale[node], size)
+        try:
+            system.solve(list(dict.fromkeys(touched)), np.concatenate(fresh) if fresh else [], self._poses[-1:])
+        except GraphError:
+            self._landmarks = {key: node for key, node in self._landmarks.items() if key in known}
+            self._poses = [node for node in self._poses if node < before[0]]
+            system.retract(*before)
+            raise GraphError("the step leaves a pose or landmark undetermined, so that it was not taken") from None
+
+    def _see(self, node: int, landmarks: Sequence[int], measured: Array, information: Array, touched: list[int]) -> Any:
+        system, d = self._system, measured.shape[1]
+        if self._columns is None:
+            self._columns = d
+            system.use_kernel(self.kernel, d)
+        for landmark, z in zip(landmarks, measured):
+            if landmark not in self._landmarks:
+                place = compose(system.nodes.x[node], np.pad(z, (0, 3 - d)))
+                self._landmarks[landmark] = system.add_node(place * (1, 1, d == 3), point=d == 2)
+        ends = np.array([(node, self._landmarks[landmark]) for landmark in landmarks])
+        touched += [node, *ends[:, 1].tolist()]
+        scales = _scale(information, measured)
+        system.nodes.scale[node] = scales.min(axis=0)
+        for end, size in zip(ends[:, 1].tolist(), scales):
+            system.nodes.scale[end] = np.minimum(system.nodes.scale[end], size)
+        return system.add_edges(ends, measured, information, robust=self.kernel is not None)
+
+    def relinearize(self) -> None:
+        """Linearise and eliminate everything again, in a new order."""
+        self._system.solve(np.arange(self._system.num_nodes), [], self._poses[-1:])
+
+    @property
+    def pose(self) -> Array:
+        """The newest pose (3,), heading in [-pi, pi)."""
+        x = self._system.nodes.x[self._poses[-1]].copy()
+        x[2] = wrap(x[2])
+        return x
+
+    @property
+    def poses(self) -> Array:
+        """The estimate of all poses so far, (t+1, 3), headings in [-pi, pi)."""
+        self._system.complete()
+        x = self._system.nodes.x[self._poses]
+        x[:, 2] = wrap(x[:, 2])
+        return x
+
+    @property
+    def landmarks(self) -> dict[int, Array]:
+        """{id: (x, y) or (x, y, heading)}, by increasing id."""
+        self._system.complete()
+        x, d = self._system.nodes.x, self._columns or 2
+        return {key: np.append(x[node, :2], wrap(x[node, 2:d])) for key, node in sorted(self._landmarks.items())}
+
+    @property
+    def cost(self) -> float:
+        """J at the estimate, the anchor not counted."""
+        return self._system.cost()
+
+    def covariance(self, pose: int | None = None, *, landmarks: Sequence[int] = ()) -> Array:
+        """The joint covariance of a pose, by default the newest, and of landmarks, in world axes.
+
+        Its order is the pose (3 numbers), then each landmark (2 or 3). It belongs to the linear system of the last pass,
+        whose edges may be linearised where they were some steps ago (`graphslam.incremental.linearize`). Variances are
+        then wrong by up to a tenth; `relinearize` makes them those of the batch solution.
+
+        Raises:
+            GraphError: a pose or landmark is unknown.
+        """
+        pose = len(self._poses) - 1 if pose is None else pose
+        unknown = [key for key in landmarks if key not in self._landmarks]
+        if not 0 <= pose < len(self._poses) or unknown:
+            raise GraphError(
+                f"there is no covariance of pose {pose} and landmarks {list(landmarks)}: not all are known"
+            )
+        block = self._system.covariance([self._poses[pose], *(self._landmarks[key] for key in landmarks)])
+        d = self._columns or 2
+        kept = [0, 1, 2, *(3 * k + c for k in range(1, len(landmarks) + 1) for c in range(d))]
+        return block[np.ix_(kept, kept)]
+
+
+def _scale(information: Array, measured: Array | None) -> Array:
+    """Standard deviations [m, rad] of edges (E, 2); for sightings, the angle that moves them by the first."""
+    size = 1 / np.sqrt(np.minimum(information[:, 0, 0], information[:, 1, 1]))
+    if measured is not None:
+        return np.column_stack([size, size / np.maximum(np.hypot(measured[:, 0], measured[:, 1]), size)])
+    return np.column_stack([size, 1 / np.sqrt(information[:, 2, 2])])
+
+
+def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    try:
+        array: Array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise OptionError(f"{name} must be finite numbers of shape {shape}, not {value!r}")
+    return array
+
+
+def _information(covariance: ArrayLike | None) -> Array:
+    P = _numbers("covariance", covariance, (3, 3))  # type: ignore[arg-type]
+    if not np.allclose(P, P.T, rtol=0, atol=1e-9 * np.abs(P).max()) or not np.linalg.eigvalsh(P)[0] > 0:
+        raise OptionError(f"covariance must be a symmetric positive definite 3 x 3 matrix, not {covariance!r}")
+    return np.asarray(inverses(P[None], "motion", "check its covariance")[0])

@@ -1,0 +1,87 @@
+"""A log step by step: `for estimate in online(log)`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..edges import CartesianObservationEdges, RelativePoseEdges
+from ..graph import Graph
+from ..log import Log
+from ..se2 import Array
+from ..solution import Solution, make_solution
+from .solver import OnlineSolver
+
+
+@dataclass(frozen=True)
+class OnlineEstimate:
+    """What is known after a step of a log.
+
+    Attributes:
+        step: the number of the newest pose.
+        pose: the newest pose (3,).
+        solver: gives the other poses, the landmarks, J and covariances; it belongs to the latest step.
+    """
+
+    step: int
+    pose: Array
+    solver: OnlineSolver
+
+    @property
+    def poses(self) -> Array:
+        """All poses so far, (step + 1, 3)."""
+        return self.solver.poses
+
+    @property
+    def landmarks(self) -> dict[int, Array]:
+        """{id: (x, y) or (x, y, heading)}."""
+        return self.solver.landmarks
+
+
+def online(log: Log, *, tolerance: float = 1e-7, **options: Any) -> Iterator[OnlineEstimate]:
+    """Go through a log step by step, as a robot that drives; after every step the estimate is that of the whole graph.
+
+    Args:
+        log: with controls.
+        tolerance: see `OnlineSolver`.
+        options: motion, sensor, motion_weight, kernel and dimensions, as in `Graph.from_log`.
+
+    Raises:
+        GraphError: the log lacks what the graph needs.
+        OptionError: an option has an impossible value.
+    """
+    return steps_of(Graph.from_log(log, edges="landmark+motion", **options), tolerance=tolerance)
+
+
+def solve_by_steps(graph: Graph, *, tolerance: float = 1e-7) -> Solution:
+    """The estimate after the last step of `steps_of`; a stationary point, because every step ends at one."""
+    begin = time.perf_counter()
+    *_, last = steps_of(graph, tolerance=tolerance)
+    seconds, state = time.perf_counter() - begin, graph.initial.copy()
+    state[: len(graph.steps)] = last.poses
+    state[len(graph.steps) :, : graph.landmark_dimension] = list(last.landmarks.values())
+    return make_solution(
+        graph, state, step_norms=[], costs=[], converged=True, reason="went through the log once, step by step",
+        seconds=seconds, solver="online",
+    )  # fmt: skip
+
+
+def steps_of(graph: Graph, *, tolerance: float = 1e-7) -> Iterator[OnlineEstimate]:
+    """As `online`, for the graph of a log with landmark nodes, motion edges and Cartesian residuals in the body frame."""
+    sighted = next(family for family in graph.families if isinstance(family, CartesianObservationEdges))
+    motions = next(family for family in graph.families if isinstance(family, RelativePoseEdges))
+    solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=sighted.kernel, tolerance=tolerance)
+    total = len(graph.steps)
+    rows = np.argsort(sighted.first, kind="stable")
+    bounds = np.searchsorted(sighted.first[rows], np.arange(total + 1))
+    ids = graph.landmark_ids[sighted.second - total]
+    seen = sighted.relative
+    for step in range(total):
+        now = rows[bounds[step] : bounds[step + 1]]
+        edge = (step - 1, motions.measured[step - 1], motions.information[step - 1]) if step else None
+        solver._add(edge, ids[now].tolist(), seen.measured[now], seen.information[now])
+        yield OnlineEstimate(step, solver.pose, solver)

@@ -1,0 +1,173 @@
+"""The online solver: after every step at the optimum of the whole graph, and unchanged by steps that it refuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from graphslam import Graph, GraphError, MotionModel, OnlineSolver, OptionError, SensorModel, online, simulate, solve
+from graphslam.edges import AnchorEdges, RelativePoseEdges
+from graphslam.incremental.stream import steps_of
+from graphslam.se2 import between, compose, wrap
+from graphslam.transform import first_poses
+
+QUIET = {
+    "motion": MotionModel(nn=0.05, no=0.001, on=0.05, oo=0.05),
+    "sensor": SensorModel(range_rate=0.05, bearing_std=0.02, orientation_std=0.02),
+}
+
+
+def small_log(seed, orientation):
+    rng = np.random.default_rng(seed)
+    return simulate(
+        steps=70, dt=1.0, landmarks=rng.uniform(-6, 6, (7, 2)), orientation=orientation, seed=seed, clean=True, **QUIET
+    )
+
+
+def batch_of(graph, estimate):
+    """The optimum of the graph of the first steps from where the estimate is, the cost there, and both states."""
+    piece, nodes = first_poses(graph, estimate.step + 1)
+    state = np.zeros((graph.num_nodes, 3))
+    state[: estimate.step + 1] = estimate.poses
+    for landmark, mark in estimate.landmarks.items():
+        state[len(graph.steps) + np.searchsorted(graph.landmark_ids, landmark), : len(mark)] = mark
+    return piece.cost(state[nodes]), solve(piece.with_initial(state[nodes]), initialize="given"), state[nodes]
+
+
+@pytest.mark.parametrize("kernel", [None, "huber", "cauchy"])
+@pytest.mark.parametrize("orientation", [False, True])
+def test_every_step_ends_at_the_batch_optimum(orientation, kernel):
+    log = small_log(3, orientation)
+    graph = Graph.from_log(log, edges="landmark+motion", kernel=kernel)
+    for estimate in steps_of(graph):
+        if estimate.step % 5 == 4:
+            cost, batch, state = batch_of(graph, estimate)
+            assert cost <= batch.cost * (1 + 1e-6) + 1e-9
+            # an increment of the state costs less than 1e-6 of J, and J is about the number of sightings
+            assert np.abs(batch.state[:, :2] - state[:, :2]).max() < 2e-3
+    assert estimate.step == log.num_poses - 1
+
+
+def test_covariances_are_those_of_the_batch_solution():
+    log = small_log(5, orientation=False)
+    graph = Graph.from_log(log, edges="landmark+motion", kernel="cauchy")
+    *_, last = online(log, kernel="cauchy")
+    batch = solve(graph, initialize="auto")
+    ids = list(last.landmarks)[:2]
+    rough = last.solver.covariance(landmarks=ids)
+    last.solver.relinearize()
+    joint = last.solver.covariance(landmarks=ids)
+    pose = log.num_poses - 1
+    std = np.sqrt(np.diag(joint))
+    expected = np.zeros_like(joint)
+    expected[:3, :3] = batch.covariance(pose)
+    for k, landmark in enumerate(ids):
+        at = slice(3 + 2 * k, 5 + 2 * k)
+        expected[:3, at] = batch.cross_covariance(pose, landmark=landmark)
+        expected[at, :3] = expected[:3, at].T
+        expected[at, at] = batch.landmark_covariances[landmark]
+    expected[3:5, 5:7], expected[5:7, 3:5] = joint[3:5, 5:7], joint[5:7, 3:5]
+    # the estimate is within 1e-6 of the optimal cost, not at it
+    np.testing.assert_allclose(joint / np.outer(std, std), expected / np.outer(std, std), atol=2e-3)
+    np.testing.assert_allclose(np.diag(rough), np.diag(expected), rtol=0.15)
+
+
+def test_a_pose_graph_edge_by_edge_with_loop_closures():
+    rng = np.random.default_rng(1)
+    truth = [np.zeros(3)]
+    for _ in range(80):
+        truth.append(compose(truth[-1], np.array([1.0, 0.0, 2 * np.pi / 20 + rng.normal(0, 0.02)])))
+    covariance = np.diag([0.02, 0.02, 0.01]) ** 2
+    solver, first, second, measured = OnlineSolver(), [], [], []
+
+    def noisy(i, j):
+        z = between(truth[i], truth[j]) + rng.normal(0, np.sqrt(np.diag(covariance)))
+        first.append(i), second.append(j), measured.append(z)
+        return z
+
+    for k in range(1, len(truth)):
+        solver.step(motion=noisy(k - 1, k), covariance=covariance)
+        if k % 7 == 0 and k > 25:
+            solver.step(relations=[(k - 20, k, noisy(k - 20, k), covariance)])
+        if k % 10 == 0:
+            information = np.tile(np.linalg.inv(covariance), (len(first), 1, 1))
+            poses = solver.poses
+            graph = Graph(
+                poses,
+                families=(
+                    AnchorEdges(np.zeros(1, dtype=int), np.zeros((1, 3)), 1e6 * np.eye(3)[None]),
+                    RelativePoseEdges(np.array(first), np.array(second), np.array(measured), information),
+                ),
+                steps=np.arange(k + 1), trajectory=poses, pose_ids=np.arange(k + 1),
+            )  # fmt: skip
+            batch = solve(graph, initialize="given")
+            assert graph.cost(poses) <= batch.cost * (1 + 1e-6) + 1e-9
+            assert np.abs(wrap(poses - batch.poses)).max() < 1e-3
+
+
+BAD_STEPS = [
+    ({}, OptionError, "needs a motion"),
+    ({"ids": [1], "sightings": [[1.0, 0.0]]}, OptionError, "needs a motion"),
+    ({"pose": 9, "ids": [1], "sightings": [[1.0, 0.0]]}, GraphError, "unknown pose 9"),
+    ({"relations": [(7, 8, (1, 0, 0), np.eye(3))]}, GraphError, "poses 7 and 8"),
+    ({"control": (1.0, 0.0), "dt": -1.0}, OptionError, "dt must be a positive number"),
+    ({"control": (1.0, 0.0), "time": 0.5}, OptionError, "time runs backwards"),
+    ({"motion": (1, 0, 0), "covariance": -np.eye(3)}, OptionError, "positive definite"),
+    ({"motion": (1, np.nan, 0), "covariance": np.eye(3)}, OptionError, "motion must be finite"),
+    ({"control": (1, 0), "dt": 1, "ids": [3], "sightings": [[0.0, 0.0]]}, OptionError, "ranges above zero"),
+    ({"control": (1, 0), "dt": 1, "ids": [3], "sightings": [[1.0, 0.0, 0.0]]}, OptionError, "2 numbers each"),
+    ({"control": (1, 0), "dt": 1, "ids": [0.5], "sightings": [[1.0, 0.0]]}, OptionError, "whole numbers"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "error", "message"), BAD_STEPS)
+def test_a_bad_step_changes_nothing(arguments, error, message):
+    solver = OnlineSolver((1.0, 2.0, 0.5))
+    solver.step((1.0, 0.1), ids=[1, 2], sightings=[[2.0, 0.3], [1.5, -0.4]], dt=1.0, time=1.0)
+    before, marks, cost = solver.poses, solver.landmarks, solver.cost
+    with pytest.raises(error, match=message):
+        solver.step(**arguments)
+    np.testing.assert_array_equal(solver.poses, before)
+    assert {key: mark.tolist() for key, mark in solver.landmarks.items()} == {k: m.tolist() for k, m in marks.items()}
+    assert solver.cost == cost
+    solver.step((1.0, 0.0), time=2.0, ids=[2], sightings=[[1.0, -0.8]])
+    assert solver.num_poses == 3
+
+
+def test_a_step_that_leaves_a_pose_undetermined_is_taken_back():
+    solver = OnlineSolver()
+    solver.step((1.0, 0.1), 1.0, ids=[1, 2], sightings=[[2.0, 0.3], [1.5, -0.4]])
+    before = solver.poses
+    # the information of this motion disappears beside that of the pose before
+    with pytest.raises(GraphError, match="undetermined"):
+        solver.step(motion=(1.0, 0.0, 0.0), covariance=1e-18 * np.eye(3), ids=[3], sightings=[[1e9, 0.0]])
+    np.testing.assert_allclose(solver.poses, before, atol=1e-9)
+    assert set(solver.landmarks) == {1, 2}
+    solver.step((1.0, 0.0), 1.0, ids=[2], sightings=[[1.0, -0.8]])
+    assert solver.num_poses == 3
+
+
+def test_the_first_pose_may_see_landmarks():
+    solver = OnlineSolver()
+    solver.step(pose=0, ids=[4], sightings=[[2.0, 0.5]])
+    np.testing.assert_allclose(solver.landmarks[4], [2 * np.cos(0.5), 2 * np.sin(0.5)], atol=1e-9)
+    assert solver.covariance().shape == (3, 3)
+    assert replace(SensorModel(), bearing_std=0.1) != solver.sensor
+
+
+def test_a_correction_too_large_for_undamped_passes():
+    """After 300 motions without a closure, the heading is off by a radian: the batch solver takes the step."""
+    rng = np.random.default_rng(2)
+    covariance, truth, solver = np.diag([0.14, 0.14, 0.1]) ** 2, [np.zeros(3)], OnlineSolver()
+    for k in range(1, 301):
+        move = np.array([1.0, 0.0, np.pi / 2 if k % 75 == 0 else 0.0])
+        truth.append(compose(truth[-1], move))
+        solver.step(motion=move + rng.normal(0, (0.14, 0.14, 0.1)), covariance=covariance)
+    before = solver.pose
+    assert np.hypot(*(before - truth[-1])[:2]) > 5
+    solver.step(relations=[(0, 300, between(truth[0], truth[300]), covariance)])
+    assert np.hypot(*(solver.pose - truth[-1])[:2]) < 0.5
+    tied = solver.poses
+    # a stationary point: linearised anew, nothing moves
+    solver.relinearize()
+    np.testing.assert_allclose(wrap(solver.poses - tied), 0, atol=1e-3)
