@@ -21,7 +21,7 @@ from graphslam.se2 import wrap
 from .association import identified
 from .failures import noted
 from .option import options_of
-from .options import GraphOptions, RunOptions
+from .options import FrontEndOptions, GraphOptions, RunOptions
 from .results import EstimatorResult
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
@@ -327,23 +327,25 @@ def _isam2_seconds(log: Log, options: RunOptions) -> float:
 
 
 _GRAPH = tuple(options_of(GraphOptions))
+#: and what finds the ids for it
+_SOLVED = (*_GRAPH, *options_of(FrontEndOptions))
 _FILTER = tuple(name for name in options_of(fastslam.FilterOptions) if name not in ("seed", "threads"))
 _GIBBS = tuple(name for name, each in options_of(RunOptions).items() if each.model == "gibbs")
-#: localisation knows its map, and does not use the last two options
-_LOCALISATION = _FILTER[:-2]
+#: localisation knows its map: it has no association, no landmarks to update and no corrected proposal
+_LOCALISATION = ("particles", "resampling", "ess_threshold", "stage")
 
 #: the estimators by name, in the order in which they run and are shown
 ESTIMATORS: dict[str, Estimator] = {
     "dead-reckoning": Estimator(dead_reckoning),
     "textbook": Estimator(textbook_estimator, ("edges",), _textbook_seconds),
-    "graph": Estimator(graph_estimator, _GRAPH),
+    "graph": Estimator(graph_estimator, _SOLVED),
     "graph-marginal": Estimator(
-        graph_marginal, tuple(name for name in _GRAPH if name != "weight"), repeats=_counted_once
+        graph_marginal, tuple(name for name in _SOLVED if name != "weight"), repeats=_counted_once
     ),
-    "graph-no-kernel": Estimator(graph_no_kernel, tuple(name for name in _GRAPH if name != "kernel"), on_request=True),
-    "gtsam": Estimator(gtsam_estimator, _GRAPH, _gtsam_seconds),
+    "graph-no-kernel": Estimator(graph_no_kernel, tuple(name for name in _SOLVED if name != "kernel"), on_request=True),
+    "gtsam": Estimator(gtsam_estimator, _SOLVED, _gtsam_seconds),
     "online": Estimator(online, ("motion_weight", "kernel"), on_request=True),
-    "isam2": Estimator(isam2, tuple(name for name in _GRAPH if name != "initialize"), _isam2_seconds),
+    "isam2": Estimator(isam2, tuple(name for name in _SOLVED if name != "initialize"), _isam2_seconds),
     "mcl": Estimator(mcl, _LOCALISATION),
     "fastslam1": Estimator(fastslam1, _FILTER),
     "fastslam2": Estimator(fastslam2, _FILTER),

@@ -31,6 +31,10 @@ class FastSLAM1(ParticleFilter):
     particle that stands on its landmark (nearer than 1e-9 m) has no bearing to it: its likelihood is 0 and that landmark
     is not updated.
 
+    With the landmark_update "moments" both are integrals instead of linearisations (`refined_kernels`): the posterior is then
+    exact as far as it is Gaussian in the landmarks. With the range_noise "estimated" Q is taken at |m - x|, as in the slides,
+    not at the measured range; that of a first sighting is always at the measured range.
+
     With the association "maximum-likelihood" ids are ignored, and `observe` takes None for them. Each particle assigns
     every sighting to the most likely landmark of its own map, the most likely pair of the scan first, and uses no
     landmark twice. A sighting that is more likely to belong to a new landmark creates one. New landmarks are
@@ -69,7 +73,12 @@ class FastSLAM1(ParticleFilter):
         if self._maps is None:
             shape = self._genealogy, self._threads, self.particles, sightings.shape[1]
             if self._needs_ids:
-                self._maps = IdentifiedLandmarks(*shape)
+                estimated = self.options.range_noise == "estimated"
+                self._maps = IdentifiedLandmarks(
+                    *shape,
+                    moments=self.options.landmark_update == "moments",
+                    range_noise=(self.sensor.range_rate, self.sensor.range_std) if estimated else None,
+                )
             else:
                 self._maps = AnonymousLandmarks(*shape, self.options.new_landmark_threshold, self.sensor)
         if isinstance(self._maps, IdentifiedLandmarks):

@@ -20,6 +20,7 @@ import numpy as np
 from graphslam.se2 import Array
 
 from . import landmark_kernels as kernels
+from . import refined_kernels as refined
 from .blocks import unpack
 from .genealogy import Genealogy
 from .threads import Job, Threads
@@ -32,9 +33,23 @@ class _Column:
 
 
 class IdentifiedLandmarks:
-    """The landmarks of N particles by id; ``genealogy`` knows their ancestors; n = 2 or 3 coordinates per landmark."""
+    """The landmarks of N particles by id; ``genealogy`` knows their ancestors; n = 2 or 3 coordinates per landmark.
 
-    def __init__(self, genealogy: Genealogy, threads: Threads, particles: int, coordinates: int) -> None:
+    With ``moments`` sightings are integrated, not linearised. A ``range_noise``, (rate, standard deviation), replaces the
+    variance of the range of all sightings but the first by that at the estimated range.
+    """
+
+    def __init__(
+        self,
+        genealogy: Genealogy,
+        threads: Threads,
+        particles: int,
+        coordinates: int,
+        *,
+        moments: bool = False,
+        range_noise: tuple[float, float] | None = None,
+    ) -> None:
+        self._moments, self._range_noise = moments, range_noise
         self._genealogy, self._threads = genealogy, threads
         self._shape = (5 if coordinates == 2 else 9, particles)
         self.coordinates = coordinates
@@ -59,7 +74,9 @@ class IdentifiedLandmarks:
     def initialize(self, landmark: int, poses: Array, z: Array, q: Array) -> None:
         """Schedule a first sighting: Gaussians N(h^-1(x, z), (H' Q^-1 H)^-1); z and q = diag(Q) of shape (n,)."""
         numbers = self._take_spare()
-        self._jobs.append((kernels.initialize, (poses, z, q, numbers)))
+        self._jobs.append(
+            (refined.initialize_by_moments if self._moments else kernels.initialize, (poses, z, q, numbers))
+        )
         self._columns[landmark] = _Column(self._genealogy.level(), numbers)
 
     def update(self, landmark: int, poses: Array, z: Array, q: Array, log_likelihood: Array) -> None:
@@ -69,7 +86,13 @@ class IdentifiedLandmarks:
         # where no particle was replaced since, each reads and writes its own place
         in_place = self._genealogy.is_living(column.level)
         target = source if in_place else self._take_spare()
-        self._jobs.append((kernels.update, (poses, slots, source, target, z, q, log_likelihood)))
+        if self._moments or self._range_noise is not None:
+            rate, std = self._range_noise or (0.0, np.sqrt(q[0]))
+            variances = np.array([std**2, *q[1:]])
+            arguments = poses, slots, source, target, z, variances, rate, self._moments, log_likelihood
+            self._jobs.append((refined.refined_update, arguments))
+        else:
+            self._jobs.append((kernels.update, (poses, slots, source, target, z, q, log_likelihood)))
         if not in_place:
             self._read.append(source)
         column.level, column.numbers = self._genealogy.level(), target

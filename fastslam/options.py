@@ -24,6 +24,12 @@ RESAMPLING = ("systematic", "stratified", "residual", "multinomial")
 
 #: how FastSLAM 2.0 weighs its particles: with the density of its proposal, or as if h and f were linear
 PROPOSAL_WEIGHTS = ("exact", "linearised")
+#: how the Gaussian of a landmark follows from a sighting: by the Kalman gain, or with the moments of the posterior
+LANDMARK_UPDATES = ("kalman", "moments")
+#: the range at which the variance of a sighting's range is taken
+RANGE_NOISES = ("measured", "estimated")
+#: how far the lectures' program has come: particles that only move, that are weighed, that are resampled
+STAGES = ("motion", "weights", "resampling")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +37,8 @@ class FilterOptions:
     """The options of `MonteCarloLocalization`, `FastSLAM1` and `FastSLAM2`; each field's metadata has its help.
 
     With an ess_threshold of 1 the filter resamples after every weighted step, as in the lectures. The result does not
-    depend on the number of threads. Monte Carlo localisation does not use the last two options: it finds the landmarks
-    of its map by their ids.
+    depend on the number of threads. Monte Carlo localisation does not use the options from ``association`` to
+    ``range_noise``: it finds the landmarks of its map by their ids.
 
     Raises:
         OptionError: an option has an impossible value.
@@ -62,6 +68,28 @@ class FilterOptions:
             "choices": PROPOSAL_WEIGHTS,
         },
     )
+    landmark_update: str = field(
+        default="kalman",
+        metadata={
+            "help": "Landmarks of FastSLAM: kalman linearises each sighting, moments integrates it; known ids only.",
+            "choices": LANDMARK_UPDATES,
+        },
+    )
+    range_noise: str = field(
+        default="measured",
+        metadata={
+            "help": "FastSLAM takes the noise of the range at the measured range, or estimated, as in the slides; known "
+            "ids only.",
+            "choices": RANGE_NOISES,
+        },
+    )
+    stage: str = field(
+        default="resampling",
+        metadata={
+            "help": "Steps of a filter: motion neither weighs nor resamples, weights does not resample.",
+            "choices": STAGES,
+        },
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "particles", whole("particles", self.particles))
@@ -74,6 +102,17 @@ class FilterOptions:
         check_choice("resampling", self.resampling, RESAMPLING)
         check_choice("proposal_weight", self.proposal_weight, PROPOSAL_WEIGHTS)
         check_choice("association", self.association, ASSOCIATIONS)
+        check_choice("landmark_update", self.landmark_update, LANDMARK_UPDATES)
+        check_choice("range_noise", self.range_noise, RANGE_NOISES)
+        check_choice("stage", self.stage, STAGES)
+        if not self.uses_ids and (self.landmark_update, self.range_noise) != ("kalman", "measured"):
+            raise OptionError(
+                "landmark_update moments and range_noise estimated need the association known, not maximum-likelihood"
+            )
+        if self.range_noise == "estimated" and self.proposal_weight != "exact":
+            raise OptionError(
+                "range_noise estimated needs the proposal_weight exact: the linearised one is that of the measured range"
+            )
         if not 0 <= finite("ess_threshold", self.ess_threshold, "a number between 0 and 1", [()]) <= 1:
             raise OptionError(
                 f"ess_threshold must lie between 0 (never resample) and 1 (always), not {self.ess_threshold!r}"

@@ -333,7 +333,7 @@ class ParticleFilter(ABC):
         self._version, self._observed = self._version + 1, True
         # the poses now depend on the sightings: later sightings of this step must not correct the motion again
         self._motion = None
-        if log_weights is None:
+        if log_weights is None or self.options.stage == "motion":
             return
         log_weights += self._log_weights
         highest = float(log_weights.max())
@@ -349,7 +349,7 @@ class ParticleFilter(ABC):
         ess = min(total * total / squares, float(self.particles))
         self._log_weights, self._best = _read_only(log_weights), int(np.argmax(log_weights))
         self._ess_history[-1] = ess
-        if ess <= self.options.ess_threshold * self.particles:
+        if self.options.stage == "resampling" and ess <= self.options.ess_threshold * self.particles:
             self._resample(weights)
 
     def _resample(self, weights: Array) -> None:

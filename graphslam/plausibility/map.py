@@ -14,6 +14,8 @@ from .finding import Finding
 
 #: fewer distances or triangles tell nothing
 _FEWEST = 10
+#: distances, sightings and triangles that are compared at most
+_ENOUGH = 5000
 #: distances of the map that are off by more [ranges, median] contradict the sightings; another unit is a larger factor
 _WRONG, _FACTOR = 0.4, 5.0
 #: triangles of landmarks with angles whose sine is larger have a side, which is the other one in this part if mirrored
@@ -35,7 +37,7 @@ def against_map(log: Log, found: Distances, *, trusted: bool) -> Iterator[Findin
         return
     if len(seen) == 1:
         return
-    inside = np.isin(found.pair, list(known)).all(axis=1)
+    inside = _some(np.flatnonzero(np.isin(found.pair, list(known)).all(axis=1)))
     places = {j: np.asarray(place[:2]) for j, place in log.true_landmarks.items()}
     ends = np.array([[places[a], places[b]] for a, b in found.pair[inside].tolist()]).reshape(-1, 2, 2)
     true = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
@@ -72,6 +74,7 @@ def _seen_from_truth(log: Log) -> float:
     rows = np.flatnonzero(np.isfinite(poses).all(axis=1) & np.isin(log.landmarks, list(log.true_landmarks)))
     if len(rows) < _FEWEST:
         return 0.0
+    rows = _some(rows)
     seen = (log.sensor or SensorModel()).h_inverse(poses[rows], log.sightings[rows])[:, :2]
     true = np.array([log.true_landmarks[j][:2] for j in log.landmarks[rows].tolist()])
     return float(np.median(np.linalg.norm(seen - true, axis=1) / log.sightings[rows, 0]))
@@ -81,7 +84,7 @@ def _is_mirrored(log: Log, places: dict[int, np.ndarray]) -> bool:
     """Whether landmarks that are seen at one step, three by three, lie the other way round in the map."""
     rows = np.flatnonzero((log.landmarks != UNIDENTIFIED) & np.isin(log.landmarks, list(places)))
     triples = np.column_stack([rows[:-2], rows[1:-1], rows[2:]]) if len(rows) > 2 else np.zeros((0, 3), dtype=int)
-    triples = triples[np.ptp(log.steps[triples], axis=1) == 0]
+    triples = _some(triples[np.ptp(log.steps[triples], axis=1) == 0])
     if len(triples) < _FEWEST:
         return False
     seen = (log.sensor or SensorModel()).h_inverse(np.zeros((len(triples), 3, 3)), log.sightings[triples])[..., :2]
@@ -97,6 +100,11 @@ def _side(corners: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
     side: np.ndarray = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / np.where(size > 0, size, 1.0)
     return side
+
+
+def _some(rows: np.ndarray) -> np.ndarray:
+    """Rows spread over all of them, not many more than `_ENOUGH`."""
+    return rows[:: max(1, len(rows) // _ENOUGH)]
 
 
 def _median(values: np.ndarray) -> float:

@@ -25,6 +25,8 @@ _MOST = 2000
 #: a value changes if its means before and after differ by the first number [ranges] and the second times its spread; the
 #: number of times that are tried
 _CHANGE, _SPREAD, _TRIED = 0.25, 3.0, 100
+#: values that are used at most
+_ENOUGH = 20_000
 #: the ids cannot be checked where sightings move by more than this [ranges, median]
 _COARSE = 0.15
 
@@ -70,6 +72,8 @@ def _change(keys: np.ndarray, steps: np.ndarray, values: Array, scale: Array) ->
     """
     if len(steps) < _FEWEST:
         return None
+    every = max(1, len(steps) // _ENOUGH)
+    keys, steps, values, scale = keys[::every], steps[::every], values[::every], scale[::every]
     order = np.lexsort((steps, *keys.T))
     keys, steps, values, scale = keys[order], steps[order], values[order], scale[order]
     first = np.flatnonzero(np.append(True, np.any(np.diff(keys, axis=0) != 0, axis=1)))
@@ -115,9 +119,13 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
     least, other = np.full(len(moved), np.inf), np.full(len(moved), -1)
     for back in range(1, _BACK + 1):
         before = np.maximum(moved - back, 0)
-        distance = np.where((ids[before] != ids[moved]) & (moved >= back), apart(before, moved), np.inf)
-        other = np.where(distance < least, before, other)
-        least = np.minimum(distance, least)
+        close = np.flatnonzero((moved >= back) & (way[moved] - way[before] <= _WAY))
+        if len(close) == 0:
+            break
+        close = close[ids[before[close]] != ids[moved[close]]]
+        distance = apart(before[close], moved[close])
+        nearer = distance < least[close]
+        least[close[nearer]], other[close[nearer]] = distance[nearer], before[close[nearer]]
     new = np.zeros(len(ids), dtype=bool)
     new[moved] = least <= near
     partner = own.copy()

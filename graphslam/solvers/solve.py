@@ -41,14 +41,16 @@ def solve(
             fixed, so that J itself may rise.
         tolerance: the iteration has converged when the Euclidean norm of the correction of all nodes is below this, and
             the correction is predicted to lower J by a negligible part only.
-        max_iterations: the most steps to take.
+        max_iterations: the most steps of a run; with "auto", the lowest run that has not converged goes on once.
         initialize: "given", the graph's own initial values; "dead-reckoning" along the motion edges; "rotation-first",
             headings by linear least squares and then positions; "grow", solve the first poses, add ten more, solve again,
             and so on; or "auto". "auto" starts landmark nodes from virtual-motion edges, and other graphs rotation-first
             where the edges allow it. Where that does not converge, or ends above the cost of the given values, at an
-            implausible J or after many steps, it tries further starts until ends agree, or an end is proven to be the global
-            minimum. In graphs of at most 1,000 nodes it also tries a few more if no end is proven. It returns the
-            converged solution with the lowest cost, which is never above that of the given values.
+            implausible J or after many steps, it tries other turns of the robot and further starts until ends agree, or
+            an end is proven to be the global minimum. In graphs of at most 1,000 nodes it also tries a few more if no
+            end is proven. It returns the converged solution with the lowest cost, which is never above that of the
+            given values. Unless it is proven, a lower one may exist: of 100 logs with up to three times the book's
+            noise, one ended 0.003 % too high (benchmarks/hard_logs.py).
         callback: called after each step with an `Iteration`; with "auto" only after the search, once for each step of the
             run that is returned.
         cost_tolerance: the iteration has also converged when a step changes J, or is predicted to change it, by less

@@ -46,14 +46,16 @@ def small(seed: int, columns: int, offset: tuple[float, float] = (0.0, 0.0), com
     )
 
 
-def importance(log: Log, sensor: SensorModel, about: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def importance(
+    log: Log, sensor: SensorModel, about: np.ndarray, size: int = 60_000
+) -> tuple[np.ndarray, np.ndarray, float]:
     """Mean and standard deviations of the last pose and the positions of the landmarks, by importance sampling.
 
     Trajectories are drawn from a Student distribution about the samples ``about`` (S, 4, 3), wider than they are;
     landmarks from their sightings given the poses, with half as much again of the standard deviations. The weights
     are those of the exact densities, so that the result does not depend on ``about``.
     """
-    rng, n, size, nu = np.random.default_rng(0), log.sightings.shape[1], 60_000, 6
+    rng, n, nu = np.random.default_rng(0), log.sightings.shape[1], 6
     flat = about[:, 1:].reshape(len(about), 9)
     L = 1.1 * np.linalg.cholesky(np.cov(flat.T))
     e = rng.standard_normal((size, 9)) * np.sqrt(nu / rng.chisquare(nu, (size, 1)))

@@ -123,3 +123,9 @@ def test_every_public_name_is_on_a_page_of_the_python_interface(package):
 def test_stored_pictures_are_small():
     for picture in (DOCS / "img").iterdir():
         assert picture.stat().st_size < (1_000_000 if picture.suffix == ".gif" else 400_000), picture.name
+
+
+def test_every_page_is_in_the_navigation():
+    listed = set(re.findall(r"([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))
+    pages = {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md") if not page.name.endswith(".ja.md")}
+    assert pages - listed == {"_site/README.md"}

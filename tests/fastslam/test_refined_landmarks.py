@@ -1,0 +1,107 @@
+"""Landmarks beyond linearisation, Q at the estimated range, and the lectures' steps one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_gibbs import MOTION, importance, small
+
+from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, ParticleGibbs
+from graphslam import OptionError, SensorModel, simulate
+from graphslam.se2 import wrap
+
+SENSOR = SensorModel()
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+@pytest.mark.parametrize("range_noise", ["measured", "estimated"])
+def test_moments_and_likelihood_of_an_update(columns: int, range_noise: str) -> None:
+    """Gaussian prior times the density of the sighting, by samples of the prior."""
+    landmark, pose = np.array([3.0, 2.0, 0.4])[:columns], np.array([0.2, -0.1, 0.3])
+    z = SENSOR.h(pose, landmark) + np.array([[0.3, 0.04, -0.03], [-0.3, -0.03, 0.05]])[:, :columns]
+    q = np.diagonal(SENSOR.Q(z[1:]), axis1=1, axis2=2).copy()
+    normals = np.random.default_rng(0).standard_normal((200_000, columns))
+    slam = FastSLAM1(particles=1, start=pose, landmark_update="moments", range_noise=range_noise)
+    slam.observe([0], z[:1])
+    prior = slam.state.map(0)[0]
+    m = prior.mean + normals @ np.linalg.cholesky(prior.covariance).T
+    r = SENSOR.h(pose, m) - z[1]
+    r[:, 1:] = wrap(r[:, 1:])
+    variances = np.tile(q, (len(m), 1))
+    if range_noise == "estimated":
+        variances[:, 0] = (SENSOR.range_rate * np.hypot(*(m[:, :2] - pose[:2]).T)) ** 2
+    weights = np.exp(-0.5 * np.sum(r * r / variances + np.log(2 * np.pi * variances), axis=1))
+    likelihood, weights = np.log(weights.mean()), weights / weights.sum()
+    mean = weights @ m
+    covariance = (m - mean).T @ (weights[:, None] * (m - mean))
+    found = slam._weigh(np.array([0]), z[1:].copy(), q.copy())
+    assert found is not None
+    estimate, std = slam.state.map(0)[0], np.sqrt(np.diag(covariance))
+    scaled = (estimate.covariance - covariance) / np.outer(std, std)
+    errors = np.array([np.abs((estimate.mean - mean) / std).max(), np.abs(scaled).max(), found[0] - likelihood])
+    assert np.all(np.abs(errors) < [0.03, 0.06, 0.03])
+
+
+def test_first_sighting_has_the_moments_of_its_posterior() -> None:
+    pose, z, rng = np.array([0.2, -0.1, 0.3]), np.array([3.0, 0.4, -0.2]), np.random.default_rng(0)
+    slam = FastSLAM1(particles=1, start=pose, landmark_update="moments")
+    slam.observe([0], [z])
+    noise = rng.standard_normal((400_000, 3)) * np.sqrt(np.diag(SENSOR.Q(z)))
+    samples, weights = SENSOR.h_inverse(pose, z + noise), z[0] + noise[:, 0]
+    weights /= weights.sum()
+    mean, estimate = weights @ samples, slam.state.map(0)[0]
+    covariance = (samples - mean).T @ (weights[:, None] * (samples - mean))
+    std = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose((estimate.mean - mean) / std, 0, atol=0.01)
+    np.testing.assert_allclose(estimate.covariance / np.outer(std, std), covariance / np.outer(std, std), atol=0.01)
+
+
+def test_moments_reach_the_exact_posterior() -> None:
+    """A log on which linearised landmarks are off by 0.6 standard deviations with any number of particles."""
+    # of motions of several controls the filters, too, draw from the Gaussian
+    log = small(1, 2, composite=True)
+    gibbs = ParticleGibbs(log, motion=MOTION, density="exact", particles=8, iterations=500, warm_up=60, chains=2).run()
+    mean, std, _ = importance(log, SENSOR, gibbs.trajectories[:, ::4].reshape(-1, 4, 3))
+    errors = {}
+    for kind in (FastSLAM1, FastSLAM2):
+        for update in ("kalman", "moments"):
+            means = []
+            for seed in range(2):
+                slam = kind(log, particles=20_000, seed=seed, motion=MOTION, landmark_update=update)
+                slam.run()
+                mixture = slam.state.mixture_map()
+                means.append(np.concatenate([slam.state.mean_pose, mixture[0].mean, mixture[1].mean]))
+            errors[update] = np.abs((np.mean(means, axis=0) - mean) / std).max()
+        assert errors["kalman"] > 0.4
+        assert errors["moments"] < 0.15
+
+
+@pytest.mark.parametrize("cls", [FastSLAM1, FastSLAM2, MonteCarloLocalization])
+def test_the_steps_of_the_lectures(cls: type) -> None:
+    log = simulate(seed=1, steps=20, clean=True)
+    motion, weights, full = (
+        cls(log, particles=40, seed=2, stage=stage).run() for stage in ("motion", "weights", "resampling")
+    )
+    np.testing.assert_array_equal(motion.log_weights, np.log(1 / 40))
+    np.testing.assert_array_equal(motion.ess, 40)
+    assert not motion.resampled.any() and not weights.resampled.any() and full.resampled.any()
+    assert np.ptp(weights.log_weights) > 1
+    never = cls(log, particles=40, seed=2, ess_threshold=0.0).run()
+    np.testing.assert_array_equal(weights.log_weights, never.log_weights)
+    np.testing.assert_array_equal(weights.poses, never.poses)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"stage": "walk"}, "stage must be one of motion, weights, resampling"),
+        ({"landmark_update": "ukf"}, "landmark_update must be one of kalman, moments"),
+        ({"range_noise": "true"}, "range_noise must be one of measured, estimated"),
+        ({"landmark_update": "moments", "association": "maximum-likelihood"}, "need the association known"),
+        ({"range_noise": "estimated", "association": "maximum-likelihood"}, "need the association known"),
+        ({"range_noise": "estimated", "proposal_weight": "linearised"}, "needs the proposal_weight exact"),
+    ],
+)
+def test_bad_options(options: dict, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        FastSLAM2(**options)
