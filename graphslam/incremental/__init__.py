@@ -1,1 +1,1 @@
-"""Graph SLAM while the robot drives, at the optimum of the whole graph after every step."""
+"""Graph SLAM while the robot drives, with the solution of the whole graph after every step."""

@@ -58,15 +58,18 @@ def online(log: Log, *, tolerance: float = 1e-7, **options: Any) -> Iterator[Onl
 
 
 def solve_by_steps(graph: Graph, *, tolerance: float = 1e-7) -> Solution:
-    """The estimate after the last step of `steps_of`; a stationary point, because every step ends at one."""
+    """The estimate after the last step of `steps_of`, which has converged if its last step has."""
     begin = time.perf_counter()
     *_, last = steps_of(graph, tolerance=tolerance)
+    converged, reason = last.solver.converged, "went through the log once, step by step"
+    if not converged:
+        reason += ", and did not converge at the last step"
     seconds, state = time.perf_counter() - begin, graph.initial.copy()
     state[: len(graph.steps)] = last.poses
     state[len(graph.steps) :, : graph.landmark_dimension] = list(last.landmarks.values())
     return make_solution(
-        graph, state, step_norms=[], costs=[], converged=True, reason="went through the log once, step by step",
-        seconds=seconds, solver="online",
+        graph, state, step_norms=[], costs=[], converged=converged, reason=reason, seconds=seconds,
+        solver="online",
     )  # fmt: skip
 
 

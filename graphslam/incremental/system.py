@@ -142,10 +142,11 @@ class OnlineSystem:
         if self.num_nodes > GROWTH * self._whole + 50:
             self._whole, touched = self.num_nodes, np.arange(self.num_nodes)
         touched, fresh, newest = (np.asarray(part, dtype=np.int32) for part in (touched, fresh, newest))
-        self.passes, before = 0, self.nodes.x[: self.num_nodes].copy()
+        self.passes, self.converged, before = 0, True, self.nodes.x[: self.num_nodes].copy()
         for batch in (False, True):
             result, node = self._advance(touched, fresh, newest)
             if result == DONE or (batch and result == UNFINISHED):
+                self.converged = result == DONE
                 return
             if batch:
                 raise GraphError(f"node {node} is not determined")

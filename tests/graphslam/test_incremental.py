@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import graphslam.incremental.system
 from graphslam import Graph, GraphError, MotionModel, OnlineSolver, OptionError, SensorModel, online, simulate, solve
 from graphslam.edges import AnchorEdges, RelativePoseEdges
-from graphslam.incremental.stream import steps_of
+from graphslam.incremental.stream import solve_by_steps, steps_of
 from graphslam.se2 import between, compose, wrap
 from graphslam.transform import first_poses
 
@@ -171,3 +172,13 @@ def test_a_correction_too_large_for_undamped_passes():
     # a stationary point: linearised anew, nothing moves
     solver.relinearize()
     np.testing.assert_allclose(wrap(solver.poses - tied), 0, atol=1e-3)
+
+
+def test_a_step_that_does_not_end_says_so(monkeypatch):
+    log = simulate(seed=2, steps=8, orientation=False)
+    graph = Graph.from_log(log, edges="landmark+motion")
+    assert solve_by_steps(graph).converged
+    monkeypatch.setattr(graphslam.incremental.system, "PASSES", 0)
+    found = solve_by_steps(graph)
+    assert not found.converged
+    assert "did not converge" in found.reason
