@@ -12,6 +12,7 @@ import numpy as np
 
 from graphslam import Log, SensorModel
 from graphslam.plausibility import Finding, plausibility
+from graphslam.plausibility.readings import comparable
 from graphslam.se2 import Array
 
 from .display import Displayed
@@ -70,6 +71,11 @@ class Overview(Displayed):
     def findings(self) -> tuple[Finding, ...]:
         """What is probably wrong."""
         return plausibility(self.log)
+
+    @cached_property
+    def compared(self) -> bool:
+        """Whether sightings could be compared with the odometry."""
+        return comparable(self.log) is not None
 
     @cached_property
     def path(self) -> Array:

@@ -77,5 +77,10 @@ def overview_tables(overview: Overview) -> Tables:
     remarks += [f"{note}." for note in log.notes]
     remarks += [f"WARNING: {finding.message}." for finding in overview.findings]
     if not overview.findings:
-        remarks.append("Nothing is suspicious: units, signs, axes, clocks and ids were checked.")
+        remarks.append(
+            "Nothing is suspicious: units, signs, axes, clocks and ids were checked."
+            if overview.compared
+            else "Nothing is suspicious, but too few landmarks are seen twice over a short way to check units, signs and "
+            "axes against the odometry."
+        )
     return [rates, seen], remarks

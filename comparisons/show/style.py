@@ -22,7 +22,7 @@ ESTIMATORS: dict[str, dict[str, Any]] = {
     "mcl": {"color": "#CC79A7", "linestyle": (0, (1, 1.2)), "linewidth": 1.4, "zorder": 2.5},
     "fastslam1": {"color": "#009E73", "linestyle": (0, (6, 1.2, 1, 1.2)), "linewidth": 1.1, "zorder": 2.6},
     "fastslam2": {"color": "#882255", "linestyle": (0, (3, 1, 1, 1, 1, 1)), "linewidth": 1.1, "zorder": 2.7},
-    "particle-gibbs": {"color": "#AA4466", "linestyle": (0, (4, 1, 1, 1)), "linewidth": 1.2, "zorder": 2.72},
+    "particle-gibbs": {"color": "#AA4466", "linestyle": (0, (1, 1, 1, 3)), "linewidth": 1.2, "zorder": 2.72},
 }
 #: the graphs of a consistency study, beside the estimators
 CONSISTENCY: dict[str, dict[str, Any]] = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from typing import TypeAlias
 
 import numpy as np
@@ -64,9 +65,10 @@ class Certificate:
 
     def of_run(self, converged: bool, reason: str) -> Certificate:
         """The certificate of a solver's end: "not proven" where the solver has not converged, however tight the bound is."""
-        if self.status != GLOBAL or converged:
+        if converged or not self.applicable:
             return self
-        return replace(self, status=NOT_PROVEN, reason=f"the solver has not converged: {reason}")
+        also = "" if self.status == GLOBAL else f"; {self.reason}"
+        return replace(self, status=NOT_PROVEN, reason=f"the solver has not converged: {reason}{also}")
 
 
 def prove(graph: Graph, state: Array, *, thorough: bool = True) -> Certificate:
@@ -133,7 +135,9 @@ def _outcome(problem: Callable[[], _Problem], cost: float, thorough: bool) -> _O
 
 def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
     curve, direction = problem.curvature(SHARE), None
-    problem.check_information(curve)
+    if not problem.check_information(curve):
+        reason = "an edge has singular information, whose smallest eigenvalue is negative by rounding, so that J has no bound"
+        return NOT_PROVEN, 0.0, reason, None
     function = problem.minorant(curve)
     exact = float(problem.forces.cost.sum())
     if problem.forces.zero.all() and max(cost, exact) <= PROVEN:
@@ -219,10 +223,10 @@ class _Problem:
         summation = ROUNDOFF * (128.0 + 4 * ends)
         return cls(nodes, joined, free, system.indptr, system.indices, symbolic, force, given, summation)
 
-    def check_information(self, curve: Curvature) -> None:
+    def check_information(self, curve: Curvature) -> bool:
         """Raise `GraphError` where the information of an edge has a negative eigenvalue, beyond its rounding.
 
-        Only edges without a split can have one.
+        Only edges without a split can have one. The result is whether all are positive semi-definite in exact arithmetic.
         """
         suspects = np.flatnonzero(curve.beta < 0)
         W = self.edges[6][suspects][:, [[0, 1, 3], [1, 2, 4], [3, 4, 5]]]
@@ -233,6 +237,7 @@ class _Problem:
             a, b = (int(nodes[suspects[k]]) for nodes in self.edges[:2])
             ends = f"node {b}" if a < 0 else f"the nodes {a} and {b}"
             raise GraphError(f"the information of an edge at {ends} is not positive semi-definite")
+        return all(_semidefinite(W[k]) for k in np.flatnonzero(smallest < ROUNDED[1]))
 
     def curvature(self, share: float) -> Curvature:
         """The split of the information of all edges for one share."""
@@ -334,6 +339,13 @@ class _Problem:
             x = factor.solve(weight * x)
             x /= np.sqrt(np.sum(weight * np.abs(x) ** 2))
         return x
+
+
+def _semidefinite(W: Array) -> bool:
+    """Whether a symmetric matrix (3, 3) is positive semi-definite, in exact arithmetic: all principal minors are >= 0."""
+    a, b, c, d, e, f = (Fraction(float(number)) for number in W[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]])
+    two = min(a * c - b * b, a * f - d * d, c * f - e * e)
+    return min(a, c, f, two, a * (c * f - e * e) - b * (b * f - d * e) + d * (b * e - c * d)) >= 0
 
 
 def _joined(parts: Sequence[ConstantEdges]) -> tuple[Array, ...]:

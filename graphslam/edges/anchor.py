@@ -22,6 +22,11 @@ class AnchorEdges(EdgeFamily):
     values: Array
     information: Array
 
+    def __post_init__(self) -> None:
+        # J knows only the symmetric part, and whoever reads one triangle must find the same
+        symmetric = (self.information + np.swapaxes(self.information, 1, 2)) / 2
+        object.__setattr__(self, "information", symmetric)
+
     @property
     def count(self) -> int:
         return len(self.nodes)

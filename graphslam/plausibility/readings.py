@@ -55,11 +55,7 @@ class Reading:
 
 def readings_of(log: Log) -> Iterator[Finding]:
     """The other reading that fits far better, or that none fits."""
-    pairs = pairs_of(log)
-    if pairs is None and log.controls is not None:
-        # at a thousandth of the speed there may be short ways
-        pairs = pairs_of(log, slower=1000.0)
-    if pairs is None:
+    if (pairs := comparable(log)) is None:
         return
     readings = pairs.readings()
     likely = [
@@ -194,17 +190,27 @@ def _direction(sign: int, degrees: int) -> tuple[str, str]:
     return "sensor direction", f"the sensor looks {about}{abs(degrees)} degrees to the {side} ({yaw})"
 
 
-def pairs_of(log: Log, *, slower: float = 1.0) -> Pairs | None:
+def comparable(log: Log) -> Pairs | None:
+    """The pairs of a log as it stands, or else read with other units; None where nothing can be compared."""
+    # at a thousandth of the speed, or with turn rates in degrees, there may be short ways
+    for slower, degrees in ((1.0, False), (1000.0, False), (1.0, True), (1000.0, True)):
+        if (pairs := pairs_of(log, slower=slower, degrees=degrees)) is not None:
+            return pairs
+    return None
+
+
+def pairs_of(log: Log, *, slower: float = 1.0, degrees: bool = False) -> Pairs | None:
     """Pairs of sightings of one landmark over short ways; None where there are too few, or no controls.
 
     Args:
         log: the log.
         slower: ways are measured as if the speed was smaller by this factor.
+        degrees: ways are measured as if the turn rates were in degrees.
     """
     if log.controls is None or log.dt is None or len(log.sightings) < 2:
         return None
     middle = float(np.median(log.sightings[:, 0]))
-    driven = np.abs(log.controls) @ [1 / (slower * middle), 1.0] * log.dt
+    driven = np.abs(log.controls) @ [1 / (slower * middle), np.pi / 180 if degrees else 1.0] * log.dt
     # with turn rates in degrees a way would seem too long: no more than usual in each control
     if (typical := float(np.median(driven[driven > 0]) if np.any(driven > 0) else 0.0)) == 0:
         return None

@@ -34,7 +34,8 @@ def constant_edges(
         GraphError: a factor has another cost, or information that depends on the state.
         OptionError: the values lack a key of the graph.
     """
-    listed = [factors.at(k) for k in range(factors.size())]
+    # a removed factor leaves an empty place
+    listed = [factor for k in range(factors.size()) if (factor := factors.at(k)) is not None]
     keys = sorted({key for factor in listed for key in list(factor.keys())})
     node = {key: k for k, key in enumerate(keys)}
     state = np.array([_value(values, key) for key in keys]).reshape(-1, 3)
@@ -105,6 +106,19 @@ def _relative(group: _Group, state: Array, _: int) -> Iterable[ConstantEdges]:
     yield edges(first, second, np.array(measured), np.array(information)).constant(state)
 
 
+def _many(group: _Group, state: Array, _: int) -> Iterable[ConstantEdges]:
+    for keys, description in group:
+        a, nodes = description.arguments, np.array(keys)
+        if a["edge_kernel"] is not None and (a["robust"] is None or np.any(a["robust"])):
+            raise GraphError(f"the robust kernel of {description} changes the weights with the state")
+        first, second, measured = (np.array(a[name]) for name in ("first", "second", "measured"))
+        to_point = second >= len(keys) - a["points"]
+        for kind, chosen, d in ((RelativePoseEdges, ~to_point, 3), (RelativePointEdges, to_point, 2)):
+            if chosen.any():
+                ends = nodes[first[chosen]], nodes[second[chosen]]
+                yield kind(*ends, measured[chosen, :d], np.array(a["information"])[chosen, :d, :d]).constant(state)
+
+
 def _measured(description: FactorDescription) -> tuple[Array, Array]:
     """What a factor of two keys measures in the axes of the first, and its information."""
     a, origin = description.arguments, np.zeros(3)
@@ -164,6 +178,7 @@ def _inverse(covariance: Array) -> Array:
 _EDGES = {
     "AnchorFactor": _anchors,
     "RelativePoseFactor": _relative,
+    "RelativeEdgesFactor": _many,
     "MotionFactor": _relative,
     "RelativePointFactor": _relative,
     "ObservationFactor": _sightings,

@@ -81,11 +81,11 @@ def parts_of_streams(
         remarks.append(gap_note(gaps))
         warnings.warn(f"{name}: {remarks[-1]}", UserWarning, stacklevel=4)
     true_poses = None if truth is None else truth_at(times, truth)
-    if true_poses is not None:
+    if truth is not None and true_poses is not None:
         covered = np.isfinite(true_poses[:, 0])
         if not covered.any():
             true_poses = None
-            remarks.append("the truth covers no pose")
+            remarks.append("the truth covers no pose" + _why_not_covered(times, truth))
         elif not covered.all():
             remarks.append(f"the truth covers {covered.sum()} of {len(covered)} poses")
     true_path = None
@@ -222,6 +222,17 @@ def truth_at(times: Array, truth: Stream) -> Array:
     else:
         poses[known] = interpolate(a, b, s)
     return poses
+
+
+def _why_not_covered(times: Array, truth: Stream) -> str:
+    """Why `truth_at` finds nothing: rows too far apart, or another time; nothing to say for fewer than two rows."""
+    if len(truth) < 2:
+        return ""
+    at = np.unique(truth.times)
+    if len(at) < 2 or at[0] > times[-1] or at[-1] < times[0]:
+        return ": its times lie before or after the poses"
+    spacing = float(np.median(np.diff(at)))
+    return f": its rows are {spacing:.3g} s apart (median), and it is interpolated between rows at most {TRUTH_GAP:g} s apart"
 
 
 def _filled(times: Array, most: float) -> Array:

@@ -351,6 +351,7 @@ def test_gtsam_graphs_of_our_factors():
         LandmarkFactor,
         MotionFactor,
         ObservationFactor,
+        RelativeEdgesFactor,
         RelativePointFactor,
         RelativePoseFactor,
         VirtualMotionFactor,
@@ -380,6 +381,17 @@ def test_gtsam_graphs_of_our_factors():
     proof = certify(graph, end)
     assert proof.status == "global"
     assert proof.lower_bound == pytest.approx(2 * graph.error(end), rel=1e-6)
+    # many edges in one factor, and a factor that was removed
+    graph.add(RelativeEdgesFactor(
+        [0, 1, 3, 10], [0, 1, 0], [1, 2, 3], [between(poses[0], poses[1]), between(poses[1], poses[3]), [2.0, 1.1, 0.0]],
+        np.array([np.eye(3)] * 3), points=1,
+    ))  # fmt: skip
+    graph.add(AnchorFactor(0, [5.0, 5.0, 1.0]))
+    graph.remove(graph.size() - 1)
+    again = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    proof = certify(graph, again)
+    assert proof.status == "global"
+    assert proof.lower_bound == pytest.approx(2 * graph.error(again), rel=1e-6)
     held = gtsam.NonlinearFactorGraph(graph)
     held.add(gtsam.BetweenFactorPose2(0, 1, gtsam.Pose2(), gtsam.noiseModel.Unit.Create(3)))
     refused = certify(held, end)
@@ -485,6 +497,42 @@ def test_information_that_is_singular_up_to_rounding_is_inside():
     graph.families[0].information[0] = axes @ axes.T
     proof = certify(graph, solve(graph, initialize="given").state)
     assert proof.status == "not proven" and "singular information" in proof.reason
+
+
+def test_a_negative_eigenvalue_of_the_size_of_rounding_proves_nothing():
+    """An eigenvalue of -6.7e-15 of the largest: far out, the cost falls below that of the state."""
+    size, part = 2.0**36, 30 * 2.0**-52
+    tilted = size * np.array([[1, 1 + part, 0], [1 + part, 1, 0], [0, 0, 1]])
+    holding = np.diag([1.02 * size * part, 1.02 * size * part, 1.0])
+    measured = np.array([[0.0, 0, 0], [64, -64, 0], [0, 0, 0], [30, 0, 0]])
+    information = np.array([tilted, holding, np.eye(3), np.eye(3)])
+    edges = RelativePoseEdges(np.zeros(4, int), np.array([1, 1, 2, 2]), measured, information)
+    state = np.array([[0.0, 0, 0], [64, -64, 0], [15, 0, 0]])
+    graph = Graph(
+        state, families=(edges,), steps=np.arange(3), trajectory=state, pose_ids=np.arange(3), fixed=np.array([0])
+    )
+    far = np.array([[0.0, 0, 0], [3264, -3264, 0], [15, 0, 0]])
+    assert graph.cost(far) < 0.6 * graph.cost(state)
+    assert certify(graph, state).status == "not proven"
+
+
+def test_anchors_have_symmetric_information():
+    """Read from one triangle, this anchor would hold y; in J it does not."""
+    information = np.array([[1e11, 0, 0], [99.0, 1e-8, 0], [0, 0, 1.0]])
+    anchor = AnchorEdges(np.array([0]), np.zeros((1, 3)), information[None])
+    pair = RelativePoseEdges(
+        np.array([0, 0]), np.array([1, 1]), np.array([[0.0, 0, 0], [3, 0, 0]]), np.array([np.eye(3)] * 2)
+    )
+    state = np.array([[0.0, 0, 0], [1.5, 0, 0]])
+    graph = Graph(
+        state,
+        families=(anchor, pair),
+        steps=np.arange(2),
+        trajectory=state,
+        pose_ids=np.arange(2),
+        fixed=np.array([], int),
+    )
+    assert certify(graph, state).status != "global"
 
 
 def test_a_state_that_moves_a_fixed_pose_is_not_proven():

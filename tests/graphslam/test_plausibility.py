@@ -9,6 +9,7 @@ from graphslam import MotionModel, Stream, load, sample_log_path, simulate, sync
 from graphslam.plausibility import plausibility
 from graphslam.plausibility.readings import pairs_of
 from graphslam.reading import UNIDENTIFIED
+from graphslam.se2 import wrap
 
 
 def checks(log):
@@ -227,3 +228,22 @@ def test_landmarks_that_are_seen_once(sample):
     )
     two = sample.replace(steps=[5, 9], landmarks=[7, 8], sightings=[[1.0, 0.2], [1.0, 0.2]])
     assert "the 2 sightings are of 2 landmarks" in message(two, "seen once")
+
+
+def test_turn_rates_in_degrees_of_a_robot_that_turns_slowly():
+    """2 m/s and 4 degrees/s: read as radians, half a second between sightings seems to be a turn of 2 rad."""
+    rng = np.random.default_rng(1)
+    times = 0.05 * np.arange(1200)
+    headings = 0.07 * times
+    places = np.cumsum(0.1 * np.column_stack([np.cos(headings), np.sin(headings)]), axis=0)
+    marks = places[::60] + rng.uniform(-15, 15, (20, 2))
+    rows = []
+    for k in range(0, 1200, 10):
+        ahead = marks - places[k]
+        distance, bearing = np.hypot(*ahead.T), wrap(np.arctan2(ahead[:, 1], ahead[:, 0]) - headings[k])
+        rows += [(times[k], j, distance[j], bearing[j]) for j in np.flatnonzero((distance < 25) & (abs(bearing) < 1.2))]
+    seen = np.array(rows)
+    for factor, expected in ((1.0, []), (180 / np.pi, ["turn rate unit"])):
+        odometry = Stream(times, np.tile([2.0, 0.07 * factor], (1200, 1)))
+        log = synchronize(odometry, Stream(seen[:, 0], seen[:, 2:]), seen[:, 1].astype(int))
+        assert [check for check in checks(log) if check != "landmark seen once"] == expected

@@ -90,7 +90,12 @@ def test_truth_that_ends_early():
     assert "the truth covers 2 of 3 poses" in log.notes
     np.testing.assert_allclose(log.initial_poses[0], [1, 2, 3])  # the known start
     late = joined(4.0, 5.0, truth=truth)
-    assert late.true_poses is None and "the truth covers no pose" in late.notes
+    assert late.true_poses is None and "the truth covers no pose: its times lie before or after the poses" in late.notes
+    sparse = joined(0.5, 1.5, truth=Stream(np.arange(4) * 0.97, np.zeros((4, 3))))
+    assert (
+        "its rows are 0.97 s apart (median), and it is interpolated between rows at most 0.5 s apart"
+        in sparse.notes[-1]
+    )
 
 
 def gapped(length):
