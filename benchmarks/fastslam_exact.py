@@ -154,8 +154,8 @@ def smoothing(logs: int) -> Iterator[str]:
                 ratios.append(np.median(found / std))
             histories, drawn = np.mean(errors, axis=0)
             yield (
-                f"log {seed}, {kind.__name__}, N = {n:,}: histories {histories:.2f}, drawn backwards {drawn:.2f}, their standard "
-                f"deviations {np.median(ratios):.2f} times; {(time.process_time() - begin) / 3:.1f} s of processor time"
+                f"log {seed}, {kind.__name__}, N = {n:,}: histories {histories:.2f}, drawn backwards {drawn:.2f}, their "
+                f"standard deviations {np.median(ratios):.2f} times; {(time.process_time() - begin) / 3:.1f} s of processor time"
             )
 
 
