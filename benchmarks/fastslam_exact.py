@@ -155,7 +155,7 @@ def smoothing(logs: int) -> Iterator[str]:
             histories, drawn = np.mean(errors, axis=0)
             yield (
                 f"log {seed}, {kind.__name__}, N = {n:,}: histories {histories:.2f}, drawn backwards {drawn:.2f}, their "
-                f"standard deviations {np.median(ratios):.2f} times; {(time.process_time() - begin) / 3:.1f} s of processor time"
+                f"standard deviations {np.median(ratios):.2f} times; {(time.process_time() - begin) / 3:.1f} s each"
             )
 
 
