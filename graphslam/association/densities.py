@@ -8,7 +8,6 @@ import numpy as np
 
 from ..log import Log
 from ..models import SensorModel
-from ..se2 import Array
 
 #: the share of sightings that the estimated field of view holds
 HELD = 0.98
@@ -44,12 +43,6 @@ class Field:
     def area(self) -> float:
         """Its area [m²]."""
         return max(self.bearing, 0.05) * max(self.farthest**2 - self.nearest**2, 1e-6)
-
-    def holds(self, places: Array, origin: tuple[float, float], inside: float) -> np.ndarray:
-        """Whether places (..., 2) in the robot's axes, seen from ``origin``, lie within a share of the field."""
-        d = places[..., :2] - origin
-        r, phi = np.hypot(d[..., 0], d[..., 1]), np.abs(np.arctan2(d[..., 1], d[..., 0]))
-        return (r >= self.nearest / inside) & (r <= self.farthest * inside) & (phi <= self.bearing * inside)
 
 
 @dataclass(frozen=True)
