@@ -24,8 +24,9 @@ RESAMPLING = ("systematic", "stratified", "residual", "multinomial")
 
 #: how FastSLAM 2.0 weighs its particles: with the density of its proposal, or as if h and f were linear
 PROPOSAL_WEIGHTS = ("exact", "linearised")
-#: how the Gaussian of a landmark follows from a sighting: by the Kalman gain, or with the moments of the posterior
-LANDMARK_UPDATES = ("kalman", "moments")
+#: how the Gaussian of a landmark follows from a sighting: by the Kalman gain, with the moments of the posterior, or
+#: from all sightings of the landmark together
+LANDMARK_UPDATES = ("kalman", "moments", "joint")
 #: the range at which the variance of a sighting's range is taken
 RANGE_NOISES = ("measured", "estimated")
 #: the fewest trajectories that backward simulation draws, so that they have covariances
@@ -73,7 +74,8 @@ class FilterOptions:
     landmark_update: str = field(
         default="kalman",
         metadata={
-            "help": "Landmarks of FastSLAM: kalman linearises each sighting, moments integrates it; known ids only.",
+            "help": "Landmarks of FastSLAM: kalman linearises each sighting, moments integrates it, joint integrates all "
+            "sightings of a landmark together; moments and joint with known ids only.",
             "choices": LANDMARK_UPDATES,
         },
     )
@@ -116,7 +118,8 @@ class FilterOptions:
         check_choice("stage", self.stage, STAGES)
         if not self.uses_ids and (self.landmark_update, self.range_noise) != ("kalman", "measured"):
             raise OptionError(
-                "landmark_update moments and range_noise estimated need the association known, not maximum-likelihood"
+                f"landmark_update {self.landmark_update} with range_noise {self.range_noise} needs the association known, "
+                "not maximum-likelihood"
             )
         if self.range_noise == "estimated" and self.proposal_weight != "exact":
             raise OptionError(
