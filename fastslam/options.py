@@ -176,6 +176,13 @@ class GibbsOptions:
             "choices": DENSITIES,
         },
     )
+    degrees_of_freedom: float | None = field(
+        default=None,
+        metadata={
+            "help": "Particle Gibbs: degrees of freedom of Student's t distribution of the sightings, such as 4 for real "
+            "data with wrong sightings; by default they are Gaussian."
+        },
+    )
 
     def __post_init__(self) -> None:
         for name, least in (("particles", 2), ("iterations", 1), ("warm_up", 0), ("chains", 1), ("block", 1)):
@@ -184,3 +191,9 @@ class GibbsOptions:
                 raise OptionError(f"{name} must be at least {least}, not {value}")
             object.__setattr__(self, name, value)
         check_choice("density", self.density, DENSITIES)
+        if self.degrees_of_freedom is not None:
+            expected = "a number above 0, or None for Gaussian sightings"
+            degrees = float(finite("degrees_of_freedom", self.degrees_of_freedom, expected, [()]))
+            if degrees <= 0:
+                raise OptionError(f"degrees_of_freedom must be {expected}, not {degrees!r}")
+            object.__setattr__(self, "degrees_of_freedom", degrees)
