@@ -6,6 +6,7 @@ from numba import njit
 
 from .linearize import CHANGED, CURVED
 from .passes import backward, forward, reevaluate
+from .refactor import refactor
 from .top import rebuild
 
 #: in standard deviations of the edges of a node: edges are evaluated again where a node has moved by `APART`, and the
@@ -22,12 +23,12 @@ DONE, GROW, UNDETERMINED, UNFINISHED = range(4)
 
 
 @njit(cache=True, error_model="numpy")
-def advance(nodes, edges, tree, touched, fresh, newest, robust, buffers, limits, tolerance, apart, share, most):
+def advance(nodes, edges, tree, touched, fresh, newest, robust, buffers, limits, number, tolerance, apart, share, most):
     """Eliminate the top above the nodes ``touched`` with ``fresh`` edges, and iterate until the predicted decrease of the
     cost is below ``tolerance`` of it.
 
     Returns the result, and what goes with it: the number of passes; or the supernodes, floats, ints and rows to
-    make room for, and the number of late edges in the buffer, whose owners are then to be touched.
+    make room for, and 0 if all of the ``number`` nodes are to be touched then, otherwise -1.
     """
     kernel, width, gain = robust
     work, moved, homes, late = buffers
@@ -50,25 +51,23 @@ def advance(nodes, edges, tree, touched, fresh, newest, robust, buffers, limits,
         # edges are evaluated where both ends are exact
         count = backward(nodes, tree, work, -1.0, apart, moved, count)
         changed, old = reevaluate(moved, count, nodes, edges, tree, kernel, width, gain, limits, homes, late)
-        if changed + old == 0:
+        if changed == 0:
             return DONE, k, 0, 0, 0, 0
         predicted = forward(homes, changed, nodes, tree, work)
-        if old:
-            owners = np.empty(old, np.int32)
-            for q in range(old):
-                owners[q] = edges.owner[late[q]]
-            result = _eliminate(nodes, edges, tree, owners, fresh[:0], newest, robust, limits, work)
-            if result[0]:
-                return *result, np.int64(old)
-            before = np.inf
-            continue
+        if predicted <= tolerance * edges.total[0]:
+            backward(nodes, tree, work, share, np.inf, moved, 0)
+            return DONE, k, 0, 0, 0, 0
         # slow passes: more of the edges have to be linearised where they are
         if predicted > SLOW * before:
             limits[0] = max(STRICTER * limits[0], 1e-9)
         before = predicted
-        if predicted <= tolerance * edges.total[0]:
-            backward(nodes, tree, work, share, np.inf, moved, 0)
-            return DONE, k, 0, 0, 0, 0
+        if old:
+            before = np.inf
+            if not refactor(late, old, nodes, edges, tree, robust, limits[1], work):
+                limits[1], limits[2] = np.inf, PLAIN
+                result = _eliminate(nodes, edges, tree, np.arange(number).astype(np.int32), fresh[:0], newest, robust, limits, work)
+                if result[0]:
+                    return *result, np.int64(0)
     return UNFINISHED, most, 0, 0, 0, 0
 
 

@@ -146,20 +146,18 @@ def between(e, edges, gain):
 
 @njit(cache=True, error_model="numpy")
 def evaluate(e, nodes, edges, kernel, width, gain, limit, curved):
-    """Bring the right-hand side of an edge up to date, unless its part of the factor is too old: returns whether it is."""
+    """Bring the right-hand side of an edge up to date; returns whether its part of the factor is too old."""
     u, c, s, factor, g, cost = linearize(e, nodes, edges, kernel, width)
+    _store(e, nodes, edges, gain, u, c, s, g, cost)
     if edges.robust[e] and abs(factor - edges.weight[e]) > min(REWEIGHTED, 3 * limit) * edges.weight[e] + 0.01:
         return True
-    W = kernels.row(edges.information, e)
-    turned = nodes.scale[edges.ends[e, 1], 0] * (s * edges.linear[e, 2] - c * edges.linear[e, 3])
-    size = nodes.scale[edges.ends[e, 0], 1]
-    a, b = size * (u[0] - edges.linear[e, 0]), size * (u[1] - edges.linear[e, 1])
+    W, L, size = kernels.row(edges.information, e), edges.linear[e], nodes.scale[edges.ends[e, 0], 1]
+    turned = nodes.scale[edges.ends[e, 1], 0] * (s * L[2] - c * L[3])
+    a, b = size * (u[0] - L[0]), size * (u[1] - L[1])
     if W[0] * a * a + 2 * W[1] * a * b + W[2] * b * b + (W[0] + W[2]) * turned * turned > limit:
         return True
-    if cost > curved or edges.linear[e, 5] != 0.0 or edges.linear[e, 6] != 0.0:
-        L, (gamma, x, y) = edges.linear[e], _curvature(e, edges, u, g, cost, curved)
-        bent = abs(gamma - L[4]) * size + 2 * (abs(x - L[5]) + abs(y - L[6])) / np.sqrt(W[0] + W[2])
-        if (size * bent) ** 2 > limit:
-            return True
-    _store(e, nodes, edges, gain, u, c, s, g, cost)
-    return False
+    if cost <= curved and L[5] == 0.0 and L[6] == 0.0:
+        return False
+    gamma, x, y = _curvature(e, edges, u, g, cost, curved)
+    bent = abs(gamma - L[4]) * size + 2 * (abs(x - L[5]) + abs(y - L[6])) / np.sqrt(W[0] + W[2])
+    return (size * bent) ** 2 > limit

@@ -83,7 +83,7 @@ def _substitute(x, at, ld, width, work, y):
 
 
 @njit(cache=True, error_model="numpy")
-def _upwards(homes, count, tree):
+def upwards(homes, count, tree):
     """The supernodes from ``homes`` up to the roots, children before their parents."""
     done, chains = 0, 0
     for k in range(count):
@@ -114,7 +114,7 @@ def forward(homes, count, nodes, tree, work):
     """Repeat the forward solution from supernodes up to the roots; returns the squared change of y, the predicted
     decrease of the cost."""
     change = 0.0
-    for s in _upwards(homes, count, tree):
+    for s in upwards(homes, count, tree):
         change += forward_one(s, nodes, tree, work)
         tree.changed[s] = 1
     return change
@@ -201,13 +201,12 @@ def reevaluate(moved, count, nodes, edges, tree, kernel, width, gain, limits, ho
                 if evaluate(e, nodes, edges, kernel, width, gain, limits[0], limits[1]):
                     late[old] = e
                     old += 1
-                else:
-                    for end in range(2):
-                        s = nodes.home[edges.ends[e, end]]
-                        if not tree.mark[s]:
-                            tree.mark[s] = 1
-                            homes[changed] = s
-                            changed += 1
+                for end in range(2):
+                    s = nodes.home[edges.ends[e, end]]
+                    if not tree.mark[s]:
+                        tree.mark[s] = 1
+                        homes[changed] = s
+                        changed += 1
             e = edges.next[e, side]
     for k in range(changed):
         tree.mark[homes[k]] = 0
@@ -220,7 +219,7 @@ def marginals(wanted, nodes, tree, work):
     homes = np.empty(len(wanted), np.int32)
     for k in range(len(wanted)):
         homes[k] = nodes.home[wanted[k]]
-    path, x, result = _upwards(homes, len(homes), tree), tree.floats, np.empty((3 * len(wanted), 3 * len(wanted)))
+    path, x, result = upwards(homes, len(homes), tree), tree.floats, np.empty((3 * len(wanted), 3 * len(wanted)))
     for column in range(3 * len(wanted)):
         nodes.scratch[wanted[column // 3], column % 3] = 1.0
         y = tree.counts[FLOATS]

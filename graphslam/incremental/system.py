@@ -162,17 +162,17 @@ class OnlineSystem:
         while late_rounds < PASSES:
             result, *rest = advance(
                 self.nodes, self.edges, self.tree, touched, fresh, newest, self._robust, self._room(),
-                self._limits, self.tolerance, self.apart, self.share, PASSES,
+                self._limits, self.num_nodes, self.tolerance, self.apart, self.share, PASSES,
             )  # fmt: skip
             if result != GROW:
                 self.passes += rest[0] if result != UNDETERMINED else 0
                 return result, rest[0]
-            supernodes, floats, ints, tallest, late = rest
+            supernodes, floats, ints, tallest, again = rest
             self._tallest = max(self._tallest, tallest)
             self.tree = with_room(self.tree, supernodes, floats, ints)
-            if late >= 0:
+            if again >= 0:
                 late_rounds += 1
-                touched, fresh = self.edges.owner[self._buffers[3][:late]], fresh[:0]
+                touched, fresh = np.arange(self.num_nodes, dtype=np.int32), fresh[:0]
         return UNFINISHED, 0
 
     def _room(self) -> tuple[np.ndarray, ...]:

@@ -15,9 +15,7 @@ from ..linear.information import pattern
 from .arrays import FLOATS, FREE, INTS, WASTE_FLOATS, WASTE_INTS, sizes
 from .linearize import between, relinearize
 from .passes import forward_one
-
-#: the least ratio of a pivot to its diagonal entry, as for batch solutions
-PIVOT_TOLERANCE = 1e-12
+from .refactor import PIVOT_TOLERANCE
 
 
 @njit(cache=True, error_model="numpy")
