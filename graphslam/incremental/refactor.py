@@ -7,7 +7,7 @@ from numba import njit
 from ..linear.cholesky.kernels import negative_gram
 from ..linear.cholesky.simd import clear
 from ..linear.cholesky.supernodal import _extend, _runs, factor_panel
-from .arrays import sizes
+from .arrays import COST, CURVED_FROM, sizes
 from .linearize import between, relinearize
 from .passes import forward_one, upwards
 
@@ -16,7 +16,7 @@ PIVOT_TOLERANCE = 1e-12
 
 
 @njit(cache=True, error_model="numpy")
-def refactor(late, count, nodes, edges, tree, robust, curved, work):
+def refactor(late, count, nodes, edges, tree, robust, memory, work):
     """Linearise ``count`` edges again, and factorise and solve forward from their owners up to the roots.
 
     Returns whether Omega is positive definite. If it is not, the tree is of no use until all of it is built again.
@@ -24,27 +24,27 @@ def refactor(late, count, nodes, edges, tree, robust, curved, work):
     kernel, width, gain = robust
     homes = np.empty(count, np.int32)
     for k in range(count):
-        relinearize(late[k], nodes, edges, kernel, width, gain, curved)
+        memory[COST] += relinearize(late[k], nodes, edges, kernel, width, gain, memory[CURVED_FROM])
         homes[k] = nodes.home[edges.owner[late[k]]]
     path, tallest = upwards(homes, count, tree), 0
     for s in path:
-        tallest = max(tallest, np.int64(tree.w[s]) + np.int64(tree.r[s]))
+        tallest = max(tallest, np.int64(tree.groups.w[s]) + np.int64(tree.groups.r[s]))
     pivots, run, relative = np.empty(3 * tallest), np.empty(tallest, np.int64), np.empty(tallest, np.int32)
     good = True
     for s in path:
         good = good and _factorize_one(s, nodes, edges, tree, gain, pivots, relative, run)
         if good:
             forward_one(s, nodes, tree, work)
-        tree.changed[s] = 1
+        tree.groups.changed[s] = 1
     return good
 
 
 @njit(cache=True, error_model="numpy")
 def _factorize_one(s, nodes, edges, tree, gain, pivots, relative, run):
     """The panel and the update matrix of a supernode from its edges and children; returns whether all pivots are good."""
-    x, w, r = tree.floats, np.int64(tree.w[s]), np.int64(tree.r[s])
+    x, w, r = tree.floats, np.int64(tree.groups.w[s]), np.int64(tree.groups.r[s])
     ld, padded, _ = sizes(w, r)
-    width, at, front = 3 * w, tree.at[s], tree.nodes_at[s]
+    width, at, front = 3 * w, tree.groups.at[s], tree.groups.nodes_at[s]
     clear(x, at, width * ld)
     for q in range(w + r):
         nodes.local[tree.ints[front + q]] = q
@@ -60,10 +60,10 @@ def _factorize_one(s, nodes, edges, tree, gain, pivots, relative, run):
             if bad >= 0 or r == 0:
                 break
             negative_gram(x, at + width * ld, padded, x, at + width, ld, padded, 3 * r, width)
-        c = tree.child[s]
+        c = tree.groups.child[s]
         while c > 0:
             _from_child(c, part, w, at, ld, padded, nodes, tree, relative, run)
-            c = tree.sibling[c]
+            c = tree.groups.sibling[c]
     for q in range(w + r):
         nodes.local[tree.ints[front + q]] = -1
     return bad < 0
@@ -72,10 +72,10 @@ def _factorize_one(s, nodes, edges, tree, gain, pivots, relative, run):
 @njit(cache=True, error_model="numpy")
 def _entries(node, q, at, ld, nodes, edges, x, gain):
     """The blocks of Omega in the q-th column of a panel: the diagonal, and the edges that the node owns."""
-    D, t = nodes.diagonal[node], at + 3 * q * (ld + 1)
-    x[t], x[t + 1], x[t + 2] = D[0], D[1], D[3]
-    x[t + ld + 1], x[t + ld + 2] = D[2], D[4]
-    x[t + 2 * ld + 2] = D[5] + (1.0 if nodes.point[node] else 0.0)
+    D, t = nodes.diagonal, at + 3 * q * (ld + 1)
+    x[t], x[t + 1], x[t + 2] = D[node, 0], D[node, 1], D[node, 3]
+    x[t + ld + 1], x[t + ld + 2] = D[node, 2], D[node, 4]
+    x[t + 2 * ld + 2] = D[node, 5] + (1.0 if nodes.point[node] else 0.0)
     e = nodes.owned[node]
     while e >= 0:
         first = edges.ends[e, 0] == node
@@ -90,9 +90,9 @@ def _entries(node, q, at, ld, nodes, edges, x, gain):
 @njit(cache=True, error_model="numpy")
 def _from_child(c, part, w, at, ld, padded, nodes, tree, relative, run):
     """Add the update matrix of a child to the panel of its parent (part 0) or to the update matrix (part 1)."""
-    x, wc, rc = tree.floats, np.int64(tree.w[c]), np.int64(tree.r[c])
+    x, wc, rc = tree.floats, np.int64(tree.groups.w[c]), np.int64(tree.groups.r[c])
     ldc, _, _ = sizes(wc, rc)
-    below, source = tree.nodes_at[c] + wc, tree.at[c] + 3 * wc * ldc
+    below, source = tree.groups.nodes_at[c] + wc, tree.groups.at[c] + 3 * wc * ldc
     step, ascending, split = ldc - 3 * wc, True, 0
     for k in range(rc):
         relative[k] = nodes.local[tree.ints[below + k]]
