@@ -17,8 +17,10 @@ APART, SHARE, SMALL = 0.005, 0.001, 120.0
 #: where a pass predicts more than `SLOW` times the decrease of the pass before, the limit beyond which an edge is linearised
 #: again is multiplied by `STRICTER`, and by `EASIER` after every step that needs no pass
 SLOW, STRICTER, EASIER = 0.2, 0.1, 1.1
-#: for so many calls second derivatives stay out of Omega once they have made it indefinite
-PLAIN = 20
+#: for so many passes second derivatives stay out of Omega once they have made it indefinite
+PLAIN = 4
+#: passes end where one predicts that J falls by so many times itself
+HOPELESS = 10.0
 #: results of `advance`: the optimum was reached; the arrays must grow first; a node is not determined; no end in sight
 DONE, GROW, UNDETERMINED, UNFINISHED = range(4)
 
@@ -36,14 +38,14 @@ def advance(nodes, edges, tree, touched, fresh, newest, robust, buffers, memory,
         result = _eliminate(nodes, edges, tree, touched, fresh, newest, robust, memory, work)
         if result[0]:
             return *result, np.int64(-1)
-    if memory[HOLD] > 0:
-        memory[HOLD] -= 1
-        if memory[HOLD] == 0:
-            memory[CURVED_FROM] = CURVED
     fine = min(1.0, max(np.sqrt(memory[COST] / SMALL), 0.01))
     share, apart = share * fine, apart * fine
     before = np.inf
     for k in range(most):
+        if memory[HOLD] > 0:
+            memory[HOLD] -= 1
+            if memory[HOLD] == 0:
+                memory[CURVED_FROM] = CURVED
         count = backward(nodes, tree, work, share, apart, moved, 0)
         if count == 0:
             memory[LIMIT] = min(CHANGED, EASIER * memory[LIMIT])
@@ -54,7 +56,8 @@ def advance(nodes, edges, tree, touched, fresh, newest, robust, buffers, memory,
         if changed == 0:
             return DONE, k, 0, 0, 0, 0
         predicted = forward(homes, changed, nodes, tree, work)
-        if not np.isfinite(predicted):
+        # J cannot fall by more than itself: far from any minimum, undamped passes lead nowhere
+        if not predicted < HOPELESS * memory[COST] + 1.0:
             break
         if predicted <= tolerance * memory[COST]:
             backward(nodes, tree, work, share, np.inf, moved, 0)

@@ -34,7 +34,7 @@ from ..edges.robust import loss, weight
 REWEIGHTED, CHANGED = 0.33, 0.1
 
 #: the cost above which the second derivatives of an edge enter the factor
-CURVED = 16.0
+CURVED = 4.0
 
 
 @njit(cache=True, error_model="numpy")

@@ -11,7 +11,20 @@ from ..errors import GraphError
 from ..se2 import Array, turn_matrix
 from .advance import APART, DONE, GROW, SHARE, UNDETERMINED, UNFINISHED, advance, complete
 from .append import append, detach
-from .arrays import COST, FLOATS, FREE, INTS, doubled, new_edges, new_nodes, new_tree, sizes, with_room
+from .arrays import (
+    COST,
+    CURVED_FROM,
+    FLOATS,
+    FREE,
+    HOLD,
+    INTS,
+    doubled,
+    new_edges,
+    new_nodes,
+    new_tree,
+    sizes,
+    with_room,
+)
 from .batch import batch_state
 from .linearize import CHANGED, CURVED
 from .passes import marginals, total_cost
@@ -115,10 +128,10 @@ class OnlineSystem:
         for name in ("rhs", "diagonal", "d", "home", "scratch", "mark"):
             nodes[name] = 0
         # the stamps of the new tree begin at zero
-        for name in ("weight", "rhs", "cost", "mark"):
+        for name in ("linear", "weight", "rhs", "cost", "mark"):
             edges[name] = 0
         nodes["owned"], nodes["local"] = -1, -1
-        self._memory[COST] = 0.0
+        self._memory[[COST, CURVED_FROM, HOLD]] = 0.0, CURVED, 0.0
         for members, centre, _ in self._priors:
             # priors are around the present values, increments being zero
             x[members] = centre
@@ -149,17 +162,21 @@ class OnlineSystem:
             self.nodes["x"][: counts[0]] = before
             start = batch_state(self.nodes, self.edges, counts, self._priors, self._kernel)
             self._restart(before if start is None else start)
-            result = self._advance(*(np.arange(count, dtype=np.int32) for count in counts), newest)
+            nodes, edges = (np.arange(count, dtype=np.int32) for count in counts)
+            result = self._advance(nodes, edges, newest)
+            if result != DONE:
+                self._restart(before if start is None else start)
+                self._advance(nodes, edges, newest, most=0)
         self.converged = result == DONE
 
-    def _advance(self, touched: np.ndarray, fresh: np.ndarray, newest: np.ndarray) -> int:
+    def _advance(self, touched: np.ndarray, fresh: np.ndarray, newest: np.ndarray, most: int | None = None) -> int:
         """Call `advance`, with larger arrays as often as it asks for them."""
         again = -1
-        for _ in range(PASSES):
+        for _ in range(max(PASSES, 3)):
             earlier = again
             result, count, floats, ints, tallest, again = advance(
                 self.nodes, self.edges, self.tree, touched, fresh, newest, self._robust, self._room(),
-                self._memory, self.num_nodes, self.tolerance, APART, SHARE, PASSES,
+                self._memory, self.num_nodes, self.tolerance, APART, SHARE, PASSES if most is None else most,
             )  # fmt: skip
             if result != GROW:
                 self.passes += count if result != UNDETERMINED else 0

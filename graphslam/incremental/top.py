@@ -136,8 +136,8 @@ def _assemble(nodes, edges, top, inside, fresh, indptr, indices, robust, memory)
     kernel, width, gain = robust
     for q in range(len(inside)):
         e = inside[q]
-        # far from the minimum second derivatives mislead: new edges (the first ones) are without
-        curved = np.inf if q < fresh else memory[CURVED_FROM]
+        # far from the minimum second derivatives mislead: new edges (the first ones) are without, unless all are new
+        curved = np.inf if q < fresh < len(inside) else memory[CURVED_FROM]
         memory[COST] += relinearize(e, nodes, edges, kernel, width, gain, curved)
         i, j = np.int64(nodes.local[edges.ends[e, 0]]), np.int64(nodes.local[edges.ends[e, 1]])
         block = values[_slot(indptr, indices, min(i, j), max(i, j))]
