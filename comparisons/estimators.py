@@ -14,6 +14,7 @@ import numpy as np
 
 import fastslam
 import graphslam
+from fastslam.samples import Samples
 from graphslam import Graph, GraphError, Log, OptionError, SensorModel, SlamError, Solution
 from graphslam.checks import suggestion
 from graphslam.log import UNIDENTIFIED
@@ -233,12 +234,12 @@ def mcl(log: Log, options: RunOptions) -> EstimatorResult:
 
 
 def fastslam1(log: Log, options: RunOptions) -> EstimatorResult:
-    """FastSLAM 1.0; trajectory and map of the best particle."""
+    """FastSLAM 1.0; trajectory and map of the best particle, with ``smoothing`` the means of those drawn backwards."""
     return _particle_filter("fastslam1", log, options)
 
 
 def fastslam2(log: Log, options: RunOptions) -> EstimatorResult:
-    """FastSLAM 2.0, whose proposal is corrected by the sightings; trajectory and map of the best particle."""
+    """FastSLAM 2.0, whose proposal is corrected by the sightings; trajectory and map as for `fastslam1`."""
     return _particle_filter("fastslam2", log, options)
 
 
@@ -287,18 +288,23 @@ def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResul
     # a filter that ignores the ids numbers its landmarks itself
     named = name == "mcl" or options.filter.uses_ids
     maps = name != "mcl"
+    reason = f"processed the log once with {options.filter.particles} particles"
+    reported: fastslam.FilterResult | Samples = result
+    if result.smoothed is not None:
+        reported = result.smoothed
+        reason += f", and drew {options.filter.smoothing} trajectories backwards"
     return EstimatorResult(
         name=name,
-        poses=result.poses,
+        poses=reported.poses,
         estimated=np.ones(log.num_poses, dtype=bool),
         seconds=seconds,
-        landmarks=dict(result.landmarks) if maps else {},
-        landmark_covariances=dict(result.landmark_covariances) if maps else {},
+        landmarks=dict(reported.landmarks) if maps else {},
+        landmark_covariances=dict(reported.landmark_covariances) if maps else {},
         named=named,
         notes=() if named else ("landmarks are numbered by discovery, and matched to the true ones by position",),
         association=result.association,
         options={k: v for k, v in asdict(options.filter).items() if k in ("seed", *ESTIMATORS[name].uses)},
-        reason=f"processed the log once with {options.filter.particles} particles",
+        reason=reason,
         origin=result,
     )
 
