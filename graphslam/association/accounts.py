@@ -42,7 +42,7 @@ class Return:
 
 
 def arrivals(steps: np.ndarray, times: np.ndarray, labels: np.ndarray, moment: int) -> list[Return]:
-    """Where, after a blind drive, landmarks are seen that had not been seen before, two at least."""
+    """Where, after a blind drive, landmarks are seen that had not been seen before."""
     first = {}
     for row in np.flatnonzero(labels >= 0)[::-1]:
         first[int(labels[row])] = int(steps[row])
@@ -51,7 +51,7 @@ def arrivals(steps: np.ndarray, times: np.ndarray, labels: np.ndarray, moment: i
     for before, step in zip(scans, scans[1:]):
         if times[step] - times[before] > moment + step - before:
             new = [j for j, at in first.items() if step <= at and times[at] <= times[step] + moment]
-            if len(new) > 1:
+            if new:
                 found.append(Return(int(step), int(before), np.sort(new), new=True))
     return found
 

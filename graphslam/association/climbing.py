@@ -1,4 +1,4 @@
-"""Hill climbing: other accounts of the drive are tried, refined, and kept where the evidence as a whole is higher."""
+"""Hill climbing: other accounts of the drive are tried, refined, and kept where the evidence as a whole is surely higher."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def climb(
                 trials.append(unrefined(log, backbone, account.labels, account.poses, densities, classes, brief))
             ends = [(evidence(log, backbone, t.solved, field, densities), t) for t in trials if t is not None]
             value, end = max(ends, key=lambda each: each[0], default=(-np.inf, refined))
-            if value > best + 1:
+            if value > best + np.log(options.factor):
                 refined, best = end, value
                 break
         else:
