@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from graphslam.models import MotionModel, SensorModel
-from graphslam.se2 import wrap
+from graphslam.se2 import Array, wrap
 
 from ..options import GibbsOptions
 from ..samples import Samples
@@ -31,18 +31,23 @@ class GibbsResult(Samples):
     sensor: SensorModel
     accepted: float
 
-    @cached_property
-    def mixing(self) -> Mixing:
-        """R-hat and effective sample size of every coordinate of poses and landmarks, and what they say."""
+    @property
+    def deviations(self) -> Array:
+        """All coordinates of all samples about their means, angles wrapped: (C, S, 3 T + J n), named by ``mixing.names``."""
         poses = self.trajectories[:, :, 1:] - self.poses[1:]
         maps = self.maps - np.array(list(self.landmarks.values()))
         for deviations in (poses, maps):
             if deviations.shape[-1] == 3:
                 deviations[..., 2] = wrap(deviations[..., 2])
-        names = [f"{c} of step {t}" for t in range(1, len(self.poses)) for c in ("x", "y", "heading")]
-        names += [f"{c} of landmark {j}" for j in self.ids for c in ("x", "y", "heading")[: maps.shape[-1]]]
         shape = (*poses.shape[:2], -1)
-        return judge(np.concatenate([poses.reshape(shape), maps.reshape(shape)], axis=2), names)
+        return np.concatenate([poses.reshape(shape), maps.reshape(shape)], axis=2)
+
+    @cached_property
+    def mixing(self) -> Mixing:
+        """R-hat and effective sample size of every coordinate of poses and landmarks, and what they say."""
+        names = [f"{c} of step {t}" for t in range(1, len(self.poses)) for c in ("x", "y", "heading")]
+        names += [f"{c} of landmark {j}" for j in self.ids for c in ("x", "y", "heading")[: self.maps.shape[-1]]]
+        return judge(self.deviations, names)
 
     def __repr__(self) -> str:
         chains, sweeps, poses = self.trajectories.shape[:3]
