@@ -70,6 +70,13 @@ class Densities:
         share = float(np.clip(seen / max(views, 1), *DETECTION))
         return Densities(self.new, self.new + np.log(max(clutter, LEAST_CLUTTER)), np.log(share), np.log1p(-share))
 
+    @classmethod
+    def mean(cls, densities: list[Densities]) -> Densities:
+        """The means of several, by which associations with each of them are compared."""
+        new, clutter = (float(np.mean([getattr(each, name) for each in densities])) for name in ("new", "clutter"))
+        detection = float(np.mean([np.exp(each.seen) for each in densities]))
+        return cls(new, clutter, float(np.log(detection)), float(np.log1p(-detection)))
+
     @property
     def weight(self) -> float:
         """w of a candidate in a scan: log of the probability of detection over the density of what is new or clutter."""

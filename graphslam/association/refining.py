@@ -76,6 +76,19 @@ def refine(
     return Refined(labels, Solved.of(backbone, labels, poses), rounds, settled, margins, densities)
 
 
+def unrefined(
+    log: Log, backbone: Backbone, labels: np.ndarray, poses: Array, densities: Densities, classes: Classes,
+    options: AssociationOptions,
+) -> Refined:  # fmt: skip
+    """The graph of labels (M,) as they are; a sighting that another landmark explains better has no margin."""
+    labels = _compact(labels)
+    solved = Solved.of(backbone, labels, poses)
+    world = World.of(backbone.places, solved.poses[log.steps])
+    better, margins = _assigned(world, log, solved, densities, classes, options)
+    margins = np.where(labels < 0, np.inf, np.where(better == labels, margins, 0.0))
+    return Refined(labels, solved, 1, True, margins, densities)
+
+
 def _compact(labels: np.ndarray) -> np.ndarray:
     """The same labels numbered from 0 in the order of their first sightings."""
     names, first, which = np.unique(labels, return_index=True, return_inverse=True)

@@ -33,7 +33,7 @@ class Layout(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _permuted_lists(n, indptr, indices, position):
+def permuted_lists(n, indptr, indices, position):
     """For each row k in elimination order its columns i < k (pointer, columns)."""
     row_pointer = np.zeros(n + 1, np.int64)
     for j in range(n):
@@ -172,7 +172,8 @@ def _entries(n, indptr, indices, position, owner, first, row_start, rows):
 
 
 @njit(cache=True, error_model="numpy")
-def _inverse(order):
+def inverse(order):
+    """The place (n,) of each node in an order."""
     position = np.empty_like(order)
     for k in range(order.size):
         position[order[k]] = k
@@ -180,21 +181,28 @@ def _inverse(order):
 
 
 @njit(cache=True, error_model="numpy")
+def costs(count):
+    """The blocks of L and the flops of the factorisation, multiply and add counted apart, from the column counts (n,)."""
+    blocks, flops = 0, 0.0
+    for rows in count:
+        below = 3.0 * (rows - 1)
+        blocks += rows
+        flops += 9.0 + 9.0 * below + 3.0 * below * below
+    return blocks, flops
+
+
+@njit(cache=True, error_model="numpy")
 def structure(n, indptr, indices, order):
     """The fields of `Layout` for an elimination order: structure, entries of the matrix, and sizes."""
     # one compiled function: a call from Python costs as much as a step of the analysis of a small graph
-    row_pointer, columns = _permuted_lists(n, indptr, indices, _inverse(order))
+    row_pointer, columns = permuted_lists(n, indptr, indices, inverse(order))
     parent, count = elimination_tree(n, row_pointer, columns)
-    blocks, flops = 0, 0.0
-    for k in range(n):
-        below = 3.0 * (count[k] - 1)
-        blocks += count[k]
-        flops += 9.0 + 9.0 * below + 3.0 * below * below
+    blocks, flops = costs(count)
     # amalgamation moves the columns of a supernode next to each other
     moved, first, rows_below = supernodes(n, parent, count)
     order = order[moved]
-    position = _inverse(order)
-    row_pointer, columns = _permuted_lists(n, indptr, indices, position)
+    position = inverse(order)
+    row_pointer, columns = permuted_lists(n, indptr, indices, position)
     row_start, rows, relative, tree, child_start, children, owner = _supernode_rows(
         n, first, rows_below, row_pointer, columns
     )
