@@ -82,9 +82,14 @@ class Association:
         return int(np.count_nonzero(self.ids == UNIDENTIFIED))
 
     @property
+    def doubtful(self) -> np.ndarray:
+        """Whether the evidence for the landmark of each sighting (M,) is less than the factor of the options."""
+        return np.asarray(self.margins < np.log(self.options.factor))
+
+    @property
     def ambiguous(self) -> int:
-        """The number of sightings for whose landmark the evidence is less than the factor of the options."""
-        return int(np.count_nonzero(self.margins < np.log(self.options.factor)))
+        """The number of doubtful sightings."""
+        return int(np.count_nonzero(self.doubtful))
 
     @cached_property
     def log(self) -> Log:
