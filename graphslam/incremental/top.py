@@ -272,7 +272,8 @@ def rebuild(nodes, edges, tree, touched, fresh, newest, kernel, width, gain, cur
         nodes, tree, below, at,
     )  # fmt: skip
     run = np.empty(tallest // 3 + 1, np.int64)
-    bad = factorize(values.reshape(-1), layout, tree.floats, tree.floats, np.empty(3 * n), run, PIVOT_TOLERANCE, 0.0)
+    scratch = (tree.floats, tree.floats, np.empty(3 * n), run)
+    bad = factorize(values.reshape(-1), layout, np.arange(len(layout.first) - 1), *scratch, PIVOT_TOLERANCE, 0.0)
     if bad >= 0:
         for node in top:
             nodes.local[node] = -1
