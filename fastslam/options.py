@@ -16,7 +16,7 @@ from graphslam.errors import OptionError
 from .checks import finite, whole
 
 #: how sightings are assigned to landmarks
-ASSOCIATIONS = ("known", "maximum-likelihood")
+ASSOCIATIONS = ("known", "maximum-likelihood", "sampled")
 #: the stored poses of all particles are numbered with 32 bits
 MOST_PARTICLES = 50_000_000
 #: the names of the resampling schemes, see `fastslam.resampling`
@@ -55,10 +55,27 @@ class FilterOptions:
     threads: int | None = field(default=None, metadata={"help": "Number of threads; by default all cores."})
     association: str = field(
         default="known",
-        metadata={"help": "Known uses the landmark ids, maximum-likelihood ignores them.", "choices": ASSOCIATIONS},
+        metadata={
+            "help": "Known uses the landmark ids. The others ignore them: maximum-likelihood takes the most likely "
+            "landmark for each sighting, sampled draws it.",
+            "choices": ASSOCIATIONS,
+        },
     )
     new_landmark_threshold: float = field(
         default=1e-6, metadata={"help": "Probability that a sighting of a known landmark is taken for a new one."}
+    )
+    detection_probability: float = field(
+        default=0.5, metadata={"help": "Probability that a landmark in view is seen; for the association sampled."}
+    )
+    clutter_share: float = field(
+        default=0.1,
+        metadata={
+            "help": "Share of clutter among the sightings of no known landmark; for the association sampled."
+        },
+    )
+    merge_interval: int = field(
+        default=10,
+        metadata={"help": "Merge landmarks that are one after every so many scans, 0: never; for unknown ids."},
     )
 
     proposal_weight: str = field(
@@ -107,7 +124,8 @@ class FilterOptions:
         check_choice("stage", self.stage, STAGES)
         if not self.uses_ids and (self.landmark_update, self.range_noise) != ("kalman", "measured"):
             raise OptionError(
-                "landmark_update moments and range_noise estimated need the association known, not maximum-likelihood"
+                "landmark_update moments and range_noise estimated need the association known, not "
+                f"{self.association}"
             )
         if self.range_noise == "estimated" and self.proposal_weight != "exact":
             raise OptionError(
@@ -117,8 +135,13 @@ class FilterOptions:
             raise OptionError(
                 f"ess_threshold must lie between 0 (never resample) and 1 (always), not {self.ess_threshold!r}"
             )
-        if not 0 < finite("new_landmark_threshold", self.new_landmark_threshold, "a number between 0 and 1", [()]) < 1:
-            raise OptionError(f"new_landmark_threshold must lie between 0 and 1, not {self.new_landmark_threshold!r}")
+        for name in ("new_landmark_threshold", "detection_probability", "clutter_share"):
+            value = getattr(self, name)
+            if not 0 < finite(name, value, "a number between 0 and 1", [()]) < 1:
+                raise OptionError(f"{name} must lie between 0 and 1, not {value!r}")
+        object.__setattr__(self, "merge_interval", whole("merge_interval", self.merge_interval))
+        if self.merge_interval < 0:
+            raise OptionError(f"merge_interval must be a number of scans, or 0 for never, not {self.merge_interval}")
         expected = "a whole number of at least 1, or None for all"
         if self.threads is not None and whole("threads", self.threads, expected) < 1:
             raise OptionError(f"threads must be {expected}, not {self.threads!r}")
