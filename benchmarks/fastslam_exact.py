@@ -2,6 +2,7 @@
 
     python benchmarks/fastslam_exact.py small [--logs 5]     # importance sampling: errors and slopes
     python benchmarks/fastslam_exact.py long [--logs 10]     # particle Gibbs against a longer run of its own, 62 steps
+    python benchmarks/fastslam_exact.py smoothing [--logs 3] # histories and backward simulation against the exact posterior
     python benchmarks/fastslam_exact.py calibration [--logs 200]     # ranks of the truth (simulation-based calibration)
     python benchmarks/fastslam_exact.py anees [--logs 50]    # ANEES per step at a tenth of the book's noise
     python benchmarks/fastslam_exact.py real [--seeds 20]    # MR.CLAM 6, noise by hand
@@ -33,6 +34,7 @@ from graphslam.se2 import Array, wrap
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "fastslam"))
 sys.path.insert(0, str(Path(__file__).parent))
+from exact_posterior import exact_posterior
 from real_filters import MOTION, SENSOR
 from test_gibbs import importance
 from test_gibbs import small as small_log
@@ -133,6 +135,30 @@ def long(logs: int) -> Iterator[str]:
     yield f"{met} of {logs} logs within 0.1 standard deviations and 10 %"
 
 
+def smoothing(logs: int) -> Iterator[str]:
+    """Root mean square error of the pose means, in standard deviations of the grown graph's posterior: three seeds each."""
+    for seed in range(logs):
+        log = simulate(seed=seed, steps=62, clean=True, orientation=False, **FIFTH)
+        exact = exact_posterior(log, 62, FIFTH["motion"], FIFTH["sensor"])
+        std = np.sqrt([np.diag(exact.pose_covariance(t)) for t in range(1, 63)])
+        for kind, n in product((FastSLAM1, FastSLAM2), (1000, 10_000)):
+            errors, ratios = [], []
+            begin = time.process_time()
+            for s in range(3):
+                result = kind(log, particles=n, seed=s, smoothing=100, **FIFTH).run()
+                assert result.smoothed is not None
+                off = np.stack([result.mean_poses, result.smoothed.poses])[:, 1:] - exact.poses[1:]
+                off[..., 2] = wrap(off[..., 2])
+                errors.append(np.sqrt(np.mean((off / std) ** 2, axis=(1, 2))))
+                found = np.sqrt(np.diagonal(result.smoothed.pose_covariances[1:], axis1=1, axis2=2))
+                ratios.append(np.median(found / std))
+            histories, drawn = np.mean(errors, axis=0)
+            yield (
+                f"log {seed}, {kind.__name__}, N = {n:,}: histories {histories:.2f}, drawn backwards {drawn:.2f}, their "
+                f"standard deviations {np.median(ratios):.2f} times; {(time.process_time() - begin) / 3:.1f} s each"
+            )
+
+
 def calibration(logs: int) -> Iterator[str]:
     """Chi-square of the ranks of ten coordinates in ten bins, and the p value after Bonferroni's correction."""
     bins, samples = 10, 99
@@ -217,21 +243,30 @@ def anees(logs: int) -> Iterator[str]:
 
 
 def real(seeds: int) -> Iterator[str]:
-    """Median ATE over the seeds, as a ratio to that of the graph (Huber)."""
+    """Median ATE over the seeds, as a ratio to that of the graph (Huber): histories, smoothed, particle Gibbs."""
     for robot in (1, 3):
         log = load(data_folder() / "mrclam6", robot=robot).replace(motion=MOTION, sensor=SENSOR)
-        assert log.true_poses is not None
-        graph = solve(Graph.from_log(log, edges="landmark+motion", kernel="huber"), initialize="auto")
-        reference, found = ate(log.true_poses, graph.poses), []
-        begin = time.perf_counter()
-        for seed in range(seeds):
-            result = ParticleGibbs(log, seed=seed, particles=10, iterations=40, warm_up=20, chains=1).run()
-            found.append(ate(log.true_poses, result.poses))
-        low, median, high = np.quantile(found, [0.25, 0.5, 0.75])
-        yield (
-            f"robot {robot}, {log.num_poses} poses: {median:.3f} m ({low:.3f} to {high:.3f}), {median / reference:.2f} times "
-            f"the graph's {reference:.3f} m; {(time.perf_counter() - begin) / seeds:.0f} s each; {result.mixing.statement}"
+        truth = log.true_poses
+        assert truth is not None
+        graph, plain = (
+            ate(truth, solve(Graph.from_log(log, edges="landmark+motion", kernel=kernel), initialize="auto").poses)
+            for kernel in ("huber", None)
         )
+        yield f"robot {robot}, {log.num_poses} poses: graph with Huber's kernel {graph:.3f} m, without kernel {plain:.3f} m"
+        found: dict[str, list[float]] = {"histories": [], "drawn backwards": []}
+        begin = time.process_time()
+        for seed in range(seeds):
+            result = FastSLAM2(log, particles=500, seed=seed, smoothing=20).run()
+            assert result.smoothed is not None
+            found["histories"].append(ate(truth, result.mean_poses))
+            found["drawn backwards"].append(ate(truth, result.smoothed.poses))
+        seconds = (time.process_time() - begin) / seeds
+        for name, values in found.items():
+            low, median, high = np.quantile(values, [0.25, 0.5, 0.75])
+            yield (
+                f"FastSLAM 2.0, 500 particles, {name}: {median:.3f} m ({low:.3f} to {high:.3f}), {median / graph:.2f} times; "
+                f"{seconds:.1f} s of processor time each, both together"
+            )
 
 
 def main() -> None:
@@ -239,6 +274,7 @@ def main() -> None:
     studies: dict[str, tuple[Callable[[int], Iterator[str]], int]] = {
         "small": (small, 5),
         "long": (long, 10),
+        "smoothing": (smoothing, 3),
         "calibration": (calibration, 200),
         "anees": (anees, 50),
         "real": (real, 20),

@@ -173,7 +173,7 @@ class Comparison(Displayed):
         order = list(ESTIMATORS)
         rows.sort(key=lambda row: order.index(row.name) if row.name in order else len(order))
         log = self.log
-        title = f"{log.name}: {log.num_poses} poses, {len(log.steps)} sightings of {len(log.landmark_ids)} landmarks"
+        title = f"{log.name}: {log.num_poses} poses, {log.seen}"
         return ResultTable(title, tuple(rows))
 
     def difference(self, first: str = "graph", second: str = "gtsam") -> float | None:

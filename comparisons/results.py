@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fastslam.gibbs.result import GibbsResult
+from fastslam.samples import Samples
 from fastslam.state import FilterResult
 from graphslam import Certificate, Graph, Log, MotionModel, Solution, certify
 from graphslam.se2 import Array, compose, inverse, rotation, wrap
@@ -94,11 +95,13 @@ class EstimatorResult:
         """The covariances (T+1, 3, 3) of the poses in world axes, NaN where a pose is not estimated.
 
         Of a solved graph they are the diagonal blocks of Omega^-1 at the end, of dead reckoning the accumulated motion
-        noise, of particle Gibbs the covariances of its samples. None where they are not known: a particle filter keeps
-        paths and no covariance of past poses, and the edges of a graph may not determine its poses.
+        noise, of particle Gibbs and of a smoothed filter the covariances of the samples. None where they are not known: a
+        filter without smoothing keeps paths and no covariance of past poses, and the edges of a graph may not determine
+        its poses.
         """
-        if isinstance(self.origin, GibbsResult):
-            return self.origin.pose_covariances
+        samples = self.origin.smoothed if isinstance(self.origin, FilterResult) else self.origin
+        if isinstance(samples, Samples):
+            return samples.pose_covariances
         if self.log is not None and self.log.controls is not None:
             return dead_reckoning_covariances(self.log, self.motion)
         if self.graph is None or self.state is None:

@@ -28,6 +28,8 @@ PROPOSAL_WEIGHTS = ("exact", "linearised")
 LANDMARK_UPDATES = ("kalman", "moments")
 #: the range at which the variance of a sighting's range is taken
 RANGE_NOISES = ("measured", "estimated")
+#: the fewest trajectories that backward simulation draws, so that they have covariances
+FEWEST_SMOOTHED = 10
 #: how far the lectures' program has come: particles that only move, that are weighed, that are resampled
 STAGES = ("motion", "weights", "resampling")
 
@@ -37,8 +39,8 @@ class FilterOptions:
     """The options of `MonteCarloLocalization`, `FastSLAM1` and `FastSLAM2`; each field's metadata has its help.
 
     With an ess_threshold of 1 the filter resamples after every weighted step, as in the lectures. The result does not
-    depend on the number of threads. Monte Carlo localisation does not use the options from ``association`` to
-    ``range_noise``: it finds the landmarks of its map by their ids.
+    depend on the number of threads. Monte Carlo localisation uses neither ``smoothing`` nor the options from
+    ``association`` to ``range_noise``: it finds the landmarks of its map by their ids.
 
     Raises:
         OptionError: an option has an impossible value.
@@ -107,6 +109,13 @@ class FilterOptions:
             "choices": STAGES,
         },
     )
+    smoothing: int = field(
+        default=0,
+        metadata={
+            "help": "FastSLAM: trajectories drawn by backward simulation after the run, whose mean is reported; 0 for none, "
+            "else at least 10; known ids only."
+        },
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "particles", whole("particles", self.particles))
@@ -131,6 +140,15 @@ class FilterOptions:
             raise OptionError(
                 "range_noise estimated needs the proposal_weight exact: the linearised one is that of the measured range"
             )
+        object.__setattr__(self, "smoothing", whole("smoothing", self.smoothing))
+        if self.smoothing < 0 or 0 < self.smoothing < FEWEST_SMOOTHED:
+            raise OptionError(
+                f"smoothing must be 0 (off) or at least {FEWEST_SMOOTHED} trajectories, not {self.smoothing}"
+            )
+        if self.smoothing and not self.uses_ids:
+            raise OptionError("smoothing needs the association known, not maximum-likelihood")
+        if self.smoothing and self.stage == "motion":
+            raise OptionError("smoothing needs weighted particles: the stage weights or resampling, not motion")
         if not 0 <= finite("ess_threshold", self.ess_threshold, "a number between 0 and 1", [()]) <= 1:
             raise OptionError(
                 f"ess_threshold must lie between 0 (never resample) and 1 (always), not {self.ess_threshold!r}"

@@ -122,7 +122,7 @@ def animate(
     animation: AnimationOptions,
     options: RunOptions,
 ) -> None:  # fmt: skip
-    """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives."""
+    """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives, sampled paths."""
     from ..documents import describe
     from ..show.films import animate as film_of
     from ..show.films import check_can_film

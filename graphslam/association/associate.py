@@ -14,12 +14,21 @@ from ..log import UNIDENTIFIED, Log
 from ..models import MotionModel, SensorModel
 from ..precision import check_log
 from ..se2 import Array
+from .accounts import Account
 from .classes import Classes
+from .climbing import climb
 from .densities import Densities, Field
+from .doubts import Doubt, doubts
 from .driving import drive
+from .evidence import evidence
 from .options import AssociationOptions
 from .refining import Refined, refine
 from .solved import Backbone
+
+#: ids (M,) and poses (T+1, 3)
+Start = tuple[np.ndarray, Array]
+#: so many doubts become notes of their own
+MOST_NOTES = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,6 +44,9 @@ class Association:
         rounds, settled: how often sightings were assigned anew, and whether the last time changed nothing.
         cost_per_dof: J of that graph per degree of freedom: about 1 where noise models and ids are right, far above it
             where one of them is wrong.
+        doubts: places that may have been taken for others, the most doubtful first.
+        evidence: E of `association.evidence`, the logarithm of the evidence for these ids, to compare associations of one
+            log.
         options: what was used.
         seconds: the time it took [s].
         notes: what the user should know, one sentence each.
@@ -47,6 +59,8 @@ class Association:
     rounds: int
     settled: bool
     cost_per_dof: float
+    doubts: tuple[Doubt, ...]
+    evidence: float
     options: AssociationOptions
     seconds: float
     notes: tuple[str, ...]
@@ -87,7 +101,7 @@ def associate(
     motion: MotionModel | None = None,
     sensor: SensorModel | None = None,
     options: AssociationOptions | None = None,
-    start: tuple[np.ndarray, Array] | None = None,
+    start: Start | list[Start | None] | None = None,
     **changes: Any,
 ) -> Association:
     """Find out which sightings are of the same landmark, from the log alone. Ids that the log has are not used.
@@ -95,12 +109,15 @@ def associate(
     The robot drives along the log once: a local Kalman filter joins sightings of neighbouring scans to tracks, and every
     ``window`` steps the graph of the drive so far is solved, and tracks are joined to landmarks that were seen before by
     the best joint hypothesis under their covariance. Then association and solving take turns (`association.refining`).
+    Where other accounts of the drive are not much less likely, they are tried (`association.climbing`), and the one with the
+    highest evidence as a whole is the result.
 
     Args:
         log: with controls.
         motion, sensor: the noise models; default: those of the log, else the book's.
         options: the options; ``changes`` replace single fields of `AssociationOptions`.
         start: (ids (M,), poses (T+1, 3)) that another front end found, such as a particle filter; instead of the drive.
+            Of a list of such starts, with None for the drive, the one that ends with the highest evidence is the result.
 
     Raises:
         LogError: the log has no controls.
@@ -118,28 +135,48 @@ def associate(
     backbone, field = Backbone.of(log, sensor, motion), Field.of(log, sensor)
     densities = Densities.of(log, field, options.clutter)
     classes = Classes.of(log, options.confusion)
-    if start is None:
-        driven = drive(log, motion, backbone, densities, classes, options)
-        labels, poses = driven.labels, driven.poses
-    else:
-        labels, poses = np.asarray(start[0]), np.asarray(start[1], dtype=float)
-        if labels.shape != log.steps.shape or poses.shape != log.initial_poses.shape:
-            raise OptionError(f"start must be {len(log.steps)} ids and poses of shape {log.initial_poses.shape}")
-    refined = refine(log, backbone, labels, poses, field, densities, classes, options)
-    if refined is None:
+    ends: list[tuple[Refined, list[Account]]] = []
+    for labels, poses in _starts(log, start):
+        if labels is None or poses is None:
+            driven = drive(log, motion, backbone, densities, classes, options)
+            labels, poses = driven.labels, driven.poses
+        if (end := refine(log, backbone, labels, poses, field, densities, classes, options)) is not None:
+            ends.append(climb(log, backbone, end, field, classes, options))
+    if not ends:
         raise GraphError(
             f"no landmark of {log.name} was seen often enough to be one: all its {len(log.steps)} sightings may be clutter"
         )
-    return _report(log, refined, options, time.perf_counter() - begin)
+    densities = Densities.mean([end.densities for end, _ in ends])
+    values = [evidence(log, backbone, end.solved, field, densities) for end, _ in ends]
+    refined, accounts = ends[int(np.argmax(values))]
+    return _report(log, refined, values, doubts(accounts, options.factor), options, time.perf_counter() - begin)
 
 
-def _report(log: Log, refined: Refined, options: AssociationOptions, seconds: float) -> Association:
+def _starts(log: Log, start: Start | list[Start | None] | None) -> list[tuple[np.ndarray | None, Array | None]]:
+    """The given starts, (None, None) for the drive."""
+    found: list[tuple[np.ndarray | None, Array | None]] = []
+    for each in start if isinstance(start, list) else [start]:
+        if each is None:
+            found.append((None, None))
+            continue
+        labels, poses = np.asarray(each[0]), np.asarray(each[1], dtype=float)
+        if labels.shape != log.steps.shape or poses.shape != log.initial_poses.shape:
+            raise OptionError(f"start must be {len(log.steps)} ids and poses of shape {log.initial_poses.shape}")
+        found.append((labels, poses))
+    if not found:
+        raise OptionError("start holds no start; leave it out for the drive")
+    return found
+
+
+def _report(
+    log: Log, refined: Refined, values: list[float], doubtful: tuple[Doubt, ...], options: AssociationOptions, seconds: float
+) -> Association:  # fmt: skip
     graph = refined.solved.graph
     found = Association(
         of=log, ids=np.where(refined.labels < 0, UNIDENTIFIED, refined.labels),
         margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solved.poses, rounds=refined.rounds,
-        settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), options=options,
-        seconds=seconds, notes=(),
+        settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), doubts=doubtful,
+        evidence=max(values), options=options, seconds=seconds, notes=(),
     )  # fmt: skip
     notes = [
         f"found {found.landmarks} landmarks in sightings without ids; {found.clutter} of {len(log.steps)} sightings are "
@@ -149,6 +186,16 @@ def _report(log: Log, refined: Refined, options: AssociationOptions, seconds: fl
         notes.append(
             f"the landmark of {found.ambiguous} sightings is ambiguous: the evidence for it is less than "
             f"{options.factor:g} times that for another one, or for clutter"
+        )
+    if len(values) > 1:
+        ends = ", ".join(f"{value - max(values):.0f}" for value in values)
+        notes.append(
+            f"of {len(values)} starts the best by evidence was taken; all of them, relative to it [nats]: {ends}"
+        )
+    notes += [f"ambiguous: {doubt}" for doubt in found.doubts[:MOST_NOTES]]
+    if (more := len(found.doubts) - MOST_NOTES) > 0:
+        notes.append(
+            f"{more} further {'return is' if more == 1 else 'returns are'} ambiguous by a factor of {options.factor:g}"
         )
     if found.clutter > len(found.ids) / 2:
         notes.append("most sightings are of no landmark that was seen again: the few landmarks may be there by chance")

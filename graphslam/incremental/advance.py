@@ -4,7 +4,7 @@
 import numpy as np
 from numba import njit
 
-from .linearize import CHANGED
+from .linearize import CHANGED, CURVED
 from .passes import backward, forward, reevaluate
 from .top import rebuild
 
@@ -15,6 +15,8 @@ APART, SHARE, SMALL = 0.005, 0.001, 120.0
 #: where a pass predicts more than `SLOW` times the decrease of the pass before, the limit beyond which an edge is linearised
 #: again is multiplied by `STRICTER`, and by `EASIER` after every step that needs no pass
 SLOW, STRICTER, EASIER = 0.2, 0.1, 1.1
+#: for so many calls second derivatives stay out of Omega once they have made it indefinite
+PLAIN = 20
 #: results of `advance`: the optimum was reached; the arrays must grow first; a node is not determined; no end in sight
 DONE, GROW, UNDETERMINED, UNFINISHED = range(4)
 
@@ -30,9 +32,13 @@ def advance(nodes, edges, tree, touched, fresh, newest, robust, buffers, limits,
     kernel, width, gain = robust
     work, moved, homes, late = buffers
     if len(touched):
-        result = rebuild(nodes, edges, tree, touched, fresh, newest, kernel, width, gain, work)
+        result = _eliminate(nodes, edges, tree, touched, fresh, newest, robust, limits, work)
         if result[0]:
             return *result, np.int64(-1)
+    if limits[2] > 0:
+        limits[2] -= 1
+        if limits[2] == 0:
+            limits[1] = CURVED
     fine = min(1.0, max(np.sqrt(edges.total[0] / SMALL), 0.01))
     share, apart = share * fine, apart * fine
     before = np.inf
@@ -43,7 +49,7 @@ def advance(nodes, edges, tree, touched, fresh, newest, robust, buffers, limits,
             return DONE, k, 0, 0, 0, 0
         # edges are evaluated where both ends are exact
         count = backward(nodes, tree, work, -1.0, apart, moved, count)
-        changed, old = reevaluate(moved, count, nodes, edges, tree, kernel, width, gain, limits[0], homes, late)
+        changed, old = reevaluate(moved, count, nodes, edges, tree, kernel, width, gain, limits, homes, late)
         if changed + old == 0:
             return DONE, k, 0, 0, 0, 0
         predicted = forward(homes, changed, nodes, tree, work)
@@ -51,7 +57,7 @@ def advance(nodes, edges, tree, touched, fresh, newest, robust, buffers, limits,
             owners = np.empty(old, np.int32)
             for q in range(old):
                 owners[q] = edges.owner[late[q]]
-            result = rebuild(nodes, edges, tree, owners, fresh[:0], newest, kernel, width, gain, work)
+            result = _eliminate(nodes, edges, tree, owners, fresh[:0], newest, robust, limits, work)
             if result[0]:
                 return *result, np.int64(old)
             before = np.inf
@@ -64,6 +70,17 @@ def advance(nodes, edges, tree, touched, fresh, newest, robust, buffers, limits,
             backward(nodes, tree, work, share, np.inf, moved, 0)
             return DONE, k, 0, 0, 0, 0
     return UNFINISHED, most, 0, 0, 0, 0
+
+
+@njit(cache=True, error_model="numpy")
+def _eliminate(nodes, edges, tree, touched, fresh, newest, robust, limits, work):
+    """`rebuild`, without second derivatives for some time where Omega is not positive definite with them."""
+    kernel, width, gain = robust
+    while True:
+        result = rebuild(nodes, edges, tree, touched, fresh, newest, kernel, width, gain, limits[1], work)
+        if result[0] != UNDETERMINED or limits[1] == np.inf:
+            return result
+        limits[1], limits[2] = np.inf, PLAIN
 
 
 @njit(cache=True, error_model="numpy")

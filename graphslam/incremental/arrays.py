@@ -56,7 +56,7 @@ class Edges(NamedTuple):
     next: Whole  #: (E, 2) the next edge of either end
     owner: Whole  #: (E,) the end that is eliminated first
     next_owned: Whole  #: (E,)
-    linear: Array  #: (E, 4) the lever u, and cos and sin of alpha, as they are in the factor
+    linear: Array  #: (E, 7) lever u, cos and sin of alpha, gamma and h, as they are in the factor
     weight: Array  #: (E,) the robust weight in the factor
     rhs: Array  #: (E, 6) what the edge adds to the right-hand side of its ends
     cost: Array  #: (E,) at the last evaluation
@@ -97,7 +97,7 @@ def new_arrays(kind: Any, capacity: int, *, floats: int = 1 << 12) -> Any:
         fields = {name: np.full((capacity, 2), -1, np.int32) for name in ("ends", "next")}
         fields |= {name: np.full(capacity, -1, np.int32) for name in ("owner", "next_owned")}
         fields |= {"rows": np.zeros(capacity, np.int8), "robust": np.zeros(capacity, np.bool_)}
-        widths = {"measured": 3, "information": 6, "linear": 4, "rhs": 6}
+        widths = {"measured": 3, "information": 6, "linear": 7, "rhs": 6}
         fields |= {name: np.zeros((capacity, width)) for name, width in widths.items()}
         fields |= {"weight": np.zeros(capacity), "cost": np.zeros(capacity), "mark": np.zeros(capacity, np.int64)}
         fields["total"] = np.zeros(1)

@@ -13,6 +13,12 @@ factorised. The right-hand side is kept up to date: with the sum d of all increm
 
 so that Omega d = rhs is the condition for an optimum at x, whatever B is in Omega. If it is near B(x), iterating
 converges fast. `evaluate` compares them.
+
+Gauss-Newton leaves out the second derivatives of the residual. Where residuals are as large as levers, the curvature of J
+can be more than twice B' W B, and Gauss-Newton then diverges from the minimum itself. So an edge with a cost above
+`CURVED` has them in the factor. With g = W e, increments (a, phi) of the first end, b of the second and q = R(alpha) b,
+
+    J/2 has the further terms  phi h' (q - a) + gamma phi^2 / 2,   h = (-g_y, g_x),  gamma = -g' (lever).
 """
 
 import numpy as np
@@ -26,6 +32,9 @@ from ..edges.robust import loss, weight
 #: this much. Poses tied by a stiff edge move together, so that a change of the lever relative to itself says nothing.
 #: `advance` lowers the second limit where the passes converge slowly, because the changes of many edges add up.
 REWEIGHTED, CHANGED = 0.33, 0.1
+
+#: the cost above which the second derivatives of an edge enter the factor
+CURVED = 16.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -62,18 +71,28 @@ def information(e, edges, gain):
 
 
 @njit(cache=True, error_model="numpy")
+def _curvature(e, edges, u, g, cost, curved):
+    """The second derivatives (gamma, h) of the residual times W e of an edge with a large residual, otherwise zeros."""
+    if cost > curved and not edges.robust[e]:
+        return u[0] * g[1] - u[1] * g[0], -g[1], g[0]
+    return 0.0, 0.0, 0.0
+
+
+@njit(cache=True, error_model="numpy")
 def _store(e, nodes, edges, gain, u, c, s, g, cost):
     """Put the gradients of an edge plus Omega_e d into the right-hand sides of its ends."""
     i, j = edges.ends[e, 0], edges.ends[e, 1]
-    a, b = nodes.d[i], nodes.d[j]
-    v, w, cos, sin = edges.linear[e, 0], edges.linear[e, 1], edges.linear[e, 2], edges.linear[e, 3]
+    a, b, L = nodes.d[i], nodes.d[j], edges.linear[e]
+    v, w, cos, sin = L[0], L[1], L[2], L[3]
     turn = b[2] - a[2] if edges.rows[e] == 3 else 0.0
-    moved = (cos * b[0] - sin * b[1] - a[0] - v * a[2], sin * b[0] + cos * b[1] - a[1] - w * a[2], turn)
-    p = kernels.product(information(e, edges, gain), moved)
-    first = (g[0] - p[0], g[1] - p[1], u[0] * g[0] + u[1] * g[1] + g[2] - v * p[0] - w * p[1] - p[2])
+    apart = (cos * b[0] - sin * b[1] - a[0], sin * b[0] + cos * b[1] - a[1])
+    p = kernels.product(information(e, edges, gain), (apart[0] - v * a[2], apart[1] - w * a[2], turn))
+    q = (p[0] + L[5] * a[2], p[1] + L[6] * a[2])
+    bent = L[4] * a[2] + L[5] * apart[0] + L[6] * apart[1]
+    first = (g[0] - q[0], g[1] - q[1], u[0] * g[0] + u[1] * g[1] + g[2] - v * p[0] - w * p[1] - p[2] + bent)
     second = (
-        cos * p[0] + sin * p[1] - c * g[0] - s * g[1],
-        cos * p[1] - sin * p[0] - c * g[1] + s * g[0],
+        cos * q[0] + sin * q[1] - c * g[0] - s * g[1],
+        cos * q[1] - sin * q[0] - c * g[1] + s * g[0],
         p[2] - g[2],
     )
     for k in range(3):
@@ -90,7 +109,8 @@ def _add_diagonal(e, nodes, edges, gain, sign):
     i, j = edges.ends[e, 0], edges.ends[e, 1]
     W, u, v = information(e, edges, gain), edges.linear[e, 0], edges.linear[e, 1]
     a = kernels.product(W, (u, v, 1.0))
-    own = (W[0], W[1], W[2], a[0], a[1], u * a[0] + v * a[1] + a[2])
+    L = edges.linear[e]
+    own = (W[0], W[1], W[2], a[0] - L[5], a[1] - L[6], u * a[0] + v * a[1] + a[2] + L[4])
     other = kernels.turned(edges.linear[e, 2], -edges.linear[e, 3], W)
     for c in range(6):
         nodes.diagonal[i, c] += sign * own[c]
@@ -98,13 +118,14 @@ def _add_diagonal(e, nodes, edges, gain, sign):
 
 
 @njit(cache=True, error_model="numpy")
-def relinearize(e, nodes, edges, kernel, width, gain):
-    """Take lever, alpha and weight from the estimate."""
+def relinearize(e, nodes, edges, kernel, width, gain, curved):
+    """Take lever, alpha and weight from the estimate, and the second derivatives where the cost is above ``curved``."""
     u, c, s, factor, g, cost = linearize(e, nodes, edges, kernel, width)
     _add_diagonal(e, nodes, edges, gain, -1.0)
     edges.weight[e] = factor
     edges.linear[e, 0], edges.linear[e, 1] = u
     edges.linear[e, 2], edges.linear[e, 3] = c, s
+    edges.linear[e, 4], edges.linear[e, 5], edges.linear[e, 6] = _curvature(e, edges, u, g, cost, curved)
     _add_diagonal(e, nodes, edges, gain, 1.0)
     _store(e, nodes, edges, gain, u, c, s, g, cost)
 
@@ -115,15 +136,16 @@ def between(e, edges, gain):
     W, u, v = information(e, edges, gain), edges.linear[e, 0], edges.linear[e, 1]
     c, s = edges.linear[e, 2], edges.linear[e, 3]
     a = kernels.product(W, (u, v, 1.0))
+    x, y = a[0] - edges.linear[e, 5], a[1] - edges.linear[e, 6]
     return (
         (-(W[0] * c + W[1] * s), W[0] * s - W[1] * c, -W[3]),
         (-(W[1] * c + W[2] * s), W[1] * s - W[2] * c, -W[4]),
-        (-(a[0] * c + a[1] * s), a[0] * s - a[1] * c, -a[2]),
+        (-(x * c + y * s), x * s - y * c, -a[2]),
     )
 
 
 @njit(cache=True, error_model="numpy")
-def evaluate(e, nodes, edges, kernel, width, gain, limit):
+def evaluate(e, nodes, edges, kernel, width, gain, limit, curved):
     """Bring the right-hand side of an edge up to date, unless its part of the factor is too old: returns whether it is."""
     u, c, s, factor, g, cost = linearize(e, nodes, edges, kernel, width)
     if edges.robust[e] and abs(factor - edges.weight[e]) > min(REWEIGHTED, 3 * limit) * edges.weight[e] + 0.01:
@@ -134,5 +156,10 @@ def evaluate(e, nodes, edges, kernel, width, gain, limit):
     a, b = size * (u[0] - edges.linear[e, 0]), size * (u[1] - edges.linear[e, 1])
     if W[0] * a * a + 2 * W[1] * a * b + W[2] * b * b + (W[0] + W[2]) * turned * turned > limit:
         return True
+    if cost > curved or edges.linear[e, 5] != 0.0 or edges.linear[e, 6] != 0.0:
+        L, (gamma, x, y) = edges.linear[e], _curvature(e, edges, u, g, cost, curved)
+        bent = abs(gamma - L[4]) * size + 2 * (abs(x - L[5]) + abs(y - L[6])) / np.sqrt(W[0] + W[2])
+        if (size * bent) ** 2 > limit:
+            return True
     _store(e, nodes, edges, gain, u, c, s, g, cost)
     return False

@@ -185,7 +185,7 @@ def _beyond(x, y, scale, share):
 
 
 @njit(cache=True, error_model="numpy")
-def reevaluate(moved, count, nodes, edges, tree, kernel, width, gain, limit, homes, late):
+def reevaluate(moved, count, nodes, edges, tree, kernel, width, gain, limits, homes, late):
     """Evaluate the edges of nodes that moved; returns how many supernodes (``homes``) and late edges there are."""
     tree.counts[STAMP] += 1
     stamp, changed, old = tree.counts[STAMP], 0, 0
@@ -198,7 +198,7 @@ def reevaluate(moved, count, nodes, edges, tree, kernel, width, gain, limit, hom
             side = 0 if edges.ends[e, 0] == node else 1
             if edges.mark[e] != stamp:
                 edges.mark[e] = stamp
-                if evaluate(e, nodes, edges, kernel, width, gain, limit):
+                if evaluate(e, nodes, edges, kernel, width, gain, limits[0], limits[1]):
                     late[old] = e
                     old += 1
                 else:

@@ -12,7 +12,7 @@ from ..se2 import Array, turn_matrix
 from .advance import APART, DONE, GROW, SHARE, UNDETERMINED, UNFINISHED, advance, complete
 from .arrays import FLOATS, FREE, INTS, Edges, Nodes, Tree, doubled, new_arrays, sizes, with_room
 from .batch import batch_state
-from .linearize import CHANGED
+from .linearize import CHANGED, CURVED
 from .passes import marginals, total_cost
 
 #: the most passes of one step, after which the batch solver takes over
@@ -42,7 +42,7 @@ class OnlineSystem:
         self._priors: list[tuple[list[int], Array, Array]] = []
         self._kernel: Kernel | None = None
         self._whole = 0
-        self._limits = np.array([CHANGED])
+        self._limits = np.array([CHANGED, CURVED, 0.0])
         self.passes = 0
 
     def use_kernel(self, kernel: Kernel | None, dimension: int) -> None:

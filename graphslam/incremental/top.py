@@ -132,11 +132,13 @@ def _slot(indptr, indices, row, column):
 
 
 @njit(cache=True, error_model="numpy")
-def _assemble(nodes, edges, top, inside, indptr, indices, kernel, width, gain):
+def _assemble(nodes, edges, top, inside, fresh, indptr, indices, kernel, width, gain, curved):
     """Omega of the top without what hangs below, from its edges linearised at the estimate."""
     values = np.zeros((len(indices), 3, 3))
-    for e in inside:
-        relinearize(e, nodes, edges, kernel, width, gain)
+    for q in range(len(inside)):
+        e = inside[q]
+        # far from the minimum second derivatives mislead: new edges (the first ones) are without
+        relinearize(e, nodes, edges, kernel, width, gain, np.inf if q < fresh else curved)
         i, j = np.int64(nodes.local[edges.ends[e, 0]]), np.int64(nodes.local[edges.ends[e, 1]])
         block = values[_slot(indptr, indices, min(i, j), max(i, j))]
         for a, row in enumerate(between(e, edges, gain)):
@@ -228,7 +230,7 @@ def _with_children(layout, nodes, tree, below, spare):
 
 
 @njit(cache=True, error_model="numpy")
-def rebuild(nodes, edges, tree, touched, fresh, newest, kernel, width, gain, work):
+def rebuild(nodes, edges, tree, touched, fresh, newest, kernel, width, gain, curved, work):
     """Eliminate the top again, with new edges and the nodes ``newest`` last.
 
     Returns (0, 0, 0, 0) if that was done, (1, supernodes, floats, ints) if the arrays have to grow before, with nothing
@@ -255,7 +257,7 @@ def rebuild(nodes, edges, tree, touched, fresh, newest, kernel, width, gain, wor
         for node in top:
             nodes.local[node] = -1
         return 1, count, floats + copies, ints, tallest
-    values = _assemble(nodes, edges, top, inside, indptr, indices, kernel, width, gain)
+    values = _assemble(nodes, edges, top, inside, len(fresh), indptr, indices, kernel, width, gain, curved)
     at = tree.counts[FLOATS]
     for s in range(count):
         w, r = np.int64(first[s + 1] - first[s]), row_start[s + 1] - row_start[s]

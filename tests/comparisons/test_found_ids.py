@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from comparisons import run
+from comparisons.estimators import ESTIMATORS, pair_count
 from fastslam import FastSLAM2
 from graphslam import GraphError, load, sample_log_path
 from graphslam.association import score
@@ -27,6 +28,11 @@ def test_the_graph_finds_ids_that_the_log_lacks(log):
         assert not result.named and "found 13 landmarks" in result.notes[0]
         assert comparison.metrics[name].ate_m < 1.1 * known.metrics["graph"].ate_m
         assert comparison.metrics[name].landmark_rmse_m < 1.1 * known.metrics["graph"].landmark_rmse_m
+    assert "283 sightings of unidentified landmarks" in comparison.table.title
+    # the forecast of how long GTSAM takes counts the landmarks that were found
+    forecast = ESTIMATORS["gtsam"].seconds_per_iteration
+    assert forecast(hidden, comparison.options) == pytest.approx(forecast(log, known.options))
+    assert pair_count(hidden) == 0 < pair_count(log)
     # without true ids there is nothing to compare with
     assert comparison.associations["graph"] is None
     assert comparison.to_json()["estimators"][0]["association"]["landmarks"] == 13

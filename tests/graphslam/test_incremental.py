@@ -182,3 +182,23 @@ def test_a_step_that_does_not_end_says_so(monkeypatch):
     found = solve_by_steps(graph)
     assert not found.converged
     assert "did not converge" in found.reason
+
+
+def test_the_minimum_is_found_where_gauss_newton_diverges(monkeypatch):
+    """Two landmarks measured three times as far as they are: J is three times as curved in the heading as B' W B."""
+
+    def refuse(*_):
+        raise AssertionError("the batch solver was asked")
+
+    monkeypatch.setattr(graphslam.incremental.system, "batch_state", refuse)
+    sensor = SensorModel(range_rate=0.0, range_std=0.1, bearing_std=0.03)
+    solver, loose = OnlineSolver(sensor=sensor), np.diag([1.0, 1.0, 1.0]) ** 2
+    for _ in range(100):
+        solver.step(pose=0, ids=[1, 2], sightings=[[1.0, 0.0], [1.0, np.pi]])
+    solver.step(motion=(0.0, 0.0, 0.3), covariance=loose, ids=[1, 2], sightings=[[3.0, -0.5], [3.0, np.pi - 0.5]])
+    assert solver.converged
+    # J has no other term in the heading than that of the motion, which is weak, so that the sightings decide
+    assert abs(solver.pose[2] - 0.5) < 1e-3
+    found = solver.poses
+    solver.relinearize()
+    np.testing.assert_allclose(solver.poses, found, atol=1e-6)

@@ -163,10 +163,9 @@ def _facts(view: View) -> dict[str, Any]:
 
 def _summary(view: View) -> str:
     log = view.log
-    landmarks = f"of {len(log.landmark_ids)} landmarks" if log.identified else "of unidentified landmarks"
     kind = "range, bearing, orientation" if log.has_orientation else "range, bearing"
     time = "" if view.times is None else f" in {view.times[-1] - view.times[0]:.1f} s"
-    return f"{log.num_poses} poses, {len(log.steps)} sightings {landmarks} ({kind}){time}"
+    return f"{log.num_poses} poses, {log.seen} ({kind}){time}"
 
 
 def _map_note(view: View) -> str:

@@ -146,6 +146,12 @@ class Factor:
         self._store.solve(np.ascontiguousarray(rhs).reshape(-1), out)
         return out.reshape(n, 3)
 
+    @property
+    def log_determinant(self) -> float:
+        """log det(Omega + damping diag(Omega))."""
+        self._check()
+        return self._store.log_determinant()
+
     def diagonal_covariances(self) -> NDArray[np.float64]:
         """Diagonal blocks (n, 3, 3) of Omega^-1: the marginal covariance of every node.
 

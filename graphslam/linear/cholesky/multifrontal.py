@@ -29,6 +29,16 @@ class MultifrontalStore:
         scratch = (self.x, self.stack, self.limits, self.run)
         return supernodal.factorize(values, self.layout, *scratch, tolerance, damping)
 
+    def log_determinant(self) -> float:
+        """log det Omega, from the diagonal of L, which is stored inverted."""
+        t = self.layout
+        width = 3 * np.diff(t.first).astype(np.int64)
+        ld = width + (3 * np.diff(t.row_start) + 3 & ~3)
+        column = np.arange(width.sum()) - np.repeat(np.cumsum(width) - width, width)
+        return -2.0 * float(
+            np.log(self.x[np.repeat(t.panel_start[:-1], width) + column * np.repeat(ld + 1, width)]).sum()
+        )
+
     def solve(self, rhs: NDArray[Any], out: NDArray[Any]) -> None:
         """One right-hand side, flat (3n,)."""
         t = self.layout
