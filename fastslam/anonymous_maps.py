@@ -44,7 +44,7 @@ CORRELATED = 0.1
 
 
 class Evidence(NamedTuple):
-    """How the evidence for a landmark counts: after the first sighting, for a later one, against a miss, and what it takes."""
+    """How the evidence for a landmark counts: what a sighting or a miss changes, and what is needed."""
 
     first: float
     hit: float
@@ -61,8 +61,8 @@ COUNTED = Evidence(first=1.0, hit=1.0, graded=0.0, miss=1.0, confirmed=2.0, perm
 def log_odds(detection: float, clutter: float) -> Evidence:
     """The log odds of the existence of a landmark, from those at which it is dropped.
 
-    A sighting of no known landmark is of a new one with the odds (1 - clutter) / clutter. Another sighting multiplies the odds
-    by detection N(z; h, V) / (clutter w_0), where w_0 is the density of the sightings of no known landmark; a miss
+    A sighting of no known landmark is of a new one with the odds (1 - clutter) / clutter. Another sighting multiplies the
+    odds by detection N(z; h, V) / (clutter w_0), where w_0 is the density of the sightings of no known landmark; a miss
     multiplies them by 1 - detection.
     """
     return Evidence(
@@ -100,8 +100,15 @@ class AnonymousLandmarks:
         below = BELOW if self.sampled else 0.0
         each = self._evidence
         self._rule = kernels.Rule(
-            self._border + 2 * below, below, self.sampled, each.first, each.permanent, each.hit, each.graded,
-            options.detection_probability, DROPPED,
+            self._border + 2 * below,
+            below,
+            self.sampled,
+            each.first,
+            each.permanent,
+            each.hit,
+            each.graded,
+            options.detection_probability,
+            DROPPED,
         )
         self._merge_interval, self._merge_gate = options.merge_interval, float(chdtri(coordinates, MERGED))
         self._blur = 0.0, 0.0
@@ -177,7 +184,9 @@ class AnonymousLandmarks:
         self._scans += 1
         merges = self._merge_interval > 0 and self._scans % self._merge_interval == 0
         reach = self._limits[1]
-        box = np.array([[poses[0].min() - reach, poses[0].max() + reach, poses[1].min() - reach, poses[1].max() + reach]])
+        box = np.array(
+            [[poses[0].min() - reach, poses[0].max() + reach, poses[1].min() - reach, poses[1].max() + reach]]
+        )
         near = self._within(box)
         if not (merges or self.sampled):
             near = near[self._droppable[near]]
@@ -187,7 +196,15 @@ class AnonymousLandmarks:
         view = self._limits * [1 / INSIDE, INSIDE, INSIDE]
         # a copy: the kernel is compiled for writable arrays, and these may be read-only
         self._threads.run(
-            existence.count_misses, poses.copy(), self._pool, near, step, view, self._evidence.miss, self._rule, self._misses
+            existence.count_misses,
+            poses.copy(),
+            self._pool,
+            near,
+            step,
+            view,
+            self._evidence.miss,
+            self._rule,
+            self._misses,
         )
         if merges:
             third = float(self.coordinates == 3)
@@ -205,10 +222,12 @@ class AnonymousLandmarks:
 
     def _written(self, slices: np.ndarray) -> None:
         """Record the level and the extent of slices that were written, and free those that no particle has."""
-        owners, droppable, boxes = np.empty(len(slices), np.int64), np.empty(len(slices), np.bool_), np.empty((len(slices), 4))
-        existence.extents(
-            self._pool, slices, self._evidence.permanent, self._rule.gate, owners, droppable, boxes
+        owners, droppable, boxes = (
+            np.empty(len(slices), np.int64),
+            np.empty(len(slices), np.bool_),
+            np.empty((len(slices), 4)),
         )
+        existence.extents(self._pool, slices, self._evidence.permanent, self._rule.gate, owners, droppable, boxes)
         self._levels[slices], self._droppable[slices], self._boxes[slices] = self._genealogy.level(), droppable, boxes
         self._landmarks[slices[owners == 0]] = -1
 

@@ -56,10 +56,10 @@ def associate(
 ) -> None:  # fmt: skip
     """Process one scan of K sightings (6, K): assign, weigh, draw the pose (2.0), update the map and its evidence.
 
-    The hypotheses of sighting k are the landmarks j near it, with the evidence w_j = P_D e_j N(z_k; h(m_j), V) under the
-    predicted pose, and a new landmark or clutter, with w_0. A landmark that the scan has used is no hypothesis any more. Where the hypothesis is
-    drawn, with the probability w / W, W = sum of all w, the weight is multiplied by W / w as well, and so by W alone where
-    the likelihood is that under the prediction.
+    The hypotheses of sighting k are the landmarks j near it, with the evidence w_j = N(z_k; h(m_j), V) under the predicted
+    pose, and a new landmark or clutter, with w_0. A landmark that the scan has used is no hypothesis any more. The most
+    likely one is taken. Or, with w_j multiplied by P_D e_j, the probabilities that landmark j is seen and exists, one is
+    drawn with the probability w / W, W = sum of all w; its likelihood under the drawn pose is then multiplied by W / w.
 
     Args:
         belief: Gaussians (9, N) of the poses; the covariance is zero in 1.0.
@@ -252,9 +252,9 @@ def _draw(
 def places(belief: Array, sightings: Array, gate: float) -> Array:
     """Return for each sighting (6, K) the box that holds the mean m of each landmark that is a hypothesis of a particle.
 
-    That is if the landmark is perfectly known. The box of another one has to be wider by 2 sqrt(gate trace S). With the gate on range l
-    and bearing, abs(m - z) <= sqrt(gate) (2 sqrt(trace S) + 2 sqrt(trace P) + sigma_l + l (sigma_theta + sigma_phi)) in the
-    world, S and P the covariances of the positions of landmark and robot.
+    That is if the landmark is perfectly known. The box of another one has to be wider by 2 sqrt(gate trace S). With the
+    gate on range l and bearing, abs(m - z) <= sqrt(gate) (2 sqrt(trace S) + 2 sqrt(trace P) + sigma_l + l (sigma_theta +
+    sigma_phi)) in the world, S and P the covariances of the positions of landmark and robot.
 
     Returns:
         (K, 4): smallest x, largest x, smallest y, largest y.

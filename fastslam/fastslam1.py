@@ -46,6 +46,12 @@ class FastSLAM1(ParticleFilter):
     `observe` was called in it, even without sightings; a step of a log is observed if it has sightings. Maps number
     landmarks in the order of creation and leave out unconfirmed ones, except on request.
 
+    With the association "sampled" each particle draws the landmark of a sighting in proportion to the evidence of the
+    hypotheses, as far as the scan has not used them, and its weight is multiplied by the sum of that evidence. The
+    evidence for a landmark is then the log of its odds, and a landmark in view that is not seen changes the weight too.
+    Landmarks of a particle that turn out to be one are merged. "auto" uses ids where the log has them, else it is
+    `options.WITHOUT_IDS`. See docs/fastslam.md, "Unknown association".
+
     Arguments and errors are those of `ParticleFilter`; all options are fields of `FilterOptions`. The
     new_landmark_threshold p decides when a sighting belongs to a new landmark: where its likelihood under every known
     landmark is below the density at the border of the ellipse that holds 1 - p of the sightings of a perfectly known

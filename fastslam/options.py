@@ -6,7 +6,7 @@ This module compiles nothing and imports neither numba nor SciPy.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,8 +15,10 @@ from graphslam.errors import OptionError
 
 from .checks import finite, whole
 
-#: how sightings are assigned to landmarks
-ASSOCIATIONS = ("known", "maximum-likelihood", "sampled")
+#: how sightings are assigned to landmarks; auto stands for one of the others, which the log decides
+ASSOCIATIONS = ("auto", "known", "maximum-likelihood", "sampled")
+#: what auto stands for where sightings have no ids: the most accurate on real logs, see docs/association.md
+WITHOUT_IDS = "maximum-likelihood"
 #: the stored poses of all particles are numbered with 32 bits
 MOST_PARTICLES = 50_000_000
 #: the names of the resampling schemes, see `fastslam.resampling`
@@ -56,10 +58,10 @@ class FilterOptions:
     )
     threads: int | None = field(default=None, metadata={"help": "Number of threads; by default all cores."})
     association: str = field(
-        default="known",
+        default="auto",
         metadata={
-            "help": "Known uses the landmark ids. The others ignore them: maximum-likelihood takes the most likely "
-            "landmark for each sighting, sampled draws it.",
+            "help": "Landmarks of sightings. Known takes their ids, maximum-likelihood the most likely landmark, "
+            f"sampled draws it. Auto is known, but {WITHOUT_IDS} where a log has no ids.",
             "choices": ASSOCIATIONS,
         },
     )
@@ -71,9 +73,7 @@ class FilterOptions:
     )
     clutter_share: float = field(
         default=0.1,
-        metadata={
-            "help": "Share of clutter among the sightings of no known landmark; for the association sampled."
-        },
+        metadata={"help": "Share of clutter among the sightings of no known landmark; for the association sampled."},
     )
     merge_interval: int = field(
         default=10,
@@ -133,7 +133,7 @@ class FilterOptions:
         check_choice("stage", self.stage, STAGES)
         if not self.uses_ids and (self.landmark_update, self.range_noise) != ("kalman", "measured"):
             raise OptionError(
-                "landmark_update moments and range_noise estimated need the association known, not "
+                "landmark_update moments and range_noise estimated need the association known, so ids of all sightings, not "
                 f"{self.association}"
             )
         if self.range_noise == "estimated" and self.proposal_weight != "exact":
@@ -146,7 +146,7 @@ class FilterOptions:
                 f"smoothing must be 0 (off) or at least {FEWEST_SMOOTHED} trajectories, not {self.smoothing}"
             )
         if self.smoothing and not self.uses_ids:
-            raise OptionError("smoothing needs the association known, not maximum-likelihood")
+            raise OptionError(f"smoothing needs the association known, so ids of all sightings, not {self.association}")
         if self.smoothing and self.stage == "motion":
             raise OptionError("smoothing needs weighted particles: the stage weights or resampling, not motion")
         if not 0 <= finite("ess_threshold", self.ess_threshold, "a number between 0 and 1", [()]) <= 1:
@@ -166,8 +166,14 @@ class FilterOptions:
 
     @property
     def uses_ids(self) -> bool:
-        """Whether FastSLAM uses the landmark ids of the sightings."""
-        return self.association == "known"
+        """Whether FastSLAM uses the landmark ids of the sightings, where they have any."""
+        return self.association in ("auto", "known")
+
+    def for_ids(self, identified: bool) -> FilterOptions:
+        """These options with the association that auto stands for where sightings have ids or, else, have none."""
+        if self.association != "auto":
+            return self
+        return replace(self, association="known" if identified else WITHOUT_IDS)
 
 
 #: the density of the sightings that particle Gibbs samples

@@ -303,7 +303,7 @@ def test_same_result_whatever_the_number_of_threads(kind: type) -> None:
 
 
 def test_options() -> None:
-    with pytest.raises(OptionError, match="association must be one of known, maximum-likelihood"):
+    with pytest.raises(OptionError, match="association must be one of auto, known, maximum-likelihood, sampled"):
         FastSLAM1(association="nearest")
     with pytest.raises(OptionError, match="new_landmark_threshold must lie between 0 and 1"):
         FastSLAM2(new_landmark_threshold=0.0)
