@@ -426,7 +426,12 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
     values |= {"name": name, "origin": solution, "notes": tuple(notes), "weighed_down": weighed_down}
     if found is not None:
         # the notes of the association came with its log
-        values |= {"named": False, "association": found.ids, "seconds": solution.seconds + found.seconds}
+        values |= {
+            "named": False,
+            "association": found.ids,
+            "found": found,
+            "seconds": solution.seconds + found.seconds,
+        }
         values["notes"] = (*found.notes, *notes)
     return EstimatorResult(**values, options={name: getattr(options, name) for name in _GRAPH})
 

@@ -311,8 +311,9 @@ class AnimationOptions(Options):
     """The animation of an estimator."""
 
     estimator: str = option(
-        "graph", "Estimator to animate.", choices=("graph", "fastslam1", "fastslam2", "mcl", "isam2", "particle-gibbs")
-    )
+        "graph", "Estimator to animate; association: what was found for sightings without ids.",
+        choices=("graph", "association", "fastslam1", "fastslam2", "mcl", "isam2", "particle-gibbs"),
+    )  # fmt: skip
     fps: float | None = option(
         None,
         "Frames per second.",

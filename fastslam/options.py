@@ -24,8 +24,9 @@ RESAMPLING = ("systematic", "stratified", "residual", "multinomial")
 
 #: how FastSLAM 2.0 weighs its particles: with the density of its proposal, or as if h and f were linear
 PROPOSAL_WEIGHTS = ("exact", "linearised")
-#: how the Gaussian of a landmark follows from a sighting: by the Kalman gain, or with the moments of the posterior
-LANDMARK_UPDATES = ("kalman", "moments")
+#: how the Gaussian of a landmark follows from a sighting: by the Kalman gain, with the moments of the posterior, or
+#: from all sightings of the landmark together
+LANDMARK_UPDATES = ("kalman", "moments", "joint")
 #: the range at which the variance of a sighting's range is taken
 RANGE_NOISES = ("measured", "estimated")
 #: the fewest trajectories that backward simulation draws, so that they have covariances
@@ -73,7 +74,8 @@ class FilterOptions:
     landmark_update: str = field(
         default="kalman",
         metadata={
-            "help": "Landmarks of FastSLAM: kalman linearises each sighting, moments integrates it; known ids only.",
+            "help": "Landmarks of FastSLAM: kalman linearises each sighting, moments integrates it, joint integrates all "
+            "sightings of a landmark together; moments and joint with known ids only.",
             "choices": LANDMARK_UPDATES,
         },
     )
@@ -116,7 +118,8 @@ class FilterOptions:
         check_choice("stage", self.stage, STAGES)
         if not self.uses_ids and (self.landmark_update, self.range_noise) != ("kalman", "measured"):
             raise OptionError(
-                "landmark_update moments and range_noise estimated need the association known, not maximum-likelihood"
+                f"landmark_update {self.landmark_update} with range_noise {self.range_noise} needs the association known, "
+                "not maximum-likelihood"
             )
         if self.range_noise == "estimated" and self.proposal_weight != "exact":
             raise OptionError(
@@ -173,6 +176,13 @@ class GibbsOptions:
             "choices": DENSITIES,
         },
     )
+    degrees_of_freedom: float | None = field(
+        default=None,
+        metadata={
+            "help": "Particle Gibbs: degrees of freedom of Student's t distribution of the sightings, such as 4 for real "
+            "data with wrong sightings; by default they are Gaussian."
+        },
+    )
 
     def __post_init__(self) -> None:
         for name, least in (("particles", 2), ("iterations", 1), ("warm_up", 0), ("chains", 1), ("block", 1)):
@@ -181,3 +191,9 @@ class GibbsOptions:
                 raise OptionError(f"{name} must be at least {least}, not {value}")
             object.__setattr__(self, name, value)
         check_choice("density", self.density, DENSITIES)
+        if self.degrees_of_freedom is not None:
+            expected = "a number above 0, or None for Gaussian sightings"
+            degrees = float(finite("degrees_of_freedom", self.degrees_of_freedom, expected, [()]))
+            if degrees <= 0:
+                raise OptionError(f"degrees_of_freedom must be {expected}, not {degrees!r}")
+            object.__setattr__(self, "degrees_of_freedom", degrees)

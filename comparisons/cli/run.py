@@ -57,7 +57,9 @@ def run(
         for kind, p in files.items()
         if not kind.endswith((".tum", ".csv", ".g2o")) and kind not in ("html", "mcap", "rerun")
     ]
-    named += ["trajectories (*.tum)", "maps (*-map.csv)", *(["graph.g2o"] if "graph.g2o" in files else [])]
+    named += ["trajectories (*.tum)", "maps (*-map.csv)"]
+    named += ["associations (*-sightings.csv)"] * any(name.endswith("-sightings.csv") for name in files)
+    named += ["graph.g2o"] * ("graph.g2o" in files)
     output.hint(f"Wrote {', '.join(named)} into {folder}{os.sep}")
     if "config" in files:
         output.hint(f"Repeat this run:     {command('run', '--config', files['config'])}")

@@ -301,7 +301,8 @@ def rebuild(nodes, edges, tree, touched, fresh, newest, robust, memory, work):
         nodes, tree, below, at,
     )  # fmt: skip
     run = np.empty(tallest // 3 + 1, np.int64)
-    bad = factorize(values.reshape(-1), layout, tree.floats, tree.floats, np.empty(3 * n), run, PIVOT_TOLERANCE, 0.0)
+    scratch = (tree.floats, tree.floats, np.empty(3 * n), run)
+    bad = factorize(values.reshape(-1), layout, np.arange(len(layout.first) - 1), *scratch, PIVOT_TOLERANCE, 0.0)
     if bad >= 0:
         _copy(nodes, edges, top, inside, of_nodes, of_edges, True)
         memory[COST] = cost
