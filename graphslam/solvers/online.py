@@ -80,7 +80,9 @@ class IncrementalSmoother:
         params.findUnusedFactorSlots = True
         self.isam = gtsam.ISAM2(params)
         self._advice = (
-            "" if params.getFactorization() == "QR" else "; factorization='qr' goes on where information is very unequal"
+            ""
+            if params.getFactorization() == "QR"
+            else "; factorization='qr' goes on where information is very unequal"
         )
         self.num_poses = 1
         #: per landmark the keys of the poses that saw it, and its sightings
