@@ -6,7 +6,7 @@ Add one by writing its function and naming it in `ESTIMATORS`; tables, figures a
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
@@ -187,9 +187,18 @@ def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 
 def online(log: Log, options: RunOptions) -> EstimatorResult:
     """The hand-written solver step by step through the log, at the optimum of the graph with landmark nodes after each."""
-    keywords = online_keywords(log, options) | {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
-    solution = graphslam.solve_by_steps(Graph.from_log(log, **keywords))
+    solution = graphslam.solve_by_steps(_online_graph(log, options))
     return replace(_of_solution("online", log, options, solution), converged=None)
+
+
+def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineEstimate]:
+    """The estimates of `online` after every step."""
+    return graphslam.steps_of(_online_graph(log, options))
+
+
+def _online_graph(log: Log, options: RunOptions) -> Graph:
+    fixed = {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
+    return Graph.from_log(log, **(online_keywords(log, options) | fixed))
 
 
 def isam2(log: Log, options: RunOptions) -> EstimatorResult:
