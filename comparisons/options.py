@@ -147,8 +147,9 @@ class FrontEndOptions(Options):
 
     panel = "Graph"
     front_end: str = option(
-        "fastslam2", "What finds ids for the graph where sightings have none: fastslam2, or batch, which solves graphs "
-        "along the drive. Both are then refined in the graph.", choices=("fastslam2", "batch"),
+        "fastslam2", "What finds ids for the graph where sightings have none: fastslam2; batch, which solves graphs "
+        "along the drive; or best: both, fastslam2 three times, of which the end with the highest evidence is taken. All are "
+        "then refined in the graph.", choices=("fastslam2", "batch", "best"),
     )  # fmt: skip
     front_particles: int = option(30, "Particles of the front end fastslam2.", minimum=1)
 
@@ -203,6 +204,7 @@ class OutputOptions(Options):
     panel = OUTPUT
     out: Path | None = option(None, "Folder for the results.", metavar="DIR", default_text="results/<time>")
     figures: tuple[str, ...] = option(("png", "pdf"), "Formats of the figure.", choices=("png", "pdf", "svg"))
+    live: bool = option(False, "Before the comparison, draw the map in the terminal while the online solver makes it.")
     html: Path | None = option(None, "Also write the interactive report, one HTML file.", metavar="FILE")
     mcap: Path | None = option(
         None, "Also write poses and maps as MCAP with messages of ROS 2, for Foxglove and RViz.", metavar="FILE"
