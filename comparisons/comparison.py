@@ -21,7 +21,7 @@ from graphslam.se2 import wrap
 from .attempt import Skipped, attempts
 from .config import config_text
 from .display import Displayed
-from .documents import AssociationDocument, EstimatorDocument, RunDocument, certificate_document, describe, document
+from .documents import EstimatorDocument, RunDocument, certificate_document, describe, document
 from .estimators import ESTIMATORS, check_estimators, default_estimators, make_graph
 from .exchange import texts, write_pose_graph
 from .failures import noted
@@ -30,6 +30,7 @@ from .options import MODELS, LimitOptions, OutputOptions, RunOptions
 from .reading import prepare
 from .results import EstimatorResult
 from .saving import SavedFiles, fill_results, new_directory, write_json
+from .sightings import association_document
 
 
 @dataclass(frozen=True)
@@ -202,7 +203,8 @@ class Comparison(Displayed):
         by_name = {
             r.name: document(
                 EstimatorDocument, r, self.metrics[r.name], nees=self.nees[r.name], notes=self.notes_of(r),
-                certificate=certificate_document(r.certificate), association=self._association(r),
+                certificate=certificate_document(r.certificate),
+                association=association_document(self.log, r, self.associations[r.name]),
             )
             for r in self.results
         }  # fmt: skip
@@ -216,15 +218,6 @@ class Comparison(Displayed):
             notes=getattr(files, "notes", []),
             warnings=[finding.message for finding in self.findings],
         )
-
-    def _association(self, result: EstimatorResult) -> dict[str, Any] | None:
-        if result.association is None:
-            return None
-        given = result.association != UNIDENTIFIED
-        unknown = dict.fromkeys(AssociationScore.__dataclass_fields__)
-        scores = self.associations[result.name]
-        counted = {"landmarks": len(np.unique(result.association[given])), "clutter": int(np.sum(~given))}
-        return document(AssociationDocument, **counted, **(unknown if scores is None else asdict(scores)))
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:

@@ -6,7 +6,7 @@ Add one by writing its function and naming it in `ESTIMATORS`; tables, figures a
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
@@ -187,9 +187,18 @@ def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 
 def online(log: Log, options: RunOptions) -> EstimatorResult:
     """The hand-written solver step by step through the log, at the optimum of the graph with landmark nodes after each."""
-    keywords = online_keywords(log, options) | {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
-    solution = graphslam.solve_by_steps(Graph.from_log(log, **keywords))
+    solution = graphslam.solve_by_steps(_online_graph(log, options))
     return replace(_of_solution("online", log, options, solution), converged=None)
+
+
+def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineEstimate]:
+    """The estimates of `online` after every step."""
+    return graphslam.steps_of(_online_graph(log, options))
+
+
+def _online_graph(log: Log, options: RunOptions) -> Graph:
+    fixed = {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
+    return Graph.from_log(log, **(online_keywords(log, options) | fixed))
 
 
 def isam2(log: Log, options: RunOptions) -> EstimatorResult:
@@ -286,7 +295,10 @@ def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResul
     result = particles.run()
     seconds = time.perf_counter() - begin
     # a filter that ignores the ids numbers its landmarks itself
-    named = name == "mcl" or options.filter.uses_ids
+    named = name == "mcl" or result.options.uses_ids
+    notes = [] if named else ["landmarks are numbered by discovery, and matched to the true ones by position"]
+    if not log.identified:
+        notes = [f"the sightings have no ids: {result.options.association} association finds the landmarks"]
     maps = name != "mcl"
     reason = f"processed the log once with {options.filter.particles} particles"
     reported: fastslam.FilterResult | Samples = result
@@ -301,9 +313,9 @@ def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResul
         landmarks=dict(reported.landmarks) if maps else {},
         landmark_covariances=dict(reported.landmark_covariances) if maps else {},
         named=named,
-        notes=() if named else ("landmarks are numbered by discovery, and matched to the true ones by position",),
+        notes=tuple(notes),
         association=result.association,
-        options={k: v for k, v in asdict(options.filter).items() if k in ("seed", *ESTIMATORS[name].uses)},
+        options={k: v for k, v in asdict(result.options).items() if k in ("seed", *ESTIMATORS[name].uses)},
         reason=reason,
         origin=result,
     )
@@ -417,7 +429,12 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
     values |= {"name": name, "origin": solution, "notes": tuple(notes), "weighed_down": weighed_down}
     if found is not None:
         # the notes of the association came with its log
-        values |= {"named": False, "association": found.ids, "seconds": solution.seconds + found.seconds}
+        values |= {
+            "named": False,
+            "association": found.ids,
+            "found": found,
+            "seconds": solution.seconds + found.seconds,
+        }
         values["notes"] = (*found.notes, *notes)
     return EstimatorResult(**values, options={name: getattr(options, name) for name in _GRAPH})
 

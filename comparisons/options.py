@@ -203,6 +203,7 @@ class OutputOptions(Options):
     panel = OUTPUT
     out: Path | None = option(None, "Folder for the results.", metavar="DIR", default_text="results/<time>")
     figures: tuple[str, ...] = option(("png", "pdf"), "Formats of the figure.", choices=("png", "pdf", "svg"))
+    live: bool = option(False, "Before the comparison, draw the map in the terminal while the online solver makes it.")
     html: Path | None = option(None, "Also write the interactive report, one HTML file.", metavar="FILE")
     mcap: Path | None = option(
         None, "Also write poses and maps as MCAP with messages of ROS 2, for Foxglove and RViz.", metavar="FILE"
@@ -310,8 +311,9 @@ class AnimationOptions(Options):
     """The animation of an estimator."""
 
     estimator: str = option(
-        "graph", "Estimator to animate.", choices=("graph", "fastslam1", "fastslam2", "mcl", "isam2", "particle-gibbs")
-    )
+        "graph", "Estimator to animate; association: what was found for sightings without ids.",
+        choices=("graph", "association", "fastslam1", "fastslam2", "mcl", "isam2", "particle-gibbs"),
+    )  # fmt: skip
     fps: float | None = option(
         None,
         "Frames per second.",

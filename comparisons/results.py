@@ -12,7 +12,7 @@ import numpy as np
 from fastslam.gibbs.result import GibbsResult
 from fastslam.samples import Samples
 from fastslam.state import FilterResult
-from graphslam import Certificate, Graph, Log, MotionModel, Solution, certify
+from graphslam import Association, Certificate, Graph, Log, MotionModel, Solution, certify
 from graphslam.se2 import Array, compose, inverse, rotation, wrap
 from graphslam.textbook import TextbookSolution
 from graphslam.uncertainty import Uncertainty
@@ -39,6 +39,7 @@ class EstimatorResult:
             so that their true counterparts are known by position only.
         association: (M,) the landmark that the estimator gave each sighting of the log, `graphslam.log.UNIDENTIFIED` for
             none; None where it used the ids of the log.
+        found: how these ids were found, where `graphslam.associate` found them.
         weighed_down: the number of sightings that a robust kernel gives less than half of their weight; None without one.
         options: the options that it used, for the record.
         reason: why it ended, one sentence.
@@ -62,6 +63,7 @@ class EstimatorResult:
     landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
     named: bool = True
     association: np.ndarray | None = field(default=None, repr=False)
+    found: Association | None = field(default=None, repr=False)
     weighed_down: int | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     reason: str = ""
@@ -80,6 +82,17 @@ class EstimatorResult:
     def cost_per_dof(self) -> float | None:
         """J per degree of freedom, with J of pairs divided by the times that they count a sighting; see `of_expected`."""
         return None if self.graph is None or self.cost is None else of_expected(self.cost, self.graph)
+
+    @property
+    def unconfirmed(self) -> np.ndarray | None:
+        """Whether the landmark of each sighting (M,) is uncertain; None where the ids of the log were used.
+
+        After `graphslam.associate` another landmark, or clutter, is nearly as likely; to a filter the landmark itself is not
+        confirmed.
+        """
+        if self.found is not None:
+            return self.found.doubtful
+        return self.origin.unconfirmed if isinstance(self.origin, FilterResult) else None
 
     @cached_property
     def certificate(self) -> Certificate | None:

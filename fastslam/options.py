@@ -6,7 +6,7 @@ This module compiles nothing and imports neither numba nor SciPy.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,8 +15,10 @@ from graphslam.errors import OptionError
 
 from .checks import finite, whole
 
-#: how sightings are assigned to landmarks
-ASSOCIATIONS = ("known", "maximum-likelihood")
+#: how sightings are assigned to landmarks; auto stands for one of the others, which the log decides
+ASSOCIATIONS = ("auto", "known", "maximum-likelihood", "sampled")
+#: what auto stands for where sightings have no ids: the most accurate on real logs, see docs/association.md
+WITHOUT_IDS = "maximum-likelihood"
 #: the stored poses of all particles are numbered with 32 bits
 MOST_PARTICLES = 50_000_000
 #: the names of the resampling schemes, see `fastslam.resampling`
@@ -24,8 +26,9 @@ RESAMPLING = ("systematic", "stratified", "residual", "multinomial")
 
 #: how FastSLAM 2.0 weighs its particles: with the density of its proposal, or as if h and f were linear
 PROPOSAL_WEIGHTS = ("exact", "linearised")
-#: how the Gaussian of a landmark follows from a sighting: by the Kalman gain, or with the moments of the posterior
-LANDMARK_UPDATES = ("kalman", "moments")
+#: how the Gaussian of a landmark follows from a sighting: by the Kalman gain, with the moments of the posterior, or
+#: from all sightings of the landmark together
+LANDMARK_UPDATES = ("kalman", "moments", "joint")
 #: the range at which the variance of a sighting's range is taken
 RANGE_NOISES = ("measured", "estimated")
 #: the fewest trajectories that backward simulation draws, so that they have covariances
@@ -56,11 +59,26 @@ class FilterOptions:
     )
     threads: int | None = field(default=None, metadata={"help": "Number of threads; by default all cores."})
     association: str = field(
-        default="known",
-        metadata={"help": "Known uses the landmark ids, maximum-likelihood ignores them.", "choices": ASSOCIATIONS},
+        default="auto",
+        metadata={
+            "help": "Landmarks of sightings. Known takes their ids, maximum-likelihood the most likely landmark, "
+            f"sampled draws it. Auto is known, but {WITHOUT_IDS} where a log has no ids.",
+            "choices": ASSOCIATIONS,
+        },
     )
     new_landmark_threshold: float = field(
         default=1e-6, metadata={"help": "Probability that a sighting of a known landmark is taken for a new one."}
+    )
+    detection_probability: float = field(
+        default=0.5, metadata={"help": "Probability that a landmark in view is seen; for the association sampled."}
+    )
+    clutter_share: float = field(
+        default=0.1,
+        metadata={"help": "Share of clutter among the sightings of no known landmark; for the association sampled."},
+    )
+    merge_interval: int = field(
+        default=10,
+        metadata={"help": "Merge landmarks that are one after every so many scans, 0: never; for unknown ids."},
     )
 
     proposal_weight: str = field(
@@ -73,7 +91,8 @@ class FilterOptions:
     landmark_update: str = field(
         default="kalman",
         metadata={
-            "help": "Landmarks of FastSLAM: kalman linearises each sighting, moments integrates it; known ids only.",
+            "help": "Landmarks of FastSLAM: kalman linearises each sighting, moments integrates it, joint integrates all "
+            "sightings of a landmark together; moments and joint with known ids only.",
             "choices": LANDMARK_UPDATES,
         },
     )
@@ -116,7 +135,8 @@ class FilterOptions:
         check_choice("stage", self.stage, STAGES)
         if not self.uses_ids and (self.landmark_update, self.range_noise) != ("kalman", "measured"):
             raise OptionError(
-                "landmark_update moments and range_noise estimated need the association known, not maximum-likelihood"
+                f"landmark_update {self.landmark_update} with range_noise {self.range_noise} needs the association known, "
+                f"so ids of all sightings, not {self.association}"
             )
         if self.range_noise == "estimated" and self.proposal_weight != "exact":
             raise OptionError(
@@ -128,23 +148,34 @@ class FilterOptions:
                 f"smoothing must be 0 (off) or at least {FEWEST_SMOOTHED} trajectories, not {self.smoothing}"
             )
         if self.smoothing and not self.uses_ids:
-            raise OptionError("smoothing needs the association known, not maximum-likelihood")
+            raise OptionError(f"smoothing needs the association known, so ids of all sightings, not {self.association}")
         if self.smoothing and self.stage == "motion":
             raise OptionError("smoothing needs weighted particles: the stage weights or resampling, not motion")
         if not 0 <= finite("ess_threshold", self.ess_threshold, "a number between 0 and 1", [()]) <= 1:
             raise OptionError(
                 f"ess_threshold must lie between 0 (never resample) and 1 (always), not {self.ess_threshold!r}"
             )
-        if not 0 < finite("new_landmark_threshold", self.new_landmark_threshold, "a number between 0 and 1", [()]) < 1:
-            raise OptionError(f"new_landmark_threshold must lie between 0 and 1, not {self.new_landmark_threshold!r}")
+        for name in ("new_landmark_threshold", "detection_probability", "clutter_share"):
+            value = getattr(self, name)
+            if not 0 < finite(name, value, "a number between 0 and 1", [()]) < 1:
+                raise OptionError(f"{name} must lie between 0 and 1, not {value!r}")
+        object.__setattr__(self, "merge_interval", whole("merge_interval", self.merge_interval))
+        if self.merge_interval < 0:
+            raise OptionError(f"merge_interval must be a number of scans, or 0 for never, not {self.merge_interval}")
         expected = "a whole number of at least 1, or None for all"
         if self.threads is not None and whole("threads", self.threads, expected) < 1:
             raise OptionError(f"threads must be {expected}, not {self.threads!r}")
 
     @property
     def uses_ids(self) -> bool:
-        """Whether FastSLAM uses the landmark ids of the sightings."""
-        return self.association == "known"
+        """Whether FastSLAM uses the landmark ids of the sightings, where they have any."""
+        return self.association in ("auto", "known")
+
+    def for_ids(self, identified: bool) -> FilterOptions:
+        """These options with the association that auto stands for where sightings have ids or, else, have none."""
+        if self.association != "auto":
+            return self
+        return replace(self, association="known" if identified else WITHOUT_IDS)
 
 
 #: the density of the sightings that particle Gibbs samples
@@ -173,6 +204,13 @@ class GibbsOptions:
             "choices": DENSITIES,
         },
     )
+    degrees_of_freedom: float | None = field(
+        default=None,
+        metadata={
+            "help": "Particle Gibbs: degrees of freedom of Student's t distribution of the sightings, such as 4 for real "
+            "data with wrong sightings; by default they are Gaussian."
+        },
+    )
 
     def __post_init__(self) -> None:
         for name, least in (("particles", 2), ("iterations", 1), ("warm_up", 0), ("chains", 1), ("block", 1)):
@@ -181,3 +219,9 @@ class GibbsOptions:
                 raise OptionError(f"{name} must be at least {least}, not {value}")
             object.__setattr__(self, name, value)
         check_choice("density", self.density, DENSITIES)
+        if self.degrees_of_freedom is not None:
+            expected = "a number above 0, or None for Gaussian sightings"
+            degrees = float(finite("degrees_of_freedom", self.degrees_of_freedom, expected, [()]))
+            if degrees <= 0:
+                raise OptionError(f"degrees_of_freedom must be {expected}, not {degrees!r}")
+            object.__setattr__(self, "degrees_of_freedom", degrees)

@@ -35,6 +35,8 @@ def run(
 
         check_page(saving.html)
     writers = _recordings(saving)
+    if saving.live:
+        _draw_live(output, log, options)
     outcome = _compared(output, log, chosen, options)
     files = outcome.save(saving.out, figures=saving.figures)
     output.show(outcome)
@@ -56,7 +58,9 @@ def run(
         for kind, p in files.items()
         if not kind.endswith((".tum", ".csv", ".g2o")) and kind not in ("html", "mcap", "rerun")
     ]
-    named += ["trajectories (*.tum)", "maps (*-map.csv)", *(["graph.g2o"] if "graph.g2o" in files else [])]
+    named += ["trajectories (*.tum)", "maps (*-map.csv)"]
+    named += ["associations (*-sightings.csv)"] * any(name.endswith("-sightings.csv") for name in files)
+    named += ["graph.g2o"] * ("graph.g2o" in files)
     output.hint(f"Wrote {', '.join(named)} into {folder}{os.sep}")
     if "config" in files:
         output.hint(f"Repeat this run:     {command('run', '--config', files['config'])}")
@@ -182,6 +186,16 @@ def _progress(output: Output, advance: Advance) -> Progress:
             output.detail(f"{name}: {outcome.seconds:.3g} s" + (f", {outcome.reason}" if outcome.reason else ""))
 
     return report
+
+
+def _draw_live(output: Output, log: Path | None, options: RunOptions) -> None:
+    from ..reading import prepare
+    from ..show.live import pictures
+
+    prepared, _, filled = prepare(log, options)
+    with output.picture() as (draw, size):
+        for lines in pictures(prepared, filled, width=size[0], height=size[1]):
+            draw(lines)
 
 
 def _recordings(saving: OutputOptions) -> dict[str, tuple[Path, Callable[[Comparison, Path], None]]]:

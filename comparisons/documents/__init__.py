@@ -5,7 +5,14 @@ The docstring of a model and the descriptions of its fields are those of the sch
 
 from .base import Document, document
 from .logs import CalibrateDocument, DatasetsDocument, ImportDocument, ShowDocument, SimulateDocument, describe
-from .runs import AnimateDocument, AssociationDocument, EstimatorDocument, RunDocument, certificate_document
+from .runs import (
+    AnimateDocument,
+    AssociationDocument,
+    DoubtDocument,
+    EstimatorDocument,
+    RunDocument,
+    certificate_document,
+)
 from .solvers import BackendsDocument, SolversDocument
 from .studies import ConsistencyDocument, ParticlesDocument, StudyDocument, SweepDocument
 
@@ -27,5 +34,6 @@ DOCUMENTS: dict[str, type[Document]] = {
 }
 
 __all__ = [
-    "DOCUMENTS", "AssociationDocument", "Document", "EstimatorDocument", "certificate_document", "describe", "document",
+    "DOCUMENTS", "AssociationDocument", "Document", "DoubtDocument", "EstimatorDocument", "certificate_document", "describe",
+    "document",
 ]  # fmt: skip

@@ -28,6 +28,21 @@ def certificate_document(certificate: object | None) -> dict[str, Any] | None:
     return None if certificate is None else document(CertificateDocument, certificate)
 
 
+class DoubtDocument(Document):
+    """A place that may be another one; see docs/association.md."""
+
+    step: Annotated[Count, about("where the landmarks come into sight again, or first")]
+    last: Annotated[Count, about("the last step before in which one of them, or else any landmark, was seen")]
+    landmarks: Annotated[list[int], about("their ids")]
+    others: Annotated[
+        list[int], about("the landmarks that they may be instead; empty where they may never have been seen before")
+    ]
+    new: Annotated[bool, about("whether they were taken for landmarks that had never been seen before")]
+    log_factor: Annotated[
+        float, about("logarithm of the evidence for `landmarks` over that for the other account of the drive")
+    ]
+
+
 class AssociationDocument(Document):
     """The ids that an estimator gave sightings itself; what needs true ids is null where there are none."""
 
@@ -39,6 +54,18 @@ class AssociationDocument(Document):
     missed: Annotated[Count | None, about("true landmarks without a match")]
     doubled: Annotated[Count | None, about("further landmarks made of sightings of a true one that is matched already")]
     invented: Annotated[Count | None, about("landmarks made mostly of clutter")]
+    matches: Annotated[dict[Id, int] | None, about("the true landmark of each that is matched, by id")]
+    classes: Annotated[
+        dict[Id, int] | None, about("the class that most sightings of a landmark show, by id; null without classes")
+    ]
+    unconfirmed: Annotated[
+        Count | None,
+        about("sightings for which another landmark, or clutter, is nearly as likely, or a filter's is not confirmed"),
+    ]
+    evidence: Annotated[
+        float | None, about("logarithm of the evidence for the ids; compares associations of one log; null for filters")
+    ]
+    doubts: Annotated[list[DoubtDocument] | None, about("places that may be others; null for filters")]
 
 
 class EstimatorDocument(Document):

@@ -61,6 +61,11 @@ class Sightings:
         )
         return taken._linearised(z[:, 0], z[:, 1], wrap(z[:, 1] - z[:, 2]))
 
+    @property
+    def steps(self) -> np.ndarray:
+        """The step (K,) of each sighting."""
+        return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
+
     def _linearised(self, r: Array, bearing: Array, heading: Array) -> Self:
         """Linearise h(q) = (|q|, atan2 q, atan2 q - q_h) at relative places, given by range, bearing and heading.
 
@@ -80,7 +85,7 @@ class Sightings:
 
     def linearised_at(self, trajectories: Array, maps: Array) -> Self:
         """Return the same problem, linearised at the mean relative places of samples (S, T + 1, 3) and (S, J, 3)."""
-        steps = np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
+        steps = self.steps
         total, heading = np.zeros((len(steps), 2)), np.zeros(len(steps))
         for x, m in zip(trajectories, maps, strict=True):
             pose, mark = x[steps], m[self.marks]

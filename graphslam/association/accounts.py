@@ -148,7 +148,7 @@ def accounts(
         others.append(Hypothesis(np.zeros(0, dtype=np.int64), 0.0))
     result, known = [], set()
     for each in sorted(others, key=lambda each: -each.evidence):
-        if (key := tuple(each.pairs)) in known:
+        if (key := tuple(each.pairs)) in known or (back.new and not of_group[each.pairs].any()):
             continue
         known.add(key)
         to = np.arange(len(apart.labels))

@@ -82,9 +82,17 @@ class Association:
         return int(np.count_nonzero(self.ids == UNIDENTIFIED))
 
     @property
+    def doubtful(self) -> np.ndarray:
+        """Whether the landmark of each sighting (M,) may be another: by its margin, or because a return to it is in doubt."""
+        doubtful = np.asarray(self.margins < np.log(self.options.factor))
+        for doubt in self.doubts:
+            doubtful |= (self.of.steps >= doubt.step) & np.isin(self.ids, doubt.landmarks)
+        return doubtful
+
+    @property
     def ambiguous(self) -> int:
-        """The number of sightings for whose landmark the evidence is less than the factor of the options."""
-        return int(np.count_nonzero(self.margins < np.log(self.options.factor)))
+        """The number of doubtful sightings."""
+        return int(np.count_nonzero(self.doubtful))
 
     @cached_property
     def log(self) -> Log:
@@ -192,7 +200,7 @@ def _report(
         notes.append(
             f"of {len(values)} starts the best by evidence was taken; all of them, relative to it [nats]: {ends}"
         )
-    notes += [f"ambiguous: {doubt}" for doubt in found.doubts[:MOST_NOTES]]
+    notes += [str(doubt) for doubt in found.doubts[:MOST_NOTES]]
     if (more := len(found.doubts) - MOST_NOTES) > 0:
         notes.append(
             f"{more} further {'return is' if more == 1 else 'returns are'} ambiguous by a factor of {options.factor:g}"

@@ -41,13 +41,20 @@ class Doubt:
     def __str__(self) -> str:
         which = _listed(self.landmarks)
         if self.new:
-            begin = f"{which}, first seen from step {self.step} on after a blind drive, are taken for new ones"
+            begin = (
+                f"the arrival at {which} at step {self.step}, after a blind drive from step {self.last}, is ambiguous"
+            )
+            mine = "the evidence that nothing there had been seen before"
         else:
-            begin = f"{which}, out of sight since step {self.last}, are taken for those seen from step {self.step} on"
-        instead = f"that for {_listed(self.others)} instead" if self.others else "that for a place not seen before"
+            begin = f"the return to {which} at step {self.step}, last seen at step {self.last}, is ambiguous"
+            mine = "the evidence for it"
+        if self.others and set(self.others) <= set(self.landmarks):
+            other = f"that for {_listed(self.others)}, exchanged"
+        else:
+            other = f"that for {_listed(self.others)} instead" if self.others else "that for a place not seen before"
         if self.log_factor >= 0:
-            return f"{begin}, but the evidence for this is only {self.factor:.3g} times {instead}"
-        return f"{begin}, but {instead} is {1 / self.factor:.3g} times higher"
+            return f"{begin}: {mine} is only {self.factor:.3g} times {other}"
+        return f"{begin}: {other} is {1 / self.factor:.3g} times {mine}"
 
 
 def doubts(accounts: list[Account], factor: float) -> tuple[Doubt, ...]:

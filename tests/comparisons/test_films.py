@@ -352,7 +352,10 @@ class TestCommandLine:
             (["none.npz", "film.avi"], "must end in .gif or .mp4 or .html"),
             (["none.npz", "film.gif"], "there is no such file"),
             (["nowhere/film.gif"], "there is no such folder"),
-            (["film.gif", "--estimator", "gtsam"], "must be one of graph, fastslam1, fastslam2, mcl, isam2"),
+            (
+                ["film.gif", "--estimator", "gtsam"],
+                "must be one of graph, association, fastslam1, fastslam2, mcl, isam2",
+            ),
             (["film.gif", "--fps", "-1"], "fps must be a positive number"),
             (["film.gif", "--robust", "gnc"], "gnc solves many"),
         ],

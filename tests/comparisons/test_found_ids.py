@@ -7,8 +7,12 @@ import pytest
 
 from comparisons import run
 from comparisons.estimators import ESTIMATORS, pair_count
+from comparisons.exchange import texts
+from comparisons.show.association_tables import association_table
+from comparisons.show.films import animate
+from comparisons.show.tables import landmark_table
 from fastslam import FastSLAM2
-from graphslam import GraphError, load, sample_log_path
+from graphslam import GraphError, OptionError, load, sample_log_path
 from graphslam.association import score
 from graphslam.log import UNIDENTIFIED
 
@@ -46,9 +50,44 @@ def test_ignored_ids_are_compared_with_those_found(log, front_end):
     assert (row.association.precision, row.association.recall, row.association.found) == (1.0, 1.0, 13)
     assert "1.000, 1.000" in str(comparison) and "13 0 0 0" in str(comparison)
     entry = json.loads(json.dumps(comparison.to_json()))["estimators"][0]["association"]
+    matches, evidence = entry.pop("matches"), entry.pop("evidence")
     assert entry == {
         "landmarks": 13, "clutter": 0, "precision": 1.0, "recall": 1.0, "found": 13, "missed": 0, "doubled": 0, "invented": 0,
+        "classes": None, "unconfirmed": 0, "doubts": [],
     }  # fmt: skip
+    assert sorted(matches.values()) == log.landmark_ids.tolist() and np.isfinite(evidence)
+    for j, true in matches.items():
+        np.testing.assert_array_equal(comparison["graph"].association == int(j), log.landmarks == true)
+
+
+def test_classes_and_matches_are_in_tables_files_and_film(log):
+    shown = np.where(np.arange(len(log.steps)) % 10 == 0, 9, log.landmarks % 3)
+    clutter = np.append(log.landmarks[:-1], UNIDENTIFIED)
+    with_classes = log.replace(landmarks=clutter, classes=shown)
+    comparison = run(with_classes, estimators=["graph", "fastslam1"], association="maximum-likelihood", particles=30)
+    entry = comparison.to_json()["estimators"][0]["association"]
+    assert {entry["classes"][j] - true % 3 for j, true in entry["matches"].items()} == {0}
+    table = str(association_table(comparison, comparison["graph"]).columns[-4].header)
+    assert "class" in table
+    assert landmark_table(comparison).columns[1].header.plain == "class"
+    for name, text in texts(comparison):
+        if name == "graph-sightings.csv":
+            rows = [line.split(",") for line in text().splitlines()]
+    assert rows[0] == ["step", "range", "bearing", "orientation", "class", "landmark", "status", "true_id"]
+    assert len(rows) == len(log.steps) + 1 and rows[-1][-1] == "" and rows[1][-1] == str(log.landmarks[0])
+    found = comparison["graph"].association
+    assert [row[5] for row in rows[1:]] == ["" if j == UNIDENTIFIED else str(j) for j in found]
+    assert {row[6] for row in rows[1:]} <= {"confirmed", "unconfirmed", "clutter"}
+    film = animate(with_classes, estimator="association", association="maximum-likelihood", max_frames=5)
+    for frame in film.frames:
+        at = np.flatnonzero(log.steps == frame.number)
+        assert len(frame.ends) == len(frame.status) == len(at)
+        for k, end in zip(at, frame.ends):
+            if found[k] != UNIDENTIFIED:
+                np.testing.assert_allclose(end, comparison["graph"].landmarks[found[k]][:2], atol=1e-6)
+    # drawn, and different where the robot is elsewhere
+    assert np.any(film.pictures[0] != film.pictures[-1])
+    assert "the ids of the log are not used" in film.notes
 
 
 def test_a_filter_gives_the_association_of_each_sighting(log):
@@ -57,6 +96,27 @@ def test_a_filter_gives_the_association_of_each_sighting(log):
     assert score(result.association, log.landmarks).precision > 0.95
     assert set(result.association[~result.unconfirmed]) - {UNIDENTIFIED} == set(result.landmarks)
     assert FastSLAM2(log, particles=50, seed=0).run().association is None
+
+
+def test_filters_find_the_landmarks_of_a_log_without_ids(log):
+    """By default, and they say so; localisation, which needs ids, is left out with advice."""
+    hidden = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+    comparison = run(hidden, particles=30, estimators=["fastslam1", "fastslam2"])
+    for name in ("fastslam1", "fastslam2"):
+        result = comparison[name]
+        assert not result.named and result.options["association"] == "maximum-likelihood"
+        assert result.notes[0] == "the sightings have no ids: maximum-likelihood association finds the landmarks"
+        assert result.association.shape == log.steps.shape
+    sampled = run(hidden, particles=30, estimators="fastslam2", association="sampled")["fastslam2"]
+    assert sampled.options["association"] == "sampled" and score(sampled.association, log.landmarks).precision > 0.9
+    for name in ("mcl", "particle-gibbs"):
+        with pytest.raises(OptionError, match=r"without ids, .* FastSLAM, .* graphslam.associate"):
+            run(hidden, estimators=name)
+    with pytest.raises(OptionError, match="the association is known: leave it out"):
+        run(hidden, estimators="fastslam2", association="known")
+    with pytest.raises(OptionError, match="smoothing needs the association known, so ids of all sightings"):
+        run(hidden, estimators="fastslam2", smoothing=50)
+    assert run(log, particles=30, estimators="fastslam2")["fastslam2"].named
 
 
 def test_all_clutter_is_refused(log):

@@ -90,7 +90,8 @@ def test_two_corridors_are_one_or_two_by_evidence() -> None:
     assert (apart.landmarks, apart.doubts) == (10, ())
     (doubt,) = doubtful.doubts
     assert doubtful.landmarks == 10 and doubt.new and 0 < doubt.log_factor < np.log(100)
-    assert set(doubt.others) == set(range(5)) and "taken for new ones" in str(doubt)
+    assert set(doubt.others) == set(range(5)) and "arrival" in str(doubt)
+    assert doubtful.ambiguous > 20 and not doubtful.doubtful[doubtful.of.steps < doubt.step].any()
     (doubt,) = joined.doubts
     assert joined.landmarks == 5 and not doubt.new and doubt.others == ()
     assert "a place not seen before" in str(doubt)
