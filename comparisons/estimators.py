@@ -295,7 +295,10 @@ def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResul
     result = particles.run()
     seconds = time.perf_counter() - begin
     # a filter that ignores the ids numbers its landmarks itself
-    named = name == "mcl" or options.filter.uses_ids
+    named = name == "mcl" or result.options.uses_ids
+    notes = [] if named else ["landmarks are numbered by discovery, and matched to the true ones by position"]
+    if not log.identified:
+        notes = [f"the sightings have no ids: {result.options.association} association finds the landmarks"]
     maps = name != "mcl"
     reason = f"processed the log once with {options.filter.particles} particles"
     reported: fastslam.FilterResult | Samples = result
@@ -310,9 +313,9 @@ def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResul
         landmarks=dict(reported.landmarks) if maps else {},
         landmark_covariances=dict(reported.landmark_covariances) if maps else {},
         named=named,
-        notes=() if named else ("landmarks are numbered by discovery, and matched to the true ones by position",),
+        notes=tuple(notes),
         association=result.association,
-        options={k: v for k, v in asdict(options.filter).items() if k in ("seed", *ESTIMATORS[name].uses)},
+        options={k: v for k, v in asdict(result.options).items() if k in ("seed", *ESTIMATORS[name].uses)},
         reason=reason,
         origin=result,
     )

@@ -41,6 +41,7 @@ def edges_and_filters() -> None:
     factor.linearize(at)
     for kind in (MonteCarloLocalization, FastSLAM1, FastSLAM2):
         kind(log, particles=10).run()
+    FastSLAM2(log, particles=10, association="sampled", merge_interval=1).run()
 
 
 def factorisation() -> None:
