@@ -14,6 +14,7 @@ from .errors import OptionError
 from .graph import Graph
 from .mapping import LandmarkMap
 from .metrics import pose_nees
+from .parameters.declared import ParameterEstimate
 from .se2 import Array, wrap
 from .uncertainty import Uncertainty
 
@@ -153,6 +154,22 @@ class Solution:
         graph = self._solved_graph
         errors = _errors(self.state[: len(graph.steps)], np.asarray(true_poses, dtype=float)[graph.steps])
         return self._uncertainty.joint_square(errors) / errors[1:].size
+
+    @cached_property
+    def parameters(self) -> ParameterEstimate | None:
+        """The parameters of vehicle and sensor that the graph estimates, with their covariance; None for none.
+
+        Raises:
+            GraphError: the edges do not determine them.
+        """
+        unknown = None if self.graph is None else self.graph.parameters
+        if unknown is None:
+            return None
+        priors = zip(unknown.names, unknown.means.tolist(), unknown.deviations.tolist())
+        return ParameterEstimate(
+            unknown.names, unknown.values, self._uncertainty.of_parameters,
+            {name: (mean, deviation) for name, mean, deviation in priors if np.isfinite(deviation)},
+        )  # fmt: skip
 
     @property
     def _solved_graph(self) -> Graph:
