@@ -26,7 +26,7 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
     """
     if log.identified and options.filter.uses_ids:
         return log, None
-    key = (options.motion, options.sensor, options.front_end, str(options.filter.seed))
+    key = (options.motion, options.sensor, options.front_end, str(options.filter.seed), options.estimate)
     found = _FOUND.setdefault(log, {})
     if key not in found:
         found[key] = _associated(log, options)
@@ -35,15 +35,17 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
 
 def _associated(log: Log, options: RunOptions) -> Association:
     models = {"motion": options.motion, "sensor": options.sensor}
+    # an epsilon that the options name stays
+    ways = {"slip": "epsilon" not in options.numbers, "estimate": options.estimate}
     if options.front_end == "batch" or log.controls is None or len(log.steps) == 0:
         # without controls or sightings this refuses the log
-        return associate(log, **models)  # type: ignore[arg-type]
+        return associate(log, **models, **ways)  # type: ignore[arg-type]
     begin = time.perf_counter()
     front = replace(options.filter, particles=options.front_particles, association="maximum-likelihood")
     result = fastslam.FastSLAM2(log, options=front, **models).run()  # type: ignore[arg-type]
     assert result.association is not None and result.unconfirmed is not None
     lost = (result.association == UNIDENTIFIED) | result.unconfirmed
-    found = associate(log, start=(np.where(lost, -1, result.association), result.poses), **models)  # type: ignore[arg-type]
+    found = associate(log, start=(np.where(lost, -1, result.association), result.poses), **models, **ways)  # type: ignore[arg-type]
     note = (
         f"the ids began with those of FastSLAM 2.0 with {front.particles} particles, and were found anew in the graph"
     )

@@ -21,7 +21,15 @@ from graphslam.se2 import wrap
 from .attempt import Skipped, attempts
 from .config import config_text
 from .display import Displayed
-from .documents import AssociationDocument, EstimatorDocument, RunDocument, certificate_document, describe, document
+from .documents import (
+    AssociationDocument,
+    EstimatorDocument,
+    RunDocument,
+    certificate_document,
+    describe,
+    document,
+    parameters_document,
+)
 from .estimators import ESTIMATORS, check_estimators, default_estimators, make_graph
 from .exchange import texts, write_pose_graph
 from .failures import noted
@@ -203,6 +211,7 @@ class Comparison(Displayed):
             r.name: document(
                 EstimatorDocument, r, self.metrics[r.name], nees=self.nees[r.name], notes=self.notes_of(r),
                 certificate=certificate_document(r.certificate), association=self._association(r),
+                parameters=parameters_document(r.parameters),
             )
             for r in self.results
         }  # fmt: skip

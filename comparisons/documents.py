@@ -16,6 +16,7 @@ from .saving import jsonable
 
 if TYPE_CHECKING:
     from graphslam import Log
+    from graphslam.parameters import ParameterEstimate
 
 _MISSING = object()
 
@@ -148,6 +149,25 @@ class AssociationDocument(Document):
     invented: Annotated[Count | None, about("landmarks made mostly of clutter")]
 
 
+class ParameterDocument(Document):
+    """A parameter of robot or sensor that was estimated with the poses; see docs/parameters.md."""
+
+    value: Annotated[float, about("its estimate")]
+    deviation: Annotated[float, about("its standard deviation")]
+    prior: Annotated[float | None, about("the standard deviation of its prior; null without one")]
+
+
+def parameters_document(parameters: ParameterEstimate | None) -> dict[str, Any] | None:
+    """Estimated parameters as plain data by name, or None."""
+    if parameters is None:
+        return None
+    priors = {name: deviation for name, (_, deviation) in parameters.priors.items()}
+    return {
+        name: document(ParameterDocument, value=parameters[name], deviation=deviation, prior=priors.get(name))
+        for name, deviation in parameters.deviations.items()
+    }
+
+
 class EstimatorDocument(Document):
     """The result of one estimator. Every metric is null where it cannot be known, or the estimator did not run."""
 
@@ -177,6 +197,9 @@ class EstimatorDocument(Document):
     ]
     association: Annotated[
         AssociationDocument | None, about("ids found for the sightings; null where the ids of the log were used")
+    ]
+    parameters: Annotated[
+        dict[str, ParameterDocument] | None, about("estimated parameters by name; null where none was estimated")
     ]
     poses_counted: Annotated[Count | None, about("number of poses that the metrics are of")]
     poses: Annotated[list[Pose] | None, about("the trajectory, T + 1 poses")]

@@ -12,6 +12,7 @@ import numpy as np
 from fastslam.gibbs.result import GibbsResult
 from fastslam.state import FilterResult
 from graphslam import Certificate, Graph, Log, MotionModel, Solution, certify
+from graphslam.parameters import ParameterEstimate
 from graphslam.se2 import Array, compose, inverse, rotation, wrap
 from graphslam.textbook import TextbookSolution
 from graphslam.uncertainty import Uncertainty
@@ -39,6 +40,7 @@ class EstimatorResult:
         association: (M,) the landmark that the estimator gave each sighting of the log, `graphslam.log.UNIDENTIFIED` for
             none; None where it used the ids of the log.
         weighed_down: the number of sightings that a robust kernel gives less than half of their weight; None without one.
+        parameters: of robot and sensor, where they were estimated.
         options: the options that it used, for the record.
         reason: why it ended, one sentence.
         notes: what the user should know.
@@ -62,6 +64,7 @@ class EstimatorResult:
     named: bool = True
     association: np.ndarray | None = field(default=None, repr=False)
     weighed_down: int | None = None
+    parameters: ParameterEstimate | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     reason: str = ""
     notes: tuple[str, ...] = ()

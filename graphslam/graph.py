@@ -86,7 +86,7 @@ class Graph:
         kernel: Kernel | str | None = None,
         dimensions: int | None = None,
         residual: str = "cartesian",
-        estimate: str | Iterable[str] | Mapping[str, float | None] = (),
+        estimate: str | Iterable[str] | Mapping[str, float | None] | None = None,
     ) -> Graph:
         """The graph of a log: an anchor at the first node, edges from the sightings, and motion edges where asked for.
 
@@ -183,6 +183,13 @@ class Graph:
         changed = replace(self, families=families)
         vars(changed)["system"] = self.system
         return changed
+
+    def check_no_parameters(self, solver: str) -> None:
+        """Raise `GraphError` where the graph has parameters, which this solver cannot estimate."""
+        if self.parameters is not None:
+            raise GraphError(
+                f"{solver} cannot estimate parameters ({', '.join(self.parameters.names)}): use solve or solve_with_gtsam"
+            )
 
     @property
     def num_nodes(self) -> int:

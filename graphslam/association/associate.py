@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -12,14 +13,18 @@ import numpy as np
 from ..errors import GraphError, LogError, OptionError
 from ..log import UNIDENTIFIED, Log
 from ..models import MotionModel, SensorModel
+from ..parameters.declared import ParameterEstimate
 from ..precision import check_log
 from ..se2 import Array
+from .adapting import Robot, fitted, slipping, wanted
 from .classes import Classes
 from .densities import Densities, Field
 from .driving import drive
 from .options import AssociationOptions
 from .refining import Refined, refine
-from .solved import Backbone
+
+#: the most times that parameters are estimated from the ids, and ids found in the corrected log
+FITS = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,6 +40,8 @@ class Association:
         rounds, settled: how often sightings were assigned anew, and whether the last time changed nothing.
         cost_per_dof: J of that graph per degree of freedom: about 1 where noise models and ids are right, far above it
             where one of them is wrong.
+        motion: the noise model of the graph, with the slip that the log shows, where it does (`association.adapting`).
+        parameters: the estimated parameters of vehicle and sensor, or None. ``poses`` are those of the corrected log.
         options: what was used.
         seconds: the time it took [s].
         notes: what the user should know, one sentence each.
@@ -47,6 +54,8 @@ class Association:
     rounds: int
     settled: bool
     cost_per_dof: float
+    motion: MotionModel
+    parameters: ParameterEstimate | None
     options: AssociationOptions
     seconds: float
     notes: tuple[str, ...]
@@ -74,11 +83,13 @@ class Association:
 
     @cached_property
     def log(self) -> Log:
-        """The log with these ids, without clutter. It starts from ``poses``."""
+        """The log with these ids, without clutter. It starts from ``poses``, and has the noise model ``motion``."""
         kept = self.ids != UNIDENTIFIED
         log = self.of
         notes = (*log.notes, *self.notes)
-        return log.with_sightings(kept, landmarks=self.ids[kept], initial_poses=self.poses, notes=notes)
+        return log.with_sightings(
+            kept, landmarks=self.ids[kept], initial_poses=self.poses, notes=notes, motion=self.motion
+        )
 
 
 def associate(
@@ -88,6 +99,7 @@ def associate(
     sensor: SensorModel | None = None,
     options: AssociationOptions | None = None,
     start: tuple[np.ndarray, Array] | None = None,
+    estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None,
     **changes: Any,
 ) -> Association:
     """Find out which sightings are of the same landmark, from the log alone. Ids that the log has are not used.
@@ -101,10 +113,13 @@ def associate(
         motion, sensor: the noise models; default: those of the log, else the book's.
         options: the options; ``changes`` replace single fields of `AssociationOptions`.
         start: (ids (M,), poses (T+1, 3)) that another front end found, such as a particle filter; instead of the drive.
+        estimate: parameters of vehicle and sensor to estimate on the way, as in `Graph.from_log`; sightings are then
+            assigned in the corrected log.
 
     Raises:
         LogError: the log has no controls.
-        GraphError: the log has no sightings, or no landmark was seen twice: all sightings may be clutter.
+        GraphError: the log has no sightings, or no landmark was seen twice: all sightings may be clutter; or it does not
+            tell the parameters.
         OptionError: an option has an impossible value.
     """
     begin = time.perf_counter()
@@ -115,7 +130,8 @@ def associate(
     if len(log.steps) == 0:
         raise GraphError(f"{log.name} has no sightings at all, so there is nothing to associate")
     check_log(log, motion, sensor)
-    backbone, field = Backbone.of(log, sensor, motion), Field.of(log, sensor)
+    names, robot = wanted(estimate), Robot(log, motion, sensor)
+    backbone, field = robot.backbone, Field.of(log, sensor)
     densities = Densities.of(log, field, options.clutter)
     classes = Classes.of(log, options.confusion)
     if start is None:
@@ -126,25 +142,54 @@ def associate(
         if labels.shape != log.steps.shape or poses.shape != log.initial_poses.shape:
             raise OptionError(f"start must be {len(log.steps)} ids and poses of shape {log.initial_poses.shape}")
     refined = refine(log, backbone, labels, poses, field, densities, classes, options)
+    if refined is not None and options.slip:
+        robot = slipping(robot, refined.labels, refined.solved.poses)
+        if robot.motion is not motion and not names:
+            refined = _again(robot, refined, refined.solved.poses, classes, options)
+    for _ in range(FITS if names else 0):
+        if refined is None:
+            break
+        before = robot.estimate
+        robot, poses = fitted(robot, log, sensor, refined.labels, refined.solved.poses, names)
+        if robot.settled(before):
+            break
+        refined = _again(robot, refined, poses, classes, options)
     if refined is None:
         raise GraphError(
             f"no landmark of {log.name} was seen often enough to be one: all its {len(log.steps)} sightings may be clutter"
         )
-    return _report(log, refined, options, time.perf_counter() - begin)
+    return _report(log, refined, robot, motion, options, time.perf_counter() - begin)
 
 
-def _report(log: Log, refined: Refined, options: AssociationOptions, seconds: float) -> Association:
+def _again(
+    robot: Robot, refined: Refined, poses: Array, classes: Classes, options: AssociationOptions
+) -> Refined | None:  # fmt: skip
+    """Association and solving in turn with another robot, from labels that were found before, and poses (T+1, 3)."""
+    field = Field.of(robot.log, robot.sensor)
+    return refine(robot.log, robot.backbone, refined.labels, poses, field, refined.densities, classes, options)
+
+
+def _report(
+    log: Log, refined: Refined, robot: Robot, given: MotionModel, options: AssociationOptions, seconds: float
+) -> Association:  # fmt: skip
     graph = refined.solved.graph
     found = Association(
         of=log, ids=np.where(refined.labels < 0, UNIDENTIFIED, refined.labels),
         margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solved.poses, rounds=refined.rounds,
-        settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), options=options,
-        seconds=seconds, notes=(),
+        settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), motion=robot.motion,
+        parameters=robot.estimate, options=options, seconds=seconds, notes=(),
     )  # fmt: skip
     notes = [
         f"found {found.landmarks} landmarks in sightings without ids; {found.clutter} of {len(log.steps)} sightings are "
         f"of no landmark (clutter), J per degree of freedom is {found.cost_per_dof:.2f}"
     ]
+    if robot.motion.epsilon != given.epsilon:
+        notes.append(
+            "over long ways the robot slips sideways more than its noise model allows: for the graph epsilon is raised from "
+            f"{given.epsilon:.2g} to {robot.motion.epsilon:.2g}"
+        )
+    if found.parameters is not None:
+        notes.append(f"ids were found with estimated parameters: {found.parameters.sentence}")
     if found.ambiguous:
         notes.append(
             f"the landmark of {found.ambiguous} sightings is ambiguous: the evidence for it is less than "

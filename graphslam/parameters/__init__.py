@@ -1,4 +1,4 @@
-"""Parameters of vehicle and sensor as unknowns of a graph, such as the scale of the wheels: declared, corrected, estimated."""
+"""Parameters of vehicle and sensor as unknowns of a graph, such as the scale of the wheels."""
 
 from .declared import PARAMETERS, Parameter, ParameterEstimate, Parameters
 

@@ -139,7 +139,7 @@ def ideal_values(sensor: SensorModel) -> dict[str, float]:
 
 
 def declared(
-    estimate: str | Iterable[str] | Mapping[str, float | None], log: Log, motion: MotionModel, sensor: SensorModel,
+    estimate: str | Iterable[str] | Mapping[str, float | None] | None, log: Log, motion: MotionModel, sensor: SensorModel,
     edges: str, residual: str, motion_weight: float,
 ) -> Parameters | None:  # fmt: skip
     """The parameters that a graph with these edges estimates, at their ideal values; None for none.
@@ -148,7 +148,7 @@ def declared(
         OptionError: there is no such parameter, or its prior is impossible.
         GraphError: the edges have no such parameter.
     """
-    found = parsed(estimate)
+    found = parsed(estimate or ())
     if not found:
         return None
     if residual == "polar" and edges.startswith("landmark"):

@@ -66,7 +66,8 @@ def check_observable(joint: JointGraph, nodes: Array, values: Array) -> None:
         if deviation > PARAMETERS[name].limit:
             raise GraphError(
                 f"the log does not tell {name}: its standard deviation would be {deviation:.2g} "
-                f"{PARAMETERS[name].unit}".rstrip() + "; estimate fewer parameters, or give it a prior"
+                f"{PARAMETERS[name].unit}".rstrip()
+                + "; estimate fewer parameters, or give it a prior"
             )
 
 
@@ -83,6 +84,6 @@ def _without_noise(graph: Graph, nodes: Array) -> tuple[Graph, Array]:
         measured = between(nodes[driven.first], nodes[driven.second])
         changed[driven] = replace(driven, measured=measured)  # type: ignore[index, assignment]
         _, slopes = motion_slopes(parameters, corrected_controls(parameters), measured[:, :2])
-    found = replace(graph, families=tuple(changed.get(family, family) for family in graph.families))  # type: ignore[arg-type, call-overload]
+    found = replace(graph, families=tuple(changed.get(family, family) for family in graph.families))  # type: ignore[call-overload]
     vars(found)["system"] = graph.system
     return found, slopes

@@ -9,6 +9,7 @@ common the corrections of measurements, and how a sighting moves (`graphslam.par
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import gtsam
@@ -19,7 +20,7 @@ from .. import factors as factor_types
 from ..errors import GraphError
 from ..factors.base import POSE, Factor, noise_model, turned
 from ..graph import Graph
-from ..parameters.corrected import predictions, sighted_edges
+from ..parameters.corrected import predictions
 from ..parameters.corrections import corrected_controls, motion_slopes, moves
 from ..parameters.joint import JointGraph
 from ..se2 import Array, rotation, turn_matrix, wrap
@@ -58,7 +59,7 @@ def _minimum(joint: JointGraph, state: Array, tolerance: float) -> Array:
     """The minimum of the graph frozen at a state (n + r, 3), as such a state."""
     graph, (nodes, values) = joint.at(state), joint.parted(state)
     key = 2 * graph.num_nodes + len(graph.sighting_rows)
-    made, start = _factors(joint, graph, nodes, key), to_values(graph, nodes)
+    made, start = _factors(graph, nodes, key), to_values(graph, nodes)
     start.insert(eliminated_landmarks(graph, nodes, always=True))
     start.insert(key, np.array(values))
     plain = gtsam.GaussNewtonParams()
@@ -73,13 +74,13 @@ def _minimum(joint: JointGraph, state: Array, tolerance: float) -> Array:
         found = optimizer.values()
         before, reached = reached, joint.joined(from_values(graph, found), found.atVector(key))
         step = reached - before
-        step[:, 2] = wrap(step[:, 2]) if len(graph.steps) else step[:, 2]
+        step[: graph.num_nodes, 2] = wrap(step[: graph.num_nodes, 2])
         if np.linalg.norm(step) < tolerance:
             break
     return reached
 
 
-def _factors(joint: JointGraph, graph: Graph, nodes: Array, key: int) -> gtsam.NonlinearFactorGraph:
+def _factors(graph: Graph, nodes: Array, key: int) -> gtsam.NonlinearFactorGraph:
     """All factors of a graph frozen at its nodes (n, 3), with the parameters at ``key``."""
     parameters = graph.parameters
     assert parameters is not None
@@ -103,7 +104,7 @@ def _factors(joint: JointGraph, graph: Graph, nodes: Array, key: int) -> gtsam.N
         else:
             for factor in _plain(graph, family, nodes):
                 made.add(factor)
-    K, priors = len(parameters), np.isfinite(parameters.deviations)
+    priors = np.isfinite(parameters.deviations)
     if priors.any():
         root, means = np.diag(1 / parameters.deviations)[priors], parameters.means
 
@@ -113,21 +114,16 @@ def _factors(joint: JointGraph, graph: Graph, nodes: Array, key: int) -> gtsam.N
             return root @ (values.atVector(key) - means)
 
         made.add(gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(int(priors.sum())), [key], prior))
-    del joint, K
     return made
 
 
 def _plain(graph: Graph, family: edges.EdgeFamily, nodes: Array) -> Iterator[gtsam.NonlinearFactor]:
     """The factors of a family that the parameters do not touch."""
-    from dataclasses import replace
-
     alone = to_gtsam(replace(graph, families=(family,), fixed=graph.fixed[:0]), nodes, factors="per-edge")
     yield from (alone.at(k) for k in range(alone.size()))
 
 
-def _of_sightings(
-    graph: Graph, family: edges.SightingEdges, nodes: Array, key: int
-) -> Iterator[gtsam.NonlinearFactor]:
+def _of_sightings(graph: Graph, family: edges.SightingEdges, nodes: Array, key: int) -> Iterator[gtsam.NonlinearFactor]:
     """The factors of sightings, one for each edge."""
     parameters = graph.parameters
     assert parameters is not None and graph.log is not None
@@ -137,19 +133,18 @@ def _of_sightings(
         X = _turned(X, nodes[family.nodes, 2])
         a, b, group = family.pairs()
         covariance = family.covariances(nodes)
-        for k, l, g in zip(a.tolist(), b.tolist(), group.tolist()):
-            i, j, tempering = int(family.nodes[k]), int(family.nodes[l]), float(family.group_weights[g])
-            base = factor_types.VirtualMotionFactor(
-                i, j, z[k], z[l], sensor, frame=family.frame, at=(nodes[i], nodes[j])
-            )
-            C = covariance[k] + covariance[l]
+        for one, two, g in zip(a.tolist(), b.tolist(), group.tolist()):
+            i, j, tempering = int(family.nodes[one]), int(family.nodes[two]), float(family.group_weights[g])
+            ends = (nodes[i], nodes[j])
+            base = factor_types.VirtualMotionFactor(i, j, z[one], z[two], sensor, frame=family.frame, at=ends)
+            C = covariance[one] + covariance[two]
             if family.frame == "body" and family.oriented:
                 # from the landmark's axes to those of the first sighting, which comes from direction psi
-                turn = turn_matrix(-z[k, 2])
+                turn = turn_matrix(-z[one, 2])
                 C = turn @ C @ turn.T
             kernel = family.kernel and family.kernel.scaled(tempering)
-            noise = noise_model({"kernel": kernel, "scale": tempering * trust[k] * trust[l]}, covariance=C)
-            yield _with_parameters(base, noise, key, (nodes[i], nodes[j]), (X[k], X[l]), parameters.values)
+            noise = noise_model({"kernel": kernel, "scale": tempering * trust[one] * trust[two]}, covariance=C)
+            yield _with_parameters(base, noise, key, ends, (X[one], X[two]), parameters.values)
         return
     if isinstance(family, edges.MarginalEdges):
         first, second = family.nodes, graph.num_nodes + family.group

@@ -12,7 +12,6 @@ from collections import Counter
 import gtsam
 import numpy as np
 
-from .. import edges
 from .. import factors as factor_types
 from ..checks import check_count, check_positive
 from ..errors import GraphError

@@ -12,7 +12,7 @@ from ..parameters.corrected import finished
 from ..parameters.joint import JointGraph
 from ..parameters.observable import check_observable
 from ..se2 import Array
-from .iteration import Iteration, Run
+from .iteration import Run
 
 #: the nodes are first solved to this tolerance, at the given parameters
 FIRST = 1e-4
@@ -52,6 +52,3 @@ def solve_jointly(graph: Graph, start: Array, search: Callable[[JointGraph, Run]
         check_observable(joint, nodes, values)
     run.state = nodes.copy()
     return finished(graph, values, nodes)
-
-
-__all__ = ["FIRST", "Iteration", "solve_jointly", "without_parameters"]
