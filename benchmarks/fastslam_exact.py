@@ -2,6 +2,7 @@
 
     python benchmarks/fastslam_exact.py small [--logs 5]     # importance sampling: errors and slopes
     python benchmarks/fastslam_exact.py long [--logs 10]     # particle Gibbs against a longer run of its own, 62 steps
+    python benchmarks/fastslam_exact.py smoothing [--logs 3] # histories and backward simulation against the exact posterior
     python benchmarks/fastslam_exact.py calibration [--logs 200]     # ranks of the truth (simulation-based calibration)
     python benchmarks/fastslam_exact.py anees [--logs 50]    # ANEES per step at a tenth of the book's noise
     python benchmarks/fastslam_exact.py real [--seeds 20]    # MR.CLAM 6, noise by hand
@@ -33,6 +34,7 @@ from graphslam.se2 import Array, wrap
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "fastslam"))
 sys.path.insert(0, str(Path(__file__).parent))
+from exact_posterior import exact_posterior
 from real_filters import MOTION, SENSOR
 from test_gibbs import importance
 from test_gibbs import small as small_log
@@ -69,7 +71,7 @@ def small(logs: int) -> Iterator[str]:
             f"| {name} | particle Gibbs, exact, {np.nanmin(gibbs.mixing.ess):.0f} effective samples | "
             f"{np.abs((found - mean) / std).max():.3f} | {_ratio(spread / std):.2f} | - |"
         )
-        for kind, update in product((FastSLAM1, FastSLAM2), ("kalman", "moments")):
+        for kind, update in product((FastSLAM1, FastSLAM2), ("kalman", "moments", "joint")):
             errors, options = [], {"sensor": sensor, "landmark_update": update}
             for n in sizes:
                 runs = [_of_filter(kind(log, particles=n, seed=s, **options)) for s in range(repeats)]
@@ -107,11 +109,11 @@ def long(logs: int) -> Iterator[str]:
     met = 0
     for seed in range(logs):
         log = simulate(seed=seed, steps=62, clean=True, orientation=False, **FIFTH)
-        begin = time.perf_counter()
+        begin = time.process_time()
         options = {"particles": 10, "warm_up": 200, "density": "exact", **FIFTH}
-        run = ParticleGibbs(log, seed=seed, iterations=2500, **options).run()
-        seconds = time.perf_counter() - begin
-        reference = ParticleGibbs(log, seed=1000 + seed, iterations=7500, **options).run()
+        run = ParticleGibbs(log, seed=seed, iterations=1200, **options).run()
+        seconds = time.process_time() - begin
+        reference = ParticleGibbs(log, seed=1000 + seed, iterations=3600, **options).run()
         means, spreads = [], []
         for result in (run, reference):
             maps = np.array(list(result.landmarks.values()))
@@ -131,6 +133,30 @@ def long(logs: int) -> Iterator[str]:
             f"{run.mixing.statement}; {run.accepted:.0%} accepted; {seconds:.0f} s"
         )
     yield f"{met} of {logs} logs within 0.1 standard deviations and 10 %"
+
+
+def smoothing(logs: int) -> Iterator[str]:
+    """Root mean square error of the pose means, in standard deviations of the grown graph's posterior: three seeds each."""
+    for seed in range(logs):
+        log = simulate(seed=seed, steps=62, clean=True, orientation=False, **FIFTH)
+        exact = exact_posterior(log, 62, FIFTH["motion"], FIFTH["sensor"])
+        std = np.sqrt([np.diag(exact.pose_covariance(t)) for t in range(1, 63)])
+        for kind, n in product((FastSLAM1, FastSLAM2), (1000, 10_000)):
+            errors, ratios = [], []
+            begin = time.process_time()
+            for s in range(3):
+                result = kind(log, particles=n, seed=s, smoothing=100, **FIFTH).run()
+                assert result.smoothed is not None
+                off = np.stack([result.mean_poses, result.smoothed.poses])[:, 1:] - exact.poses[1:]
+                off[..., 2] = wrap(off[..., 2])
+                errors.append(np.sqrt(np.mean((off / std) ** 2, axis=(1, 2))))
+                found = np.sqrt(np.diagonal(result.smoothed.pose_covariances[1:], axis1=1, axis2=2))
+                ratios.append(np.median(found / std))
+            histories, drawn = np.mean(errors, axis=0)
+            yield (
+                f"log {seed}, {kind.__name__}, N = {n:,}: histories {histories:.2f}, drawn backwards {drawn:.2f}, their "
+                f"standard deviations {np.median(ratios):.2f} times; {(time.process_time() - begin) / 3:.1f} s each"
+            )
 
 
 def calibration(logs: int) -> Iterator[str]:
@@ -217,21 +243,45 @@ def anees(logs: int) -> Iterator[str]:
 
 
 def real(seeds: int) -> Iterator[str]:
-    """Median ATE over the seeds, as a ratio to that of the graph (Huber)."""
+    """Median ATE over the seeds, as a ratio to that of the graph (Huber); particle Gibbs with at most five seeds."""
     for robot in (1, 3):
         log = load(data_folder() / "mrclam6", robot=robot).replace(motion=MOTION, sensor=SENSOR)
-        assert log.true_poses is not None
-        graph = solve(Graph.from_log(log, edges="landmark+motion", kernel="huber"), initialize="auto")
-        reference, found = ate(log.true_poses, graph.poses), []
-        begin = time.perf_counter()
-        for seed in range(seeds):
-            result = ParticleGibbs(log, seed=seed, particles=10, iterations=40, warm_up=20, chains=1).run()
-            found.append(ate(log.true_poses, result.poses))
-        low, median, high = np.quantile(found, [0.25, 0.5, 0.75])
-        yield (
-            f"robot {robot}, {log.num_poses} poses: {median:.3f} m ({low:.3f} to {high:.3f}), {median / reference:.2f} times "
-            f"the graph's {reference:.3f} m; {(time.perf_counter() - begin) / seeds:.0f} s each; {result.mixing.statement}"
+        truth = log.true_poses
+        assert truth is not None
+        graph, plain = (
+            ate(truth, solve(Graph.from_log(log, edges="landmark+motion", kernel=kernel), initialize="auto").poses)
+            for kernel in ("huber", None)
         )
+        yield f"robot {robot}, {log.num_poses} poses: graph with Huber's kernel {graph:.3f} m, without kernel {plain:.3f} m"
+        found: dict[str, list[float]] = {"histories": [], "drawn backwards": []}
+        begin = time.process_time()
+        for seed in range(seeds):
+            result = FastSLAM2(log, particles=500, seed=seed, smoothing=20).run()
+            assert result.smoothed is not None
+            found["histories"].append(ate(truth, result.mean_poses))
+            found["drawn backwards"].append(ate(truth, result.smoothed.poses))
+        seconds = (time.process_time() - begin) / seeds
+        for name, values in found.items():
+            yield f"FastSLAM 2.0, 500 particles, {name}: {_quartiles(values, graph)}; {seconds:.1f} s each, both together"
+        for degrees in (None, 4.0):
+            errors: list[float] = []
+            statements = []
+            begin, options = time.process_time(), {"particles": 5, "iterations": 60, "warm_up": 40, "chains": 2}
+            for seed in range(min(seeds, 5)):
+                samples = ParticleGibbs(log, seed=seed, degrees_of_freedom=degrees, **options).run()
+                errors.append(ate(truth, samples.poses))
+                statements.append(
+                    f"R-hat {np.median(samples.mixing.rhat):.3f} in the median, {samples.mixing.statement}"
+                )
+            yield (
+                f"particle Gibbs, {'Gaussian' if degrees is None else f'Student, {degrees:g} degrees'}: "
+                f"{_quartiles(errors, graph)}; {(time.process_time() - begin) / len(statements):.1f} s each; {statements[0]}"
+            )
+
+
+def _quartiles(values: list[float], reference: float) -> str:
+    low, median, high = np.quantile(values, [0.25, 0.5, 0.75])
+    return f"{median:.3f} m ({low:.3f} to {high:.3f}), {median / reference:.2f} times"
 
 
 def main() -> None:
@@ -239,6 +289,7 @@ def main() -> None:
     studies: dict[str, tuple[Callable[[int], Iterator[str]], int]] = {
         "small": (small, 5),
         "long": (long, 10),
+        "smoothing": (smoothing, 3),
         "calibration": (calibration, 200),
         "anees": (anees, 50),
         "real": (real, 20),

@@ -4,27 +4,32 @@
 
 Single thread: time that the thread was given, so that a busy machine disturbs little. Two threads: time on the clock,
 which says something only where a second core is free, and the time that the caller's thread was given, its half of the
-work and all that is not shared: what the clock would show at best.
+work and all that is not shared: what the clock would show at best. Which share of the processor time is shared work, and
+how much longer two threads take for it than one, says how much two free cores could gain.
+
+The exact weight of FastSLAM 2.0 against that of the lectures: processor time, in turns.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from unittest.mock import patch
 
 import numpy as np
 
 from fastslam import FastSLAM1, FastSLAM2, ParticleFilter
+from fastslam.threads import Threads
 from graphslam import SensorModel
 
 
 def step_times(
     kind: type[ParticleFilter], particles: int, marks: np.ndarray, *, threads: int = 1, extra: int = 0, steps: int = 150,
-    clock: Callable[[], float] = time.thread_time,
+    clock: Callable[[], float] = time.thread_time, **options: str,
 ) -> np.ndarray:  # fmt: skip
     """Medians of one prediction and one observation of all marks [ns], with ``extra`` landmarks out of view."""
     rng, sensor = np.random.default_rng(0), SensorModel()
-    slam = kind(particles=particles, threads=threads)
+    slam = kind(particles=particles, threads=threads, **options)
     far = np.column_stack([rng.uniform(100, 200, (extra, 2)), np.zeros(extra)])[:, : marks.shape[1]]
     everything = np.vstack([marks, far])
     slam.observe(np.arange(len(everything)), sensor.h(np.zeros(3), everything))
@@ -38,6 +43,35 @@ def step_times(
         slam.observe(np.arange(len(marks)), z)
         times.append((b - a, clock() - c))
     return np.median(times[steps // 3 :], axis=0) * 1e9
+
+
+def shared_work(kind: type[ParticleFilter], particles: int, marks: np.ndarray) -> tuple[float, float]:
+    """Return the share of a step's processor time that `Threads` can divide, and how much longer two threads take for it."""
+    spent = {"divided": 0.0, "whole": 0.0}
+
+    def timed(name: str, function: Callable[..., None]) -> Callable[..., None]:
+        def call(*arguments: object) -> None:
+            begin = time.process_time()
+            function(*arguments)
+            spent[name] += time.process_time() - begin
+
+        return call
+
+    shares: list[float] = []
+    divided: list[list[float]] = [[], []]
+    with (
+        patch.object(Threads, "run", timed("divided", Threads.run)),
+        patch.object(kind, "move", timed("whole", kind.move)),
+        patch.object(kind, "observe", timed("whole", kind.observe)),
+    ):
+        for _ in range(5):
+            for threads in (1, 2):
+                spent |= {"divided": 0.0, "whole": 0.0}
+                step_times(kind, particles, marks, threads=threads, steps=30)
+                divided[threads - 1].append(spent["divided"])
+                if threads == 1:
+                    shares.append(spent["divided"] / spent["whole"])
+    return float(np.median(shares)), float(np.median(np.divide(*divided[::-1])))
 
 
 def main() -> None:
@@ -66,6 +100,23 @@ def main() -> None:
                 f"{kind.__name__}, N = {particles}, 5 in view: two threads {gains[0]:.2f} times as fast per whole step, "
                 f"at best {gains[1]:.2f} times"
             )
+            share, longer = shared_work(kind, particles, marks)
+            print(
+                f"    {share:.0%} of the processor time can be divided, and takes {longer:.2f} times as long in two threads: "
+                f"{1 / (1 - share + share * longer / 2):.2f} times at best with two free cores"
+            )
+    for particles in (1000, 10_000):
+        for psi in (False, True):
+            of_psi = np.column_stack([marks, rng.uniform(-3, 3, 5)])[:, : 2 + psi]
+            ratios = []
+            for _ in range(9):
+                exact, linearised = (
+                    step_times(FastSLAM2, particles, of_psi, steps=45, proposal_weight=weight).sum()
+                    for weight in ("exact", "linearised")
+                )
+                ratios.append(exact / linearised)
+            low, median, high = np.quantile(ratios, [0.25, 0.5, 0.75])
+            print(f"exact weight, N = {particles}, psi {psi}: {median:.2f} times ({low:.2f} to {high:.2f})")
     few, many = (step_times(FastSLAM1, 1000, marks, extra=extra) for extra in (95, 9995))
     print(f"10,000 landmarks against 100, the same 5 in view: step takes {many.sum() / few.sum():.2f} times as long")
 

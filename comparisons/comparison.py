@@ -22,7 +22,6 @@ from .attempt import Skipped, attempts
 from .config import config_text
 from .display import Displayed
 from .documents import (
-    AssociationDocument,
     EstimatorDocument,
     RunDocument,
     certificate_document,
@@ -38,6 +37,7 @@ from .options import MODELS, LimitOptions, OutputOptions, RunOptions
 from .reading import prepare
 from .results import EstimatorResult
 from .saving import SavedFiles, fill_results, new_directory, write_json
+from .sightings import association_document
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ class Comparison(Displayed):
         order = list(ESTIMATORS)
         rows.sort(key=lambda row: order.index(row.name) if row.name in order else len(order))
         log = self.log
-        title = f"{log.name}: {log.num_poses} poses, {len(log.steps)} sightings of {len(log.landmark_ids)} landmarks"
+        title = f"{log.name}: {log.num_poses} poses, {log.seen}"
         return ResultTable(title, tuple(rows))
 
     def difference(self, first: str = "graph", second: str = "gtsam") -> float | None:
@@ -210,7 +210,8 @@ class Comparison(Displayed):
         by_name = {
             r.name: document(
                 EstimatorDocument, r, self.metrics[r.name], nees=self.nees[r.name], notes=self.notes_of(r),
-                certificate=certificate_document(r.certificate), association=self._association(r),
+                certificate=certificate_document(r.certificate),
+                association=association_document(self.log, r, self.associations[r.name]),
                 parameters=parameters_document(r.parameters),
             )
             for r in self.results
@@ -225,15 +226,6 @@ class Comparison(Displayed):
             notes=getattr(files, "notes", []),
             warnings=[finding.message for finding in self.findings],
         )
-
-    def _association(self, result: EstimatorResult) -> dict[str, Any] | None:
-        if result.association is None:
-            return None
-        given = result.association != UNIDENTIFIED
-        unknown = dict.fromkeys(AssociationScore.__dataclass_fields__)
-        scores = self.associations[result.name]
-        counted = {"landmarks": len(np.unique(result.association[given])), "clutter": int(np.sum(~given))}
-        return document(AssociationDocument, **counted, **(unknown if scores is None else asdict(scores)))
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:

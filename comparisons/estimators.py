@@ -14,8 +14,10 @@ import numpy as np
 
 import fastslam
 import graphslam
-from graphslam import Graph, GraphError, Log, OptionError, SensorModel, Solution
+from fastslam.samples import Samples
+from graphslam import Graph, GraphError, Log, OptionError, SensorModel, SlamError, Solution
 from graphslam.checks import suggestion
+from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import wrap
 
 from .association import identified
@@ -56,7 +58,13 @@ class Estimator:
 
     def too_slow(self, log: Log, options: RunOptions) -> str | None:
         """Why the estimator would take too long on a log, or None."""
-        if self.seconds_per_iteration is None or (seconds := self.seconds_per_iteration(log, options)) <= PATIENCE:
+        if self.seconds_per_iteration is None:
+            return None
+        try:
+            seconds = self.seconds_per_iteration(log, options)
+        except SlamError:  # where no ids can be found, it fails with that reason when it runs
+            return None
+        if seconds <= PATIENCE:
             return None
         return f"it would take about {seconds:.0f} s per iteration on this log; name it in --estimators to run it"
 
@@ -229,12 +237,12 @@ def mcl(log: Log, options: RunOptions) -> EstimatorResult:
 
 
 def fastslam1(log: Log, options: RunOptions) -> EstimatorResult:
-    """FastSLAM 1.0; trajectory and map of the best particle."""
+    """FastSLAM 1.0; trajectory and map of the best particle, with ``smoothing`` the means of those drawn backwards."""
     return _particle_filter("fastslam1", log, options)
 
 
 def fastslam2(log: Log, options: RunOptions) -> EstimatorResult:
-    """FastSLAM 2.0, whose proposal is corrected by the sightings; trajectory and map of the best particle."""
+    """FastSLAM 2.0, whose proposal is corrected by the sightings; trajectory and map as for `fastslam1`."""
     return _particle_filter("fastslam2", log, options)
 
 
@@ -283,29 +291,40 @@ def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResul
     # a filter that ignores the ids numbers its landmarks itself
     named = name == "mcl" or options.filter.uses_ids
     maps = name != "mcl"
+    reason = f"processed the log once with {options.filter.particles} particles"
+    reported: fastslam.FilterResult | Samples = result
+    if result.smoothed is not None:
+        reported = result.smoothed
+        reason += f", and drew {options.filter.smoothing} trajectories backwards"
     return EstimatorResult(
         name=name,
-        poses=result.poses,
+        poses=reported.poses,
         estimated=np.ones(log.num_poses, dtype=bool),
         seconds=seconds,
-        landmarks=dict(result.landmarks) if maps else {},
-        landmark_covariances=dict(result.landmark_covariances) if maps else {},
+        landmarks=dict(reported.landmarks) if maps else {},
+        landmark_covariances=dict(reported.landmark_covariances) if maps else {},
         named=named,
         notes=() if named else ("landmarks are numbered by discovery, and matched to the true ones by position",),
         association=result.association,
         options={k: v for k, v in asdict(options.filter).items() if k in ("seed", *ESTIMATORS[name].uses)},
-        reason=f"processed the log once with {options.filter.particles} particles",
+        reason=reason,
         origin=result,
     )
 
 
 def pair_count(log: Log) -> int:
-    """The number of virtual-motion edges of a log: the sum of K (K-1) / 2 over its landmarks."""
-    _, sightings = np.unique(log.landmarks, return_counts=True)
+    """The number of virtual-motion edges of a log: the sum of K (K-1) / 2 over its landmarks; none without ids."""
+    sightings = _sighting_counts(log)
     return int(np.sum(sightings * (sightings - 1) // 2))
 
 
+def _sighting_counts(log: Log) -> np.ndarray:
+    """The number of sightings of each landmark."""
+    return np.unique(log.landmarks[log.landmarks != UNIDENTIFIED], return_counts=True)[1]
+
+
 def _textbook_seconds(log: Log, _: RunOptions) -> float:
+    # the lectures' program refuses sightings without ids at once
     # 50 us of plain Python per edge; the dense solve at some 10 GFLOP/s
     return 5e-5 * (pair_count(log) + log.num_poses) + 2 / 3 * (3.0 * log.num_poses) ** 3 / 1e10
 
@@ -317,16 +336,17 @@ def _gtsam_seconds(log: Log, options: RunOptions) -> float:
     if options.estimate:
         # a factor for each edge, made anew at every step
         paired = options.weight != "marginal" and not str(options.edges).startswith("landmark")
-        count = log.num_poses + (pair_count(log) if paired else len(log.steps))
+        count = log.num_poses + (pair_count(identified(log, options)[0]) if paired else len(log.steps))
         return count * (5e-4 + 8e-8 * log.num_poses)
     if str(options.edges).startswith("landmark"):
         return seconds
+    # how often each landmark is seen decides, so sightings without ids need them now; they are found once for all
+    log = identified(log, options)[0]
     if options.kernel not in ("none", "gnc") and options.weight != "marginal":
         # a factor for each pair, because each has its own robust weight
         return seconds + 1e-4 * pair_count(log)
     # a pair in a landmark's factor takes 0.3 us, a clique of K poses grows with K³
-    _, sightings = np.unique(log.landmarks, return_counts=True)
-    return seconds + 3e-7 * pair_count(log) + 3e-9 * float(np.sum((3.0 * sightings) ** 3))
+    return seconds + 3e-7 * pair_count(log) + 3e-9 * float(np.sum((3.0 * _sighting_counts(log)) ** 3))
 
 
 def _isam2_seconds(log: Log, options: RunOptions) -> float:
@@ -415,7 +435,12 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
     values["parameters"] = parameters
     if found is not None:
         # the notes of the association came with its log
-        values |= {"named": False, "association": found.ids, "seconds": solution.seconds + found.seconds}
+        values |= {
+            "named": False,
+            "association": found.ids,
+            "found": found,
+            "seconds": solution.seconds + found.seconds,
+        }
         values["notes"] = (*found.notes, *notes)
     return EstimatorResult(**values, options={name: getattr(options, name) for name in _GRAPH})
 

@@ -21,6 +21,8 @@ from graphslam import ControlPath, GraphError, Log, control_path
 from graphslam.relative import relative_graph
 from graphslam.se2 import Array, wrap
 
+from .sightings import sightings_text
+
 if TYPE_CHECKING:
     from .comparison import Comparison
     from .results import EstimatorResult
@@ -89,7 +91,8 @@ def map_text(landmarks: Mapping[int, Array], covariances: Mapping[int, Array]) -
 def texts(comparison: Comparison) -> Iterator[tuple[str, Callable[[], str]]]:
     """Every trajectory and map: the name of its file, and the function that makes its text.
 
-    They are NAME.tum and NAME-map.csv of each estimator, and those of the ground truth. truth.tum has the poses at which
+    They are NAME.tum and NAME-map.csv of each estimator, NAME-sightings.csv of those that gave sightings ids themselves, and
+    those of the ground truth. truth.tum has the poses at which
     errors are measured, so that other programs find the same errors.
     """
     log = comparison.log
@@ -102,6 +105,8 @@ def texts(comparison: Comparison) -> Iterator[tuple[str, Callable[[], str]]]:
         yield "truth-map.csv", partial(map_text, log.true_landmarks, {})
     for result in comparison.results:
         yield f"{result.name}.tum", partial(_path_text, between, result)
+        if result.association is not None:
+            yield f"{result.name}-sightings.csv", partial(sightings_text, log, result)
         if result.landmarks:
             yield f"{result.name}-map.csv", partial(map_text, result.landmarks, result.landmark_covariances)
 

@@ -44,8 +44,8 @@ def edges_and_filters() -> None:
 
 
 def factorisation() -> None:
-    """Ordering, structure, factorisation, solution and selected inverse of a small ring with a chord."""
-    from graphslam.linear.cholesky import analyze
+    """Orderings, structure, factorisation, solution and selected inverse of a small ring with a chord."""
+    from graphslam.linear.cholesky import analyze, fill_reducing
 
     n = 40
     rows = [[*({j - 1} if j else set()), *({0} if j == n - 1 else set()), j] for j in range(n)]
@@ -54,6 +54,7 @@ def factorisation() -> None:
     indices = np.concatenate(rows)
     values = np.zeros((len(indices), 3, 3))
     values[indptr[1:] - 1] = 4 * np.eye(3)
+    fill_reducing(indptr, indices, smallest=0, worth=0.0)
     factor = analyze(indptr, indices).factorize(values)
     factor.solve(np.ones((n, 3)))
     factor.diagonal_covariances()

@@ -317,10 +317,15 @@ class AnimationOptions(Options):
     """The animation of an estimator."""
 
     estimator: str = option(
-        "graph", "Estimator to animate.", choices=("graph", "fastslam1", "fastslam2", "mcl", "isam2")
-    )
+        "graph", "Estimator to animate; association: what was found for sightings without ids.",
+        choices=("graph", "association", "fastslam1", "fastslam2", "mcl", "isam2", "particle-gibbs"),
+    )  # fmt: skip
     fps: float | None = option(
-        None, "Frames per second.", default_text="2 for iterations, 10 for steps", positive=True, panel=OUTPUT
+        None,
+        "Frames per second.",
+        default_text="2 for iterations, 10 for steps and sweeps",
+        positive=True,
+        panel=OUTPUT,
     )
     max_frames: int = option(200, "Maximum number of frames; longer runs are thinned evenly.", minimum=2, panel=OUTPUT)
 

@@ -43,7 +43,8 @@ class ParticleRun:
         particles, seed: N, and the random seed.
         ate_m, landmark_rmse_m: error of the best particle's history and map [m]; None where the log has no ground truth.
             One particle is one sample of the posterior, and with more particles it is still one sample.
-        mean_ate_m: error of the weighted mean of the surviving histories [m], which decreases with more particles.
+        mean_ate_m: error of the weighted mean of the surviving histories [m], which decreases with more particles; with
+            ``smoothing`` that of the mean of the trajectories drawn backwards.
         ess_share: mean of ESS / N over the steps with sightings, before resampling.
         ancestors: how many distinct particles of the step half-way have descendants at the end.
         seconds: the whole run, without compiling.
@@ -170,6 +171,7 @@ def _run(task: tuple[str, int, int], log: Log, options: RunOptions) -> ParticleR
     result = estimate.origin
     assert isinstance(result, FilterResult)
     truth, path = log.true_poses, log.at_truth(result.poses)
+    mean = result.mean_poses if result.smoothed is None else result.smoothed.poses
     metrics = evaluate(truth, log.true_landmarks, path, estimate.landmarks, named=estimate.named)
     sighted = np.unique(log.steps)
     return ParticleRun(
@@ -177,7 +179,7 @@ def _run(task: tuple[str, int, int], log: Log, options: RunOptions) -> ParticleR
         particles=particles,
         seed=seed,
         ate_m=metrics.ate_m,
-        mean_ate_m=None if metrics.ate_m is None or truth is None else ate(truth, log.at_truth(result.mean_poses)),
+        mean_ate_m=None if metrics.ate_m is None or truth is None else ate(truth, log.at_truth(mean)),
         landmark_rmse_m=metrics.landmark_rmse_m,
         ess_share=float(np.mean(result.ess[sighted]) / particles) if len(sighted) else 1.0,
         ancestors=int(result.ancestors[len(result.ancestors) // 2]),

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from fastslam.gibbs.result import GibbsResult
+from fastslam.samples import Samples
 from fastslam.state import FilterResult
-from graphslam import Certificate, Graph, Log, MotionModel, Solution, certify
+from graphslam import Association, Certificate, Graph, Log, MotionModel, Solution, certify
 from graphslam.parameters import ParameterEstimate
 from graphslam.se2 import Array, compose, inverse, rotation, wrap
 from graphslam.textbook import TextbookSolution
@@ -39,6 +40,7 @@ class EstimatorResult:
             so that their true counterparts are known by position only.
         association: (M,) the landmark that the estimator gave each sighting of the log, `graphslam.log.UNIDENTIFIED` for
             none; None where it used the ids of the log.
+        found: how these ids were found, where `graphslam.associate` found them.
         weighed_down: the number of sightings that a robust kernel gives less than half of their weight; None without one.
         parameters: of robot and sensor, where they were estimated.
         options: the options that it used, for the record.
@@ -63,6 +65,7 @@ class EstimatorResult:
     landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
     named: bool = True
     association: np.ndarray | None = field(default=None, repr=False)
+    found: Association | None = field(default=None, repr=False)
     weighed_down: int | None = None
     parameters: ParameterEstimate | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -83,6 +86,17 @@ class EstimatorResult:
         """J per degree of freedom, with J of pairs divided by the times that they count a sighting; see `of_expected`."""
         return None if self.graph is None or self.cost is None else of_expected(self.cost, self.graph)
 
+    @property
+    def unconfirmed(self) -> np.ndarray | None:
+        """Whether the landmark of each sighting (M,) is uncertain; None where the ids of the log were used.
+
+        After `graphslam.associate` another landmark, or clutter, is nearly as likely; to a filter the landmark itself is not
+        confirmed.
+        """
+        if self.found is not None:
+            return self.found.doubtful
+        return self.origin.unconfirmed if isinstance(self.origin, FilterResult) else None
+
     @cached_property
     def certificate(self) -> Certificate | None:
         """Whether the end is proven to be the global minimum of the graph's J; None without a graph."""
@@ -97,11 +111,13 @@ class EstimatorResult:
         """The covariances (T+1, 3, 3) of the poses in world axes, NaN where a pose is not estimated.
 
         Of a solved graph they are the diagonal blocks of Omega^-1 at the end, of dead reckoning the accumulated motion
-        noise, of particle Gibbs the covariances of its samples. None where they are not known: a particle filter keeps
-        paths and no covariance of past poses, and the edges of a graph may not determine its poses.
+        noise, of particle Gibbs and of a smoothed filter the covariances of the samples. None where they are not known: a
+        filter without smoothing keeps paths and no covariance of past poses, and the edges of a graph may not determine
+        its poses.
         """
-        if isinstance(self.origin, GibbsResult):
-            return self.origin.pose_covariances
+        samples = self.origin.smoothed if isinstance(self.origin, FilterResult) else self.origin
+        if isinstance(samples, Samples):
+            return samples.pose_covariances
         if self.log is not None and self.log.controls is not None:
             return dead_reckoning_covariances(self.log, self.motion)
         if self.graph is None or self.state is None:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .options import FilterOptions, GibbsOptions
     from .particle_filter import ParticleFilter, VanishedWeightsWarning
     from .resampling import RESAMPLING_SCHEMES, effective_sample_size
+    from .samples import Samples
     from .state import FilterResult, LandmarkEstimate, ParticleState
 
 #: the public names, by the module that defines them
@@ -32,6 +33,7 @@ _PUBLIC = {
     "options": "FilterOptions GibbsOptions",
     "particle_filter": "ParticleFilter VanishedWeightsWarning",
     "resampling": "RESAMPLING_SCHEMES effective_sample_size",
+    "samples": "Samples",
     "state": "FilterResult LandmarkEstimate ParticleState",
 }
 __getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)

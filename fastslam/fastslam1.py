@@ -32,8 +32,9 @@ class FastSLAM1(ParticleFilter):
     is not updated.
 
     With the landmark_update "moments" both are integrals instead of linearisations (`refined_kernels`): the posterior is then
-    exact as far as it is Gaussian in the landmarks. With the range_noise "estimated" Q is taken at |m - x|, as in the slides,
-    not at the measured range; that of a first sighting is always at the measured range.
+    exact as far as it is Gaussian in the landmarks. With "joint" each landmark is integrated over all of its sightings
+    at once (`joint_kernels`), which does not need this. With the range_noise "estimated" Q is taken at |m - x|, as in the
+    slides, not at the measured range; that of a first sighting is always at the measured range.
 
     With the association "maximum-likelihood" ids are ignored, and `observe` takes None for them. Each particle assigns
     every sighting to the most likely landmark of its own map, the most likely pair of the scan first, and uses no
@@ -76,7 +77,7 @@ class FastSLAM1(ParticleFilter):
                 estimated = self.options.range_noise == "estimated"
                 self._maps = IdentifiedLandmarks(
                     *shape,
-                    moments=self.options.landmark_update == "moments",
+                    landmark_update=self.options.landmark_update,
                     range_noise=(self.sensor.range_rate, self.sensor.range_std) if estimated else None,
                 )
             else:

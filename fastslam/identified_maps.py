@@ -19,23 +19,38 @@ import numpy as np
 
 from graphslam.se2 import Array
 
+from . import joint_kernels as joint
 from . import landmark_kernels as kernels
 from . import refined_kernels as refined
-from .blocks import unpack
+from .blocks import padded, unpack
 from .genealogy import Genealogy
 from .threads import Job, Threads
+
+
+@dataclass(slots=True)
+class _Sighted:
+    """All sightings of a landmark, of which the last ``here`` are from the poses ``last`` and the others from ``past``."""
+
+    past: Array  # (3 M, N)
+    last: Array  # (3, N), perhaps still unwritten
+    here: int
+    evidence: Array  # (N,) log Z, see joint_kernels
+    z: Array  # (M + here, 3)
+    q: Array
+    rates: Array  # (M + here,)
 
 
 @dataclass(slots=True)
 class _Column:
     level: int
     numbers: Array  # (5, N) or (9, N), see blocks
+    sighted: _Sighted | None = None  # only where sightings are integrated together
 
 
 class IdentifiedLandmarks:
     """The landmarks of N particles by id; ``genealogy`` knows their ancestors; n = 2 or 3 coordinates per landmark.
 
-    With ``moments`` sightings are integrated, not linearised. A ``range_noise``, (rate, standard deviation), replaces the
+    ``landmark_update``: the option of `FilterOptions`. A ``range_noise``, (rate, standard deviation), replaces the
     variance of the range of all sightings but the first by that at the estimated range.
     """
 
@@ -46,10 +61,11 @@ class IdentifiedLandmarks:
         particles: int,
         coordinates: int,
         *,
-        moments: bool = False,
+        landmark_update: str = "kalman",
         range_noise: tuple[float, float] | None = None,
     ) -> None:
-        self._moments, self._range_noise = moments, range_noise
+        self._moments, self._jointly = landmark_update != "kalman", landmark_update == "joint"
+        self._range_noise = range_noise
         self._genealogy, self._threads = genealogy, threads
         self._shape = (5 if coordinates == 2 else 9, particles)
         self.coordinates = coordinates
@@ -77,7 +93,12 @@ class IdentifiedLandmarks:
         self._jobs.append(
             (refined.initialize_by_moments if self._moments else kernels.initialize, (poses, z, q, numbers))
         )
-        self._columns[landmark] = _Column(self._genealogy.level(), numbers)
+        sighted = None
+        if self._jointly:
+            evidence = np.full(self._shape[1], np.log(z[0]))
+            row, variances = np.array([padded(z, 0.0)]), np.array([padded(q, 1.0)])
+            sighted = _Sighted(np.empty((0, self._shape[1])), poses, 1, evidence, row, variances, np.zeros(1))
+        self._columns[landmark] = _Column(self._genealogy.level(), numbers, sighted)
 
     def update(self, landmark: int, poses: Array, z: Array, q: Array, log_likelihood: Array) -> None:
         """Schedule a later sighting: add log N(z; h(m), V) to log_likelihood (N,), then the Kalman update."""
@@ -89,6 +110,13 @@ class IdentifiedLandmarks:
         if self._moments or self._range_noise is not None:
             rate, std = self._range_noise or (0.0, np.sqrt(q[0]))
             variances = np.array([std**2, *q[1:]])
+        if column.sighted is not None and len(column.sighted.z) < joint.MOST:
+            column.sighted = now = self._sighted(column.sighted, poses, slots, z, variances, rate)
+            before, now.evidence = now.evidence, now.evidence if in_place else np.empty_like(now.evidence)
+            work = now.past, poses, slots, source, target, before, now.evidence, now.z, now.q, now.rates
+            self._jobs.append((joint.joint_update, (*work, float(self.coordinates - 2), log_likelihood)))
+        elif self._moments or self._range_noise is not None:
+            column.sighted = None
             arguments = poses, slots, source, target, z, variances, rate, self._moments, log_likelihood
             self._jobs.append((refined.refined_update, arguments))
         else:
@@ -96,6 +124,17 @@ class IdentifiedLandmarks:
         if not in_place:
             self._read.append(source)
         column.level, column.numbers = self._genealogy.level(), target
+
+    @staticmethod
+    def _sighted(old: _Sighted, poses: Array, slots: np.ndarray, z: Array, q: Array, rate: float) -> _Sighted:
+        """All sightings of a landmark with one more, the poses of the former as the present particles inherit them."""
+        past, here = old.past, old.here + 1
+        if poses is not old.last:
+            past, here = np.concatenate([past, *[old.last] * old.here])[:, slots], 1
+        return _Sighted(
+            past, poses, here, old.evidence, np.vstack([old.z, padded(z, 0.0)]), np.vstack([old.q, padded(q, 1.0)]),
+            np.append(old.rates, rate),
+        )  # fmt: skip
 
     def finish(self, before: Sequence[Job] = ()) -> None:
         """Do everything that `initialize` and `update` have scheduled, after the jobs ``before``.

@@ -24,6 +24,8 @@ BUFFERS, POSE, INDEX = 100, 32, 8
 NUMBERS, ANONYMOUS = {2: 5, 3: 9}, 4
 #: stored poses per particle where the filter resamples often, and where it does so rarely
 OFTEN, RARELY = 22, 120
+#: the most poses that are kept of a landmark whose sightings are integrated together, `fastslam.joint_kernels.MOST`
+JOINT = 16
 GIGABYTE = 1e9
 
 
@@ -42,6 +44,8 @@ class Forecast:
 def forecast(log: Log, options: FilterOptions, *, maps: bool) -> Forecast:
     """The memory of a filter on a log; ``maps`` says whether each particle has a map of its own."""
     landmark = 8 * NUMBERS[log.sightings.shape[1]]
+    if options.landmark_update == "joint":
+        landmark += 8 * (3 * JOINT + 1)
     spare = int(np.bincount(log.steps).max(initial=0)) + 1
     seen = len(log.landmark_ids) * (1 if options.uses_ids else ANONYMOUS) + spare
     fixed = BUFFERS + (seen * landmark + len(log.landmark_ids) * INDEX if maps else 0)

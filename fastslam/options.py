@@ -24,10 +24,13 @@ RESAMPLING = ("systematic", "stratified", "residual", "multinomial")
 
 #: how FastSLAM 2.0 weighs its particles: with the density of its proposal, or as if h and f were linear
 PROPOSAL_WEIGHTS = ("exact", "linearised")
-#: how the Gaussian of a landmark follows from a sighting: by the Kalman gain, or with the moments of the posterior
-LANDMARK_UPDATES = ("kalman", "moments")
+#: how the Gaussian of a landmark follows from a sighting: by the Kalman gain, with the moments of the posterior, or
+#: from all sightings of the landmark together
+LANDMARK_UPDATES = ("kalman", "moments", "joint")
 #: the range at which the variance of a sighting's range is taken
 RANGE_NOISES = ("measured", "estimated")
+#: the fewest trajectories that backward simulation draws, so that they have covariances
+FEWEST_SMOOTHED = 10
 #: how far the lectures' program has come: particles that only move, that are weighed, that are resampled
 STAGES = ("motion", "weights", "resampling")
 
@@ -37,8 +40,8 @@ class FilterOptions:
     """The options of `MonteCarloLocalization`, `FastSLAM1` and `FastSLAM2`; each field's metadata has its help.
 
     With an ess_threshold of 1 the filter resamples after every weighted step, as in the lectures. The result does not
-    depend on the number of threads. Monte Carlo localisation does not use the options from ``association`` to
-    ``range_noise``: it finds the landmarks of its map by their ids.
+    depend on the number of threads. Monte Carlo localisation uses neither ``smoothing`` nor the options from
+    ``association`` to ``range_noise``: it finds the landmarks of its map by their ids.
 
     Raises:
         OptionError: an option has an impossible value.
@@ -71,7 +74,8 @@ class FilterOptions:
     landmark_update: str = field(
         default="kalman",
         metadata={
-            "help": "Landmarks of FastSLAM: kalman linearises each sighting, moments integrates it; known ids only.",
+            "help": "Landmarks of FastSLAM: kalman linearises each sighting, moments integrates it, joint integrates all "
+            "sightings of a landmark together; moments and joint with known ids only.",
             "choices": LANDMARK_UPDATES,
         },
     )
@@ -88,6 +92,13 @@ class FilterOptions:
         metadata={
             "help": "Steps of a filter: motion neither weighs nor resamples, weights does not resample.",
             "choices": STAGES,
+        },
+    )
+    smoothing: int = field(
+        default=0,
+        metadata={
+            "help": "FastSLAM: trajectories drawn by backward simulation after the run, whose mean is reported; 0 for none, "
+            "else at least 10; known ids only."
         },
     )
 
@@ -107,12 +118,22 @@ class FilterOptions:
         check_choice("stage", self.stage, STAGES)
         if not self.uses_ids and (self.landmark_update, self.range_noise) != ("kalman", "measured"):
             raise OptionError(
-                "landmark_update moments and range_noise estimated need the association known, not maximum-likelihood"
+                f"landmark_update {self.landmark_update} with range_noise {self.range_noise} needs the association known, "
+                "not maximum-likelihood"
             )
         if self.range_noise == "estimated" and self.proposal_weight != "exact":
             raise OptionError(
                 "range_noise estimated needs the proposal_weight exact: the linearised one is that of the measured range"
             )
+        object.__setattr__(self, "smoothing", whole("smoothing", self.smoothing))
+        if self.smoothing < 0 or 0 < self.smoothing < FEWEST_SMOOTHED:
+            raise OptionError(
+                f"smoothing must be 0 (off) or at least {FEWEST_SMOOTHED} trajectories, not {self.smoothing}"
+            )
+        if self.smoothing and not self.uses_ids:
+            raise OptionError("smoothing needs the association known, not maximum-likelihood")
+        if self.smoothing and self.stage == "motion":
+            raise OptionError("smoothing needs weighted particles: the stage weights or resampling, not motion")
         if not 0 <= finite("ess_threshold", self.ess_threshold, "a number between 0 and 1", [()]) <= 1:
             raise OptionError(
                 f"ess_threshold must lie between 0 (never resample) and 1 (always), not {self.ess_threshold!r}"
@@ -155,6 +176,13 @@ class GibbsOptions:
             "choices": DENSITIES,
         },
     )
+    degrees_of_freedom: float | None = field(
+        default=None,
+        metadata={
+            "help": "Particle Gibbs: degrees of freedom of Student's t distribution of the sightings, such as 4 for real "
+            "data with wrong sightings; by default they are Gaussian."
+        },
+    )
 
     def __post_init__(self) -> None:
         for name, least in (("particles", 2), ("iterations", 1), ("warm_up", 0), ("chains", 1), ("block", 1)):
@@ -163,3 +191,9 @@ class GibbsOptions:
                 raise OptionError(f"{name} must be at least {least}, not {value}")
             object.__setattr__(self, name, value)
         check_choice("density", self.density, DENSITIES)
+        if self.degrees_of_freedom is not None:
+            expected = "a number above 0, or None for Gaussian sightings"
+            degrees = float(finite("degrees_of_freedom", self.degrees_of_freedom, expected, [()]))
+            if degrees <= 0:
+                raise OptionError(f"degrees_of_freedom must be {expected}, not {degrees!r}")
+            object.__setattr__(self, "degrees_of_freedom", degrees)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -20,6 +21,7 @@ from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
 
+from .backward import Record
 from .checks import finite, index, measurements
 from .genealogy import Genealogy
 from .memory import check_memory
@@ -27,6 +29,7 @@ from .motions import ControlMotion, GaussianMotion, check_motion, robot_poses, s
 from .noise import draw_key
 from .options import FilterOptions
 from .resampling import RESAMPLING_SCHEMES
+from .samples import Samples
 from .state import FilterResult, LandmarkEstimate, ParticleState
 from .threads import Threads
 from .weight_kernels import normalize
@@ -123,6 +126,8 @@ class ParticleFilter(ABC):
         self._genealogy = Genealogy(self.particles)
         self._genealogy.record(self._poses)
         self._ess_history, self._resampled_history = [float(self.particles)], [False]
+        # of all steps, for backward simulation
+        self._record = Record(self._poses, self._uniform) if self.options.smoothing and self.HAS_MAPS else None
 
     # -- step by step ------------------------------------------------------------------------------------------------
 
@@ -248,7 +253,18 @@ class ParticleFilter(ABC):
             ess=np.array(self._ess_history),
             resampled=np.array(self._resampled_history),
             ancestors=ancestors,
+            smoothed=self._smoothed(mean_poses),
             **self._association(poses),
+        )
+
+    def _smoothed(self, mean_poses: Array) -> Samples | None:
+        """Trajectories drawn by backward simulation, linearised at the mean history of the sensor, if there are any."""
+        if self._record is None or not (mixture := self._mixture(np.exp(self._log_weights), provisional=False)):
+            return None
+        marks = np.array([mixture[j].mean for j in sorted(mixture)])
+        # a copy: what the filter draws later does not depend on whether it was asked for a result
+        return self._record.smooth(
+            self.options.smoothing, deepcopy(self._rng), self.sensor, mean_poses, marks, self.options.threads
         )
 
     def _association(self, poses: Array) -> dict[str, np.ndarray]:
@@ -317,6 +333,8 @@ class ParticleFilter(ABC):
         self._motion, self._poses = motion, _read_only(moved)
         self._step, self._version = self._step + 1, self._version + 1
         self._resampled = False
+        if self._record is not None:
+            self._record.move(self._poses, self._log_weights)
         self._ess_history.append(self._ess_history[-1])
         self._resampled_history.append(False)
 
@@ -334,10 +352,12 @@ class ParticleFilter(ABC):
         # the poses now depend on the sightings: later sightings of this step must not correct the motion again
         self._motion = None
         if log_weights is None or self.options.stage == "motion":
+            self._remember(ids, sightings)
             return
         log_weights += self._log_weights
         highest = float(log_weights.max())
         if highest == -np.inf:
+            self._remember(ids, sightings)
             warnings.warn(
                 f"step {self._step}: its sightings are impossible for all {self.particles} particles; "
                 "the weights from before the step are kept",
@@ -349,8 +369,13 @@ class ParticleFilter(ABC):
         ess = min(total * total / squares, float(self.particles))
         self._log_weights, self._best = _read_only(log_weights), int(np.argmax(log_weights))
         self._ess_history[-1] = ess
+        self._remember(ids, sightings)
         if self.options.stage == "resampling" and ess <= self.options.ess_threshold * self.particles:
             self._resample(weights)
+
+    def _remember(self, ids: np.ndarray, sightings: Array) -> None:
+        if self._record is not None:
+            self._record.observe(self._poses, self._log_weights, ids, sightings)
 
     def _resample(self, weights: Array) -> None:
         ancestors = RESAMPLING_SCHEMES[self.options.resampling](weights, self._rng)
@@ -360,6 +385,8 @@ class ParticleFilter(ABC):
             copy = int(np.argmax(self._log_weights[ancestors]))
         self._best = copy
         self._genealogy.branch(ancestors)
+        if self._record is not None:
+            self._record.branch(ancestors)
         # clip: checked indices would be copied through a buffer
         self._poses = _read_only(np.take(self._poses, ancestors, axis=1, mode="clip"))
         self._log_weights = self._uniform

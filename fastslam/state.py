@@ -14,6 +14,7 @@ from graphslam.se2 import Array, wrap
 
 from .checks import index
 from .options import FilterOptions
+from .samples import Samples
 
 if TYPE_CHECKING:
     from .particle_filter import ParticleFilter
@@ -114,6 +115,7 @@ class FilterResult:
         association: with unknown association, after the whole log, the landmark (M,) of each sighting on the final map of
             the best particle, unconfirmed landmarks included; `graphslam.log.UNIDENTIFIED` for clutter. Otherwise None.
         unconfirmed: (M,) whether that landmark is not confirmed.
+        smoothed: trajectories and maps drawn by backward simulation, if the options ask for it (`fastslam.backward`).
     """
 
     estimator: str
@@ -131,6 +133,7 @@ class FilterResult:
     ancestors: np.ndarray
     association: np.ndarray | None = None
     unconfirmed: np.ndarray | None = None
+    smoothed: Samples | None = None
 
     def __repr__(self) -> str:
         return (

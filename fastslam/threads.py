@@ -11,6 +11,8 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+from graphslam.threads import available_threads
+
 from .blocks import CHUNK
 
 #: with fewer particles than this per thread, waking the thread costs more than it saves
@@ -20,13 +22,6 @@ MINIMUM_LIGHT = 32_768
 
 #: a function work(lo, hi, *arguments) and its arguments
 Job = tuple[Callable[..., Any], tuple[Any, ...]]
-
-
-def available_threads() -> int:
-    """Return how many threads this process may use: the cores it may run on, at most ``NUMBA_NUM_THREADS``."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    limit = os.environ.get("NUMBA_NUM_THREADS", "")
-    return max(1, min(cores, int(limit)) if limit.isdigit() else cores)
 
 
 class Threads:

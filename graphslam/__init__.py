@@ -11,7 +11,7 @@ from .lazy import lazy_names
 
 if TYPE_CHECKING:
     from . import edges, factors, formats, metrics, se2, textbook
-    from .association import Association, AssociationOptions, AssociationScore, associate
+    from .association import Association, AssociationOptions, AssociationScore, Doubt, associate
     from .calibration import Calibration, calibrate
     from .certificate import Certificate
     from .certify import certify
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 #: the public names, by the module that defines them; "" lists modules
 _PUBLIC = {
     "": "edges factors formats metrics se2 textbook",
-    "association": "Association AssociationOptions AssociationScore associate",
+    "association": "Association AssociationOptions AssociationScore Doubt associate",
     "calibration": "Calibration calibrate",
     "certificate": "Certificate",
     "certify": "certify",

@@ -69,7 +69,11 @@ def read_text(path: Path) -> str:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         check_unpacked(path, content)
-        raise FormatError(path, None, "not a text file (it has bytes that are not UTF-8)") from None
+        raise FormatError(
+            path,
+            None,
+            "not a text file in UTF-8; if it is in another encoding, save it as UTF-8: iconv -f latin1 -t utf-8 OLD > NEW",
+        ) from None
     except OSError as error:
         raise FormatError(path, None, f"cannot be read: {error.strerror}") from None
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text

@@ -216,7 +216,7 @@ class Log:
         }
         known = ", ".join(part for part, present in parts.items() if present)
         return (
-            f"<Log {self.name}: {self.num_poses} poses, {len(self.steps)} sightings of {len(self.landmark_ids)} landmarks, "
+            f"<Log {self.name}: {self.num_poses} poses, {self.seen}, "
             f"with {known or 'neither psi nor controls nor truth'}>"
         )
 
@@ -234,6 +234,15 @@ class Log:
     def landmark_ids(self) -> np.ndarray:
         """The ids of the landmarks that were seen, sorted; empty where the sensor gives no ids."""
         return np.setdiff1d(self.landmarks, [UNIDENTIFIED])
+
+    @property
+    def seen(self) -> str:
+        """In words, how many sightings of how many landmarks there are."""
+        total, without = len(self.steps), int(np.count_nonzero(self.landmarks == UNIDENTIFIED))
+        if 0 < without == total:
+            return f"{total} sightings of unidentified landmarks"
+        some = f" ({without} without an id)" if without else ""
+        return f"{total} sightings{some} of {len(self.landmark_ids)} landmarks"
 
     @property
     def identified(self) -> bool:

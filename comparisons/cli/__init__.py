@@ -112,7 +112,9 @@ VERBS: dict[Callable[..., None], tuple[str, ...]] = {
     animate: (
         "slam-compare animate relaxing.gif",
         "slam-compare animate LOG particles.mp4 --estimator fastslam1 --particles 200",
+        "slam-compare animate LOG moving.gif --estimator fastslam1 --stage motion",
         "slam-compare animate LOG growing.html --estimator isam2 --max-frames 100",
+        "slam-compare animate LOG samples.gif --estimator particle-gibbs --gibbs-iterations 60",
     ),
 }
 

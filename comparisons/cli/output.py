@@ -6,6 +6,7 @@ import os
 import shlex
 import shutil
 import sys
+import textwrap
 import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -48,8 +49,15 @@ def sentences(verbose: bool) -> Iterator[None]:
             raise
         if verbose:
             traceback.print_exc()
-        typer.echo(f"error: {error}", err=True)
+        typer.echo(f"error: {error}" if not sys.stderr.isatty() else _wrapped(f"error: {error}"), err=True)
         raise typer.Exit(WRONG_INPUT) from None
+
+
+def _wrapped(text: str) -> str:
+    """A sentence in lines of the terminal's width, broken only between words."""
+    return textwrap.fill(
+        text, shutil.get_terminal_size().columns, break_long_words=False, break_on_hyphens=False, subsequent_indent="  "
+    )
 
 
 def _by_interrupt(error: BaseException | None) -> bool:
@@ -102,9 +110,13 @@ class Output:
             self.hint(f"Wrote {path}.")
 
     def say(self, *lines: str) -> None:
-        """Write sentences, one a line, without markup."""
+        """Write sentences without markup; a terminal gets them broken between words, anything else one a line."""
         for line in lines:
-            self.console.print(printable(line), markup=False, soft_wrap=True)
+            text = printable(line)
+            self._line(_wrapped(text) if self.console.is_terminal else text)
+
+    def _line(self, text: str) -> None:
+        self.console.print(text, markup=False, soft_wrap=True)
 
     def json(self, payload: Mapping[str, Any]) -> None:
         """Write the JSON where it was asked for, if anywhere."""
@@ -119,7 +131,10 @@ class Output:
     def hint(self, *lines: str) -> None:
         """Where the files are and what could come next; not with --quiet. ``slam-compare`` is named so that it runs."""
         if not self.quiet:
-            self.say(*(line.replace("slam-compare ", f"{program()} ") for line in lines))
+            for line in lines:
+                # commands are not broken, so that they can be copied
+                write = self._line if "slam-compare " in line else self.say
+                write(printable(line.replace("slam-compare ", f"{program()} ")))
 
     def detail(self, line: str) -> None:
         """A line on standard error about a step of the work, with --verbose."""

@@ -55,7 +55,9 @@ def run(
         for kind, p in files.items()
         if not kind.endswith((".tum", ".csv", ".g2o")) and kind not in ("html", "mcap", "rerun")
     ]
-    named += ["trajectories (*.tum)", "maps (*-map.csv)", *(["graph.g2o"] if "graph.g2o" in files else [])]
+    named += ["trajectories (*.tum)", "maps (*-map.csv)"]
+    named += ["associations (*-sightings.csv)"] * any(name.endswith("-sightings.csv") for name in files)
+    named += ["graph.g2o"] * ("graph.g2o" in files)
     output.hint(f"Wrote {', '.join(named)} into {folder}{os.sep}")
     if "config" in files:
         output.hint(f"Repeat this run:     {command('run', '--config', files['config'])}")
@@ -122,7 +124,7 @@ def animate(
     animation: AnimationOptions,
     options: RunOptions,
 ) -> None:  # fmt: skip
-    """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives."""
+    """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives, sampled paths."""
     from ..documents import describe
     from ..show.films import animate as film_of
     from ..show.films import check_can_film

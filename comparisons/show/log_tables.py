@@ -40,7 +40,7 @@ def import_tables(found: Import) -> Tables:
             NOTHING if stream.rate is None else number(stream.rate),
         )
     log = found.log
-    sizes = f"The log has {log.num_poses} poses and {len(log.steps)} sightings of {len(log.landmark_ids)} landmarks"
+    sizes = f"The log has {log.num_poses} poses and {log.seen}"
     known = f"; the true map has {found.landmarks} landmarks" if found.landmarks is not None else ""
     columns = [f"Columns of {stream.kind}: {', '.join(stream.columns)}." for stream in found.streams]
     warnings = [f"WARNING: {finding.message}." for finding in found.findings]
@@ -56,7 +56,7 @@ def overview_tables(overview: Overview) -> Tables:
     log = overview.log
     parts = {"psi": log.has_orientation, "true poses": log.true_poses is not None, "true map": bool(log.true_landmarks)}
     known = ", ".join(part for part, present in parts.items() if present)
-    title = f"{log.name}: {log.num_poses} poses, {len(log.steps)} sightings of {len(log.landmark_ids)} landmarks"
+    title = f"{log.name}: {log.num_poses} poses, {log.seen}"
     rates = LeanTable("times", [""], ["number", "rate\n[Hz]", "longest\ngap [s]", "at\n[s]"])
     for each in overview.rates:
         rates.add_row(each.name, str(each.count), number(each.rate), number(each.longest_gap), number(each.gap_at, 1))

@@ -54,6 +54,10 @@ START: dict[str, Any] = {"color": "black", "linestyle": "none", "marker": "s", "
 #: resampling in an animation; no estimator that is animated has this colour
 FLASH = "#D55E00"
 PARTICLE = "#0072B2"
+#: sightings of a landmark that was asked for
+MATCHED = "#AA3377"
+#: lines of sightings by what they are: their landmark is certain, uncertain, or there is none
+SIGHTINGS = {"confirmed": "#117733", "unconfirmed": "#E69F00", "clutter": "#CC3311"}
 #: from small to large residuals, pale to dark, so that a grey print shows it, too
 RESIDUALS = ("#E6E1D8", "#F0B860", "#D55E00", "#7A1B4B", "#1B0B2E")
 #: the cells of an information matrix: empty, fill-in of the factor, block

@@ -21,6 +21,7 @@ from rich.text import Text
 from graphslam.metrics import exchanged
 
 from ..options import AUTO_TOOK, DOUBTFUL
+from ..sightings import sightings_of
 from .cells import NOTHING, LeanTable, number, optimum, seconds, yes_no
 from .placement import placement_of_result
 
@@ -181,11 +182,14 @@ def landmark_table(comparison: Comparison) -> Table | None:
         return None
     first = errors.get("graph") or next(iter(errors.values()))
     title = "Error of each landmark after the alignment [m], largest first"
-    table = LeanTable(title, ["landmark"], ["sightings", *errors])
+    of_log = sightings_of(comparison.log, comparison.log.landmarks) if comparison.log.classes is not None else []
+    classes = {each.landmark: each.of_class for each in of_log}
+    table = LeanTable(title, ["landmark"], [*["class"] * bool(classes), "sightings", *errors])
     ids, counts = np.unique(comparison.log.landmarks, return_counts=True)
     seen = dict(zip(ids.tolist(), counts.tolist()))
     for j in sorted(set().union(*errors.values()), key=lambda j: (-first.get(j, -1.0), j)):
-        table.add_row(str(j), str(seen.get(j, NOTHING)), *(number(of.get(j)) for of in errors.values()))
+        shown = [str(classes.get(j, NOTHING))] * bool(classes)
+        table.add_row(str(j), *shown, str(seen.get(j, NOTHING)), *(number(of.get(j)) for of in errors.values()))
     return table
 
 

@@ -19,6 +19,7 @@ from ..memory import GIGABYTE, available_memory
 from ..motions import robot_poses
 from ..options import GibbsOptions
 from . import exact, paths, pivots
+from .bends import ACCEPTED, Bends, Target
 from .result import GibbsResult
 from .sightings import Problem
 
@@ -27,14 +28,15 @@ class ParticleGibbs:
     """Particle Gibbs with ancestor sampling for SLAM, the landmarks integrated out: a smoother, not a filter.
 
     Every chain starts from a history drawn from its own run of `FastSLAM2`. A sweep renews every motion while all that
-    follows moves along (`pivots`), then the poses in stretches of ``block`` steps between fixed ends (`paths`), and draws
-    the map. During the warm-up the sightings are linearised three times: as measured, then twice at the mean of the chains so
-    far; then nothing changes any more.
+    follows moves along (`pivots`), then the poses in stretches of ``block`` steps between fixed ends (`paths`), draws the
+    map, and moves trajectory and map along their widest directions (`bends`). During the warm-up the sightings are
+    linearised three times: as measured, then twice at the mean of the chains so far; then nothing changes any more.
 
     The posterior is that of the graph with landmarks as nodes and motion edges: motions N(f(x, u), A M A' + epsilon I),
     sightings N(h(x, m), Q) with Q at the measured range, flat landmarks, a known first pose. With the density "linearised"
     the sightings are Gaussians in the plane, in the axes of the robot; the density "exact" corrects this by a Metropolis
-    step after each renewal.
+    step after each renewal. With ``degrees_of_freedom`` sightings have Student's t distribution, as a mixture of Gaussians
+    whose precisions are sampled, too: wrong sightings then bend the trajectory little.
 
     Args:
         log: controls and sightings with ids.
@@ -83,27 +85,31 @@ class ParticleGibbs:
         o, problem = self.options, self._problem
         generators = [np.random.default_rng(s) for s in self._seeds[1::2]]
         with ThreadPoolExecutor(min(o.chains, self._threads or o.chains)) as pool:
-            starts = list(pool.map(_start, self._filters, generators))
-            guesses = [problem.motions_of(x[None]) for x in starts]
+            poses = list(pool.map(_start, self._filters, generators))
+            marks = _map(problem, poses[0], generators[0])
+            chains = [Chain(rng, x, problem.motions_of(x[None])) for rng, x in zip(generators, poses, strict=True)]
             for sweeps in (o.warm_up // 4, o.warm_up // 4, o.warm_up - 2 * (o.warm_up // 4)):
                 if sweeps == 0:
                     continue
-                runs = list(pool.map(lambda r, x, g: _run(r, x, g, problem, o, sweeps), generators, starts, guesses))  # noqa: B023
-                starts = [trajectories[-1].copy() for trajectories, _, _ in runs]
-                later = [(x[sweeps // 2 :], m[sweeps // 2 :]) for x, m, _ in runs]
+                bends = Bends(Target.of(problem, o), chains[0].poses, marks)
+                runs = list(pool.map(lambda c: c.run(problem, bends, o, sweeps, warm_up=True), chains))  # noqa: B023
+                later = [(x[sweeps // 2 :], m[sweeps // 2 :]) for x, m in runs]
                 trajectories, maps = (np.concatenate(parts) for parts in zip(*later, strict=True))
-                guesses = [problem.motions_of(trajectories)] * o.chains
+                marks = maps[-1]
                 problem = problem.linearised_at(trajectories, maps)
-            runs = list(pool.map(lambda r, x, g: _run(r, x, g, problem, o, o.iterations), generators, starts, guesses))
+                for chain in chains:
+                    chain.guess = problem.motions_of(trajectories)
+            bends = Bends(Target.of(problem, o), chains[-1].poses, marks)
+            runs = list(pool.map(lambda c: c.run(problem, bends, o, o.iterations, warm_up=False), chains))
         return GibbsResult(
             log=self.log.name,
             options=o,
             motion=self.motion,
             sensor=self.sensor,
-            trajectories=np.stack([robot_poses(self.sensor, x) for x, _, _ in runs]),
-            maps=np.stack([m for _, m, _ in runs])[..., : problem.columns],
+            trajectories=np.stack([robot_poses(self.sensor, x) for x, _ in runs]),
+            maps=np.stack([m for _, m in runs])[..., : problem.columns],
             ids=problem.ids,
-            accepted=float(np.mean([share for _, _, share in runs])),
+            accepted=float(np.mean([chain.accepted for chain in chains])),
         )
 
 
@@ -140,42 +146,69 @@ def _start(particles: FastSLAM2, rng: np.random.Generator) -> Array:
     return particles._genealogy.trajectory(int(rng.choice(len(weights), p=weights / weights.sum())))
 
 
-def _run(
-    rng: np.random.Generator, x: Array, guess: Array, problem: Problem, options: GibbsOptions, sweeps: int
-) -> tuple[Array, Array, float]:
-    """Return trajectories (sweeps, T + 1, 3), maps (sweeps, J, 3), and the share of corrections that were accepted."""
-    J = len(problem.ids)
-    trajectories, maps = np.empty((sweeps, *x.shape)), np.empty((sweeps, J, 3))
-    z, q = (problem.z, problem.q) if options.density == "exact" else (problem.z[:0], problem.q[:0])
-    share = run_chain(
-        rng, x.copy(), guess, problem.motions, problem.information, problem.first, problem.marks, problem.y,
-        problem.C, J, options.particles, 1.0 if problem.columns == 3 else 0.0, options.block, z, q, trajectories, maps,
-    )  # fmt: skip
-    return trajectories, maps, share
+def _map(problem: Problem, x: Array, rng: np.random.Generator) -> Array:
+    """Draw a map (J, 3) given a trajectory of the sensor."""
+    third = float(problem.columns - 2)
+    return exact.draw_map(rng, x, problem.first, problem.marks, problem.y, problem.C, len(problem.ids), third)
 
 
-def run_chain(
-    rng: np.random.Generator, x: Array, guess: Array, motions: Array, W: Array, first: np.ndarray, marks: np.ndarray,
-    y: Array, C: Array, J: int, N: int, third: float, block: int, z: Array, q: Array, trajectories: Array, maps: Array,
-) -> float:  # fmt: skip
-    """Fill trajectories and maps with the states after each sweep; return the share of accepted corrections."""
-    T, corrected = len(x) - 1, len(z) > 0
-    m, ratio = exact.draw_map(rng, x, first, marks, y, C, J, third), np.zeros(1)
-    if corrected:
-        ratio[0] = exact.log_ratio(x, m, first, marks, y, C, z, q, third)
-    tried = accepted = 0
-    for sweep in range(len(trajectories)):
-        pivots.sweep(rng, x, guess, motions, W, first, marks, y, C, J, N, third, z, q, m, ratio)
-        s, e = 1, min(1 + int(rng.random() * block), T)
-        while s <= T:
-            old = x[s : e + 1].copy()
-            paths.renew(rng, x, s, e, guess, motions, W, first, marks, y, C, J, N, third, not corrected)
-            tried += 1
-            if not corrected or exact.accept(rng, x, m, ratio, first, marks, y, C, z, q, third):
-                accepted += 1
-            else:
-                x[s : e + 1] = old
-            s, e = e + 1, min(e + block, T)
-        trajectories[sweep] = x
-        maps[sweep] = m if corrected else exact.draw_map(rng, x, first, marks, y, C, J, third)
-    return accepted / tried
+class Chain:
+    """One chain: its trajectory (T + 1, 3) of the sensor, and what goes on from one stage of a run to the next.
+
+    Attributes:
+        poses: the present trajectory; ``guess``: motions (T, 3) at which the fits of the pivots begin.
+        accepted: the share of renewed stretches that the last `run` accepted.
+        precision: (K,) Student's t as a mixture: the covariance of sighting k is C_k / precision_k. Ones without it.
+    """
+
+    def __init__(self, rng: np.random.Generator, poses: Array, guess: Array) -> None:
+        self.poses, self.guess = poses.copy(), guess
+        self.accepted = 1.0
+        self._rng, self._precision, self._step = rng, np.ones(0), 0.3
+
+    def run(
+        self, problem: Problem, bends: Bends, options: GibbsOptions, sweeps: int, *, warm_up: bool
+    ) -> tuple[Array, Array]:
+        """Return trajectories (sweeps, T + 1, 3) and maps (sweeps, J, 3) after each sweep; a warm-up adapts the bends."""
+        rng, x, p, degrees = self._rng, self.poses, problem, options.degrees_of_freedom
+        J, T, N, third = len(p.ids), len(x) - 1, options.particles, float(p.columns - 2)
+        corrected = options.density == "exact"
+        if len(self._precision) == 0:
+            self._precision = np.ones(len(p.z))
+        C, q = p.C / self._precision[:, None], p.q / self._precision[:, None]
+        z, of_z = (p.z, q) if corrected else (p.z[:0], q[:0])
+        m, ratio = exact.draw_map(rng, x, p.first, p.marks, p.y, C, J, third), np.zeros(1)
+        if corrected:
+            ratio[0] = exact.log_ratio(x, m, p.first, p.marks, p.y, C, z, of_z, third)
+        trajectories, maps = np.empty((sweeps, *x.shape)), np.empty((sweeps, J, 3))
+        tried, accepted, squares = 0, 0, np.empty(len(p.z))
+        for sweep in range(sweeps):
+            seen = p.first, p.marks, p.y, C
+            pivots.sweep(rng, x, self.guess, p.motions, p.information, *seen, J, N, third, z, of_z, m, ratio)
+            s, e = 1, min(1 + int(rng.random() * options.block), T)
+            while s <= T:
+                old = x[s : e + 1].copy()
+                paths.renew(rng, x, s, e, self.guess, p.motions, p.information, *seen, J, N, third, not corrected)
+                tried += 1
+                if not corrected or exact.accept(rng, x, m, ratio, *seen, z, of_z, third):
+                    accepted += 1
+                else:
+                    x[s : e + 1] = old
+                s, e = e + 1, min(e + options.block, T)
+            if not corrected:
+                m = exact.draw_map(rng, x, *seen, J, third)
+            moved, m, share = bends.renew(rng, x, m, self._step)
+            x[:] = moved
+            if warm_up:
+                self._step = min(self._step * np.exp((share - ACCEPTED) / (1 + sweep) ** 0.5), 1.0)
+            if degrees is not None:
+                # after the bends, which integrate the precisions out
+                bends.target(x, m, squares)
+                self._precision = rng.gamma(0.5 * (degrees + p.columns), 2 / (degrees + squares))
+                C, q = p.C / self._precision[:, None], p.q / self._precision[:, None]
+                of_z = q if corrected else of_z
+            if corrected:
+                ratio[0] = exact.log_ratio(x, m, p.first, p.marks, p.y, C, z, of_z, third)
+            trajectories[sweep], maps[sweep] = x, m
+        self.accepted = accepted / tried
+        return trajectories, maps

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -13,20 +14,17 @@ from graphslam.se2 import Array, wrap
 from ..motions import sensor_motions
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """Motions and sightings of the sensor.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sightings:
+    """Sightings of the sensor with their linearisation.
 
     Attributes:
-        motions, information: (T, 3) and the upper triangles (T, 6) of the inverse covariances.
         first: (T + 2,), the sightings of step t are first[t] to first[t + 1]; ``marks``: (K,) their landmarks, 0 to J - 1.
         z, q: (K, 3) the sightings and their variances; without psi the third column is 0 and 1.
         y, C: (K, 3), (K, 6): the sightings as relative places q = (R(theta)' (m - p), m_h - theta) with Gaussian noise.
         ids: (J,) of the landmarks; ``columns``: 2 or 3.
     """
 
-    motions: Array
-    information: Array
     first: np.ndarray
     marks: np.ndarray
     z: Array
@@ -37,19 +35,21 @@ class Problem:
     columns: int
 
     @classmethod
-    def of(cls, log: Log, motion: MotionModel, sensor: SensorModel) -> Problem:
-        """Return a log's problem, the sightings linearised where they were measured."""
-        motions, covariances = sensor_motions(sensor, *log.motions(motion))
-        rows, columns = np.triu_indices(3)
-        ids, marks = np.unique(log.landmarks, return_inverse=True)
-        n, size = log.sightings.shape[1], len(log.steps)
+    def taken(
+        cls, poses: int, steps: np.ndarray, landmarks: np.ndarray, sightings: Array, sensor: SensorModel, **more: Array
+    ) -> Self:
+        """Return sightings (K, 2 or 3) of ``landmarks`` (K,) from ``poses`` poses, linearised where they were measured.
+
+        Args:
+            steps: (K,), ascending; ``more``: the fields of a class derived from this one.
+        """
+        ids, marks = np.unique(landmarks, return_inverse=True)
+        n, size = sightings.shape[1], len(steps)
         z, q = np.zeros((size, 3)), np.ones((size, 3))
-        z[:, :n] = log.sightings
-        q[:, :n] = np.diagonal(sensor.Q(log.sightings), axis1=-2, axis2=-1)
-        problem = cls(
-            motions=np.ascontiguousarray(motions),
-            information=np.linalg.inv(covariances)[:, rows, columns],
-            first=np.searchsorted(log.steps, np.arange(log.num_poses + 1)),
+        z[:, :n] = sightings
+        q[:, :n] = np.diagonal(sensor.Q(sightings), axis1=-2, axis2=-1)
+        taken = cls(
+            first=np.searchsorted(steps, np.arange(poses + 1)),
             marks=marks.astype(np.int64).ravel(),
             z=z,
             q=q,
@@ -57,10 +57,16 @@ class Problem:
             C=np.zeros((size, 6)),
             ids=ids,
             columns=n,
+            **more,
         )
-        return problem._linearised(z[:, 0], z[:, 1], wrap(z[:, 1] - z[:, 2]))
+        return taken._linearised(z[:, 0], z[:, 1], wrap(z[:, 1] - z[:, 2]))
 
-    def _linearised(self, r: Array, bearing: Array, heading: Array) -> Problem:
+    @property
+    def steps(self) -> np.ndarray:
+        """The step (K,) of each sighting."""
+        return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
+
+    def _linearised(self, r: Array, bearing: Array, heading: Array) -> Self:
         """Linearise h(q) = (|q|, atan2 q, atan2 q - q_h) at relative places, given by range, bearing and heading.
 
         y = q + R (z - h(q)) and C = R Q R', with R = dh^-1/dz = [[c, -r s, 0], [s, r c, 0], [0, 1, -1]].
@@ -77,9 +83,9 @@ class Problem:
         rows, columns = np.triu_indices(3)
         return replace(self, y=y, C=np.ascontiguousarray(C[:, rows, columns]))
 
-    def linearised_at(self, trajectories: Array, maps: Array) -> Problem:
+    def linearised_at(self, trajectories: Array, maps: Array) -> Self:
         """Return the same problem, linearised at the mean relative places of samples (S, T + 1, 3) and (S, J, 3)."""
-        steps = np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
+        steps = self.steps
         total, heading = np.zeros((len(steps), 2)), np.zeros(len(steps))
         for x, m in zip(trajectories, maps, strict=True):
             pose, mark = x[steps], m[self.marks]
@@ -90,6 +96,33 @@ class Problem:
         bearing = np.arctan2(place[:, 1], place[:, 0])
         return self._linearised(
             np.maximum(np.hypot(*place.T), 1e-3), bearing, wrap(self.y[:, 2] + heading / len(trajectories))
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Problem(Sightings):
+    """The sightings of a log with its motions.
+
+    Attributes:
+        motions, information: (T, 3) and the upper triangles (T, 6) of the inverse covariances, of the sensor.
+    """
+
+    motions: Array
+    information: Array
+
+    @classmethod
+    def of(cls, log: Log, motion: MotionModel, sensor: SensorModel) -> Problem:
+        """Return a log's problem, the sightings linearised where they were measured."""
+        motions, covariances = sensor_motions(sensor, *log.motions(motion))
+        rows, columns = np.triu_indices(3)
+        return cls.taken(
+            log.num_poses,
+            log.steps,
+            log.landmarks,
+            log.sightings,
+            sensor,
+            motions=np.ascontiguousarray(motions),
+            information=np.linalg.inv(covariances)[:, rows, columns],
         )
 
     def motions_of(self, trajectories: Array) -> Array:

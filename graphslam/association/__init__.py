@@ -2,7 +2,8 @@
 
 from .assignment import ids_by_map
 from .associate import Association, associate
+from .doubts import Doubt
 from .options import AssociationOptions
 from .scores import AssociationScore, score
 
-__all__ = ["Association", "AssociationOptions", "AssociationScore", "associate", "ids_by_map", "score"]
+__all__ = ["Association", "AssociationOptions", "AssociationScore", "Doubt", "associate", "ids_by_map", "score"]

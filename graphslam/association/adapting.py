@@ -25,6 +25,10 @@ from ..parameters.declared import ParameterEstimate, parsed
 from ..se2 import Array
 from ..solvers.solve import solve
 from ..uncertainty import Uncertainty
+from .classes import Classes
+from .densities import Field
+from .options import AssociationOptions
+from .refining import Refined, refine
 from .solved import Backbone, Solved
 
 #: slip is looked for over windows of one part in so many of the log, where such a window has at least so many motions
@@ -37,6 +41,8 @@ CLEAR = 10.0
 TOLD = 0.5
 #: parameters that change by less than this part of their standard deviations have settled
 FINE = 0.3
+#: the most times that parameters are estimated from the ids, and ids found in the corrected log
+FITS = 5
 #: the parameters are solved for to this step norm per square root of the number of poses
 ROUGH = 1e-4
 
@@ -129,3 +135,34 @@ def wanted(estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[s
         OptionError: there is no such parameter, or its prior is impossible.
     """
     return {name: None if np.isinf(value) else value for name, value in parsed(estimate or ()).items()}
+
+
+def adapted(
+    robot: Robot, refined: Refined, estimate: Mapping[str, float | None], classes: Classes, options: AssociationOptions
+) -> Robot:  # fmt: skip
+    """The robot with its slip, where the options ask for it, and with estimated parameters; the same if neither is found.
+
+    Parameters and ids are found in turn until the parameters settle, at most `FITS` times.
+
+    Raises:
+        GraphError: the log does not tell the parameters.
+    """
+    given = robot
+    if options.slip:
+        robot = slipping(robot, refined.labels, refined.solved.poses)
+    poses = refined.solved.poses
+    for _ in range(FITS if estimate else 0):
+        before = robot.estimate
+        robot, poses = fitted(robot, given.log, given.sensor, refined.labels, poses, estimate)
+        if robot.settled(before) or (end := again(robot, refined, classes, options, poses)) is None:
+            break
+        refined, poses = end, end.solved.poses
+    return robot
+
+
+def again(
+    robot: Robot, refined: Refined, classes: Classes, options: AssociationOptions, poses: Array | None = None
+) -> Refined | None:  # fmt: skip
+    """Association and solving in turn with another robot, from labels that were found before, and poses (T+1, 3)."""
+    poses, field = refined.solved.poses if poses is None else poses, Field.of(robot.log, robot.sensor)
+    return refine(robot.log, robot.backbone, refined.labels, poses, field, refined.densities, classes, options)

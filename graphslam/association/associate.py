@@ -16,15 +16,20 @@ from ..models import MotionModel, SensorModel
 from ..parameters.declared import ParameterEstimate
 from ..precision import check_log
 from ..se2 import Array
-from .adapting import Robot, fitted, slipping, wanted
+from .adapting import Robot, adapted, again, wanted
 from .classes import Classes
+from .climbing import climb
 from .densities import Densities, Field
+from .doubts import Doubt, doubts
 from .driving import drive
+from .evidence import evidence
 from .options import AssociationOptions
 from .refining import Refined, refine
 
-#: the most times that parameters are estimated from the ids, and ids found in the corrected log
-FITS = 5
+#: ids (M,) and poses (T+1, 3)
+Start = tuple[np.ndarray, Array]
+#: so many doubts become notes of their own
+MOST_NOTES = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,6 +47,9 @@ class Association:
             where one of them is wrong.
         motion: the noise model of the graph, with the slip that the log shows, where it does (`association.adapting`).
         parameters: the estimated parameters of vehicle and sensor, or None. ``poses`` are those of the corrected log.
+        doubts: places that may have been taken for others, the most doubtful first.
+        evidence: E of `association.evidence`, the logarithm of the evidence for these ids, to compare associations of one
+            log.
         options: what was used.
         seconds: the time it took [s].
         notes: what the user should know, one sentence each.
@@ -56,6 +64,8 @@ class Association:
     cost_per_dof: float
     motion: MotionModel
     parameters: ParameterEstimate | None
+    doubts: tuple[Doubt, ...]
+    evidence: float
     options: AssociationOptions
     seconds: float
     notes: tuple[str, ...]
@@ -77,9 +87,17 @@ class Association:
         return int(np.count_nonzero(self.ids == UNIDENTIFIED))
 
     @property
+    def doubtful(self) -> np.ndarray:
+        """Whether the landmark of each sighting (M,) may be another: by its margin, or because a return to it is in doubt."""
+        doubtful = np.asarray(self.margins < np.log(self.options.factor))
+        for doubt in self.doubts:
+            doubtful |= (self.of.steps >= doubt.step) & np.isin(self.ids, doubt.landmarks)
+        return doubtful
+
+    @property
     def ambiguous(self) -> int:
-        """The number of sightings for whose landmark the evidence is less than the factor of the options."""
-        return int(np.count_nonzero(self.margins < np.log(self.options.factor)))
+        """The number of doubtful sightings."""
+        return int(np.count_nonzero(self.doubtful))
 
     @cached_property
     def log(self) -> Log:
@@ -98,7 +116,7 @@ def associate(
     motion: MotionModel | None = None,
     sensor: SensorModel | None = None,
     options: AssociationOptions | None = None,
-    start: tuple[np.ndarray, Array] | None = None,
+    start: Start | list[Start | None] | None = None,
     estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None,
     **changes: Any,
 ) -> Association:
@@ -107,12 +125,15 @@ def associate(
     The robot drives along the log once: a local Kalman filter joins sightings of neighbouring scans to tracks, and every
     ``window`` steps the graph of the drive so far is solved, and tracks are joined to landmarks that were seen before by
     the best joint hypothesis under their covariance. Then association and solving take turns (`association.refining`).
+    Where other accounts of the drive are not much less likely, they are tried (`association.climbing`), and the one with the
+    highest evidence as a whole is the result.
 
     Args:
         log: with controls.
         motion, sensor: the noise models; default: those of the log, else the book's.
         options: the options; ``changes`` replace single fields of `AssociationOptions`.
         start: (ids (M,), poses (T+1, 3)) that another front end found, such as a particle filter; instead of the drive.
+            Of a list of such starts, with None for the drive, the one that ends with the highest evidence is the result.
         estimate: parameters of vehicle and sensor to estimate on the way, as in `Graph.from_log`; sightings are then
             assigned in the corrected log.
 
@@ -134,59 +155,66 @@ def associate(
     backbone, field = robot.backbone, Field.of(log, sensor)
     densities = Densities.of(log, field, options.clutter)
     classes = Classes.of(log, options.confusion)
-    if start is None:
-        driven = drive(log, motion, backbone, densities, classes, options)
-        labels, poses = driven.labels, driven.poses
-    else:
-        labels, poses = np.asarray(start[0]), np.asarray(start[1], dtype=float)
-        if labels.shape != log.steps.shape or poses.shape != log.initial_poses.shape:
-            raise OptionError(f"start must be {len(log.steps)} ids and poses of shape {log.initial_poses.shape}")
-    refined = refine(log, backbone, labels, poses, field, densities, classes, options)
-    if refined is not None and options.slip:
-        robot = slipping(robot, refined.labels, refined.solved.poses)
-        if robot.motion is not motion and not names:
-            refined = _again(robot, refined, refined.solved.poses, classes, options)
-    for _ in range(FITS if names else 0):
-        if refined is None:
-            break
-        before = robot.estimate
-        robot, poses = fitted(robot, log, sensor, refined.labels, refined.solved.poses, names)
-        if robot.settled(before):
-            break
-        refined = _again(robot, refined, poses, classes, options)
-    if refined is None:
+    firsts: list[Refined] = []
+    for labels, poses in _starts(log, start):
+        if labels is None or poses is None:
+            driven = drive(log, motion, backbone, densities, classes, options)
+            labels, poses = driven.labels, driven.poses
+        if (end := refine(log, backbone, labels, poses, field, densities, classes, options)) is not None:
+            firsts.append(end)
+    if not firsts:
         raise GraphError(
             f"no landmark of {log.name} was seen often enough to be one: all its {len(log.steps)} sightings may be clutter"
         )
-    return _report(log, refined, robot, motion, options, time.perf_counter() - begin)
+    given, robot = robot, adapted(robot, firsts[0], names, classes, options)
+    if robot is not given:
+        log, backbone, field = robot.log, robot.backbone, Field.of(robot.log, robot.sensor)
+        firsts = [end for first in firsts if (end := again(robot, first, classes, options)) is not None] or firsts
+    ends = [climb(log, backbone, end, field, classes, options) for end in firsts]
+    densities = Densities.mean([end.densities for end, _ in ends])
+    values = [evidence(log, backbone, end.solved, field, densities) for end, _ in ends]
+    refined, accounts = ends[int(np.argmax(values))]
+    doubtful = doubts(accounts, options.factor)
+    return _report(given, robot, refined, values, doubtful, options, time.perf_counter() - begin)
 
 
-def _again(
-    robot: Robot, refined: Refined, poses: Array, classes: Classes, options: AssociationOptions
-) -> Refined | None:  # fmt: skip
-    """Association and solving in turn with another robot, from labels that were found before, and poses (T+1, 3)."""
-    field = Field.of(robot.log, robot.sensor)
-    return refine(robot.log, robot.backbone, refined.labels, poses, field, refined.densities, classes, options)
+def _starts(log: Log, start: Start | list[Start | None] | None) -> list[tuple[np.ndarray | None, Array | None]]:
+    """The given starts, (None, None) for the drive."""
+    found: list[tuple[np.ndarray | None, Array | None]] = []
+    for each in start if isinstance(start, list) else [start]:
+        if each is None:
+            found.append((None, None))
+            continue
+        labels, poses = np.asarray(each[0]), np.asarray(each[1], dtype=float)
+        if labels.shape != log.steps.shape or poses.shape != log.initial_poses.shape:
+            raise OptionError(f"start must be {len(log.steps)} ids and poses of shape {log.initial_poses.shape}")
+        found.append((labels, poses))
+    if not found:
+        raise OptionError("start holds no start; leave it out for the drive")
+    return found
 
 
 def _report(
-    log: Log, refined: Refined, robot: Robot, given: MotionModel, options: AssociationOptions, seconds: float
+    given: Robot, robot: Robot, refined: Refined, values: list[float], doubtful: tuple[Doubt, ...],
+    options: AssociationOptions, seconds: float,
 ) -> Association:  # fmt: skip
-    graph = refined.solved.graph
+    """The association of the log as it was recorded, found with another robot."""
+    log, graph = given.log, refined.solved.graph
     found = Association(
         of=log, ids=np.where(refined.labels < 0, UNIDENTIFIED, refined.labels),
         margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solved.poses, rounds=refined.rounds,
         settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), motion=robot.motion,
-        parameters=robot.estimate, options=options, seconds=seconds, notes=(),
+        parameters=robot.estimate, doubts=doubtful,
+        evidence=max(values), options=options, seconds=seconds, notes=(),
     )  # fmt: skip
     notes = [
         f"found {found.landmarks} landmarks in sightings without ids; {found.clutter} of {len(log.steps)} sightings are "
         f"of no landmark (clutter), J per degree of freedom is {found.cost_per_dof:.2f}"
     ]
-    if robot.motion.epsilon != given.epsilon:
+    if robot.motion.epsilon != given.motion.epsilon:
         notes.append(
             "over long ways the robot slips sideways more than its noise model allows: for the graph epsilon is raised from "
-            f"{given.epsilon:.2g} to {robot.motion.epsilon:.2g}"
+            f"{given.motion.epsilon:.2g} to {robot.motion.epsilon:.2g}"
         )
     if found.parameters is not None:
         notes.append(f"ids were found with estimated parameters: {found.parameters.sentence}")
@@ -194,6 +222,16 @@ def _report(
         notes.append(
             f"the landmark of {found.ambiguous} sightings is ambiguous: the evidence for it is less than "
             f"{options.factor:g} times that for another one, or for clutter"
+        )
+    if len(values) > 1:
+        ends = ", ".join(f"{value - max(values):.0f}" for value in values)
+        notes.append(
+            f"of {len(values)} starts the best by evidence was taken; all of them, relative to it [nats]: {ends}"
+        )
+    notes += [str(doubt) for doubt in found.doubts[:MOST_NOTES]]
+    if (more := len(found.doubts) - MOST_NOTES) > 0:
+        notes.append(
+            f"{more} further {'return is' if more == 1 else 'returns are'} ambiguous by a factor of {options.factor:g}"
         )
     if found.clutter > len(found.ids) / 2:
         notes.append("most sightings are of no landmark that was seen again: the few landmarks may be there by chance")

@@ -8,7 +8,6 @@ import numpy as np
 
 from ..log import Log
 from ..models import SensorModel
-from ..se2 import Array
 
 #: the share of sightings that the estimated field of view holds
 HELD = 0.98
@@ -45,12 +44,6 @@ class Field:
         """Its area [m²]."""
         return max(self.bearing, 0.05) * max(self.farthest**2 - self.nearest**2, 1e-6)
 
-    def holds(self, places: Array, origin: tuple[float, float], inside: float) -> np.ndarray:
-        """Whether places (..., 2) in the robot's axes, seen from ``origin``, lie within a share of the field."""
-        d = places[..., :2] - origin
-        r, phi = np.hypot(d[..., 0], d[..., 1]), np.abs(np.arctan2(d[..., 1], d[..., 0]))
-        return (r >= self.nearest / inside) & (r <= self.farthest * inside) & (phi <= self.bearing * inside)
-
 
 @dataclass(frozen=True)
 class Densities:
@@ -76,6 +69,13 @@ class Densities:
         """
         share = float(np.clip(seen / max(views, 1), *DETECTION))
         return Densities(self.new, self.new + np.log(max(clutter, LEAST_CLUTTER)), np.log(share), np.log1p(-share))
+
+    @classmethod
+    def mean(cls, densities: list[Densities]) -> Densities:
+        """The means of several, by which associations with each of them are compared."""
+        new, clutter = (float(np.mean([getattr(each, name) for each in densities])) for name in ("new", "clutter"))
+        detection = float(np.mean([np.exp(each.seen) for each in densities]))
+        return cls(new, clutter, float(np.log(detection)), float(np.log1p(-detection)))
 
     @property
     def weight(self) -> float:

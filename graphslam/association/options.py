@@ -32,6 +32,9 @@ class AssociationOptions:
     window: int = option(30, "Steps between two solutions of the graph along the drive; more on long logs")
     rounds: int = option(10, "The most rounds of association and solving, in turn, at the end")
     slip: bool = option(True, "Raise the noise of motions where the robot slips sideways over long ways")
+    tries: int = option(
+        40, "The most other accounts of the drive that are tried in full where some are not much less likely"
+    )
 
     def __post_init__(self) -> None:
         check_choice("method", self.method, METHODS)
@@ -40,6 +43,6 @@ class AssociationOptions:
                 raise OptionError(f"{name} must lie between 0 and 1, not {getattr(self, name)!r}")
         if not self.factor >= 1:
             raise OptionError(f"factor must be at least 1, not {self.factor!r}")
-        check_count(window=self.window, rounds=self.rounds)
+        check_count(window=self.window, rounds=self.rounds, tries=self.tries)
         if self.window < 1:
             raise OptionError("window must be at least 1")

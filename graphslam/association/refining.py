@@ -15,18 +15,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..log import Log
 from ..se2 import Array
 from .assignment import World, assign
 from .classes import Classes
-from .densities import INSIDE, Densities, Field
+from .densities import Densities, Field
 from .geometry import differences
 from .hypotheses import gates, log_density, log_volume
 from .merging import merges
 from .options import AssociationOptions
 from .solved import Backbone, Solved
+from .views import Views
 
 #: chains of landmarks that are one are merged link by link, at most so often in a round
 MERGING = 4
@@ -76,6 +76,19 @@ def refine(
     return Refined(labels, Solved.of(backbone, labels, poses), rounds, settled, margins, densities)
 
 
+def unrefined(
+    log: Log, backbone: Backbone, labels: np.ndarray, poses: Array, densities: Densities, classes: Classes,
+    options: AssociationOptions,
+) -> Refined:  # fmt: skip
+    """The graph of labels (M,) as they are; a sighting that another landmark explains better has no margin."""
+    labels = _compact(labels)
+    solved = Solved.of(backbone, labels, poses)
+    world = World.of(backbone.places, solved.poses[log.steps])
+    better, margins = _assigned(world, log, solved, densities, classes, options)
+    margins = np.where(labels < 0, np.inf, np.where(better == labels, margins, 0.0))
+    return Refined(labels, solved, 1, True, margins, densities)
+
+
 def _compact(labels: np.ndarray) -> np.ndarray:
     """The same labels numbered from 0 in the order of their first sightings."""
     names, first, which = np.unique(labels, return_index=True, return_inverse=True)
@@ -94,7 +107,7 @@ def _merged(
     for _ in range(MERGING):
         everyone = np.arange(len(solved.labels))
         shown = classes.sums(solved.which, solved.rows, len(everyone))
-        ((views, _),) = _views(log, backbone, solved, field, INSIDE)
+        views = Views.of(log, backbone, solved, field).views
         found = merges(solved, everyone, solved.seen(log.steps), shown, densities, classes, options, views)
         root = np.arange(len(solved.labels))
         taken: set[int] = set()
@@ -162,45 +175,14 @@ def _kept(
 ) -> tuple[np.ndarray, Densities]:  # fmt: skip
     """The labels of landmarks with enough evidence, -1 for the others; and the densities counted anew."""
     solved = Solved.of(backbone, labels, solved.poses)
-    (views, within), (whole, anywhere) = _views(log, backbone, solved, field, INSIDE, 1.0)
-    densities = densities.counted(int(within.sum()), int(views.sum()), float(np.mean(labels < 0)))
+    seen = Views.of(log, backbone, solved, field)
+    densities = densities.counted(int(seen.within.sum()), int(seen.views.sum()), float(np.mean(labels < 0)))
     world = World.of(backbone.places, solved.poses[log.steps])
     nu = differences(world.means[solved.rows], solved.landmarks[solved.which])
     each = densities.seen - densities.clutter + log_density(nu, world.covariances[solved.rows])[0]
-    total = np.bincount(solved.which, each) + (views - within) * densities.missed
-    # at the border of the field noise decides whether a landmark is in it
-    border = (whole - anywhere) - (views - within)
-    total += np.maximum(border, 0) * np.log1p(-np.exp(densities.seen) / 2)
-    total += densities.new + 0.5 * log_volume(solved.own_covariances)
+    total = densities.new + 0.5 * log_volume(solved.own_covariances) + seen.misses(densities)
+    total = total + np.bincount(solved.which, each)
     good = (total > np.log(options.factor)) & (np.bincount(solved.which) > 1)
     labels = labels.copy()
     labels[solved.rows] = np.where(good[solved.which], labels[solved.rows], -1)
     return labels, densities
-
-
-def _views(
-    log: Log, backbone: Backbone, solved: Solved, field: Field, *shares: float
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """For shares of the field of view, in how many scans each landmark (L,) was within it, and in how many of these seen."""
-    scans, origin = np.unique(log.steps), backbone.origin
-    poses = solved.poses[scans]
-    near = cKDTree(poses[:, :2]).query_ball_point(solved.landmarks[:, :2], field.farthest + np.hypot(*origin))
-    at = np.concatenate([np.zeros(0, int), *near]).astype(int)
-    landmark = np.repeat(np.arange(len(near)), [len(each) for each in near])
-    places = _in_axes(poses[at], solved.landmarks[landmark])
-    seen = _in_axes(solved.poses[log.steps[solved.rows]], solved.landmarks[solved.which])
-    count = len(near)
-    return [
-        (
-            np.bincount(landmark, field.holds(places, origin, share), count).astype(np.int64),
-            np.bincount(solved.which, field.holds(seen, origin, share), count).astype(np.int64),
-        )
-        for share in shares
-    ]
-
-
-def _in_axes(poses: Array, places: Array) -> Array:
-    """Places (n, 2 or 3) in the axes of poses (n, 3): the positions (n, 2)."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x, y = places[:, 0] - poses[:, 0], places[:, 1] - poses[:, 1]
-    return np.column_stack([c * x + s * y, c * y - s * x])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ class AssociationScore:
         missed: true landmarks without a match.
         doubled: further landmarks that consist mostly of sightings of a true landmark that another one has been matched to.
         invented: landmarks that consist mostly of clutter.
+        matches: the true landmark of each landmark that is matched, {id: true id}.
     """
 
     precision: float | None
@@ -33,6 +35,7 @@ class AssociationScore:
     missed: int
     doubled: int
     invented: int
+    matches: Mapping[int, int]
 
 
 def score(ids: np.ndarray, true_ids: np.ndarray) -> AssociationScore:
@@ -57,6 +60,7 @@ def score(ids: np.ndarray, true_ids: np.ndarray) -> AssociationScore:
     correct = int(among[rows, columns].sum())
     assigned, seen = int(np.sum(ids != UNIDENTIFIED)), int(np.sum(true_ids != UNIDENTIFIED))
     most = among.max(axis=1, initial=0)
+    matches = dict(zip(names[given][rows].tolist(), truths[truths != UNIDENTIFIED][columns].tolist(), strict=True))
     unmatched = np.setdiff1d(np.arange(len(among)), rows)
     return AssociationScore(
         precision=correct / assigned if assigned else None,
@@ -65,4 +69,5 @@ def score(ids: np.ndarray, true_ids: np.ndarray) -> AssociationScore:
         missed=among.shape[1] - len(rows),
         doubled=int(np.sum(most[unmatched] >= np.maximum(clutter[unmatched], 1))),
         invented=int(np.sum(most[unmatched] < clutter[unmatched])),
+        matches=matches,
     )

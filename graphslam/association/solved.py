@@ -125,6 +125,11 @@ class Solved:
         return self.graph.cost(self.state)
 
     @cached_property
+    def log_determinant(self) -> float:
+        """log det Omega."""
+        return self.graph.information(self.state).factorize().log_determinant
+
+    @cached_property
     def covariances(self) -> Array:
         """The marginal covariance (L, d, d) of each landmark."""
         d = self.graph.landmark_dimension

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,11 +10,13 @@ import numpy as np
 from ..edges import AnchorEdges, EdgeFamily, RelativePointEdges, RelativePoseEdges
 from ..edges.relative import accumulate
 from ..edges.robust import Kernel, code_and_width
+from ..errors import GraphError
 from ..graph import Graph
 from ..linear.information import BlockSystem
 from ..se2 import Array
 from ..solvers.gauss_newton import gauss_newton
 from ..solvers.iteration import Run
+from ..solvers.levenberg_marquardt import levenberg_marquardt
 from .arrays import Edges, Nodes
 
 
@@ -39,35 +42,45 @@ def batch_state(
     counts: tuple[int, int],
     anchors: list[tuple[list[int], Array, Array]],
     kernel: Kernel | None,
-) -> Array:
+) -> Array | None:
     """The values (n, 3) of n nodes after Gauss-Newton, damped where necessary, over E edges; ``counts`` is (n, E).
 
-    Raises:
-        GraphError: a node is not determined.
+    None if the batch solver finds no state with a lower cost.
     """
     n, total = counts
-    point = nodes.point[:n]
+    point = nodes["point"][:n]
     order = np.argsort(point, kind="stable")
     number = np.empty(n, dtype=np.int64)
     number[order] = np.arange(n)
     families: list[EdgeFamily] = [
         AnchorEdges(number[members], centre, information[None]) for members, centre, information in anchors
     ]
-    rows, robust = edges.rows[:total], edges.robust[:total]
+    rows, robust = edges["rows"][:total], edges["robust"][:total]
     for d, kind in ((3, _RobustPoses), (2, _RobustPoints)):
         for weighed in (False, True):
             k = np.flatnonzero((rows == d) & (robust == weighed))
             if len(k):
-                information = edges.information[k][:, [0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(-1, 3, 3)[:, :d, :d]
-                ends = number[edges.ends[k]]
+                information = edges["information"][k][:, [0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(-1, 3, 3)[:, :d, :d]
+                ends = number[edges["ends"][k]]
                 families.append(
-                    kind(ends[:, 0], ends[:, 1], edges.measured[k, :d], information, kernel=kernel if weighed else None)
+                    kind(
+                        ends[:, 0],
+                        ends[:, 1],
+                        edges["measured"][k, :d],
+                        information,
+                        kernel=kernel if weighed else None,
+                    )
                 )
-    x, poses = nodes.x[order], int(n - point.sum())
+    x, poses = nodes["x"][order], int(n - point.sum())
     graph = Graph(
         x, families=tuple(families), steps=np.arange(poses), trajectory=x[:poses], pose_ids=np.arange(poses),
         landmark_ids=np.arange(n - poses),
     )  # fmt: skip
-    run = Run(x, tolerance=1e-9, cost_tolerance=1e-9)
-    gauss_newton(graph, run)
-    return np.asarray(run.state[number])
+    # plain steps from far away may end in a much higher minimum, and damped ones do not
+    for iterate in (gauss_newton, levenberg_marquardt):
+        run = Run(x, tolerance=1e-9, cost_tolerance=1e-9)
+        with suppress(GraphError):
+            iterate(graph, run)
+            if graph.cost(run.state) <= graph.cost(x):
+                return np.asarray(run.state[number])
+    return None

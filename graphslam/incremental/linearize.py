@@ -13,6 +13,12 @@ factorised. The right-hand side is kept up to date: with the sum d of all increm
 
 so that Omega d = rhs is the condition for an optimum at x, whatever B is in Omega. If it is near B(x), iterating
 converges fast. `evaluate` compares them.
+
+Gauss-Newton leaves out the second derivatives of the residual. Where residuals are as large as levers, the curvature of J
+can be more than twice B' W B, and Gauss-Newton then diverges from the minimum itself. So an edge with a cost above
+`CURVED` has them in the factor. With g = W e, increments (a, phi) of the first end, b of the second and q = R(alpha) b,
+
+    J/2 has the further terms  phi h' (q - a) + gamma phi^2 / 2,   h = (-g_y, g_x),  gamma = -g' (lever).
 """
 
 import numpy as np
@@ -27,22 +33,27 @@ from ..edges.robust import loss, weight
 #: `advance` lowers the second limit where the passes converge slowly, because the changes of many edges add up.
 REWEIGHTED, CHANGED = 0.33, 0.1
 
+#: the cost above which the second derivatives of an edge enter the factor
+CURVED = 4.0
+
 
 @njit(cache=True, error_model="numpy")
 def linearize(e, nodes, edges, kernel, width):
     """Of an edge at the estimate: lever u, cos and sin of alpha, the weight, w W e, and the cost."""
     i, j = edges.ends[e, 0], edges.ends[e, 1]
-    x, y, z = nodes.x[i], nodes.x[j], edges.measured[e]
-    c, s = np.cos(x[2]), np.sin(x[2])
-    dx, dy = y[0] - x[0], y[1] - x[1]
+    c, s = nodes.axes[i, 0], nodes.axes[i, 1]
+    dx, dy = nodes.x[j, 0] - nodes.x[i, 0], nodes.x[j, 1] - nodes.x[i, 1]
     ahead, left = c * dx + s * dy, c * dy - s * dx
     turn = 0.0
     if edges.rows[e] == 3:
-        turn = kernels.wrap(y[2] - x[2] - z[2])
-        c, s = np.cos(y[2] - x[2]), np.sin(y[2] - x[2])
+        turn = nodes.x[j, 2] - nodes.x[i, 2] - edges.measured[e, 2]
+        if abs(turn) > np.pi:
+            turn = kernels.wrap(turn)
+        p, q = nodes.axes[j, 0], nodes.axes[j, 1]
+        c, s = c * p + s * q, c * q - s * p
     else:
         s = -s
-    residual = (ahead - z[0], left - z[1], turn)
+    residual = (ahead - edges.measured[e, 0], left - edges.measured[e, 1], turn)
     g = kernels.product(kernels.row(edges.information, e), residual)
     cost = kernels.dot(g, residual)
     factor = 1.0
@@ -62,26 +73,40 @@ def information(e, edges, gain):
 
 
 @njit(cache=True, error_model="numpy")
+def _curvature(e, edges, u, g, cost, curved):
+    """The second derivatives (gamma, h) of the residual times W e of an edge with a large residual, otherwise zeros."""
+    if cost > curved and not edges.robust[e]:
+        return u[0] * g[1] - u[1] * g[0], -g[1], g[0]
+    return 0.0, 0.0, 0.0
+
+
+@njit(cache=True, error_model="numpy")
 def _store(e, nodes, edges, gain, u, c, s, g, cost):
-    """Put the gradients of an edge plus Omega_e d into the right-hand sides of its ends."""
+    """Put the gradients of an edge plus Omega_e d into the right-hand sides of its ends; returns the change of its cost."""
     i, j = edges.ends[e, 0], edges.ends[e, 1]
-    a, b = nodes.d[i], nodes.d[j]
     v, w, cos, sin = edges.linear[e, 0], edges.linear[e, 1], edges.linear[e, 2], edges.linear[e, 3]
-    turn = b[2] - a[2] if edges.rows[e] == 3 else 0.0
-    moved = (cos * b[0] - sin * b[1] - a[0] - v * a[2], sin * b[0] + cos * b[1] - a[1] - w * a[2], turn)
-    p = kernels.product(information(e, edges, gain), moved)
-    first = (g[0] - p[0], g[1] - p[1], u[0] * g[0] + u[1] * g[1] + g[2] - v * p[0] - w * p[1] - p[2])
-    second = (
-        cos * p[0] + sin * p[1] - c * g[0] - s * g[1],
-        cos * p[1] - sin * p[0] - c * g[1] + s * g[0],
+    gamma, x, y = edges.linear[e, 4], edges.linear[e, 5], edges.linear[e, 6]
+    b0, b1, phi = nodes.d[j, 0], nodes.d[j, 1], nodes.d[i, 2]
+    turn = nodes.d[j, 2] - phi if edges.rows[e] == 3 else 0.0
+    apart = (cos * b0 - sin * b1 - nodes.d[i, 0], sin * b0 + cos * b1 - nodes.d[i, 1])
+    p = kernels.product(information(e, edges, gain), (apart[0] - v * phi, apart[1] - w * phi, turn))
+    q = (p[0] + x * phi, p[1] + y * phi)
+    bent = gamma * phi + x * apart[0] + y * apart[1]
+    new = (
+        g[0] - q[0],
+        g[1] - q[1],
+        u[0] * g[0] + u[1] * g[1] + g[2] - v * p[0] - w * p[1] - p[2] + bent,
+        cos * q[0] + sin * q[1] - c * g[0] - s * g[1],
+        cos * q[1] - sin * q[0] - c * g[1] + s * g[0],
         p[2] - g[2],
     )
     for k in range(3):
-        nodes.rhs[i, k] += first[k] - edges.rhs[e, k]
-        nodes.rhs[j, k] += second[k] - edges.rhs[e, 3 + k]
-        edges.rhs[e, k], edges.rhs[e, 3 + k] = first[k], second[k]
-    edges.total[0] += cost - edges.cost[e]
+        nodes.rhs[i, k] += new[k] - edges.rhs[e, k]
+        nodes.rhs[j, k] += new[3 + k] - edges.rhs[e, 3 + k]
+        edges.rhs[e, k], edges.rhs[e, 3 + k] = new[k], new[3 + k]
+    change = cost - edges.cost[e]
     edges.cost[e] = cost
+    return change
 
 
 @njit(cache=True, error_model="numpy")
@@ -90,7 +115,8 @@ def _add_diagonal(e, nodes, edges, gain, sign):
     i, j = edges.ends[e, 0], edges.ends[e, 1]
     W, u, v = information(e, edges, gain), edges.linear[e, 0], edges.linear[e, 1]
     a = kernels.product(W, (u, v, 1.0))
-    own = (W[0], W[1], W[2], a[0], a[1], u * a[0] + v * a[1] + a[2])
+    gamma, x, y = edges.linear[e, 4], edges.linear[e, 5], edges.linear[e, 6]
+    own = (W[0], W[1], W[2], a[0] - x, a[1] - y, u * a[0] + v * a[1] + a[2] + gamma)
     other = kernels.turned(edges.linear[e, 2], -edges.linear[e, 3], W)
     for c in range(6):
         nodes.diagonal[i, c] += sign * own[c]
@@ -98,15 +124,17 @@ def _add_diagonal(e, nodes, edges, gain, sign):
 
 
 @njit(cache=True, error_model="numpy")
-def relinearize(e, nodes, edges, kernel, width, gain):
-    """Take lever, alpha and weight from the estimate."""
+def relinearize(e, nodes, edges, kernel, width, gain, curved):
+    """Take lever, alpha and weight from the estimate, and the second derivatives where the cost is above ``curved``; returns
+    the change of the cost."""
     u, c, s, factor, g, cost = linearize(e, nodes, edges, kernel, width)
     _add_diagonal(e, nodes, edges, gain, -1.0)
     edges.weight[e] = factor
     edges.linear[e, 0], edges.linear[e, 1] = u
     edges.linear[e, 2], edges.linear[e, 3] = c, s
+    edges.linear[e, 4], edges.linear[e, 5], edges.linear[e, 6] = _curvature(e, edges, u, g, cost, curved)
     _add_diagonal(e, nodes, edges, gain, 1.0)
-    _store(e, nodes, edges, gain, u, c, s, g, cost)
+    return _store(e, nodes, edges, gain, u, c, s, g, cost)
 
 
 @njit(cache=True, error_model="numpy")
@@ -115,24 +143,32 @@ def between(e, edges, gain):
     W, u, v = information(e, edges, gain), edges.linear[e, 0], edges.linear[e, 1]
     c, s = edges.linear[e, 2], edges.linear[e, 3]
     a = kernels.product(W, (u, v, 1.0))
+    x, y = a[0] - edges.linear[e, 5], a[1] - edges.linear[e, 6]
     return (
         (-(W[0] * c + W[1] * s), W[0] * s - W[1] * c, -W[3]),
         (-(W[1] * c + W[2] * s), W[1] * s - W[2] * c, -W[4]),
-        (-(a[0] * c + a[1] * s), a[0] * s - a[1] * c, -a[2]),
+        (-(x * c + y * s), x * s - y * c, -a[2]),
     )
 
 
 @njit(cache=True, error_model="numpy")
-def evaluate(e, nodes, edges, kernel, width, gain, limit):
-    """Bring the right-hand side of an edge up to date, unless its part of the factor is too old: returns whether it is."""
+def evaluate(e, nodes, edges, kernel, width, gain, limit, curved):
+    """Bring the right-hand side of an edge up to date.
+
+    Returns the change of its cost, and whether its part of the factor is too old.
+    """
     u, c, s, factor, g, cost = linearize(e, nodes, edges, kernel, width)
+    change = _store(e, nodes, edges, gain, u, c, s, g, cost)
     if edges.robust[e] and abs(factor - edges.weight[e]) > min(REWEIGHTED, 3 * limit) * edges.weight[e] + 0.01:
-        return True
-    W = kernels.row(edges.information, e)
+        return change, True
+    W, size = kernels.row(edges.information, e), nodes.scale[edges.ends[e, 0], 1]
     turned = nodes.scale[edges.ends[e, 1], 0] * (s * edges.linear[e, 2] - c * edges.linear[e, 3])
-    size = nodes.scale[edges.ends[e, 0], 1]
     a, b = size * (u[0] - edges.linear[e, 0]), size * (u[1] - edges.linear[e, 1])
     if W[0] * a * a + 2 * W[1] * a * b + W[2] * b * b + (W[0] + W[2]) * turned * turned > limit:
-        return True
-    _store(e, nodes, edges, gain, u, c, s, g, cost)
-    return False
+        return change, True
+    if cost <= curved and edges.linear[e, 5] == 0.0 and edges.linear[e, 6] == 0.0:
+        return change, False
+    gamma, x, y = _curvature(e, edges, u, g, cost, curved)
+    away = abs(x - edges.linear[e, 5]) + abs(y - edges.linear[e, 6])
+    bent = abs(gamma - edges.linear[e, 4]) * size + 2 * away / np.sqrt(W[0] + W[2])
+    return change, (size * bent) ** 2 > limit

@@ -6,25 +6,25 @@ from numba import njit
 
 from ..linear.cholesky.kernels import dot_columns, subtract_columns
 from ..linear.cholesky.simd import clear, get, put
-from .arrays import FLOATS, STAMP, sizes
+from .arrays import COST, CURVED_FROM, FLOATS, LIMIT, STAMP, sizes
 from .linearize import evaluate, linearize
 
 
 @njit(cache=True, error_model="numpy")
 def forward_one(s, nodes, tree, work):
     """y and carry of a supernode from its right-hand sides and its children; returns the squared change of y."""
-    w, r = np.int64(tree.w[s]), np.int64(tree.r[s])
+    w, r = np.int64(tree.groups.w[s]), np.int64(tree.groups.r[s])
     ld, padded, _ = sizes(w, r)
-    width, at, front = 3 * w, tree.at[s], tree.nodes_at[s]
-    c = tree.child[s]
+    width, at, front = 3 * w, tree.groups.at[s], tree.groups.nodes_at[s]
+    c = tree.groups.child[s]
     while c > 0:
-        wc, rc = np.int64(tree.w[c]), np.int64(tree.r[c])
-        carry, below = tree.at[c] + sizes(wc, rc)[2] - 3 * rc, tree.nodes_at[c] + wc
+        wc, rc = np.int64(tree.groups.w[c]), np.int64(tree.groups.r[c])
+        carry, below = tree.groups.at[c] + sizes(wc, rc)[2] - 3 * rc, tree.groups.nodes_at[c] + wc
         for q in range(rc):
             node = tree.ints[below + q]
             for k in range(3):
                 nodes.scratch[node, k] += tree.floats[carry + 3 * q + k]
-        c = tree.sibling[c]
+        c = tree.groups.sibling[c]
     for q in range(w + r):
         node = tree.ints[front + q]
         for k in range(3):
@@ -83,29 +83,29 @@ def _substitute(x, at, ld, width, work, y):
 
 
 @njit(cache=True, error_model="numpy")
-def _upwards(homes, count, tree):
+def upwards(homes, count, tree):
     """The supernodes from ``homes`` up to the roots, children before their parents."""
     done, chains = 0, 0
     for k in range(count):
         s = homes[k]
-        if tree.mark[s]:
+        if tree.groups.mark[s]:
             continue
-        tree.stack[chains] = done
+        tree.groups.stack[chains] = done
         chains += 1
-        while s > 0 and not tree.mark[s]:
-            tree.mark[s] = 1
-            tree.path[done] = s
+        while s > 0 and not tree.groups.mark[s]:
+            tree.groups.mark[s] = 1
+            tree.groups.path[done] = s
             done += 1
-            s = tree.parent[s]
+            s = tree.groups.parent[s]
     # a chain ends below a supernode of an earlier chain, so the last one comes first
     order, end, place = np.empty(done, np.int32), done, 0
     for chain in range(chains - 1, -1, -1):
-        for q in range(tree.stack[chain], end):
-            order[place] = tree.path[q]
+        for q in range(tree.groups.stack[chain], end):
+            order[place] = tree.groups.path[q]
             place += 1
-        end = tree.stack[chain]
+        end = tree.groups.stack[chain]
     for s in order:
-        tree.mark[s] = 0
+        tree.groups.mark[s] = 0
     return order
 
 
@@ -114,9 +114,9 @@ def forward(homes, count, nodes, tree, work):
     """Repeat the forward solution from supernodes up to the roots; returns the squared change of y, the predicted
     decrease of the cost."""
     change = 0.0
-    for s in _upwards(homes, count, tree):
+    for s in upwards(homes, count, tree):
         change += forward_one(s, nodes, tree, work)
-        tree.changed[s] = 1
+        tree.groups.changed[s] = 1
     return change
 
 
@@ -129,15 +129,15 @@ def backward(nodes, tree, work, share, apart, moved, count):
     """
     tree.counts[STAMP] += 1
     stamp, depth = tree.counts[STAMP], 1
-    tree.stack[0] = 0
+    tree.groups.stack[0] = 0
     x = tree.floats
     while depth > 0:
         depth -= 1
-        s = tree.stack[depth]
+        s = tree.groups.stack[depth]
         if s > 0:
-            w, r = np.int64(tree.w[s]), np.int64(tree.r[s])
+            w, r = np.int64(tree.groups.w[s]), np.int64(tree.groups.r[s])
             ld, padded, _ = sizes(w, r)
-            width, at, front = 3 * w, tree.at[s], tree.nodes_at[s]
+            width, at, front = 3 * w, tree.groups.at[s], tree.groups.nodes_at[s]
             clear(work, 0, ld)
             for q in range(w, w + r):
                 node = tree.ints[front + q]
@@ -148,49 +148,55 @@ def backward(nodes, tree, work, share, apart, moved, count):
                 node = tree.ints[front + q]
                 a, b = work[3 * q] - nodes.d[node, 0], work[3 * q + 1] - nodes.d[node, 1]
                 if not nodes.point[node]:
-                    c, t = np.cos(nodes.x[node, 2]), np.sin(nodes.x[node, 2])
+                    c, t = nodes.axes[node, 0], nodes.axes[node, 1]
                     a, b = c * a - t * b, t * a + c * b
                     nodes.x[node, 2] += work[3 * q + 2] - nodes.d[node, 2]
+                    nodes.axes[node, 0], nodes.axes[node, 1] = np.cos(nodes.x[node, 2]), np.sin(nodes.x[node, 2])
                 nodes.x[node, 0] += a
                 nodes.x[node, 1] += b
                 for k in range(3):
                     nodes.d[node, k] = work[3 * q + k]
-                if _beyond(nodes.x[node], nodes.passed[node], nodes.scale[node], share):
+                if _beyond(nodes.x, nodes.passed, nodes.scale, node, share):
                     nodes.mark[node] = stamp
-                    nodes.passed[node] = nodes.x[node]
-                if _beyond(nodes.x[node], nodes.evaluated[node], nodes.scale[node], apart):
+                    for k in range(3):
+                        nodes.passed[node, k] = nodes.x[node, k]
+                if _beyond(nodes.x, nodes.evaluated, nodes.scale, node, apart):
                     moved[count] = node
                     count += 1
-            tree.changed[s] = 0
-        c = tree.child[s]
+            tree.groups.changed[s] = 0
+        c = tree.groups.child[s]
         while c > 0:
-            if tree.w[c] > 0:
-                visit = share < 0 or tree.changed[c] == 1
-                below = tree.nodes_at[c] + tree.w[c]
-                for q in range(tree.r[c]):
+            if tree.groups.w[c] > 0:
+                visit = share < 0 or tree.groups.changed[c] == 1
+                below = tree.groups.nodes_at[c] + tree.groups.w[c]
+                for q in range(tree.groups.r[c]):
                     if visit:
                         break
                     visit = nodes.mark[tree.ints[below + q]] == stamp
                 if visit:
-                    tree.stack[depth] = c
+                    tree.groups.stack[depth] = c
                     depth += 1
-            c = tree.sibling[c]
+            c = tree.groups.sibling[c]
     return count
 
 
 @njit(cache=True, error_model="numpy")
-def _beyond(x, y, scale, share):
-    far, turned = share * scale[0], share * scale[1]
-    return abs(x[0] - y[0]) > far or abs(x[1] - y[1]) > far or abs(x[2] - y[2]) > turned
+def _beyond(x, y, scale, node, share):
+    far, turned = share * scale[node, 0], share * scale[node, 1]
+    if abs(x[node, 0] - y[node, 0]) > far or abs(x[node, 1] - y[node, 1]) > far:
+        return True
+    return abs(x[node, 2] - y[node, 2]) > turned
 
 
 @njit(cache=True, error_model="numpy")
-def reevaluate(moved, count, nodes, edges, tree, kernel, width, gain, limit, homes, late):
+def reevaluate(moved, count, nodes, edges, tree, robust, memory, homes, late):
     """Evaluate the edges of nodes that moved; returns how many supernodes (``homes``) and late edges there are."""
+    kernel, width, gain = robust
     tree.counts[STAMP] += 1
     stamp, changed, old = tree.counts[STAMP], 0, 0
     for k in range(count):
-        nodes.evaluated[moved[k]] = nodes.x[moved[k]]
+        for c in range(3):
+            nodes.evaluated[moved[k], c] = nodes.x[moved[k], c]
     for k in range(count):
         node = moved[k]
         e = nodes.edges[node]
@@ -198,19 +204,20 @@ def reevaluate(moved, count, nodes, edges, tree, kernel, width, gain, limit, hom
             side = 0 if edges.ends[e, 0] == node else 1
             if edges.mark[e] != stamp:
                 edges.mark[e] = stamp
-                if evaluate(e, nodes, edges, kernel, width, gain, limit):
+                change, stale = evaluate(e, nodes, edges, kernel, width, gain, memory[LIMIT], memory[CURVED_FROM])
+                memory[COST] += change
+                if stale:
                     late[old] = e
                     old += 1
-                else:
-                    for end in range(2):
-                        s = nodes.home[edges.ends[e, end]]
-                        if not tree.mark[s]:
-                            tree.mark[s] = 1
-                            homes[changed] = s
-                            changed += 1
+                for end in range(2):
+                    s = nodes.home[edges.ends[e, end]]
+                    if not tree.groups.mark[s]:
+                        tree.groups.mark[s] = 1
+                        homes[changed] = s
+                        changed += 1
             e = edges.next[e, side]
     for k in range(changed):
-        tree.mark[homes[k]] = 0
+        tree.groups.mark[homes[k]] = 0
     return changed, old
 
 
@@ -220,45 +227,46 @@ def marginals(wanted, nodes, tree, work):
     homes = np.empty(len(wanted), np.int32)
     for k in range(len(wanted)):
         homes[k] = nodes.home[wanted[k]]
-    path, x, result = _upwards(homes, len(homes), tree), tree.floats, np.empty((3 * len(wanted), 3 * len(wanted)))
+    path, x, result = upwards(homes, len(homes), tree), tree.floats, np.empty((3 * len(wanted), 3 * len(wanted)))
     for column in range(3 * len(wanted)):
         nodes.scratch[wanted[column // 3], column % 3] = 1.0
         y = tree.counts[FLOATS]
         for s in path:
-            w, r = np.int64(tree.w[s]), np.int64(tree.r[s])
+            w, r = np.int64(tree.groups.w[s]), np.int64(tree.groups.r[s])
             ld, _, _ = sizes(w, r)
             clear(work, 0, ld)
             for q in range(w):
-                node = tree.ints[tree.nodes_at[s] + q]
+                node = tree.ints[tree.groups.nodes_at[s] + q]
                 for k in range(3):
                     work[3 * q + k] = nodes.scratch[node, k]
                     nodes.scratch[node, k] = 0.0
-            _eliminate(x, tree.at[s], ld, 3 * w, work, y)
+            _eliminate(x, tree.groups.at[s], ld, 3 * w, work, y)
             for q in range(w, w + r):
-                node = tree.ints[tree.nodes_at[s] + q]
+                node = tree.ints[tree.groups.nodes_at[s] + q]
                 for k in range(3):
                     nodes.scratch[node, k] += work[3 * q + k]
             y += 3 * w
         for s in path[::-1]:
-            w, r = np.int64(tree.w[s]), np.int64(tree.r[s])
+            w, r = np.int64(tree.groups.w[s]), np.int64(tree.groups.r[s])
             ld, _, _ = sizes(w, r)
             y -= 3 * w
             clear(work, 0, ld)
             for q in range(w, w + r):
-                node = tree.ints[tree.nodes_at[s] + q]
+                node = tree.ints[tree.groups.nodes_at[s] + q]
                 for k in range(3):
                     work[3 * q + k] = nodes.scratch[node, k]
-            _substitute(x, tree.at[s], ld, 3 * w, work, y)
+            _substitute(x, tree.groups.at[s], ld, 3 * w, work, y)
             for q in range(w):
-                node = tree.ints[tree.nodes_at[s] + q]
+                node = tree.ints[tree.groups.nodes_at[s] + q]
                 for k in range(3):
                     nodes.scratch[node, k] = work[3 * q + k]
         for k in range(len(wanted)):
             for c in range(3):
                 result[3 * k + c, column] = nodes.scratch[wanted[k], c]
         for s in path:
-            for q in range(tree.w[s]):
-                nodes.scratch[tree.ints[tree.nodes_at[s] + q]] = 0.0
+            for q in range(tree.groups.w[s]):
+                for k in range(3):
+                    nodes.scratch[tree.ints[tree.groups.nodes_at[s] + q], k] = 0.0
     return result
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +13,8 @@ from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError
 from ..models import MotionModel, SensorModel
 from ..precision import check_model, inverses
-from ..se2 import Array, compose, wrap
+from ..se2 import Array, wrap
+from .append import MOTION, RELATION, SIGHTING
 from .system import OnlineSystem
 
 
@@ -57,11 +57,11 @@ class OnlineSolver:
         check_model(self.sensor)
         self.motion_weight, self.kernel = motion_weight, kernel_of(kernel)
         self._system = OnlineSystem(tolerance)
-        self._poses: list[int] = [self._system.add_node(_numbers("start", start, (3,)))]
+        self._poses: list[int] = [self._system.add_node()]
         self._landmarks: dict[int, int] = {}
         self._columns: int | None = None
         self._time = -np.inf
-        self._system.add_prior(self._poses[:], ANCHOR_INFORMATION)
+        self._system.add_prior(0, _numbers("start", start, (3,)), ANCHOR_INFORMATION)
         self._system.solve(self._poses, [], self._poses)
 
     @property
@@ -181,56 +181,44 @@ class OnlineSolver:
         relations: tuple[np.ndarray, Array, Array] | None = None,
     ) -> None:
         """A step of checked numbers: a motion edge (from, measured, information), and landmarks in the robot's axes."""
-        system, before = self._system, (self._system.num_nodes, self._system.num_edges)
-        known = set(self._landmarks)
-        fresh, touched = [], []
+        system, k, loops = self._system, len(landmarks), 0 if relations is None else len(relations[0])
+        known, poses, moved, columns = system.num_nodes, len(self._poses), int(edge is not None), self._columns
+        total = moved + k + loops
+        ends, kinds = np.empty((total, 2), np.int32), np.empty(total, np.int8)
+        z, W, rows = np.zeros((total, 3)), np.zeros((total, 6)), np.full(total, 3, np.int8)
+        fresh: list[int] = []
         if edge is not None:
-            origin = self._poses[edge[0]]
-            new = system.add_node(compose(system.nodes.x[origin], edge[1]))
-            # headings are not wrapped: increments add up
-            system.nodes.x[new, 2] = system.nodes.x[origin, 2] + edge[1][2]
-            system.nodes.passed[new] = system.nodes.evaluated[new] = system.nodes.x[new]
-            self._poses.append(new)
-            fresh.append(system.add_edges(np.array([[origin, new]]), edge[1][None], edge[2][None]))
-            touched += [origin, new]
-            scale, own = system.nodes.scale, _scale(edge[2][None], None)[0]
-            scale[origin] = np.where(np.isfinite(scale[origin]), scale[origin], own)
-            scale[new] = scale[origin]
-        if len(landmarks):
-            fresh.append(
-                self._see(self._poses[-1 if pose is None else pose], landmarks, measured, information, touched)
+            self._poses.append(system.add_node())
+            ends[0], kinds[0], z[0], W[0] = (self._poses[edge[0]], self._poses[-1]), MOTION, edge[1], _packed(edge[2])
+        if k:
+            d, node = measured.shape[1], self._poses[-1 if pose is None else pose]
+            if columns is None:
+                self._columns = d
+                system.use_kernel(self.kernel, d)
+            for row, landmark in enumerate(landmarks, start=moved):
+                end = self._landmarks.get(landmark)
+                if end is None:
+                    end = self._landmarks[landmark] = system.add_node()
+                    fresh.append(landmark)
+                ends[row] = node, end
+            seen = slice(moved, moved + k)
+            kinds[seen], rows[seen], z[seen, :d], W[seen, : 3 if d == 2 else 6] = (
+                SIGHTING,
+                d,
+                measured,
+                _packed(information),
             )
-        if relations is not None and len(relations[0]):
-            ends = np.array(self._poses)[relations[0]]
-            fresh.append(system.add_edges(ends, *relations[1:]))
-            touched += ends.ravel().tolist()
-            for pair, size in zip(ends.tolist(), _scale(relations[2], None)):
-                for node in pair:
-                    system.nodes.scale[node] = np.minimum(system.nodes.scale[node], size)
+        if relations is not None and loops:
+            ends[moved + k :] = np.array(self._poses)[relations[0]]
+            kinds[moved + k :], z[moved + k :], W[moved + k :] = RELATION, relations[1], _packed(relations[2])
         try:
-            system.solve(list(dict.fromkeys(touched)), np.concatenate(fresh) if fresh else [], self._poses[-1:])
+            system.add(known, ends, kinds, z, W, rows, self._poses[-1:])
         except GraphError:
-            self._landmarks = {key: node for key, node in self._landmarks.items() if key in known}
-            self._poses = [node for node in self._poses if node < before[0]]
-            system.retract(*before)
+            for landmark in fresh:
+                del self._landmarks[landmark]
+            del self._poses[poses:]
+            self._columns = columns
             raise GraphError("the step leaves a pose or landmark undetermined, so that it was not taken") from None
-
-    def _see(self, node: int, landmarks: Sequence[int], measured: Array, information: Array, touched: list[int]) -> Any:
-        system, d = self._system, measured.shape[1]
-        if self._columns is None:
-            self._columns = d
-            system.use_kernel(self.kernel, d)
-        for landmark, z in zip(landmarks, measured):
-            if landmark not in self._landmarks:
-                place = compose(system.nodes.x[node], np.pad(z, (0, 3 - d)))
-                self._landmarks[landmark] = system.add_node(place * (1, 1, d == 3), point=d == 2)
-        ends = np.array([(node, self._landmarks[landmark]) for landmark in landmarks])
-        touched += [node, *ends[:, 1].tolist()]
-        scales = _scale(information, measured)
-        system.nodes.scale[node] = scales.min(axis=0)
-        for end, size in zip(ends[:, 1].tolist(), scales):
-            system.nodes.scale[end] = np.minimum(system.nodes.scale[end], size)
-        return system.add_edges(ends, measured, information, robust=self.kernel is not None)
 
     def relinearize(self) -> None:
         """Linearise and eliminate everything again, in a new order."""
@@ -239,7 +227,7 @@ class OnlineSolver:
     @property
     def pose(self) -> Array:
         """The newest pose (3,), heading in [-pi, pi)."""
-        x = self._system.nodes.x[self._poses[-1]].copy()
+        x = self._system.nodes["x"][self._poses[-1]].copy()
         x[2] = wrap(x[2])
         return x
 
@@ -247,7 +235,7 @@ class OnlineSolver:
     def poses(self) -> Array:
         """The estimate of all poses so far, (t+1, 3), headings in [-pi, pi)."""
         self._system.complete()
-        x = self._system.nodes.x[self._poses]
+        x = self._system.nodes["x"][self._poses]
         x[:, 2] = wrap(x[:, 2])
         return x
 
@@ -255,7 +243,7 @@ class OnlineSolver:
     def landmarks(self) -> dict[int, Array]:
         """{id: (x, y) or (x, y, heading)}, by increasing id."""
         self._system.complete()
-        x, d = self._system.nodes.x, self._columns or 2
+        x, d = self._system.nodes["x"], self._columns or 2
         return {key: np.append(x[node, :2], wrap(x[node, 2:d])) for key, node in sorted(self._landmarks.items())}
 
     @property
@@ -285,12 +273,11 @@ class OnlineSolver:
         return block[np.ix_(kept, kept)]
 
 
-def _scale(information: Array, measured: Array | None) -> Array:
-    """Standard deviations [m, rad] of edges (E, 2); for sightings, the angle that moves them by the first."""
-    size = 1 / np.sqrt(np.minimum(information[:, 0, 0], information[:, 1, 1]))
-    if measured is not None:
-        return np.column_stack([size, size / np.maximum(np.hypot(measured[:, 0], measured[:, 1]), size)])
-    return np.column_stack([size, 1 / np.sqrt(information[:, 2, 2])])
+def _packed(information: Array) -> Array:
+    """The entries (..., 3 or 6) of symmetric matrices as in `arrays.EDGE`."""
+    if information.shape[-1] == 2:
+        return information[..., [0, 0, 1], [0, 1, 1]]
+    return information[..., [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
 
 
 def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -12,33 +12,31 @@ from ..linear.cholesky.ordering import fewest_neighbours
 from ..linear.cholesky.supernodal import factorize
 from ..linear.cholesky.symbolic import Layout, structure
 from ..linear.information import pattern
-from .arrays import FLOATS, FREE, INTS, WASTE_FLOATS, WASTE_INTS, sizes
+from .arrays import COST, CURVED_FROM, FLOATS, FREE, INTS, WASTE_FLOATS, WASTE_INTS, sizes
 from .linearize import between, relinearize
 from .passes import forward_one
-
-#: the least ratio of a pivot to its diagonal entry, as for batch solutions
-PIVOT_TOLERANCE = 1e-12
+from .refactor import PIVOT_TOLERANCE
 
 
 @njit(cache=True, error_model="numpy")
 def _collect(nodes, edges, tree, touched, fresh):
     """The top: its supernodes, nodes, edges, and the supernodes that hang below it."""
-    removed = np.empty(len(tree.w), np.int32)
+    removed = np.empty(len(tree.groups), np.int32)
     count, members = 0, 0
     for node in touched:
         s = nodes.home[node]
-        while s > 0 and not tree.mark[s]:
-            tree.mark[s] = 1
+        while s > 0 and not tree.groups.mark[s]:
+            tree.groups.mark[s] = 1
             removed[count] = s
             count += 1
-            members += tree.w[s]
-            s = tree.parent[s]
+            members += tree.groups.w[s]
+            s = tree.groups.parent[s]
     removed = removed[:count]
     top = np.empty(members + len(touched), np.int32)
     size = 0
     for s in removed:
-        for q in range(tree.w[s]):
-            top[size] = tree.ints[tree.nodes_at[s] + q]
+        for q in range(tree.groups.w[s]):
+            top[size] = tree.ints[tree.groups.nodes_at[s] + q]
             nodes.local[top[size]] = size
             size += 1
     for node in touched:
@@ -69,15 +67,15 @@ def _collect(nodes, edges, tree, touched, fresh):
             number = 0
         # a new prior hangs below supernode 0
         for k in range(-1, len(removed)):
-            c = tree.child[removed[k] if k >= 0 else 0]
+            c = tree.groups.child[removed[k] if k >= 0 else 0]
             while c > 0:
-                if not tree.mark[c] and (k >= 0 or tree.w[c] == 0):
+                if not tree.groups.mark[c] and (k >= 0 or tree.groups.w[c] == 0):
                     if turn:
                         below[number] = c
                     number += 1
-                c = tree.sibling[c]
+                c = tree.groups.sibling[c]
     for s in removed:
-        tree.mark[s] = 0
+        tree.groups.mark[s] = 0
     return removed, top, inside, below
 
 
@@ -86,7 +84,7 @@ def _cliques(nodes, edges, tree, inside, below):
     """The groups of local nodes that the edges and the supernodes below tie together: their sizes, and the nodes."""
     total = 2 * len(inside)
     for s in below:
-        total += tree.r[s]
+        total += tree.groups.r[s]
     group, members = np.empty(len(inside) + len(below), np.int64), np.empty(total, np.int64)
     at = 0
     for k in range(len(inside)):
@@ -96,12 +94,12 @@ def _cliques(nodes, edges, tree, inside, below):
         at += 2
     for k in range(len(below)):
         s = below[k]
-        group[len(inside) + k] = tree.r[s]
-        start = tree.nodes_at[s] + tree.w[s]
-        for q in range(tree.r[s]):
+        group[len(inside) + k] = tree.groups.r[s]
+        start = tree.groups.nodes_at[s] + tree.groups.w[s]
+        for q in range(tree.groups.r[s]):
             members[at + q] = nodes.local[tree.ints[start + q]]
-        members[at : at + tree.r[s]].sort()
-        at += tree.r[s]
+        members[at : at + tree.groups.r[s]].sort()
+        at += tree.groups.r[s]
     return group, members
 
 
@@ -132,11 +130,15 @@ def _slot(indptr, indices, row, column):
 
 
 @njit(cache=True, error_model="numpy")
-def _assemble(nodes, edges, top, inside, indptr, indices, kernel, width, gain):
+def _assemble(nodes, edges, top, inside, fresh, indptr, indices, robust, memory):
     """Omega of the top without what hangs below, from its edges linearised at the estimate."""
     values = np.zeros((len(indices), 3, 3))
-    for e in inside:
-        relinearize(e, nodes, edges, kernel, width, gain)
+    kernel, width, gain = robust
+    for q in range(len(inside)):
+        e = inside[q]
+        # far from the minimum second derivatives mislead: new edges (the first ones) are without, unless all are new
+        curved = np.inf if q < fresh < len(inside) else memory[CURVED_FROM]
+        memory[COST] += relinearize(e, nodes, edges, kernel, width, gain, curved)
         i, j = np.int64(nodes.local[edges.ends[e, 0]]), np.int64(nodes.local[edges.ends[e, 1]])
         block = values[_slot(indptr, indices, min(i, j), max(i, j))]
         for a, row in enumerate(between(e, edges, gain)):
@@ -146,10 +148,10 @@ def _assemble(nodes, edges, top, inside, indptr, indices, kernel, width, gain):
                 else:
                     block[b, a] += row[b]
     for k in range(len(top)):
-        D = nodes.diagonal[top[k]]
+        D, node = nodes.diagonal, top[k]
         block = values[indptr[k + 1] - 1]
-        block[0, 0], block[0, 1], block[1, 1] = D[0], D[1], D[2]
-        block[0, 2], block[1, 2], block[2, 2] = D[3], D[4], D[5] + (1.0 if nodes.point[top[k]] else 0.0)
+        block[0, 0], block[0, 1], block[1, 1] = D[node, 0], D[node, 1], D[node, 2]
+        block[0, 2], block[1, 2], block[2, 2] = D[node, 3], D[node, 4], D[node, 5] + (1.0 if nodes.point[node] else 0.0)
     return values
 
 
@@ -164,7 +166,7 @@ def _with_children(layout, nodes, tree, below, spare):
     for s in range(count):
         owner[first[s] : first[s + 1]] = s
     for s in below:
-        total += tree.r[s]
+        total += tree.groups.r[s]
     row_start = np.empty(count + len(below) + 1, np.int64)
     row_start[: count + 1] = layout.row_start[: count + 1]
     relative = np.empty(len(layout.relative) + total, np.int32)
@@ -174,10 +176,10 @@ def _with_children(layout, nodes, tree, below, spare):
     parent = np.empty(len(below), np.int32)
     for k in range(len(below)):
         s, start = below[k], row_start[count + k]
-        w, r = np.int64(tree.w[s]), np.int64(tree.r[s])
+        w, r = np.int64(tree.groups.w[s]), np.int64(tree.groups.r[s])
         row_start[count + k + 1] = start + r
         ld, padded, _ = sizes(w, r)
-        rows, source = tree.nodes_at[s] + w, tree.at[s] + 3 * w * ld
+        rows, source = tree.groups.nodes_at[s] + w, tree.groups.at[s] + 3 * w * ld
         places = np.empty(r, np.int32)
         for q in range(r):
             places[q] = layout.position[nodes.local[tree.ints[rows + q]]]
@@ -228,7 +230,29 @@ def _with_children(layout, nodes, tree, below, spare):
 
 
 @njit(cache=True, error_model="numpy")
-def rebuild(nodes, edges, tree, touched, fresh, newest, kernel, width, gain, work):
+def _kept(nodes, edges, top, inside):
+    """What linearising edges again changes in them and in their nodes."""
+    result, at = np.empty((len(top), 9)), np.empty((len(inside), 15))
+    for k in range(len(top)):
+        result[k, :3], result[k, 3:] = nodes.rhs[top[k]], nodes.diagonal[top[k]]
+    for k in range(len(inside)):
+        e = inside[k]
+        at[k, :7], at[k, 7:13], at[k, 13], at[k, 14] = edges.linear[e], edges.rhs[e], edges.weight[e], edges.cost[e]
+    return result, at
+
+
+@njit(cache=True, error_model="numpy")
+def _put_back(nodes, edges, top, inside, kept):
+    """Undo that."""
+    for k in range(len(top)):
+        nodes.rhs[top[k]], nodes.diagonal[top[k]] = kept[0][k, :3], kept[0][k, 3:]
+    for k in range(len(inside)):
+        e, row = inside[k], kept[1][k]
+        edges.linear[e], edges.rhs[e], edges.weight[e], edges.cost[e] = row[:7], row[7:13], row[13], row[14]
+
+
+@njit(cache=True, error_model="numpy")
+def rebuild(nodes, edges, tree, touched, fresh, newest, robust, memory, work):
     """Eliminate the top again, with new edges and the nodes ``newest`` last.
 
     Returns (0, 0, 0, 0) if that was done, (1, supernodes, floats, ints) if the arrays have to grow before, with nothing
@@ -249,13 +273,14 @@ def rebuild(nodes, edges, tree, touched, fresh, newest, kernel, width, gain, wor
         floats += sizes(np.int64(first[s + 1] - first[s]), row_start[s + 1] - row_start[s])[2]
     ints, copies = n + len(rows), 0
     for s in below:
-        copies += sizes(np.int64(0), np.int64(tree.r[s]))[2]
+        copies += sizes(np.int64(0), np.int64(tree.groups.r[s]))[2]
     room = tree.counts[FLOATS] + floats + copies <= len(tree.floats) and tree.counts[INTS] + ints <= len(tree.ints)
     if not room or tree.counts[FREE] < count or tallest > len(work):
         for node in top:
             nodes.local[node] = -1
         return 1, count, floats + copies, ints, tallest
-    values = _assemble(nodes, edges, top, inside, indptr, indices, kernel, width, gain)
+    kept = _kept(nodes, edges, top, inside), memory[COST]
+    values = _assemble(nodes, edges, top, inside, len(fresh), indptr, indices, robust, memory)
     at = tree.counts[FLOATS]
     for s in range(count):
         w, r = np.int64(first[s + 1] - first[s]), row_start[s + 1] - row_start[s]
@@ -270,8 +295,11 @@ def rebuild(nodes, edges, tree, touched, fresh, newest, kernel, width, gain, wor
         nodes, tree, below, at,
     )  # fmt: skip
     run = np.empty(tallest // 3 + 1, np.int64)
-    bad = factorize(values.reshape(-1), layout, tree.floats, tree.floats, np.empty(3 * n), run, PIVOT_TOLERANCE, 0.0)
+    scratch = (tree.floats, tree.floats, np.empty(3 * n), run)
+    bad = factorize(values.reshape(-1), layout, np.arange(len(layout.first) - 1), *scratch, PIVOT_TOLERANCE, 0.0)
     if bad >= 0:
+        _put_back(nodes, edges, top, inside, kept[0])
+        memory[COST] = kept[1]
         for node in top:
             nodes.local[node] = -1
         return 2, np.int64(top[order[bad // 3]]), 0, 0, tallest
@@ -280,18 +308,18 @@ def rebuild(nodes, edges, tree, touched, fresh, newest, kernel, width, gain, wor
     for k in range(count):
         s = nodes.home[top[order[first[k]]]]
         forward_one(s, nodes, tree, work)
-        tree.changed[s] = 1
+        tree.groups.changed[s] = 1
     return 0, 0, 0, 0, tallest
 
 
 @njit(cache=True, error_model="numpy")
 def release(tree, s):
     """Give up a supernode."""
-    counts, w, r = tree.counts, np.int64(tree.w[s]), np.int64(tree.r[s])
+    counts, w, r = tree.counts, np.int64(tree.groups.w[s]), np.int64(tree.groups.r[s])
     counts[WASTE_FLOATS] += sizes(w, r)[2]
     counts[WASTE_INTS] += w + r
-    tree.w[s], tree.r[s], tree.child[s], tree.changed[s] = 0, 0, 0, 0
-    tree.free[counts[FREE]] = s
+    tree.groups.w[s], tree.groups.r[s], tree.groups.child[s], tree.groups.changed[s] = 0, 0, 0, 0
+    tree.groups.free[counts[FREE]] = s
     counts[FREE] += 1
 
 
@@ -302,16 +330,21 @@ def _link(nodes, edges, tree, removed, top, inside, below, layout):
     # roots that stay are those of no removed supernode; there are none in a graph of one piece
     for s in removed:
         release(tree, s)
-    tree.child[0] = 0
+    tree.groups.child[0] = 0
     counts, count = tree.counts, len(first) - 1
     names = np.empty(count, np.int32)
     for k in range(count):
         counts[FREE] -= 1
-        s = tree.free[counts[FREE]]
+        s = tree.groups.free[counts[FREE]]
         names[k] = s
         w, r = first[k + 1] - first[k], row_start[k + 1] - row_start[k]
-        tree.w[s], tree.r[s], tree.at[s], tree.nodes_at[s] = w, r, layout.panel_start[k], counts[INTS]
-        tree.child[s], tree.parent[s], tree.sibling[s] = 0, 0, 0
+        tree.groups.w[s], tree.groups.r[s], tree.groups.at[s], tree.groups.nodes_at[s] = (
+            w,
+            r,
+            layout.panel_start[k],
+            counts[INTS],
+        )
+        tree.groups.child[s], tree.groups.parent[s], tree.groups.sibling[s] = 0, 0, 0
         for q in range(w):
             node = top[order[first[k] + q]]
             nodes.home[node] = s
@@ -321,18 +354,18 @@ def _link(nodes, edges, tree, removed, top, inside, below, layout):
             tree.ints[counts[INTS] + w + q] = top[order[rows[row_start[k] + q]]]
         counts[INTS] += w + r
         ld, padded, _ = sizes(np.int64(w), np.int64(r))
-        y = tree.at[s] + 3 * w * ld + 3 * r * padded
+        y = tree.groups.at[s] + 3 * w * ld + 3 * r * padded
         for q in range(3 * (w + r)):
             tree.floats[y + q] = 0.0
     for k in range(count):
         s, parent = names[k], 0
-        if tree.r[s] > 0:
-            parent = nodes.home[tree.ints[tree.nodes_at[s] + tree.w[s]]]
+        if tree.groups.r[s] > 0:
+            parent = nodes.home[tree.ints[tree.groups.nodes_at[s] + tree.groups.w[s]]]
         _hang(tree, s, parent)
     for s in below:
         lowest = -1
-        for q in range(tree.r[s]):
-            node = tree.ints[tree.nodes_at[s] + tree.w[s] + q]
+        for q in range(tree.groups.r[s]):
+            node = tree.ints[tree.groups.nodes_at[s] + tree.groups.w[s] + q]
             place = layout.position[nodes.local[node]]
             if lowest < 0 or place < lowest:
                 lowest = place
@@ -349,5 +382,5 @@ def _link(nodes, edges, tree, removed, top, inside, below, layout):
 @njit(cache=True, error_model="numpy")
 def _hang(tree, s, parent):
     """Make s a child of a supernode."""
-    tree.parent[s], tree.sibling[s] = parent, tree.child[parent]
-    tree.child[parent] = s
+    tree.groups.parent[s], tree.groups.sibling[s] = parent, tree.groups.child[parent]
+    tree.groups.child[parent] = s

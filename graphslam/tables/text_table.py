@@ -153,7 +153,10 @@ class TextTable(Table):
                 raise self.error(row, message)
             for column in columns:
                 if not self._is_number(cells[column]):
-                    raise self.error(row, f"{self.title(column)} should be a number, not {cells[column]!r}")
+                    message = f"{self.title(column)} should be a number, not {cells[column]!r}"
+                    if tuple(cells) == self.names:
+                        message += "; this line repeats the header, as where files were joined; delete it"
+                    raise self.error(row, message)
 
     def _named(self) -> str:
         return f" ({', '.join(self.names)})" if self.names else ""

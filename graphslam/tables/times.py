@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
+from ..errors import LogError
 from .table import Table
 
 #: nanoseconds of each unit
 UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
 #: floating-point numbers hold nanoseconds up to here
 _EXACT = 2.0**53
+#: date and time of day as in ISO 8601, with the hours and minutes by which it is ahead of UTC
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d(?:[.,]\d{1,9})?) ?(?:Z|UTC|([+-]\d\d):?(\d\d))?")
 #: 64 bits hold powers of ten up to here
 _LARGEST_POWER = 18
 
@@ -22,12 +27,19 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
         column: its number.
         unit: "s", "ms", "us" or "ns"; None: by the size of the numbers, which is certain for times since 1970, else s.
 
+    Dates with the time of day (ISO 8601, "2026-11-22T10:00:00.5Z") are counted from 1970, in UTC where they name no zone.
+
     Raises:
-        LogError: a time is no finite number.
+        LogError: a time is neither a finite number nor a date.
     """
     if (parts := table.decimals(column)) is not None and (exact := _of_decimals(*parts, unit)) is not None:
         return exact
-    values = table.numbers([column])[:, 0]
+    try:
+        values = table.numbers([column])[:, 0]
+    except LogError:
+        if (dates := _of_dates(table, column)) is None:
+            raise
+        return dates
     if (bad := np.flatnonzero(~np.isfinite(values))).size:
         raise table.error(int(bad[0]), f"the time {table.title(column)} is {values[bad[0]]}; every row needs a time")
     factor = UNITS[unit or by_size(values)]
@@ -44,6 +56,26 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
     except (ValueError, OverflowError):
         # with exponents or beyond 64 bits
         return np.rint(values * factor).astype(np.int64)
+
+
+def _of_dates(table: Table, column: int) -> np.ndarray | None:
+    """Times (N,) of dates; None where the first is none."""
+    ns = np.empty(len(table), np.int64)
+    for row, word in enumerate(map(str, table.words(column))):
+        if (match := _DATE.fullmatch(word)) is None:
+            if row == 0:
+                return None
+            raise table.error(
+                row, f"{table.title(column)} should be a date and time as in the rows above, not {word!r}"
+            )
+        day, clock, hours, minutes = match.groups()
+        try:
+            moment = np.datetime64(f"{day}T{clock.replace(',', '.')}", "ns").astype(np.int64)
+        except ValueError as error:
+            raise table.error(row, f"{table.title(column)} is no date that exists: {word!r} ({error})") from None
+        ahead = 60 * int(hours) + int(hours[0] + minutes) if hours else 0
+        ns[row] = moment - ahead * 60 * UNITS["s"]
+    return ns
 
 
 def _of_decimals(whole: np.ndarray, places: np.ndarray, unit: str | None) -> np.ndarray | None:

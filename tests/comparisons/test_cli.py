@@ -21,6 +21,7 @@ from typer.testing import CliRunner, Result
 
 from comparisons import solvers
 from comparisons.cli import app
+from comparisons.cli.output import Output
 from graphslam import Log, save, simulate
 
 ROOT = Path(__file__).parents[2]
@@ -528,3 +529,22 @@ def test_the_program_is_named_so_that_it_is_found(monkeypatch: pytest.MonkeyPatc
     assert program() == "'my venv/bin/slam-compare'"
     monkeypatch.setenv("PATH", str(called.parent))
     assert program() == "slam-compare"
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_sentences_are_broken_between_words_on_terminals_only(
+    terminal: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TTY_COMPATIBLE", str(int(terminal)))
+    text = "a sentence that goes on " * 10
+    output = Output(None)
+    output.say(text)
+    output.hint(f"slam-compare run {text}")
+    *sentence, command = capsys.readouterr().out.splitlines()
+    assert len(command) > 200
+    if terminal:
+        assert max(map(len, sentence)) <= 80
+        assert " ".join(line.strip() for line in sentence) == text.strip()
+    else:
+        assert sentence == [text]

@@ -24,6 +24,7 @@ from comparisons.show.ellipses import ellipses
 from comparisons.show.films import Film, animate
 from comparisons.show.films.film import kept
 from comparisons.show.films.residuals import Residuals
+from fastslam import ParticleGibbs
 from graphslam import (
     GraphError,
     Log,
@@ -37,7 +38,7 @@ from graphslam import (
 )
 from graphslam.se2 import wrap
 
-FEW = {"particles": 30, "seed": 4}
+FEW = {"particles": 30, "seed": 4, "gibbs_iterations": 12, "gibbs_warm_up": 4, "gibbs_particles": 5, "gibbs_chains": 2}
 ANIMATED = options_of(AnimationOptions)["estimator"].choices
 
 
@@ -123,6 +124,30 @@ def test_resamplings_between_pictures_are_counted(log: Log, film: Film) -> None:
     assert len(film) == 4
     assert film.steps == log.num_poses
     assert sum(f.resamplings for f in film.frames) == result.resampled.sum() > 4  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("stage", ["motion", "weights"])
+def test_stages_of_the_lectures(log: Log, stage: str) -> None:
+    """Particles that only move lose no weight; weighed ones do, and are never replaced."""
+    film = animate(log, estimator="fastslam1", stage=stage, **FEW)
+    assert film.title.endswith(", not weighed" if stage == "motion" else ", not resampled")
+    assert not any(frame.flash for frame in film.frames)
+    last = film.frames[-1]
+    assert np.ptp(last.weights) == 0 if stage == "motion" else np.ptp(last.weights) > 0.9  # type: ignore[attr-defined]
+    assert last.landmarks
+
+
+def test_film_of_samples(log: Log) -> None:
+    film = animate(log, estimator="particle-gibbs", **FEW, max_frames=5)
+    options = RunOptions.of(**FEW)
+    result = ParticleGibbs(log, seed=4, options=options.gibbs).run()
+    assert [frame.number for frame in film.frames] == [0, 3, 6, 8, 11]
+    np.testing.assert_array_equal(film.frames[-1].poses, result.poses)
+    np.testing.assert_array_equal(film.frames[2].paths, result.trajectories[:, 6])  # type: ignore[attr-defined]
+    assert film.frames[0].earlier.shape == (0, 13, 3)  # type: ignore[attr-defined]
+    assert film.frames[2].earlier.shape == (12, 13, 3)  # type: ignore[attr-defined]
+    assert film.notes == (result.mixing.statement,)
+    assert "2 chains" in film.title
 
 
 @pytest.mark.parametrize("edges", ["virtual+motion", "landmark+motion"])
@@ -327,7 +352,10 @@ class TestCommandLine:
             (["none.npz", "film.avi"], "must end in .gif or .mp4 or .html"),
             (["none.npz", "film.gif"], "there is no such file"),
             (["nowhere/film.gif"], "there is no such folder"),
-            (["film.gif", "--estimator", "gtsam"], "must be one of graph, fastslam1, fastslam2, mcl, isam2"),
+            (
+                ["film.gif", "--estimator", "gtsam"],
+                "must be one of graph, association, fastslam1, fastslam2, mcl, isam2",
+            ),
             (["film.gif", "--fps", "-1"], "fps must be a positive number"),
             (["film.gif", "--robust", "gnc"], "gnc solves many"),
         ],

@@ -6,6 +6,11 @@ import numpy as np
 import pytest
 
 from comparisons import run
+from comparisons.estimators import ESTIMATORS, pair_count
+from comparisons.exchange import texts
+from comparisons.show.association_tables import association_table
+from comparisons.show.films import animate
+from comparisons.show.tables import landmark_table
 from fastslam import FastSLAM2
 from graphslam import GraphError, load, sample_log_path
 from graphslam.association import score
@@ -27,6 +32,11 @@ def test_the_graph_finds_ids_that_the_log_lacks(log):
         assert not result.named and "found 13 landmarks" in result.notes[0]
         assert comparison.metrics[name].ate_m < 1.1 * known.metrics["graph"].ate_m
         assert comparison.metrics[name].landmark_rmse_m < 1.1 * known.metrics["graph"].landmark_rmse_m
+    assert "283 sightings of unidentified landmarks" in comparison.table.title
+    # the forecast of how long GTSAM takes counts the landmarks that were found
+    forecast = ESTIMATORS["gtsam"].seconds_per_iteration
+    assert forecast(hidden, comparison.options) == pytest.approx(forecast(log, known.options))
+    assert pair_count(hidden) == 0 < pair_count(log)
     # without true ids there is nothing to compare with
     assert comparison.associations["graph"] is None
     assert comparison.to_json()["estimators"][0]["association"]["landmarks"] == 13
@@ -40,9 +50,44 @@ def test_ignored_ids_are_compared_with_those_found(log, front_end):
     assert (row.association.precision, row.association.recall, row.association.found) == (1.0, 1.0, 13)
     assert "1.000, 1.000" in str(comparison) and "13 0 0 0" in str(comparison)
     entry = json.loads(json.dumps(comparison.to_json()))["estimators"][0]["association"]
+    matches, evidence = entry.pop("matches"), entry.pop("evidence")
     assert entry == {
         "landmarks": 13, "clutter": 0, "precision": 1.0, "recall": 1.0, "found": 13, "missed": 0, "doubled": 0, "invented": 0,
+        "classes": None, "unconfirmed": 0, "doubts": [],
     }  # fmt: skip
+    assert sorted(matches.values()) == log.landmark_ids.tolist() and np.isfinite(evidence)
+    for j, true in matches.items():
+        np.testing.assert_array_equal(comparison["graph"].association == int(j), log.landmarks == true)
+
+
+def test_classes_and_matches_are_in_tables_files_and_film(log):
+    shown = np.where(np.arange(len(log.steps)) % 10 == 0, 9, log.landmarks % 3)
+    clutter = np.append(log.landmarks[:-1], UNIDENTIFIED)
+    with_classes = log.replace(landmarks=clutter, classes=shown)
+    comparison = run(with_classes, estimators=["graph", "fastslam1"], association="maximum-likelihood", particles=30)
+    entry = comparison.to_json()["estimators"][0]["association"]
+    assert {entry["classes"][j] - true % 3 for j, true in entry["matches"].items()} == {0}
+    table = str(association_table(comparison, comparison["graph"]).columns[-4].header)
+    assert "class" in table
+    assert landmark_table(comparison).columns[1].header.plain == "class"
+    for name, text in texts(comparison):
+        if name == "graph-sightings.csv":
+            rows = [line.split(",") for line in text().splitlines()]
+    assert rows[0] == ["step", "range", "bearing", "orientation", "class", "landmark", "status", "true_id"]
+    assert len(rows) == len(log.steps) + 1 and rows[-1][-1] == "" and rows[1][-1] == str(log.landmarks[0])
+    found = comparison["graph"].association
+    assert [row[5] for row in rows[1:]] == ["" if j == UNIDENTIFIED else str(j) for j in found]
+    assert {row[6] for row in rows[1:]} <= {"confirmed", "unconfirmed", "clutter"}
+    film = animate(with_classes, estimator="association", association="maximum-likelihood", max_frames=5)
+    for frame in film.frames:
+        at = np.flatnonzero(log.steps == frame.number)
+        assert len(frame.ends) == len(frame.status) == len(at)
+        for k, end in zip(at, frame.ends):
+            if found[k] != UNIDENTIFIED:
+                np.testing.assert_allclose(end, comparison["graph"].landmarks[found[k]][:2], atol=1e-6)
+    # drawn, and different where the robot is elsewhere
+    assert np.any(film.pictures[0] != film.pictures[-1])
+    assert "the ids of the log are not used" in film.notes
 
 
 def test_a_filter_gives_the_association_of_each_sighting(log):

@@ -77,6 +77,36 @@ def draw_all(browser: Chromium) -> None:
         browser.wait_for(f"document.getElementById('{name}').dataset.drawn === 'yes'")
 
 
+@pytest.mark.parametrize("name", ["graph", "fastslam1"])
+def test_a_click_on_a_landmark_shows_its_sightings(
+    opened: Chromium, view: View, comparison: Comparison, name: str
+) -> None:
+    estimate = next(e for e in view.estimates if e.name == name)
+    j, place = next(iter(estimate.landmarks.items()))
+    # alone, so that the mouse meets its landmark
+    for other in NAMES:
+        if other != name:
+            opened.click(f"input[data-estimator='{other}']")
+    for layer in ("truth", "path", "now"):
+        opened.click(f"input[data-layer='{layer}']")
+    x, y = opened.evaluate(f"{PLACE}({place[0]}, {place[1]})")
+    opened.move_mouse(x - 40, y - 40)
+    opened.move_mouse(x, y)
+    opened.wait_for("document.querySelector('#map .hoverlayer .hovertext') !== null")
+    for kind in ("mousePressed", "mouseReleased"):
+        opened.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+    opened.wait_for("!document.getElementById('match').hidden")
+    text = opened.evaluate("document.getElementById('match').textContent")
+    log = comparison.log
+    steps = log.steps[log.landmarks == j]
+    assert text.startswith(f"{name}, landmark {j}: {len(steps)} sightings in steps {steps[0]}")
+    drawn = "document.getElementById('map').data.find((trace) => trace.meta.layer === 'matches').x"
+    # from the pose to the landmark, and a gap
+    assert opened.evaluate(f"{drawn}.length") == 3 * len(steps)
+    at = opened.evaluate(drawn)
+    assert at[0] == pytest.approx(estimate.poses[steps[0], 0], abs=1e-3) and at[1] == pytest.approx(place[0], abs=1e-3)
+
+
 def count(browser: Chromium, selector: str) -> int:
     return int(browser.evaluate(f"document.querySelectorAll({selector!r}).length"))
 

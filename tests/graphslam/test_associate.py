@@ -25,8 +25,11 @@ from graphslam import (
     simulate,
 )
 from graphslam.association import score
-from graphslam.association.geometry import seen_from
+from graphslam.association.densities import Densities, Field
+from graphslam.association.evidence import evidence
+from graphslam.association.geometry import differences, seen_from
 from graphslam.association.hypotheses import Candidates, log_density
+from graphslam.association.solved import Backbone, Solved
 from graphslam.linear.cholesky import analyze
 from graphslam.linear.information import BlockSystem
 from graphslam.log import UNIDENTIFIED
@@ -89,8 +92,28 @@ def test_joint_covariance_is_a_part_of_the_inverse() -> None:
     nodes = np.array([1, 6, 4])
     for ordering in (None, np.array([0, 2, 3, 5, 7, 1, 6, 4])):
         factor = analyze(system.indptr, system.indices, ordering=ordering).factorize(system.values)
+        assert factor.log_determinant == pytest.approx(np.linalg.slogdet(system.to_sparse().toarray())[1])
         part = inverse[np.ix_(nodes, range(3), nodes, range(3))].reshape(9, 9)
         np.testing.assert_allclose(factor.joint_covariance(nodes), part, atol=1e-12)
+
+
+@pytest.mark.parametrize("psi", [True, False])
+def test_evidence_for_one_landmark_instead_of_two_is_that_of_their_distance(psi: bool) -> None:
+    log = load(sample_log_path())
+    log = log if psi else log.without_orientation()
+    backbone, field = Backbone.of(log, log.sensor or SensorModel(), MotionModel()), Field.of(log, SensorModel())
+    one = np.unique(log.landmarks, return_inverse=True)[1]
+    both = np.where((one == 3) & (np.arange(len(one)) % 2 == 0), one.max() + 1, one)
+    # no landmark is ever missed, so that only the landmarks count
+    densities = Densities(np.log(0.3), np.log(0.01), -50.0, 0.0)
+    a, b = (Solved.of(backbone, labels, log.dead_reckoning(MotionModel())) for labels in (one, both))
+    gained = evidence(log, backbone, a, field, densities) - evidence(log, backbone, b, field, densities)
+    chosen, d = np.array([3, one.max() + 1]), b.landmarks.shape[1]
+    P = b.joint_covariance(chosen)
+    S = P[0, :, 0] + P[1, :, 1] - P[0, :, 1] - P[1, :, 0]
+    nu = differences(b.landmarks[chosen[0]], b.landmarks[chosen[1]])
+    assert nu.shape == (d,)
+    assert gained == pytest.approx(float(log_density(nu, S)[0] - densities.new), abs=0.05)
 
 
 @pytest.mark.parametrize("psi", [True, False])

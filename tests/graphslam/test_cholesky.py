@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graphslam.linear.cholesky import SingularPivot, amd, analyze
+from graphslam.linear.cholesky import SingularPivot, amd, analyze, multifrontal
 
 METHODS = ["supernodal", "dense", "auto"]
 
@@ -379,3 +379,24 @@ def test_values_that_are_not_finite(method, bad):
             with pytest.raises(ValueError, match=rf"block \({indices[p]}, ") as caught:
                 analyze(indptr, indices, method=method).factorize(broken)
             assert not isinstance(caught.value, SingularPivot)
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_threads_change_no_bit(threads, monkeypatch):
+    k = np.arange(70 * 70).reshape(70, 70)
+    low = np.concatenate([k[1:].ravel(), k[:, 1:].ravel(), k[1:, 1:].ravel()])
+    high = np.concatenate([k[:-1].ravel(), k[:, :-1].ravel(), k[:-1, :-1].ravel()])
+    indptr, indices, values = shape(k.size, low, high)
+    rhs, bad = np.random.default_rng(0).normal(size=(k.size, 3)), values.copy()
+    bad[indptr[1:][[99, 4000]] - 1] = 0.0
+    results = []
+    for count in (1, threads):
+        monkeypatch.setattr(multifrontal, "available_threads", lambda count=count: count)
+        symbolic = analyze(indptr, indices)
+        factor = symbolic.factorize(values)
+        assert len(factor._store._members) == (1 if count == 1 else count + 1)
+        results.append([factor.solve(rhs), factor.diagonal_covariances(), factor.covariance(3, 4001)])
+        with pytest.raises(SingularPivot) as caught:
+            symbolic.factorize(bad)
+        results[-1].append(np.array([caught.value.node, caught.value.component]))
+    assert all(np.array_equal(one, several) for one, several in zip(*results, strict=True))

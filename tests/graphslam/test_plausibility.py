@@ -247,3 +247,15 @@ def test_turn_rates_in_degrees_of_a_robot_that_turns_slowly():
         odometry = Stream(times, np.tile([2.0, 0.07 * factor], (1200, 1)))
         log = synchronize(odometry, Stream(seen[:, 0], seen[:, 2:]), seen[:, 1].astype(int))
         assert [check for check in checks(log) if check != "landmark seen once"] == expected
+
+
+def test_a_range_that_means_nothing_measured_is_told(sample):
+    sightings = sample.sightings.copy()
+    sightings[[3, 40, 77], 0] = 65.535
+    findings = {finding.check: finding.message for finding in plausibility(sample.replace(sightings=sightings))}
+    assert "3 sightings have the same range of 65.535 m" in findings["range without measurement"]
+    # a single far sighting, or a range that repeats among others, is none
+    sightings[[40, 77], 0] = sample.sightings[[40, 77], 0]
+    assert "range without measurement" not in checks(sample.replace(sightings=sightings))
+    rounded = np.round(sample.sightings, 0) + [1, 0, 0]
+    assert "range without measurement" not in checks(sample.replace(sightings=rounded))

@@ -31,6 +31,8 @@ MOST_PARTICLES = 2000
 #: opacity of the particles with up to 10 %, up to 50 %, and more of the greatest weight
 OPACITIES = (0.12, 0.3, 0.8)
 _NAMES = {"mcl": "Monte Carlo localisation", "fastslam1": "FastSLAM 1.0", "fastslam2": "FastSLAM 2.0"}
+#: what the title says of the stages of the lectures
+_STAGES = {"motion": ", not weighed", "weights": ", not resampled", "resampling": ""}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,7 +75,7 @@ def particle_film(log: Log, options: RunOptions, animation: AnimationOptions, pr
     notes = [str(w.message) for w in caught if issubclass(w.category, VanishedWeightsWarning)]
     if options.filter.particles > MOST_PARTICLES:
         notes.append(f"{len(frames[0].particles)} of {options.filter.particles} particles are drawn")
-    title = f"{log.name}: {_NAMES[name]}, {options.filter.particles} particles"
+    title = f"{log.name}: {_NAMES[name]}, {options.filter.particles} particles{_STAGES[options.filter.stage]}"
 
     def set_up(figure: Figure) -> Show:
         # localisation is in the axes of its map, which are the true ones

@@ -14,6 +14,7 @@
   const layersOfMap = new Set([...document.querySelectorAll("input[data-layer]")].map((box) => box.dataset.layer));
 
   function isVisible(meta, estimators, layers) {
+    if (meta.layer === "matches" && !meta.estimator) return false; // nothing was clicked yet
     return (!meta.estimator || estimators.has(meta.estimator)) && (!layersOfMap.has(meta.layer) || layers.has(meta.layer));
   }
 
@@ -148,10 +149,47 @@
     });
   }
 
+  // 3, 4, 5, 9 as "3-5, 9"
+  function ranges(steps) {
+    const parts = [];
+    for (const step of [...new Set(steps)].sort((a, b) => a - b)) {
+      const last = parts[parts.length - 1];
+      if (last && step === last[1] + 1) last[1] = step; else parts.push([step, step]);
+    }
+    return parts.map(([a, b]) => a === b ? `${a}` : `${a}–${b}`).join(", ");
+  }
+
+  // the sightings of a landmark of an estimator: in words, and as lines from the poses that are shown
+  function showMatches(name, id, x, y) {
+    const known = facts.matches.associations[facts.matches.of[name]]?.[id];
+    if (!known) return;
+    const words = [`${name}, landmark ${id}: ${known.steps.length} sightings in steps ${ranges(known.steps)}`];
+    if (known.doubtful.length) words.push(`uncertain in steps ${ranges(known.doubtful)}`);
+    if (known.class !== null) words.push(`class ${known.class}`);
+    if (known.true !== undefined) {
+      words.push(known.true === null ? "matches no true landmark"
+        : `${(100 * known.share).toFixed(1)} % of them are of the true landmark ${known.true}`);
+    }
+    element("match").textContent = `${words.join("; ")}.`;
+    element("match").hidden = false;
+    const lines = { x: [], y: [] }, path = paths[name];
+    for (const step of known.steps) {
+      const k = places.get(step);
+      if (k !== undefined && path.x[k] !== null) { lines.x.push(path.x[k], x, null); lines.y.push(path.y[k], y, null); }
+    }
+    const index = figures.map.data.findIndex((trace) => trace.meta.layer === "matches");
+    const trace = figures.map.data[index];
+    trace.meta.estimator = name;
+    trace.visible = true;
+    Plotly.restyle("map", { x: [lines.x], y: [lines.y], visible: true }, [index]);
+  }
+  const places = new Map(facts.steps.map((step, k) => [step, k]));
+
   function onClick(event) {
     const point = event.points[0], known = point.customdata;
     const step = Array.isArray(known) ? known[0] : known;
     const kind = point.data.meta.layer;
+    if (kind === "landmarks") { showMatches(point.data.meta.estimator, known[0], point.x, point.y); return; }
     const k = facts.steps.indexOf(step);
     if (["path", "error", "truth"].includes(kind) && k >= 0) moveTo(k);
   }

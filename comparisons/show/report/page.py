@@ -20,11 +20,13 @@ from ...comparison import Comparison, run
 from ...config import versions
 from ...failures import sentence
 from ...saving import check_can_write, jsonable
+from ..association_tables import association_table
 from ..placement import reference_of
 from ..style import MATRIX, colour_of
 from ..tables import landmark_table, table_as_html, tables_of
 from .convergence import iterations, remarks
 from .curves import convergence_figure, costs_figure, errors_figure
+from .matches import matches_of
 from .matrix import ENTRY, FILL, description, matrix_figure, pictures
 from .paths import COLUMNS, paths_figure
 from .traces import Figure, line_of
@@ -132,7 +134,7 @@ def page_of(comparison: Comparison) -> str:
         "configuration": escape(comparison.config),
         "versions": _items([*versions(), f"plotly.js {get_plotlyjs_version()}", platform.platform()]),
         "figures": embedded({name: figure for name, figure in figures.items() if figure is not None}),
-        "facts": embedded(_facts(view)),
+        "facts": embedded(_facts(view) | {"matches": matches_of(comparison)}),
         "style": _resource("page.css"),
         "behaviour": _resource("page.js"),
         "plotly": get_plotlyjs(),
@@ -163,14 +165,14 @@ def _facts(view: View) -> dict[str, Any]:
 
 def _summary(view: View) -> str:
     log = view.log
-    landmarks = f"of {len(log.landmark_ids)} landmarks" if log.identified else "of unidentified landmarks"
     kind = "range, bearing, orientation" if log.has_orientation else "range, bearing"
     time = "" if view.times is None else f" in {view.times[-1] - view.times[0]:.1f} s"
-    return f"{log.num_poses} poses, {len(log.steps)} sightings {landmarks} ({kind}){time}"
+    return f"{log.num_poses} poses, {log.seen} ({kind}){time}"
 
 
 def _map_note(view: View) -> str:
-    note = "The ellipses are those of three standard deviations. A click on a path moves the slider to that step."
+    note = "The ellipses are those of three standard deviations. A click on a path moves the slider to that step, "
+    note += "one on a landmark shows its sightings."
     if view.aligned_to:
         note += (
             f" Each estimate is aligned to {view.aligned_to} by the rigid motion that its errors are measured after."
@@ -185,12 +187,15 @@ def _map_note(view: View) -> str:
 
 
 def _landmarks(comparison: Comparison) -> str:
-    """The errors of the landmarks, to be unfolded; empty where they are not known."""
-    table = landmark_table(comparison)
-    if table is None:
-        return ""
-    title, table.title = str(table.title), None
-    return f'<details><summary>{escape(title)}</summary><div class="wide">{table_as_html(table)}</div></details>'
+    """The errors of the landmarks, and what was matched to them, to be unfolded; empty where nothing is known."""
+    parts = []
+    for table in (landmark_table(comparison), *(association_table(comparison, each) for each in comparison.results)):
+        if table is not None:
+            title, table.title = str(table.title), None
+            parts.append(
+                f'<details><summary>{escape(title)}</summary><div class="wide">{table_as_html(table)}</div></details>'
+            )
+    return "\n".join(parts)
 
 
 def _error_texts(view: View) -> tuple[str, str]:

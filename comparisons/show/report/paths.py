@@ -1,8 +1,9 @@
 """The figure of trajectories and maps. The ``meta`` of every trace names its estimator and its layer.
 
 Layers: path, landmarks, landmark-ellipses, pose-ellipses, truth, now (the robot at the step of the slider, which the
-page's script moves). ``customdata`` of a path holds all that is known of each pose, in the order of `COLUMNS`; the page's
-script turns that into text, since Plotly's templates show unknown values as 0.
+page's script moves), matches (the sightings of a landmark that was clicked). ``customdata`` of a path holds all that is
+known of each pose, in the order of `COLUMNS`; the page's script turns that into text, since Plotly's templates show
+unknown values as 0.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from graphslam.se2 import Array
 
 from ..ellipses import ellipses
 from ..placement import true_landmarks
-from ..style import INK, colour_of
+from ..style import INK, MATCHED, colour_of
 from .traces import Figure, axis, layout, line_of, place, short
 from .view import Estimate, View
 
@@ -36,6 +37,7 @@ def paths_figure(view: View) -> Figure:
     for estimate in view.estimates:
         traces += [*_path(view, estimate), *_map(view, estimate)]
     traces += _truth(view)
+    traces.append(_matches())
     for estimate in view.estimates:
         traces += _now(estimate)
     return {
@@ -123,6 +125,15 @@ def _now(estimate: Estimate) -> list[dict[str, Any]]:
         {**common, "mode": "markers", "meta": of | {"part": "pose"},
          "marker": {"symbol": "arrow", "size": 15, "color": colour, "line": {"color": INK, "width": 0.6}}},
     ]  # fmt: skip
+
+
+def _matches() -> dict[str, Any]:
+    """What a click on a landmark draws: lines from the poses that saw it."""
+    return {
+        "type": "scatter", "mode": "lines", "x": [None], "y": [None], "hoverinfo": "skip",
+        "meta": {"layer": "matches"}, "visible": False,
+        "line": {"color": MATCHED, "width": 1.2},
+    }  # fmt: skip
 
 
 def _truth(view: View) -> list[dict[str, Any]]:

@@ -1,5 +1,6 @@
 """Sparse Cholesky factorisation of symmetric positive definite matrices of 3x3 blocks."""
 
+from .choice import fill_reducing
 from .errors import FactorizationError, NotFinite, SingularPivot
 from .factor import Factor, Symbolic, analyze, symmetric
 from .ordering import amd
@@ -12,5 +13,6 @@ __all__ = [
     "Symbolic",
     "amd",
     "analyze",
+    "fill_reducing",
     "symmetric",
 ]

@@ -48,6 +48,10 @@ class DenseStore:
             return int(bad[0])
         return done if info > 0 else -1
 
+    def log_determinant(self) -> float:
+        """log det Omega, from the diagonal of L."""
+        return 2.0 * float(np.log(np.diagonal(self.a)).sum())
+
     def solve(self, rhs: NDArray[Any], out: NDArray[Any]) -> None:
         """One right-hand side, flat (3n,)."""
         out[:] = lapack.dpotrs(self.a, rhs, lower=1)[0]

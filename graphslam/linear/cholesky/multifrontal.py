@@ -6,14 +6,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...threads import POOL, available_threads
 from . import selected_inverse, supernodal, triangular
-from .symbolic import Layout
+from .parallel import divide
+from .symbolic import Layout, stacks
 
 
 class MultifrontalStore:
     """Panels, stack and scratch of one factorisation, all allocated once."""
 
     def __init__(self, layout: Layout) -> None:
+        parts = available_threads()
+        part = divide(layout.first, layout.row_start, layout.child_start, layout.children, parts)
+        if part.any():
+            tree = (layout.first, layout.row_start, layout.child_start, layout.children)
+            stack_start, stack_size = stacks(*tree, part)
+            layout = layout._replace(stack_start=stack_start, stack_size=stack_size)
+        self._members = [np.flatnonzero(part == k) for k in range(int(part.max()) + 1)]
         self.layout = layout
         n = layout.order.size
         self.x = np.empty(int(layout.panel_start[-1]))
@@ -26,8 +35,30 @@ class MultifrontalStore:
 
     def factorize(self, values: NDArray[Any], tolerance: float, damping: float) -> int:
         """Bad pivot (scalar, elimination order), or -1."""
-        scratch = (self.x, self.stack, self.limits, self.run)
-        return supernodal.factorize(values, self.layout, *scratch, tolerance, damping)
+
+        def factorize(members: NDArray[Any], run: NDArray[Any]) -> int:
+            scratch = (self.x, self.stack, self.limits, run, tolerance, damping)
+            return supernodal.factorize(values, self.layout, members, *scratch)
+
+        first, *others = self._members
+        if not others:
+            return factorize(first, self.run)
+        waiting = [POOL.executor().submit(factorize, members, np.empty_like(self.run)) for members in others[:-1]]
+        bad = [factorize(first, self.run), *(future.result() for future in waiting)]
+        # the first bad pivot in the order of elimination, as on one thread
+        if max(bad) >= 0:
+            return min(pivot for pivot in bad if pivot >= 0)
+        return factorize(others[-1], self.run)
+
+    def log_determinant(self) -> float:
+        """log det Omega, from the diagonal of L, which is stored inverted."""
+        t = self.layout
+        width = 3 * np.diff(t.first).astype(np.int64)
+        ld = width + (3 * np.diff(t.row_start) + 3 & ~3)
+        column = np.arange(width.sum()) - np.repeat(np.cumsum(width) - width, width)
+        return -2.0 * float(
+            np.log(self.x[np.repeat(t.panel_start[:-1], width) + column * np.repeat(ld + 1, width)]).sum()
+        )
 
     def solve(self, rhs: NDArray[Any], out: NDArray[Any]) -> None:
         """One right-hand side, flat (3n,)."""

@@ -54,8 +54,11 @@ def _link(i, d, degree, head, after, before):
 
 
 @njit(cache=True, error_model="numpy")
-def minimum_degree(n, pointer, neighbours, dense):
+def minimum_degree(n, pointer, neighbours, dense, turn):
     """Elimination order (n,) by approximate minimum degree; nodes of degree > ``dense`` go last.
+
+    Nodes are eliminated in increasing ``turn`` (n,), and by degree among those of the same turn (all, where it is
+    empty).
 
     Every list of the quotient graph holds elements first (``elements[i]`` of them), then variables. ``weight[i]``
     is the number of variables in supervariable i, 0 once it is absorbed or eliminated, negated while it belongs to
@@ -86,6 +89,10 @@ def minimum_degree(n, pointer, neighbours, dense):
     sibling = np.full(n, -1, np.int32)
     code = np.zeros(n, np.int32)
 
+    if turn.size == 0:
+        turn = np.zeros(n, np.int32)
+    now = turn.min() if n else 0
+
     done = 0
     last = n
     for i in range(n):
@@ -95,7 +102,7 @@ def minimum_degree(n, pointer, neighbours, dense):
             order[last] = i
             weight[i] = 0
             size[i] = 0
-        elif length[i] == 0:
+        elif length[i] == 0 and turn[i] == now:
             order[done] = i
             done += 1
             weight[i] = 0
@@ -112,12 +119,21 @@ def minimum_degree(n, pointer, neighbours, dense):
                         q += 1
                 d = q - start[i]
                 length[i] = d
-            _link(i, d, degree, head, after, before)
+            degree[i] = d
+            if turn[i] == now:
+                _link(i, d, degree, head, after, before)
     stamp = 1
     lowest = 0
     while done < todo:
-        while head[lowest] < 0:
+        while lowest <= n and head[lowest] < 0:
             lowest += 1
+        if lowest > n:
+            now += 1
+            lowest = 0
+            for i in range(n):
+                if weight[i] > 0 and turn[i] == now:
+                    _link(i, degree[i], degree, head, after, before)
+            continue
         pivot = head[lowest]
         _unlink(pivot, degree, head, after, before)
 
@@ -148,7 +164,8 @@ def minimum_degree(n, pointer, neighbours, dense):
                     weight[i] = -weight[i]
                     graph[end] = i
                     end += 1
-                    _unlink(i, degree, head, after, before)
+                    if turn[i] == now:
+                        _unlink(i, degree, head, after, before)
         if elements[pivot] > 0:
             free = end
         start[pivot] = first
@@ -195,7 +212,7 @@ def minimum_degree(n, pointer, neighbours, dense):
                     graph[q] = j
                     q += 1
                     key += j
-            if external == 0:
+            if external == 0 and turn[i] == now:
                 w = -weight[i]
                 pivot_weight += w
                 reach -= w
@@ -232,7 +249,7 @@ def minimum_degree(n, pointer, neighbours, dense):
                 previous = i
                 j = sibling[i]
                 while j >= 0:
-                    same = length[j] == length[i] and elements[j] == elements[i]
+                    same = length[j] == length[i] and elements[j] == elements[i] and turn[j] == turn[i]
                     if same:
                         for q in range(start[j], start[j] + length[j]):
                             if mark[graph[q]] != stamp:
@@ -262,9 +279,10 @@ def minimum_degree(n, pointer, neighbours, dense):
                 d = min(degree[i] + reach - w, todo - done_after - w)
                 if d < 0:
                     d = 0
-                _link(i, d, degree, head, after, before)
-                if d < lowest:
-                    lowest = d
+                degree[i] = d
+                if turn[i] == now:
+                    _link(i, d, degree, head, after, before)
+                    lowest = min(lowest, d)
                 graph[end_kept] = i
                 end_kept += 1
         if free == end:
@@ -288,12 +306,22 @@ def fewest_neighbours(n, indptr, indices, limit):
     start, graph, twin = twin_lists(n, indptr, indices)
     head, gone, length = eliminate_low_degree(n, start, graph, twin)
     nodes, pointer, neighbours = remaining(gone, start, length, graph)
-    rest = minimum_degree(nodes.size, pointer, neighbours, limit)
-    order = np.empty(n, np.int32)
+    return joined(head, nodes, minimum_degree(nodes.size, pointer, neighbours, limit, np.zeros(0, np.int32)))
+
+
+@njit(cache=True, error_model="numpy")
+def joined(head, nodes, tail):
+    """The order of all nodes: ``head``, then ``nodes`` in the order ``tail``."""
+    order = np.empty(head.size + tail.size, np.int32)
     order[: head.size] = head
-    for k in range(rest.size):
-        order[head.size + k] = nodes[rest[k]]
+    for k in range(tail.size):
+        order[head.size + k] = nodes[tail[k]]
     return order
+
+
+def dense_limit(n: int, dense: float = 10.0) -> int:
+    """The number of neighbours up to which a node of n is ordered by degree; see `amd`."""
+    return n if dense < 0.0 else int(max(16.0, dense * n**0.5))
 
 
 def amd(indptr: NDArray[Any], indices: NDArray[Any], *, dense: float = 10.0) -> NDArray[np.int32]:
@@ -311,5 +339,5 @@ def amd(indptr: NDArray[Any], indices: NDArray[Any], *, dense: float = 10.0) -> 
         (n,) elimination order: ``order[k]`` is the node eliminated k-th.
     """
     n = indptr.size - 1
-    limit = n if dense < 0.0 else int(max(16.0, dense * np.sqrt(n)))
+    limit = dense_limit(n, dense)
     return fewest_neighbours(n, np.ascontiguousarray(indptr, np.int64), np.ascontiguousarray(indices, np.int32), limit)

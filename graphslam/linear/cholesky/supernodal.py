@@ -92,28 +92,30 @@ def _update_rest(x, at, ld, begin, stop, end):
     subtract_product_blocked(target, left, right, rows, end - stop, stop - begin, stop - top + 1)
 
 
-@njit(cache=True, error_model="numpy")
-def factorize(values, layout, x, u, limits, run, tolerance, damping):
-    """Numeric factorisation into the panels ``x``; returns the scalar column of a bad pivot, or -1.
+@njit(cache=True, error_model="numpy", nogil=True)
+def factorize(values, layout, members, x, u, limits, run, tolerance, damping):
+    """Numeric factorisation of the supernodes ``members`` into the panels ``x``; the scalar column of a bad pivot, or -1.
 
     Multifrontal (Duff & Reid 1983; Liu 1990): the columns of a front are assembled from the matrix and from the
     update matrices of the children, factorised, and the update matrix -L21 L21' plus the children's is passed on.
     Only the columns are needed before the factorisation, hence the update matrix is written first by the product
-    and never zeroed. The diagonal of the matrix is multiplied by 1 + ``damping``.
+    and never zeroed. The diagonal of the matrix is multiplied by 1 + ``damping``. Members ascend, and the children of each
+    are among the members before it, or done. Several threads may factorise subtrees at once, with a ``run`` each.
     """
     first, row_start, relative, stack_start = layout.first, layout.row_start, layout.relative, layout.stack_start
-    child_start, children = layout.child_start, layout.children
-    for s in range(first.size - 1):
+    child_start, children, panel_start = layout.child_start, layout.children, layout.panel_start
+    entry_start, entry_source, entry_target = layout.entry_start, layout.entry_source, layout.entry_target
+    for s in members:
         w = first[s + 1] - first[s]
         width = 3 * w
         r = 3 * (row_start[s + 1] - row_start[s])
         padded = (r + 3) & ~3
         ld = width + padded
-        at = layout.panel_start[s]
+        at = panel_start[s]
         clear(x, at, width * ld)
-        for q in range(layout.entry_start[s], layout.entry_start[s + 1]):
-            source = layout.entry_source[q]
-            t = at + layout.entry_target[q]
+        for q in range(entry_start[s], entry_start[s + 1]):
+            source = entry_source[q]
+            t = at + entry_target[q]
             v = source >> 1
             if source & 1:
                 for c in range(3):

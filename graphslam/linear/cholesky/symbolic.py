@@ -33,7 +33,7 @@ class Layout(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _permuted_lists(n, indptr, indices, position):
+def permuted_lists(n, indptr, indices, position):
     """For each row k in elimination order its columns i < k (pointer, columns)."""
     row_pointer = np.zeros(n + 1, np.int64)
     for j in range(n):
@@ -100,41 +100,54 @@ def _supernode_rows(n, first, count, row_pointer, columns):
                     while rows[q] != k:
                         q += 1
                     relative[p] = w + q - row_start[t]
-    return row_start, rows, relative, parent, child_start, children, owner
+    return row_start, rows, relative, child_start, children, owner
 
 
 @njit(cache=True, error_model="numpy")
-def _storage(first, row_start, parent, child_start, children):
-    """Panels one after another; update matrices on two stacks, one for even and one for odd depths.
-
-    With one stack the update matrix of a supernode would have to be moved down over those of its children.
-    """
+def _panels(first, row_start):
+    """Panels one after another, and the rows of the tallest front."""
     ns = first.size - 1
     panel_start = np.zeros(ns + 1, np.int64)
-    stack_start = np.zeros(ns, np.int64)
-    depth = np.zeros(ns, np.int8)
     tallest = 0
-    for s in range(ns - 1, -1, -1):
-        if parent[s] >= 0:
-            depth[s] = 1 - depth[parent[s]]
-    top = np.zeros(2, np.int64)
-    peak = np.zeros(2, np.int64)
     for s in range(ns):
         w = 3 * (first[s + 1] - first[s])
-        r = 3 * (row_start[s + 1] - row_start[s])
-        padded = (r + 3) & ~3
+        padded = (3 * (row_start[s + 1] - row_start[s]) + 3) & ~3
         tallest = max(tallest, w + padded)
         panel_start[s + 1] = panel_start[s] + w * (w + padded)
-        d = depth[s]
-        stack_start[s] = top[d]
-        top[d] += r * padded
-        peak[d] = max(peak[d], top[d])
-        if child_start[s + 1] > child_start[s]:
-            top[1 - d] = stack_start[children[child_start[s]]]
+    return panel_start, tallest
+
+
+@njit(cache=True, error_model="numpy")
+def stacks(first, row_start, child_start, children, part):
+    """Update matrices on two stacks for each part of the tree, one for even and one for odd depths: places, size of all.
+
+    With one stack the update matrix of a supernode would have to be moved down over those of its children. The supernodes
+    of one ``part`` (ns,) must be done in order, those of different parts may be done at the same time if neither needs the
+    other. A part that follows all others may take the children of its supernodes from them; they keep their places.
+    """
+    ns = first.size - 1
+    stack_start = np.zeros(ns, np.int64)
+    stack = np.zeros(ns, np.int64)
+    for s in range(ns - 1, -1, -1):
+        stack[s] += 2 * part[s]
+        for q in range(child_start[s], child_start[s + 1]):
+            stack[children[q]] = 1 - (stack[s] & 1)
+    top = np.zeros(2 * part.max() + 2, np.int64)
+    peak = np.zeros(top.size, np.int64)
     for s in range(ns):
-        if depth[s] == 1:
-            stack_start[s] += peak[0]
-    return panel_start, stack_start, peak[0] + peak[1], tallest
+        r = 3 * (row_start[s + 1] - row_start[s])
+        d = stack[s]
+        stack_start[s] = top[d]
+        top[d] += r * ((r + 3) & ~3)
+        peak[d] = max(peak[d], top[d])
+        for q in range(child_start[s], child_start[s + 1]):
+            if part[children[q]] == part[s]:
+                top[d ^ 1] = stack_start[children[q]]
+                break
+    begin = np.cumsum(peak) - peak
+    for s in range(ns):
+        stack_start[s] += begin[stack[s]]
+    return stack_start, peak.sum()
 
 
 @njit(cache=True, error_model="numpy")
@@ -172,7 +185,8 @@ def _entries(n, indptr, indices, position, owner, first, row_start, rows):
 
 
 @njit(cache=True, error_model="numpy")
-def _inverse(order):
+def inverse(order):
+    """The place (n,) of each node in an order."""
     position = np.empty_like(order)
     for k in range(order.size):
         position[order[k]] = k
@@ -180,25 +194,33 @@ def _inverse(order):
 
 
 @njit(cache=True, error_model="numpy")
+def costs(count):
+    """The blocks of L and the flops of the factorisation, multiply and add counted apart, from the column counts (n,)."""
+    blocks, flops = 0, 0.0
+    for rows in count:
+        below = 3.0 * (rows - 1)
+        blocks += rows
+        flops += 9.0 + 9.0 * below + 3.0 * below * below
+    return blocks, flops
+
+
+@njit(cache=True, error_model="numpy")
 def structure(n, indptr, indices, order):
     """The fields of `Layout` for an elimination order: structure, entries of the matrix, and sizes."""
     # one compiled function: a call from Python costs as much as a step of the analysis of a small graph
-    row_pointer, columns = _permuted_lists(n, indptr, indices, _inverse(order))
+    row_pointer, columns = permuted_lists(n, indptr, indices, inverse(order))
     parent, count = elimination_tree(n, row_pointer, columns)
-    blocks, flops = 0, 0.0
-    for k in range(n):
-        below = 3.0 * (count[k] - 1)
-        blocks += count[k]
-        flops += 9.0 + 9.0 * below + 3.0 * below * below
+    blocks, flops = costs(count)
     # amalgamation moves the columns of a supernode next to each other
     moved, first, rows_below = supernodes(n, parent, count)
     order = order[moved]
-    position = _inverse(order)
-    row_pointer, columns = _permuted_lists(n, indptr, indices, position)
-    row_start, rows, relative, tree, child_start, children, owner = _supernode_rows(
+    position = inverse(order)
+    row_pointer, columns = permuted_lists(n, indptr, indices, position)
+    row_start, rows, relative, child_start, children, owner = _supernode_rows(
         n, first, rows_below, row_pointer, columns
     )
-    panel_start, stack_start, stack_size, tallest = _storage(first, row_start, tree, child_start, children)
+    panel_start, tallest = _panels(first, row_start)
+    stack_start, stack_size = stacks(first, row_start, child_start, children, np.zeros(first.size - 1, np.int8))
     entries = _entries(n, indptr, indices, position, owner, first, row_start, rows)
     parts = (order, position, first, row_start, rows, relative, child_start, children, panel_start, stack_start)
     return parts, entries, (stack_size, tallest, blocks, flops)

@@ -1,0 +1,40 @@
+"""The JSON of every verb as typed models. What the verbs write and its schema (docs/schema.json) both come from here.
+
+The docstring of a model and the descriptions of its fields are those of the schema and of docs/json.md.
+"""
+
+from .base import Document, document
+from .logs import CalibrateDocument, DatasetsDocument, ImportDocument, ShowDocument, SimulateDocument, describe
+from .runs import (
+    AnimateDocument,
+    AssociationDocument,
+    DoubtDocument,
+    EstimatorDocument,
+    RunDocument,
+    certificate_document,
+    parameters_document,
+)
+from .solvers import BackendsDocument, SolversDocument
+from .studies import ConsistencyDocument, ParticlesDocument, StudyDocument, SweepDocument
+
+#: the document that each verb writes
+DOCUMENTS: dict[str, type[Document]] = {
+    "run": RunDocument,
+    "simulate": SimulateDocument,
+    "solvers": SolversDocument,
+    "backends": BackendsDocument,
+    "particles": ParticlesDocument,
+    "consistency": ConsistencyDocument,
+    "datasets": DatasetsDocument,
+    "study": StudyDocument,
+    "sweep": SweepDocument,
+    "animate": AnimateDocument,
+    "calibrate": CalibrateDocument,
+    "import": ImportDocument,
+    "show": ShowDocument,
+}
+
+__all__ = [
+    "DOCUMENTS", "AssociationDocument", "Document", "DoubtDocument", "EstimatorDocument", "certificate_document", "describe",
+    "document", "parameters_document",
+]  # fmt: skip

@@ -1,0 +1,170 @@
+"""The JSON of estimators that ran on one log."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from .base import CostPerDof, Count, Covariance, Document, Id, Pose, Position, about, document
+from .logs import LogDocument
+
+if TYPE_CHECKING:
+    from graphslam.parameters import ParameterEstimate
+
+
+class CertificateDocument(Document):
+    """Whether the end of a solver is proven to be the global minimum of its cost; see docs/certificate.md."""
+
+    status: Annotated[
+        Literal["global", "not proven", "not applicable"],
+        about(
+            "global: no state has a lower cost, up to `relative_gap`; not applicable: the theory does not cover the graph"
+        ),
+    ]
+    lower_bound: Annotated[float | None, about("no state has a lower cost; null where not applicable")]
+    relative_gap: Annotated[float | None, about("(J - lower_bound) / J; null where not applicable")]
+    reason: Annotated[str, about("one sentence")]
+    seconds: Annotated[float, about("time of the check [s]")]
+
+
+def certificate_document(certificate: object | None) -> dict[str, Any] | None:
+    """A `graphslam.Certificate` as plain data, or None."""
+    return None if certificate is None else document(CertificateDocument, certificate)
+
+
+class ParameterDocument(Document):
+    """A parameter of robot or sensor that was estimated with the poses; see docs/parameters.md."""
+
+    value: Annotated[float, about("its estimate")]
+    deviation: Annotated[float, about("its standard deviation")]
+    prior: Annotated[float | None, about("the standard deviation of its prior; null without one")]
+
+
+def parameters_document(parameters: ParameterEstimate | None) -> dict[str, Any] | None:
+    """Estimated parameters as plain data by name, or None."""
+    if parameters is None:
+        return None
+    priors = {name: deviation for name, (_, deviation) in parameters.priors.items()}
+    return {
+        name: document(ParameterDocument, value=parameters[name], deviation=deviation, prior=priors.get(name))
+        for name, deviation in parameters.deviations.items()
+    }
+
+
+class DoubtDocument(Document):
+    """A place that may be another one; see docs/association.md."""
+
+    step: Annotated[Count, about("where the landmarks come into sight again, or first")]
+    last: Annotated[Count, about("the last step before in which one of them, or else any landmark, was seen")]
+    landmarks: Annotated[list[int], about("their ids")]
+    others: Annotated[
+        list[int], about("the landmarks that they may be instead; empty where they may never have been seen before")
+    ]
+    new: Annotated[bool, about("whether they were taken for landmarks that had never been seen before")]
+    log_factor: Annotated[
+        float, about("logarithm of the evidence for `landmarks` over that for the other account of the drive")
+    ]
+
+
+class AssociationDocument(Document):
+    """The ids that an estimator gave sightings itself; what needs true ids is null where there are none."""
+
+    landmarks: Annotated[Count, about("landmarks that some sighting was given to")]
+    clutter: Annotated[Count, about("sightings that are of no landmark")]
+    precision: Annotated[float | None, about("correct sightings over sightings that were given a landmark")]
+    recall: Annotated[float | None, about("correct sightings over sightings that truly are of a landmark")]
+    found: Annotated[Count | None, about("true landmarks that are matched with one of the estimate")]
+    missed: Annotated[Count | None, about("true landmarks without a match")]
+    doubled: Annotated[Count | None, about("further landmarks made of sightings of a true one that is matched already")]
+    invented: Annotated[Count | None, about("landmarks made mostly of clutter")]
+    matches: Annotated[dict[Id, int] | None, about("the true landmark of each that is matched, by id")]
+    classes: Annotated[
+        dict[Id, int] | None, about("the class that most sightings of a landmark show, by id; null without classes")
+    ]
+    unconfirmed: Annotated[
+        Count | None,
+        about("sightings for which another landmark, or clutter, is nearly as likely, or a filter's is not confirmed"),
+    ]
+    evidence: Annotated[
+        float | None, about("logarithm of the evidence for the ids; compares associations of one log; null for filters")
+    ]
+    doubts: Annotated[list[DoubtDocument] | None, about("places that may be others; null for filters")]
+
+
+class EstimatorDocument(Document):
+    """The result of one estimator. Every metric is null where it cannot be known, or the estimator did not run."""
+
+    name: Annotated[str, about("name of the estimator")]
+    converged: Annotated[bool | None, about("whether the stop rule was met; null where nothing is iterated")]
+    iterations: Annotated[Count | None, about("number of iterations")]
+    step_norms: Annotated[list[float | None] | None, about("norm of the correction of each iteration")]
+    cost: Annotated[float | None, about("J at the end")]
+    cost_per_dof: CostPerDof
+    seconds: Annotated[float | None, about("time of the estimation alone [s]")]
+    ate_m: Annotated[float | None, about("absolute trajectory error [m]")]
+    rpe_m: Annotated[float | None, about("relative pose error per step [m]")]
+    rpe_rad: Annotated[float | None, about("relative pose error per step [rad]")]
+    heading_rad: Annotated[float | None, about("error of the headings after alignment [rad]")]
+    landmark_rmse_m: Annotated[float | None, about("error of the map in the aligned frame [m]")]
+    landmark_errors_m: Annotated[
+        dict[Id, float] | None, about("error of each landmark in the aligned frame [m], by id")
+    ]
+    aligned_by: Annotated[
+        Literal["poses", "landmarks"] | None,
+        about("what the estimate is aligned to the ground truth by: landmarks where no true poses are known"),
+    ]
+    nees: Annotated[float | None, about("mean NEES of the poses per degree of freedom; 1: consistent")]
+    weighed_down: Annotated[
+        Count | None,
+        about("number of sightings that a robust kernel gives less than half of their weight; null without one"),
+    ]
+    association: Annotated[
+        AssociationDocument | None, about("ids found for the sightings; null where the ids of the log were used")
+    ]
+    parameters: Annotated[
+        dict[str, ParameterDocument] | None, about("estimated parameters by name; null where none was estimated")
+    ]
+    poses_counted: Annotated[Count | None, about("number of poses that the metrics are of")]
+    poses: Annotated[list[Pose] | None, about("the trajectory, T + 1 poses")]
+    estimated: Annotated[list[bool] | None, about("false where a pose is only the initial guess")]
+    landmarks: Annotated[dict[Id, Position] | None, about("the map, by id")]
+    landmark_covariances: Annotated[dict[Id, Covariance] | None, about("covariances of the map, by id")]
+    options: Annotated[dict[str, Any], about("the options that the estimator used")]
+    certificate: Annotated[CertificateDocument | None, about("proof of global optimality; null without a graph")]
+    reason: Annotated[str, about("why it ended, or why it did not run")]
+    notes: Annotated[list[str], about("remarks of the estimator")]
+
+
+class NoiseDocument(Document):
+    """A noise model of the run."""
+
+    source: Annotated[
+        Literal["book", "log", "given"],
+        about("book: the defaults, those of the book; log: published with the log; given: by options or a noise file"),
+    ]
+    model: Annotated[dict[str, Any], about("fields of `graphslam.MotionModel` or `graphslam.SensorModel`")]
+
+
+class RunDocument(Document):
+    """`slam-compare run` and `report`, comparison.json."""
+
+    log: LogDocument
+    noise: Annotated[dict[str, NoiseDocument], about("the noise models `motion` and `sensor` of all estimators")]
+    estimators: Annotated[list[EstimatorDocument], about("in the order of the table")]
+    files: Annotated[dict[str, str], about("the files written, by kind or name")]
+    notes: Annotated[list[str], about("files that could not be made, one sentence each")]
+    warnings: Annotated[list[str], about("what is probably wrong with the log, with the likely cause")]
+
+
+class AnimateDocument(Document):
+    """`slam-compare animate`."""
+
+    file: Annotated[str, about("the file written")]
+    log: LogDocument
+    estimator: Annotated[str, about("the estimator that is animated")]
+    pictures: Annotated[Count, about("number of frames")]
+    steps: Annotated[Count, about("number of iterations or steps, the start included")]
+    fps: Annotated[float, about("frames per second")]
+    bytes: Annotated[Count, about("size of the file")]
+    seconds: Annotated[float, about("time of estimation and drawing [s]")]
+    notes: Annotated[list[str], about("remarks of the estimator")]
+    poses: Annotated[list[Pose], about("the trajectory in the last frame")]

@@ -1,0 +1,133 @@
+"""Backward simulation of a filter run: against exact posteriors, and what it says of itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from exact_posterior import exact_posterior
+
+import comparisons
+from fastslam import FastSLAM1, FastSLAM2, FilterOptions, MonteCarloLocalization
+from graphslam import MotionModel, OptionError, SensorModel, simulate
+from graphslam.se2 import wrap
+
+FIFTH: dict = {
+    "motion": MotionModel(nn=0.038, no=0.0002, on=0.026, oo=0.04, epsilon=4e-6),
+    "sensor": SensorModel(range_rate=0.028, bearing_std=0.01),
+}
+
+
+def test_it_repairs_the_early_steps_of_fastslam_1() -> None:
+    """Histories have few ancestors in early steps; drawn backwards they are nearer to the posterior."""
+    errors: dict[str, list[float]] = {"histories": [], "smoothed": []}
+    spreads = []
+    for seed in range(3):
+        log = simulate(seed=seed, steps=40, clean=True, orientation=False, **FIFTH)
+        exact = exact_posterior(log, 40, FIFTH["motion"], FIFTH["sensor"])
+        std = np.sqrt([np.diag(exact.pose_covariance(t)) for t in range(1, 41)])
+        result = FastSLAM1(log, particles=1000, seed=seed, smoothing=100, **FIFTH).run()
+        for name, poses in (("histories", result.mean_poses), ("smoothed", result.smoothed.poses)):
+            off = poses[1:] - exact.poses[1:]
+            off[:, 2] = wrap(off[:, 2])
+            errors[name].append(float(np.sqrt(np.mean((off / std) ** 2))))
+        found = np.sqrt(np.diagonal(result.smoothed.pose_covariances[1:], axis1=1, axis2=2))
+        spreads.append(np.median(found / std))
+        landmarks, at = result.smoothed.landmarks, exact.landmarks
+        for j in at:
+            off = landmarks[j] - at[j]
+            assert off @ np.linalg.solve(exact.landmark_covariance(j), off) < 4
+    assert np.mean(errors["smoothed"]) < 0.75 * np.mean(errors["histories"])
+    assert np.mean(errors["smoothed"]) < 0.5
+    np.testing.assert_allclose(spreads, 1, atol=0.2)
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0), (0.3, 0.1)])
+@pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
+def test_without_common_landmarks_it_draws_the_motions(kind: type, offset: tuple[float, float]) -> None:
+    """A landmark seen once ties nothing together: the trajectories are those of the motion model, with or without psi."""
+    log = simulate(seed=0, steps=3, clean=True).replace(sensor=SensorModel(offset=offset))
+    log = log.replace(steps=[2], landmarks=[0], sightings=[[1.0, 0.0, 0.0]])
+    result = kind(log, particles=2000, seed=0, smoothing=1000).run()
+    motions, covariances = log.motions(MotionModel())
+    smoothed = result.smoothed
+    off = (smoothed.poses[1] - smoothed.poses[0] - motions[0]) / np.sqrt(np.diag(covariances[0]))
+    np.testing.assert_allclose(off, 0, atol=0.15)
+    ratio = np.diag(smoothed.pose_covariances[1]) / np.diag(covariances[0])
+    np.testing.assert_allclose(ratio, 1, atol=0.2)
+    assert smoothed.trajectories.shape == (1, 1000, 4, 3)
+    assert smoothed.maps.shape == (1, 1000, 1, 3)
+
+
+def test_seed_threads_and_measurements_by_hand() -> None:
+    log = simulate(seed=1, steps=12)
+    runs = [FastSLAM2(log, particles=300, seed=2, smoothing=20, threads=threads).run() for threads in (1, 2)]
+    np.testing.assert_array_equal(runs[0].smoothed.trajectories, runs[1].smoothed.trajectories)
+    np.testing.assert_array_equal(runs[0].smoothed.maps, runs[1].smoothed.maps)
+    # the filter itself is not changed
+    plain = FastSLAM2(log, particles=300, seed=2).run()
+    np.testing.assert_array_equal(runs[0].poses, plain.poses)
+    assert plain.smoothed is None
+    by_hand = FastSLAM2(particles=300, seed=2, smoothing=20, start=log.initial_poses[0])
+    assert by_hand.result().smoothed is None
+    for t in range(log.num_poses):
+        if t:
+            by_hand.move(log.controls[t - 1], log.dt[t - 1])
+        seen = log.steps == t
+        by_hand.observe(log.landmarks[seen], log.sightings[seen])
+    for result in (by_hand.result(), by_hand.result()):
+        np.testing.assert_allclose(result.smoothed.trajectories, runs[0].smoothed.trajectories, atol=1e-9)
+
+
+def test_several_observations_of_one_step() -> None:
+    """Each may resample: the histories must still be connected."""
+    log = simulate(seed=3, steps=20, clean=True, orientation=False, **FIFTH)
+    results = []
+    for split in (False, True):
+        slam = FastSLAM1(particles=2000, seed=2, smoothing=200, start=log.initial_poses[0], ess_threshold=1.0, **FIFTH)
+        for t in range(log.num_poses):
+            if t:
+                slam.move(log.controls[t - 1], log.dt[t - 1])
+            seen = np.flatnonzero(log.steps == t)
+            for part in np.array_split(seen, 2) if split else (seen,):
+                slam.observe(log.landmarks[part], log.sightings[part])
+        results.append(slam.result().smoothed)
+    off = results[0].poses[1:] - results[1].poses[1:]
+    off[:, 2] = wrap(off[:, 2])
+    scale = np.sqrt(np.diagonal(results[0].pose_covariances[1:], axis1=1, axis2=2))
+    assert np.sqrt(np.mean((off / scale) ** 2)) < 0.6
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"smoothing": 3}, "smoothing must be 0 .off. or at least 10 trajectories, not 3"),
+        ({"smoothing": -1}, "smoothing must be 0"),
+        ({"smoothing": 10.5}, "smoothing must be a whole number"),
+        ({"smoothing": 20, "association": "maximum-likelihood"}, "smoothing needs the association known"),
+        ({"smoothing": 20, "stage": "motion"}, "smoothing needs weighted particles"),
+    ],
+)
+def test_bad_options(options: dict, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        FilterOptions(**options)
+
+
+def test_it_needs_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    log = simulate(seed=1, steps=5)
+    slam = FastSLAM1(log, particles=100, smoothing=10)
+    monkeypatch.setattr("fastslam.backward.available_memory", lambda: 1e4)
+    with pytest.raises(OptionError, match=r"smoothing 100 particles over 5 steps needs .* take at most \d+ particles"):
+        slam.run()
+
+
+def test_the_estimator_reports_the_smoothed_trajectory() -> None:
+    log = simulate(seed=1, steps=12)
+    comparison = comparisons.run(log, estimators=["mcl", "fastslam2"], particles=200, smoothing=20)
+    result = comparison.results[1]
+    np.testing.assert_array_equal(result.poses, result.origin.smoothed.poses)
+    assert result.landmarks.keys() == result.origin.smoothed.landmarks.keys()
+    assert result.pose_covariances.shape == (13, 3, 3)
+    assert result.reason.endswith("and drew 20 trajectories backwards")
+    # localisation ignores it
+    assert comparison.results[0].origin.smoothed is None
+    assert MonteCarloLocalization(log, particles=20, smoothing=20).run().smoothed is None

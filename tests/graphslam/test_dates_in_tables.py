@@ -1,0 +1,57 @@
+"""Times that are dates, and text files that were joined or are in another encoding."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from graphslam import FormatError, Log, LogError
+
+HEADER = "t,v,w\n"
+
+
+def odometry(form: str, first: int = 0) -> str:
+    return HEADER + "".join(f"{form.format(k)},0.5,0.1\n" for k in range(first, first + 50))
+
+
+def read(folder: Path, controls: str, sightings: str) -> Log:
+    (folder / "odometry.csv").write_text(controls)
+    (folder / "sightings.csv").write_text(sightings)
+    return Log.from_tables(folder / "odometry.csv", folder / "sightings.csv")
+
+
+def seen(form: str) -> str:
+    return "t,id,range,bearing\n" + "".join(f"{form.format(k)},{k % 3},2,0.1\n" for k in range(5, 45))
+
+
+def test_dates_are_seconds(tmp_path):
+    plain = read(tmp_path, odometry("{}.125"), seen("{}.25"))
+    for controls, sightings in (
+        ("2026-11-22T10:00:{:02}.125Z", "2026-11-22T10:00:{:02}.25"),
+        ("2026-11-22 10:00:{:02}.125", "2026-11-22T12:30:{:02}.250000+02:30"),
+        ("2026-11-22T10:00:{:02}.125+00:00", "2026-11-22 06:30:{:02}.25-0330"),
+    ):
+        dated = read(tmp_path, odometry(controls), seen(sightings))
+        np.testing.assert_array_equal(dated.steps, plain.steps)
+        np.testing.assert_array_equal(dated.dt, plain.dt)
+        np.testing.assert_allclose(dated.controls, plain.controls, rtol=1e-15)
+
+
+def test_a_wrong_date_is_named(tmp_path):
+    wrong = odometry("2026-11-22T10:00:{:02}Z")
+    with pytest.raises(LogError, match=r"odometry\.csv:12: 't' should be a date and time .* not 'noon'"):
+        read(tmp_path, wrong.replace("2026-11-22T10:00:10Z", "noon"), seen("{}"))
+    with pytest.raises(LogError, match=r"odometry\.csv:12: 't' is no date that exists: '2026-13-22T10:00:10Z'"):
+        read(tmp_path, wrong.replace("2026-11-22T10:00:10Z", "2026-13-22T10:00:10Z"), seen("{}"))
+
+
+def test_a_header_that_is_repeated_is_named(tmp_path):
+    joined = odometry("{}") + odometry("{}", 50)
+    with pytest.raises(FormatError, match=r"odometry\.csv:52: .* this line repeats the header"):
+        read(tmp_path, joined, seen("{}"))
+
+
+def test_another_encoding_is_named(tmp_path):
+    (tmp_path / "odometry.csv").write_bytes((HEADER + "0,0.5,0.1 # né\n").encode("latin-1"))
+    with pytest.raises(FormatError, match="save it as UTF-8"):
+        Log.from_tables(tmp_path / "odometry.csv", tmp_path / "odometry.csv")
