@@ -6,7 +6,7 @@ Add one by writing its function and naming it in `ESTIMATORS`; tables, figures a
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
@@ -189,9 +189,18 @@ def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 
 def online(log: Log, options: RunOptions) -> EstimatorResult:
     """The hand-written solver step by step through the log, at the optimum of the graph with landmark nodes after each."""
-    keywords = online_keywords(log, options) | {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
-    solution = graphslam.solve_by_steps(Graph.from_log(log, **keywords))
+    solution = graphslam.solve_by_steps(_online_graph(log, options))
     return replace(_of_solution("online", log, options, solution), converged=None)
+
+
+def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineEstimate]:
+    """The estimates of `online` after every step."""
+    return graphslam.steps_of(_online_graph(log, options))
+
+
+def _online_graph(log: Log, options: RunOptions) -> Graph:
+    fixed = {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
+    return Graph.from_log(log, **(online_keywords(log, options) | fixed))
 
 
 def isam2(log: Log, options: RunOptions) -> EstimatorResult:
@@ -289,7 +298,10 @@ def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResul
     result = particles.run()
     seconds = time.perf_counter() - begin
     # a filter that ignores the ids numbers its landmarks itself
-    named = name == "mcl" or options.filter.uses_ids
+    named = name == "mcl" or result.options.uses_ids
+    notes = [] if named else ["landmarks are numbered by discovery, and matched to the true ones by position"]
+    if not log.identified:
+        notes = [f"the sightings have no ids: {result.options.association} association finds the landmarks"]
     maps = name != "mcl"
     reason = f"processed the log once with {options.filter.particles} particles"
     reported: fastslam.FilterResult | Samples = result
@@ -304,9 +316,9 @@ def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResul
         landmarks=dict(reported.landmarks) if maps else {},
         landmark_covariances=dict(reported.landmark_covariances) if maps else {},
         named=named,
-        notes=() if named else ("landmarks are numbered by discovery, and matched to the true ones by position",),
+        notes=tuple(notes),
         association=result.association,
-        options={k: v for k, v in asdict(options.filter).items() if k in ("seed", *ESTIMATORS[name].uses)},
+        options={k: v for k, v in asdict(result.options).items() if k in ("seed", *ESTIMATORS[name].uses)},
         reason=reason,
         origin=result,
     )

@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 import graphslam
-from graphslam import MotionModel, SensorModel, simulate
+from graphslam import MotionModel, OnlineSolver, SensorModel, simulate
 
 from .estimators import ESTIMATORS
 from .options import RunOptions
@@ -41,6 +41,7 @@ def edges_and_filters() -> None:
     factor.linearize(at)
     for kind in (MonteCarloLocalization, FastSLAM1, FastSLAM2):
         kind(log, particles=10).run()
+    FastSLAM2(log, particles=10, association="sampled", merge_interval=1).run()
 
 
 def factorisation() -> None:
@@ -58,6 +59,17 @@ def factorisation() -> None:
     factor = analyze(indptr, indices).factorize(values)
     factor.solve(np.ones((n, 3)))
     factor.diagonal_covariances()
+    _online()
+
+
+def _online() -> None:
+    """The online solver, which shares the factorisation: some steps with a loop closure, and a covariance."""
+    solver = OnlineSolver()
+    for step in range(1, 4):
+        solver.step((1.0, 0.1), 1.0, ids=[1, 2], sightings=[[2.0 - 0.5 * step, 0.3], [1.5, -0.4]])
+    solver.step(relations=[(0, 3, solver.pose + 0.5, np.eye(3))])
+    solver.covariance(landmarks=[1])
+    _ = solver.cost
 
 
 def compiled() -> bool:

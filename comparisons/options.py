@@ -210,6 +210,7 @@ class OutputOptions(Options):
     panel = OUTPUT
     out: Path | None = option(None, "Folder for the results.", metavar="DIR", default_text="results/<time>")
     figures: tuple[str, ...] = option(("png", "pdf"), "Formats of the figure.", choices=("png", "pdf", "svg"))
+    live: bool = option(False, "Before the comparison, draw the map in the terminal while the online solver makes it.")
     html: Path | None = option(None, "Also write the interactive report, one HTML file.", metavar="FILE")
     mcap: Path | None = option(
         None, "Also write poses and maps as MCAP with messages of ROS 2, for Foxglove and RViz.", metavar="FILE"

@@ -7,7 +7,8 @@ where the particle does not have it; row 10 is the step of its last sighting.
 
 from __future__ import annotations
 
-from math import sqrt
+from math import exp, log, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -16,9 +17,9 @@ from graphslam.se2 import Array
 
 from . import proposal
 from .blocks import Nine, get_nine, get_three, put_nine
-from .fast_math import INLINED, OPTIONS, atan2, wrap_angle
+from .fast_math import INLINED, OPTIONS, atan2, sincos, wrap_angle
 from .kalman import draw_pose, initial_landmark, update_landmark, update_pose
-from .noise import three_normals
+from .noise import three_normals, uniform
 
 #: the row of the pool that holds the evidence
 EVIDENCE = 9
@@ -26,14 +27,39 @@ EVIDENCE = 9
 LAST_STEP = 10
 
 
+class Rule(NamedTuple):
+    """How the hypotheses of a sighting are found and chosen, and how a choice changes the evidence for its landmark."""
+
+    #: the squared residual, over its variance, within which a landmark is a hypothesis; in range and in bearing
+    gate: float
+    #: and how far its log likelihood may be below that of a new landmark
+    below: float
+    #: whether the hypothesis is drawn, or the most likely one taken
+    sampled: bool
+    #: the evidence after the first sighting, and from which on it no longer changes
+    first: float
+    kept: float
+    #: what a later sighting adds, and the share of the log likelihood ratio to a new landmark that it also adds
+    hit: float
+    graded: float
+    #: where hypotheses are drawn: the probability that a landmark in view is seen, and the odds at which one is dropped
+    detection: float
+    dropped: float
+
+
 @njit(**OPTIONS)
 def associate(
     lo: int, hi: int, belief: Array, poses: Array, drawn: bool, exact: bool, starts: Array, motion: proposal.Motion,
     key: np.uint64, pool: Array, candidates: np.ndarray,
-    fresh: np.ndarray, sightings: Array, third: float, log_new: Array, gate: float, step: int, kept: float,
+    fresh: np.ndarray, sightings: Array, third: float, log_new: Array, step: int, rule: Rule, choices: np.uint64,
     log_likelihood: Array,
 ) -> None:  # fmt: skip
     """Process one scan of K sightings (6, K): assign, weigh, draw the pose (2.0), update the map and its evidence.
+
+    The hypotheses of sighting k are the landmarks j near it, with the evidence w_j = N(z_k; h(m_j), V) under the predicted
+    pose, and a new landmark or clutter, with w_0. A landmark that the scan has used is no hypothesis any more. The most
+    likely one is taken. Or, with w_j multiplied by P_D e_j, the probabilities that landmark j is seen and exists, one is
+    drawn with the probability w / W, W = sum of all w; its likelihood under the drawn pose is then multiplied by W / w.
 
     Args:
         belief: Gaussians (9, N) of the poses; the covariance is zero in 1.0.
@@ -42,15 +68,16 @@ def associate(
         candidates: pool indices of the landmarks that may be in view; ``fresh``: (K,) free indices for new landmarks.
         sightings: rows l, phi, psi and their variances; without psi rows 2 and 5 are 0 and 1.
         third: 1 with psi, 0 without.
-        log_new: (K,) log likelihood of each sighting if it belongs to a new landmark: the density under Q alone at a
-            squared Mahalanobis distance of ``gate``.
+        log_new: (K,) log likelihood of each sighting if it belongs to a new landmark.
         step: the step of the scan.
-        kept: the evidence from which on a landmark is never dropped.
+        choices: the key of the uniform numbers by which hypotheses are drawn, K for each particle.
     """
     scan, known = sightings.shape[1], len(candidates)
     # for each sighting: the landmarks to which it may belong, their log likelihoods, and how many they are
     landmarks, scores, counts = np.empty((scan, known), np.int64), np.empty((scan, known)), np.empty(scan, np.int64)
     chosen, won, taken = np.empty(scan, np.int64), np.empty(scan), np.empty(known, np.bool_)
+    # log P_D e of each landmark, and log W of the hypotheses of each sighting over the log likelihood of the chosen one
+    seen, drawn_from = np.empty(known), np.zeros(scan)
     near, which, b = np.empty(scan, np.bool_), np.empty(scan, np.int64), np.empty((7, scan))
     for i in range(lo, hi):
         x = get_nine(belief, 0, i)
@@ -61,7 +88,7 @@ def associate(
                 # a particle without the landmark cannot choose it
                 continue
             landmark = get_nine(rows, 0, i)
-            _find_near(x, landmark, sightings, gate, near)
+            _find_near(x, landmark, sightings, rule.gate, near)
             # the sightings that remain are stored side by side, so that several are weighed at once
             count = 0
             for k in range(scan):
@@ -72,14 +99,20 @@ def associate(
                     count += 1
             for m in range(count):
                 b[6, m], _ = update_pose(x, landmark, get_three(b, 0, m), get_three(b, 3, m), third)
+            if rule.sampled and count > 0:
+                seen[c] = log(rule.detection * existence(rows[EVIDENCE, i], rule.dropped))
             for m in range(count):
                 k = which[m]
-                if b[6, m] >= log_new[k]:
+                if b[6, m] >= log_new[k] - rule.below:
                     landmarks[k, counts[k]], scores[k, counts[k]] = c, b[6, m]
                     counts[k] += 1
-        _choose(landmarks, scores, counts, chosen, won, taken)
+        if rule.sampled:
+            _draw(landmarks, scores, counts, seen, log_new, choices, i, chosen, won, taken, drawn_from)
+        else:
+            _choose(landmarks, scores, counts, chosen, won, taken)
 
         for k in range(scan):
+            log_likelihood[i] += drawn_from[k]
             z, variances = get_three(sightings, 0, k), get_three(sightings, 3, k)
             if chosen[k] < 0:
                 log_likelihood[i] += log_new[k]
@@ -103,32 +136,23 @@ def associate(
             if chosen[k] < 0:
                 rows = pool[fresh[k]]
                 landmark = initial_landmark(pose, z, variances)
-                rows[EVIDENCE, i] = 1.0
+                rows[EVIDENCE, i] = rule.first
             else:
                 rows = pool[candidates[chosen[k]]]
                 value, landmark = update_landmark(get_nine(rows, 0, i), pose, z, variances, third)
                 if exact:
                     log_likelihood[i] += value
-                rows[EVIDENCE, i] = min(rows[EVIDENCE, i] + 1, kept)
+                more = rule.hit + rule.graded * (won[k] - log_new[k])
+                rows[EVIDENCE, i] = min(rows[EVIDENCE, i] + max(more, 0.0), rule.kept)
             put_nine(rows, 0, i, landmark)
             rows[LAST_STEP, i] = step
 
 
-@njit(**OPTIONS)
-def count_misses(
-    lo: int, hi: int, poses: Array, pool: Array, candidates: np.ndarray, step: int, view: Array, kept: float
-) -> None:
-    """Lower the evidence by 1 for landmarks that were in view in this step without a sighting, except for permanent ones.
-
-    Args:
-        view: smallest range, largest range [m] and largest bearing [rad] at which a landmark should be seen.
-    """
-    for c in range(len(candidates)):
-        rows = pool[candidates[c]]
-        for i in range(lo, hi):
-            missed = 0 < rows[EVIDENCE, i] < kept and rows[LAST_STEP, i] != step
-            if missed and _in_view(rows[0, i] - poses[0, i], rows[1, i] - poses[1, i], poses[2, i], view):
-                rows[EVIDENCE, i] -= 1
+@njit(**INLINED)
+def existence(evidence: float, dropped: float) -> float:
+    """Return the probability that a landmark exists, where the evidence is the log of its odds over those of one dropped."""
+    odds = dropped * exp(evidence)
+    return odds / (1.0 + odds)
 
 
 @njit(**INLINED)
@@ -190,22 +214,60 @@ def _most_likely(landmarks: np.ndarray, scores: Array, count: int, taken: np.nda
 
 
 @njit(**INLINED)
-def _in_view(dx: float, dy: float, heading: float, view: Array) -> bool:
-    r = sqrt(dx * dx + dy * dy)
-    return view[0] <= r <= view[1] and abs(wrap_angle(atan2(dy, dx) - heading)) <= view[2]
+def _draw(
+    landmarks: np.ndarray, scores: Array, counts: np.ndarray, seen: Array, log_new: Array, key: np.uint64, particle: int,
+    chosen: np.ndarray, won: Array, taken: np.ndarray, drawn_from: Array,
+) -> None:  # fmt: skip
+    """Draw a hypothesis for one sighting after the other, in proportion to its evidence, without the landmarks used before.
+
+    Written are chosen (K,), -1 for a new landmark; won (K,), the log likelihood under the choice, and drawn_from (K,), the
+    log of the sum of all evidence over that likelihood.
+    """
+    scan = len(counts)
+    taken[:] = False
+    for k in range(scan):
+        highest = log_new[k]
+        for n in range(counts[k]):
+            if not taken[landmarks[k, n]]:
+                highest = max(highest, scores[k, n] + seen[landmarks[k, n]])
+        new = total = exp(log_new[k] - highest)
+        for n in range(counts[k]):
+            if not taken[landmarks[k, n]]:
+                total += exp(scores[k, n] + seen[landmarks[k, n]] - highest)
+        place = uniform(key, np.uint64(particle * scan + k)) * total - new
+        chosen[k], won[k] = -1, log_new[k]
+        for n in range(counts[k]):
+            if place < 0.0:
+                break
+            # rounding may leave a rest behind the last one
+            if not taken[landmarks[k, n]]:
+                chosen[k], won[k] = landmarks[k, n], scores[k, n]
+                place -= exp(scores[k, n] + seen[landmarks[k, n]] - highest)
+        if chosen[k] >= 0:
+            taken[chosen[k]] = True
+        drawn_from[k] = highest + log(total) - won[k]
 
 
 @njit(**OPTIONS)
-def extent(rows: Array, kept: float) -> tuple[int, bool, float, float, float, float]:
-    """Return how many particles have a landmark, whether any may still drop it, and the bounding box of its means.
+def places(belief: Array, sightings: Array, gate: float) -> Array:
+    """Return for each sighting (6, K) the box that holds the mean m of each landmark that is a hypothesis of a particle.
 
-    The box is smallest x, largest x, smallest y, largest y.
+    That is if the landmark is perfectly known. The box of another one has to be wider by 2 sqrt(gate trace S). With the
+    gate on range l and bearing, abs(m - z) <= sqrt(gate) (2 sqrt(trace S) + 2 sqrt(trace P) + sigma_l + l (sigma_theta +
+    sigma_phi)) in the world, S and P the covariances of the positions of landmark and robot.
+
+    Returns:
+        (K, 4): smallest x, largest x, smallest y, largest y.
     """
-    count, droppable, left, right, low, high = 0, False, np.inf, -np.inf, np.inf, -np.inf
-    for i in range(rows.shape[1]):
-        if rows[EVIDENCE, i] > 0:
-            count += 1
-            droppable |= rows[EVIDENCE, i] < kept
-            left, right = min(left, rows[0, i]), max(right, rows[0, i])
-            low, high = min(low, rows[1, i]), max(high, rows[1, i])
-    return count, droppable, left, right, low, high
+    boxes = np.empty((sightings.shape[1], 4))
+    for k in range(sightings.shape[1]):
+        left, right, low, high = np.inf, -np.inf, np.inf, -np.inf
+        r, direction = sightings[0, k], sightings[1, k]
+        for i in range(belief.shape[1]):
+            s, c = sincos(belief[2, i] + direction)
+            x, y = belief[0, i] + r * c, belief[1, i] + r * s
+            wide = 2 * sqrt(max(belief[3, i] + belief[6, i], 0.0)) + sqrt(sightings[3, k])
+            wide = sqrt(gate) * (wide + r * (sqrt(max(belief[8, i], 0.0)) + sqrt(sightings[4, k])))
+            left, right, low, high = min(left, x - wide), max(right, x + wide), min(low, y - wide), max(high, y + wide)
+        boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3] = left, right, low, high
+    return boxes

@@ -30,7 +30,7 @@ def warm_up(particles: ParticleFilter | None = None) -> None:
         _run(type(particles), columns, log is not None and log.composite, sensor, particles.options)
         return
     kinds: tuple[type[ParticleFilter], ...] = (MonteCarloLocalization, FastSLAM1, FastSLAM2)
-    for kind, columns, composite, association in product(kinds, (2, 3), (False, True), ASSOCIATIONS):
+    for kind, columns, composite, association in product(kinds, (2, 3), (False, True), ASSOCIATIONS[1:]):
         _run(kind, columns, composite, SensorModel(), FilterOptions(association=association))
     for scheme in RESAMPLING_SCHEMES.values():
         scheme(np.array([0.2, 0.8]), np.random.default_rng(0))
@@ -53,4 +53,4 @@ def _run(
         sightings=sensor.h(np.zeros(3), np.array([landmarks[j] for j in ids.tolist()])[:, :columns]),
         true_landmarks=landmarks,
     )
-    kind(log, options=replace(options, particles=2, seed=0, ess_threshold=1.0), sensor=sensor).run()
+    kind(log, options=replace(options, particles=2, seed=0, ess_threshold=1.0, merge_interval=1), sensor=sensor).run()

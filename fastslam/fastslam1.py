@@ -13,8 +13,9 @@ import numpy as np
 from graphslam.errors import OptionError
 from graphslam.se2 import Array
 
-from .anonymous_maps import CONFIRMED, AnonymousLandmarks
+from .anonymous_maps import AnonymousLandmarks
 from .identified_maps import IdentifiedLandmarks
+from .noise import draw_key
 from .particle_filter import ParticleFilter
 from .state import LandmarkEstimate, weighted_covariance, weighted_mean
 
@@ -45,6 +46,12 @@ class FastSLAM1(ParticleFilter):
     evidence 0 a landmark is dropped, from 2 on it is confirmed, and from 3 on it is permanent. A step is observed if
     `observe` was called in it, even without sightings; a step of a log is observed if it has sightings. Maps number
     landmarks in the order of creation and leave out unconfirmed ones, except on request.
+
+    With the association "sampled" each particle draws the landmark of a sighting in proportion to the evidence of the
+    hypotheses, as far as the scan has not used them, and its weight is multiplied by the sum of that evidence. The
+    evidence for a landmark is then the log of its odds, and a landmark in view that is not seen changes the weight too.
+    Landmarks of a particle that turn out to be one are merged. "auto" uses ids where the log has them, else it is
+    `options.WITHOUT_IDS`. See docs/fastslam.md, "Unknown association".
 
     Arguments and errors are those of `ParticleFilter`; all options are fields of `FilterOptions`. The
     new_landmark_threshold p decides when a sighting belongs to a new landmark: where its likelihood under every known
@@ -81,7 +88,7 @@ class FastSLAM1(ParticleFilter):
                     range_noise=(self.sensor.range_rate, self.sensor.range_std) if estimated else None,
                 )
             else:
-                self._maps = AnonymousLandmarks(*shape, self.options.new_landmark_threshold, self.sensor)
+                self._maps = AnonymousLandmarks(*shape, self.options, self.sensor)
         if isinstance(self._maps, IdentifiedLandmarks):
             return self._weigh_identified(self._maps, ids, sightings, q)
         return self._weigh_anonymous(self._maps, sightings, q)
@@ -104,8 +111,12 @@ class FastSLAM1(ParticleFilter):
         log_likelihood, belief = np.zeros(self.particles), np.zeros((9, self.particles))
         belief[:3] = self._poses
         # the poses are not written here, but the kernel is compiled for writable ones
-        maps.scan(belief, belief[:3], sightings, q, self._step, log_likelihood)
+        maps.scan(belief, belief[:3], sightings, q, self._step, log_likelihood, self._choices(maps))
         return log_likelihood
+
+    def _choices(self, maps: AnonymousLandmarks) -> np.uint64:
+        """The key of the numbers by which the associations of a scan are drawn."""
+        return draw_key(self._rng) if maps.sampled else np.uint64(0)
 
     def _end_step(self) -> None:
         if self._maps is not None:
@@ -117,19 +128,23 @@ class FastSLAM1(ParticleFilter):
             for j in self._maps.ids:
                 yield j, *self._maps.gaussians(j, particles)
 
+    @property
+    def _confirmed(self) -> float:
+        """The evidence from which on a landmark is part of the map."""
+        return self._maps.confirmed if isinstance(self._maps, AnonymousLandmarks) else 1.0
+
     def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:
-        least = 1.0 if provisional else CONFIRMED
         return {
-            j: LandmarkEstimate(means[0], covariances[0], bool(evidence[0] >= CONFIRMED))
+            j: LandmarkEstimate(means[0], covariances[0], bool(evidence[0] >= self._confirmed))
             for j, means, covariances, evidence in self._gaussians(slice(particle, particle + 1))
-            if evidence[0] >= least
+            if evidence[0] > 0 and (provisional or evidence[0] >= self._confirmed)
         }
 
     def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]:
         estimates = {}
         for j, means, covariances, evidence in self._gaussians(slice(None)):
             owned = evidence > 0
-            share, confirmed = weights @ owned, bool(weights @ (evidence >= CONFIRMED) >= 0.5)
+            share, confirmed = weights @ owned, bool(weights @ (evidence >= self._confirmed) >= 0.5)
             # landmarks of particles with most of the weight, as those particles estimate them
             if share < 0.5 or not (confirmed or provisional):
                 continue

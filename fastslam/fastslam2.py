@@ -77,6 +77,7 @@ class FastSLAM2(FastSLAM1):
         exact = self.options.proposal_weight == "exact"
         predict, arguments = self._motion.predict(belief, exact)
         self._threads.run(predict, *arguments)
-        maps.scan(belief, poses, sightings, q, self._step, log_likelihood, self._motion, exact)
+        choices = self._choices(maps)
+        maps.scan(belief, poses, sightings, q, self._step, log_likelihood, choices, self._motion, exact)
         self._set_poses(poses)
         return log_likelihood

@@ -45,8 +45,8 @@ def normal_pair(key: np.uint64, particle: int, pair: int) -> tuple[float, float]
     """Return two independent standard normal numbers: pair 0, 1 or 2 of a particle."""
     index = np.uint64(2 * (PAIRS * particle + pair))
     # u lies in (0, 1], as the logarithm needs; the other uniform number lies in [0, 1)
-    u = 1.0 - _uniform(key, index)
-    sine, cosine = sincos(2 * pi * _uniform(key, index + np.uint64(1)) - pi)
+    u = 1.0 - uniform(key, index)
+    sine, cosine = sincos(2 * pi * uniform(key, index + np.uint64(1)) - pi)
     radius = sqrt(-2.0 * log(u))
     return radius * cosine, radius * sine
 
@@ -60,7 +60,8 @@ def three_normals(key: np.uint64, particle: int) -> tuple[float, float, float]:
 
 
 @njit(**INLINED)
-def _uniform(key: np.uint64, index: np.uint64) -> float:
+def uniform(key: np.uint64, index: np.uint64) -> float:
+    """Return the uniform number of an index, in [0, 1)."""
     bits = key + (index + np.uint64(1)) * _GOLDEN
     bits = (bits ^ (bits >> _30)) * _FIRST
     bits = (bits ^ (bits >> _27)) * _SECOND

@@ -6,7 +6,7 @@ This module compiles nothing and imports neither numba nor SciPy.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,8 +15,10 @@ from graphslam.errors import OptionError
 
 from .checks import finite, whole
 
-#: how sightings are assigned to landmarks
-ASSOCIATIONS = ("known", "maximum-likelihood")
+#: how sightings are assigned to landmarks; auto stands for one of the others, which the log decides
+ASSOCIATIONS = ("auto", "known", "maximum-likelihood", "sampled")
+#: what auto stands for where sightings have no ids: the most accurate on real logs, see docs/association.md
+WITHOUT_IDS = "maximum-likelihood"
 #: the stored poses of all particles are numbered with 32 bits
 MOST_PARTICLES = 50_000_000
 #: the names of the resampling schemes, see `fastslam.resampling`
@@ -57,11 +59,26 @@ class FilterOptions:
     )
     threads: int | None = field(default=None, metadata={"help": "Number of threads; by default all cores."})
     association: str = field(
-        default="known",
-        metadata={"help": "Known uses the landmark ids, maximum-likelihood ignores them.", "choices": ASSOCIATIONS},
+        default="auto",
+        metadata={
+            "help": "Landmarks of sightings. Known takes their ids, maximum-likelihood the most likely landmark, "
+            f"sampled draws it. Auto is known, but {WITHOUT_IDS} where a log has no ids.",
+            "choices": ASSOCIATIONS,
+        },
     )
     new_landmark_threshold: float = field(
         default=1e-6, metadata={"help": "Probability that a sighting of a known landmark is taken for a new one."}
+    )
+    detection_probability: float = field(
+        default=0.5, metadata={"help": "Probability that a landmark in view is seen; for the association sampled."}
+    )
+    clutter_share: float = field(
+        default=0.1,
+        metadata={"help": "Share of clutter among the sightings of no known landmark; for the association sampled."},
+    )
+    merge_interval: int = field(
+        default=10,
+        metadata={"help": "Merge landmarks that are one after every so many scans, 0: never; for unknown ids."},
     )
 
     proposal_weight: str = field(
@@ -119,7 +136,7 @@ class FilterOptions:
         if not self.uses_ids and (self.landmark_update, self.range_noise) != ("kalman", "measured"):
             raise OptionError(
                 f"landmark_update {self.landmark_update} with range_noise {self.range_noise} needs the association known, "
-                "not maximum-likelihood"
+                f"so ids of all sightings, not {self.association}"
             )
         if self.range_noise == "estimated" and self.proposal_weight != "exact":
             raise OptionError(
@@ -131,23 +148,34 @@ class FilterOptions:
                 f"smoothing must be 0 (off) or at least {FEWEST_SMOOTHED} trajectories, not {self.smoothing}"
             )
         if self.smoothing and not self.uses_ids:
-            raise OptionError("smoothing needs the association known, not maximum-likelihood")
+            raise OptionError(f"smoothing needs the association known, so ids of all sightings, not {self.association}")
         if self.smoothing and self.stage == "motion":
             raise OptionError("smoothing needs weighted particles: the stage weights or resampling, not motion")
         if not 0 <= finite("ess_threshold", self.ess_threshold, "a number between 0 and 1", [()]) <= 1:
             raise OptionError(
                 f"ess_threshold must lie between 0 (never resample) and 1 (always), not {self.ess_threshold!r}"
             )
-        if not 0 < finite("new_landmark_threshold", self.new_landmark_threshold, "a number between 0 and 1", [()]) < 1:
-            raise OptionError(f"new_landmark_threshold must lie between 0 and 1, not {self.new_landmark_threshold!r}")
+        for name in ("new_landmark_threshold", "detection_probability", "clutter_share"):
+            value = getattr(self, name)
+            if not 0 < finite(name, value, "a number between 0 and 1", [()]) < 1:
+                raise OptionError(f"{name} must lie between 0 and 1, not {value!r}")
+        object.__setattr__(self, "merge_interval", whole("merge_interval", self.merge_interval))
+        if self.merge_interval < 0:
+            raise OptionError(f"merge_interval must be a number of scans, or 0 for never, not {self.merge_interval}")
         expected = "a whole number of at least 1, or None for all"
         if self.threads is not None and whole("threads", self.threads, expected) < 1:
             raise OptionError(f"threads must be {expected}, not {self.threads!r}")
 
     @property
     def uses_ids(self) -> bool:
-        """Whether FastSLAM uses the landmark ids of the sightings."""
-        return self.association == "known"
+        """Whether FastSLAM uses the landmark ids of the sightings, where they have any."""
+        return self.association in ("auto", "known")
+
+    def for_ids(self, identified: bool) -> FilterOptions:
+        """These options with the association that auto stands for where sightings have ids or, else, have none."""
+        if self.association != "auto":
+            return self
+        return replace(self, association="known" if identified else WITHOUT_IDS)
 
 
 #: the density of the sightings that particle Gibbs samples

@@ -78,6 +78,8 @@ class ParticleFilter(ABC):
 
     #: whether each particle has a map of its own
     HAS_MAPS = True
+    #: what to do where a log has no ids and the filter needs them
+    _HOW_WITHOUT_IDS = "and the association is known: leave it out, or take maximum-likelihood or sampled"
 
     def __init__(
         self,
@@ -92,14 +94,14 @@ class ParticleFilter(ABC):
         for name, value, kind in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
             if value is not None and not isinstance(value, kind):
                 raise OptionError(f"{name} must be a {kind.__name__}, not {value!r}")
-        self.options = replace(options or FilterOptions(), **keywords)
+        self.options = replace(options or FilterOptions(), **keywords).for_ids(log is None or log.identified)
         self.particles = self.options.particles
         if log is not None and log.controls is None:
             raise LogError(
                 f"{log.name} has no controls, by which a particle filter moves its particles: use graph SLAM"
             )
         if log is not None and self._needs_ids and not log.identified:
-            raise OptionError(f"{log.name} has sightings without ids: use FastSLAM with maximum-likelihood association")
+            raise OptionError(f"{log.name} has sightings without ids, {self._HOW_WITHOUT_IDS}")
         if log is not None:
             check_memory(log, self.options, maps=self.HAS_MAPS)
         self.log = log
@@ -167,7 +169,8 @@ class ParticleFilter(ABC):
         """
         if ids is None and self._needs_ids:
             raise OptionError(
-                "ids may be None only if they are ignored (maximum-likelihood association); give the id of each sighting"
+                "ids may be None only if they are ignored (association maximum-likelihood or sampled); give the id of each "
+                "sighting"
             )
         ids, z = measurements(ids, sightings)
         if len(z) == 0:

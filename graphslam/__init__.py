@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from .formats import load, save
     from .graph import Graph
     from .incremental.solver import OnlineSolver
-    from .incremental.stream import OnlineEstimate, online, solve_by_steps
+    from .incremental.stream import OnlineEstimate, online, solve_by_steps, steps_of
     from .keyframes import with_poses_every
     from .log import Log
     from .mapping import LandmarkMap, estimate_map
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from .solution import Solution
     from .solvers.gnc import solve_gnc
     from .solvers.gtsam_solver import solve_with_gtsam
-    from .solvers.online import IncrementalSmoother, solve_online
+    from .solvers.online import IncrementalSmoother, isam2_parameters, solve_online
     from .solvers.solve import Iteration, solve
     from .sources.simulator import MotionFaults, SensorFaults, simulate
     from .sources.streams import Stream
@@ -51,7 +51,7 @@ _PUBLIC = {
     "formats": "load save",
     "graph": "Graph",
     "incremental.solver": "OnlineSolver",
-    "incremental.stream": "OnlineEstimate online solve_by_steps",
+    "incremental.stream": "OnlineEstimate online solve_by_steps steps_of",
     "keyframes": "with_poses_every",
     "log": "Log",
     "mapping": "LandmarkMap estimate_map",
@@ -60,7 +60,7 @@ _PUBLIC = {
     "solution": "Solution",
     "solvers.gnc": "solve_gnc",
     "solvers.gtsam_solver": "solve_with_gtsam",
-    "solvers.online": "IncrementalSmoother solve_online",
+    "solvers.online": "IncrementalSmoother isam2_parameters solve_online",
     "solvers.solve": "Iteration solve",
     "sources.simulator": "MotionFaults SensorFaults simulate",
     "sources.streams": "Stream",

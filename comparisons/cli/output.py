@@ -8,7 +8,7 @@ import shutil
 import sys
 import textwrap
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Timer
@@ -160,6 +160,24 @@ class Output:
         """A line on standard error about work that takes a while; not with --quiet."""
         if not self.quiet:
             self._errors.print(printable(line), markup=False, soft_wrap=True)
+
+    @contextmanager
+    def picture(self) -> Iterator[tuple[Callable[[list[str]], None], tuple[int, int]]]:
+        """What draws lines on standard error again and again in the same place, and the width and height there is room for.
+
+        Where standard error is no terminal, only the last picture is written.
+        """
+        from rich.live import Live
+        from rich.text import Text
+
+        width, height = self._errors.size
+        with self._announce_compilation(), Live(console=self._errors, auto_refresh=False) as live:
+            yield (
+                lambda lines: live.update(Text("\n".join(map(printable, lines))), refresh=True),
+                (min(width, 140) - 1, max(min(height, 50) - 4, 5)),
+            )
+        if not self._errors.is_terminal:
+            self._errors.print()
 
     @contextmanager
     def bar(self, what: str, total: int | None = None) -> Iterator[Advance]:

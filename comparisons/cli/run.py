@@ -35,6 +35,8 @@ def run(
 
         check_page(saving.html)
     writers = _recordings(saving)
+    if saving.live:
+        _draw_live(output, log, options)
     outcome = _compared(output, log, chosen, options)
     files = outcome.save(saving.out, figures=saving.figures)
     output.show(outcome)
@@ -183,6 +185,16 @@ def _progress(output: Output, advance: Advance) -> Progress:
             output.detail(f"{name}: {outcome.seconds:.3g} s" + (f", {outcome.reason}" if outcome.reason else ""))
 
     return report
+
+
+def _draw_live(output: Output, log: Path | None, options: RunOptions) -> None:
+    from ..reading import prepare
+    from ..show.live import pictures
+
+    prepared, _, filled = prepare(log, options)
+    with output.picture() as (draw, size):
+        for lines in pictures(prepared, filled, width=size[0], height=size[1]):
+            draw(lines)
 
 
 def _recordings(saving: OutputOptions) -> dict[str, tuple[Path, Callable[[Comparison, Path], None]]]:

@@ -22,8 +22,17 @@ def bars(edges: Array, counts: np.ndarray, unit: str, width: int = 40) -> list[s
     return lines
 
 
-def plan(path: Array, points: Array, width: int = 76, height: int = 24) -> list[str]:
-    """A path (n, 2) of dots and points (m, 2) of crosses from above, with its size; S is the start."""
+def plan(
+    path: Array,
+    points: Array,
+    width: int = 76,
+    height: int = 24,
+    names: tuple[str, str] = ("dead reckoning", "sighting"),
+) -> list[str]:
+    """A path (n, 2) of dots and points (m, 2) of crosses from above, with its size; S is the start.
+
+    ``names`` are those of the dots and crosses.
+    """
     everything = np.concatenate([path, points]) if len(points) else path
     low, high = path.min(axis=0), path.max(axis=0)
     # points far away must not make the path small
@@ -39,5 +48,5 @@ def plan(path: Array, points: Array, width: int = 76, height: int = 24) -> list[
         inside = (across >= 0) & (across < columns) & (down >= 0) & (down < rows)
         for x, y in zip(across[inside].tolist(), down[inside].tolist()):
             grid[y][x] = mark
-    size = f"{high[0] - low[0]:.1f} m wide, {high[1] - low[1]:.1f} m high; S start, · dead reckoning, + sighting"
+    size = f"{high[0] - low[0]:.1f} m wide, {high[1] - low[1]:.1f} m high; S start, · {names[0]}, + {names[1]}"
     return [*("".join(row).rstrip() for row in grid), size]

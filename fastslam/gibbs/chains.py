@@ -64,6 +64,11 @@ class ParticleGibbs:
         if not isinstance(log, Log):
             raise OptionError(f"log must be a Log, not {log!r}")
         self.options = replace(options or GibbsOptions(), **keywords)
+        if not log.identified:
+            raise OptionError(
+                f"{log.name} has sightings without ids, which particle Gibbs needs: take FastSLAM, which finds out, or first "
+                "give the log ids by graphslam.associate"
+            )
         # the filters check log, models, seed and threads, and that the log can be used
         self._seeds = _seeds(seed, 2 * self.options.chains)
         self._filters = [

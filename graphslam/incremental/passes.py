@@ -32,7 +32,7 @@ def forward_one(s, nodes, tree, work):
             nodes.scratch[node, k] = 0.0
     clear(work, width + 3 * r, padded - 3 * r)
     x, y = tree.floats, at + width * ld + 3 * r * padded
-    change = _eliminate(x, at, ld, width, work, y)
+    change = _solve_forward(x, at, ld, width, work, y)
     carry = y + width
     for k in range(3 * r):
         x[carry + k] = work[width + k]
@@ -40,7 +40,7 @@ def forward_one(s, nodes, tree, work):
 
 
 @njit(cache=True, error_model="numpy")
-def _eliminate(x, at, ld, width, work, y):
+def _solve_forward(x, at, ld, width, work, y):
     """L11 y = work and work -= L21 y, as in `linear.cholesky.triangular`; returns the squared change of y in x."""
     change = 0.0
     for j in range(0, width, 3):
@@ -61,7 +61,7 @@ def _eliminate(x, at, ld, width, work, y):
 
 
 @njit(cache=True, error_model="numpy")
-def _substitute(x, at, ld, width, work, y):
+def _solve_backward(x, at, ld, width, work, y):
     """L11' work_front = y - L21' work_separator; the front of ``work`` is zero at first."""
     for j in range(width - 3, -1, -3):
         p0 = at + j * (ld + 1)
@@ -143,7 +143,7 @@ def backward(nodes, tree, work, share, apart, moved, count):
                 node = tree.ints[front + q]
                 for k in range(3):
                     work[3 * q + k] = nodes.d[node, k]
-            _substitute(x, at, ld, width, work, at + width * ld + 3 * r * padded)
+            _solve_backward(x, at, ld, width, work, at + width * ld + 3 * r * padded)
             for q in range(w):
                 node = tree.ints[front + q]
                 a, b = work[3 * q] - nodes.d[node, 0], work[3 * q + 1] - nodes.d[node, 1]
@@ -240,7 +240,7 @@ def marginals(wanted, nodes, tree, work):
                 for k in range(3):
                     work[3 * q + k] = nodes.scratch[node, k]
                     nodes.scratch[node, k] = 0.0
-            _eliminate(x, tree.groups.at[s], ld, 3 * w, work, y)
+            _solve_forward(x, tree.groups.at[s], ld, 3 * w, work, y)
             for q in range(w, w + r):
                 node = tree.ints[tree.groups.nodes_at[s] + q]
                 for k in range(3):
@@ -255,7 +255,7 @@ def marginals(wanted, nodes, tree, work):
                 node = tree.ints[tree.groups.nodes_at[s] + q]
                 for k in range(3):
                     work[3 * q + k] = nodes.scratch[node, k]
-            _substitute(x, tree.groups.at[s], ld, 3 * w, work, y)
+            _solve_backward(x, tree.groups.at[s], ld, 3 * w, work, y)
             for q in range(w):
                 node = tree.ints[tree.groups.nodes_at[s] + q]
                 for k in range(3):
@@ -275,5 +275,5 @@ def total_cost(nodes, edges, count, kernel, width):
     """The cost of the first ``count`` edges at the estimate."""
     total = 0.0
     for e in range(count):
-        total += linearize(e, nodes, edges, kernel, width)[5]
+        total += linearize(np.int32(e), nodes, edges, kernel, width)[5]
     return total

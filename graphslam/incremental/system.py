@@ -9,7 +9,7 @@ import numpy as np
 from ..edges.robust import Kernel, code_and_width
 from ..errors import GraphError
 from ..se2 import Array, turn_matrix
-from .advance import APART, DONE, GROW, SHARE, UNDETERMINED, UNFINISHED, advance, complete
+from .advance import APART, DONE, INDEFINITE, SHARE, advance
 from .append import append, detach
 from .arrays import (
     COST,
@@ -27,12 +27,15 @@ from .arrays import (
 )
 from .batch import batch_state
 from .linearize import CHANGED, CURVED
-from .passes import marginals, total_cost
+from .passes import backward, marginals, total_cost
+from .top import BUILT, GROW, rebuild
 
 #: the most passes of one step, after which the batch solver takes over
 PASSES = 15
 #: everything is ordered again where there are so many times as many nodes as the last time
 GROWTH = 1.3
+#: for so many passes second derivatives stay out of Omega once they have made it indefinite
+PLAIN = 4
 
 
 class OnlineSystem:
@@ -148,45 +151,62 @@ class OnlineSystem:
         Raises:
             GraphError: a node is not determined. Nothing is changed then.
         """
-        whole = self.num_nodes > GROWTH * self._whole + 50
-        if whole:
+        if self.num_nodes > GROWTH * self._whole + 50:
             self._whole, touched = self.num_nodes, np.arange(self.num_nodes)
         touched, fresh, newest = (np.asarray(part, dtype=np.int32) for part in (touched, fresh, newest))
         self.passes, before = 0, self.nodes["x"][: self.num_nodes].copy()
-        result = self._advance(touched, fresh, newest)
-        if result == UNDETERMINED:
+        if not self._eliminate(touched, fresh, newest):
             raise GraphError("a node is not determined")
-        if result == UNFINISHED:
-            # the correction is too large for undamped steps
+        self.converged = self._iterate(newest)
+        if not self.converged:
+            # the correction is too large for undamped passes
             counts = self.num_nodes, self.num_edges
             self.nodes["x"][: counts[0]] = before
             start = batch_state(self.nodes, self.edges, counts, self._priors, self._kernel)
-            self._restart(before if start is None else start)
-            nodes, edges = (np.arange(count, dtype=np.int32) for count in counts)
-            result = self._advance(nodes, edges, newest)
-            if result != DONE:
-                self._restart(before if start is None else start)
-                self._advance(nodes, edges, newest, most=0)
-        self.converged = result == DONE
+            start = before if start is None else start
+            self._begin_at(start, newest)
+            self.converged = self._iterate(newest)
+            if not self.converged:
+                self._begin_at(start, newest)
 
-    def _advance(self, touched: np.ndarray, fresh: np.ndarray, newest: np.ndarray, most: int | None = None) -> int:
-        """Call `advance`, with larger arrays as often as it asks for them."""
-        again = -1
-        for _ in range(max(PASSES, 3)):
-            earlier = again
-            result, count, floats, ints, tallest, again = advance(
-                self.nodes, self.edges, self.tree, touched, fresh, newest, self._robust, self._room(),
-                self._memory, self.num_nodes, self.tolerance, APART, SHARE, PASSES if most is None else most,
+    def _begin_at(self, x: Array, newest: np.ndarray) -> None:
+        """Build the tree anew with all nodes at x (n, 3)."""
+        self._restart(x)
+        nodes, edges = (np.arange(count, dtype=np.int32) for count in (self.num_nodes, self.num_edges))
+        self._eliminate(nodes, edges, newest)
+
+    def _eliminate(self, touched: np.ndarray, fresh: np.ndarray, newest: np.ndarray) -> bool:
+        """Eliminate the top of the tree again, with larger arrays where needed; returns whether all nodes are determined.
+
+        Second derivatives are left out for some passes where Omega is not positive definite with them.
+        """
+        while True:
+            result, count, floats, ints, tallest = rebuild(
+                self.nodes, self.edges, self.tree, touched, fresh, newest, self._robust, self._memory, self._room()[0]
+            )
+            if result == GROW:
+                self._tallest = max(self._tallest, tallest)
+                self.tree = with_room(self.tree, count, floats, ints)
+            elif result == BUILT or self._memory[CURVED_FROM] == np.inf:
+                return bool(result == BUILT)
+            else:
+                self._memory[[CURVED_FROM, HOLD]] = np.inf, PLAIN
+
+    def _iterate(self, newest: np.ndarray) -> bool:
+        """Passes until the optimum is reached; returns whether it is."""
+        done = 0
+        while True:
+            result, passes = advance(
+                self.nodes, self.edges, self.tree, self._robust, self._room(), self._memory, self.tolerance, APART,
+                SHARE, done, PASSES,
             )  # fmt: skip
-            if result != GROW:
-                self.passes += count if result != UNDETERMINED else 0
-                # after the first elimination, it is the estimate that is out of hand
-                return UNFINISHED if result == UNDETERMINED and earlier >= 0 else int(result)
-            self._tallest = max(self._tallest, tallest)
-            self.tree = with_room(self.tree, count, floats, ints)
-            if again >= 0:
-                touched, fresh = np.arange(self.num_nodes, dtype=np.int32), fresh[:0]
-        return UNFINISHED
+            self.passes, done = self.passes + passes - done, passes
+            if result != INDEFINITE:
+                return bool(result == DONE)
+            self._memory[[CURVED_FROM, HOLD]] = np.inf, PLAIN
+            nodes = np.arange(self.num_nodes, dtype=np.int32)
+            if not self._eliminate(nodes, nodes[:0], newest):
+                return False
 
     def _room(self) -> tuple[np.ndarray, ...]:
         needed = (self._tallest, 2 * len(self.nodes), len(self.tree.groups), len(self.edges))
@@ -196,7 +216,8 @@ class OnlineSystem:
 
     def complete(self) -> None:
         """Bring all nodes to the solution: steps leave out those that move by a small part of a standard deviation."""
-        complete(self.nodes, self.tree, self._room())
+        room = self._room()
+        backward(self.nodes, self.tree, room[0], -1.0, np.inf, room[1], 0)
 
     def cost(self) -> float:
         """The cost at the estimate, without priors."""

@@ -17,6 +17,9 @@ from .linearize import between, relinearize
 from .passes import forward_one
 from .refactor import PIVOT_TOLERANCE
 
+#: results of `rebuild`
+BUILT, GROW, UNDETERMINED = range(3)
+
 
 @njit(cache=True, error_model="numpy")
 def _collect(nodes, edges, tree, touched, fresh):
@@ -230,33 +233,35 @@ def _with_children(layout, nodes, tree, below, spare):
 
 
 @njit(cache=True, error_model="numpy")
-def _kept(nodes, edges, top, inside):
-    """What linearising edges again changes in them and in their nodes."""
-    result, at = np.empty((len(top), 9)), np.empty((len(inside), 15))
+def _copy(nodes, edges, top, inside, of_nodes, of_edges, back):
+    """Keep what linearising edges again changes in their nodes (9 numbers) and in them (15), or put it back."""
     for k in range(len(top)):
-        result[k, :3], result[k, 3:] = nodes.rhs[top[k]], nodes.diagonal[top[k]]
+        for c in range(9):
+            values, at = (nodes.rhs, c) if c < 3 else (nodes.diagonal, c - 3)
+            if back:
+                values[top[k], at] = of_nodes[k, c]
+            else:
+                of_nodes[k, c] = values[top[k], at]
     for k in range(len(inside)):
         e = inside[k]
-        at[k, :7], at[k, 7:13], at[k, 13], at[k, 14] = edges.linear[e], edges.rhs[e], edges.weight[e], edges.cost[e]
-    return result, at
-
-
-@njit(cache=True, error_model="numpy")
-def _put_back(nodes, edges, top, inside, kept):
-    """Undo that."""
-    for k in range(len(top)):
-        nodes.rhs[top[k]], nodes.diagonal[top[k]] = kept[0][k, :3], kept[0][k, 3:]
-    for k in range(len(inside)):
-        e, row = inside[k], kept[1][k]
-        edges.linear[e], edges.rhs[e], edges.weight[e], edges.cost[e] = row[:7], row[7:13], row[13], row[14]
+        for c in range(13):
+            values, at = (edges.linear, c) if c < 7 else (edges.rhs, c - 7)
+            if back:
+                values[e, at] = of_edges[k, c]
+            else:
+                of_edges[k, c] = values[e, at]
+        if back:
+            edges.weight[e], edges.cost[e] = of_edges[k, 13], of_edges[k, 14]
+        else:
+            of_edges[k, 13], of_edges[k, 14] = edges.weight[e], edges.cost[e]
 
 
 @njit(cache=True, error_model="numpy")
 def rebuild(nodes, edges, tree, touched, fresh, newest, robust, memory, work):
     """Eliminate the top again, with new edges and the nodes ``newest`` last.
 
-    Returns (0, 0, 0, 0) if that was done, (1, supernodes, floats, ints) if the arrays have to grow before, with nothing
-    changed yet, and (2, a node, 0, 0) if a node is not determined; the rows of ``work`` that are needed come last.
+    Returns BUILT and zeros; or GROW, and for how many supernodes, floats, ints and rows of ``work`` there must be room; or
+    UNDETERMINED and a node that is not determined. In the last two cases nothing is changed.
     """
     removed, top, inside, below = _collect(nodes, edges, tree, touched, fresh)
     n = len(top)
@@ -278,8 +283,9 @@ def rebuild(nodes, edges, tree, touched, fresh, newest, robust, memory, work):
     if not room or tree.counts[FREE] < count or tallest > len(work):
         for node in top:
             nodes.local[node] = -1
-        return 1, count, floats + copies, ints, tallest
-    kept = _kept(nodes, edges, top, inside), memory[COST]
+        return GROW, count, floats + copies, ints, tallest
+    of_nodes, of_edges, cost = np.empty((n, 9)), np.empty((len(inside), 15)), memory[COST]
+    _copy(nodes, edges, top, inside, of_nodes, of_edges, False)
     values = _assemble(nodes, edges, top, inside, len(fresh), indptr, indices, robust, memory)
     at = tree.counts[FLOATS]
     for s in range(count):
@@ -298,18 +304,18 @@ def rebuild(nodes, edges, tree, touched, fresh, newest, robust, memory, work):
     scratch = (tree.floats, tree.floats, np.empty(3 * n), run)
     bad = factorize(values.reshape(-1), layout, np.arange(len(layout.first) - 1), *scratch, PIVOT_TOLERANCE, 0.0)
     if bad >= 0:
-        _put_back(nodes, edges, top, inside, kept[0])
-        memory[COST] = kept[1]
+        _copy(nodes, edges, top, inside, of_nodes, of_edges, True)
+        memory[COST] = cost
         for node in top:
             nodes.local[node] = -1
-        return 2, np.int64(top[order[bad // 3]]), 0, 0, tallest
+        return UNDETERMINED, np.int64(top[order[bad // 3]]), 0, 0, tallest
     tree.counts[FLOATS] = at
     _link(nodes, edges, tree, removed, top, inside, below, layout)
     for k in range(count):
         s = nodes.home[top[order[first[k]]]]
         forward_one(s, nodes, tree, work)
         tree.groups.changed[s] = 1
-    return 0, 0, 0, 0, tallest
+    return BUILT, 0, 0, 0, tallest
 
 
 @njit(cache=True, error_model="numpy")

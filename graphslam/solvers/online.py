@@ -23,6 +23,8 @@ from ..se2 import Array, between, compose
 from ..solution import Solution, make_solution
 
 EDGES = ("virtual+motion", "landmark+motion")
+#: how ISAM2 eliminates nodes
+FACTORIZATIONS = ("cholesky", "qr")
 #: the most updates that relinearise everything
 SETTLE_UPDATES = 50
 #: keys of poses by step, and of landmark nodes in the order of their first sightings (ids may be negative)
@@ -44,8 +46,7 @@ class IncrementalSmoother:
         motion_weight: lambda, the factor on the information of the motion edges.
         kernel: a robust kernel on the sightings of landmark nodes.
         residual: of landmark nodes: "cartesian" or "polar"; see `Graph.from_log`.
-        params: of ISAM2; default: relinearise what moves by more than 0.01 at every step. (GTSAM's own default, 0.1 at
-            every tenth step, ends up to 0.05 m from the batch solution on the sample log.)
+        params: of ISAM2; default: `isam2_parameters`.
 
     Raises:
         OptionError: an option has an impossible value.
@@ -74,10 +75,15 @@ class IncrementalSmoother:
             raise OptionError("isam2 takes a kernel with edges='landmark+motion' only")
         self.motion, self.sensor = motion or MotionModel(), sensor or SensorModel()
         self.edges, self.weight, self.motion_weight = edges, weight, motion_weight
-        params = _parameters(0.01) if params is None else params
+        params = isam2_parameters() if params is None else params
         # a factor that was removed leaves a slot for the next one
         params.findUnusedFactorSlots = True
         self.isam = gtsam.ISAM2(params)
+        self._advice = (
+            ""
+            if params.getFactorization() == "QR"
+            else "; factorization='qr' goes on where information is very unequal"
+        )
         self.num_poses = 1
         #: per landmark the keys of the poses that saw it, and its sightings
         self._sightings: dict[int, tuple[list[int], list[Array]]] = {}
@@ -179,7 +185,7 @@ class IncrementalSmoother:
         try:
             result = self.isam.update(self._factors, self._values, removed)
         except RuntimeError as error:
-            raise GraphError(f"gtsam's isam2 failed: {str(error).strip().splitlines()[0]}") from None
+            raise GraphError(f"gtsam's isam2 failed: {str(error).strip().splitlines()[0]}{self._advice}") from None
         self._slots |= dict(zip(replaced, list(result.getNewFactorsIndices())[first_new:]))
         self._factors, self._values, self._changed = gtsam.NonlinearFactorGraph(), gtsam.Values(), {}
         latest = self.isam.calculateEstimatePose2(X(self.num_poses - 1))
@@ -192,7 +198,7 @@ class IncrementalSmoother:
         built again from the present estimate, with a threshold of zero.
         """
         factors, values = gtsam.NonlinearFactorGraph(self.isam.getFactorsUnsafe()), self.isam.calculateEstimate()
-        self.isam = gtsam.ISAM2(_parameters(0.0))
+        self.isam = gtsam.ISAM2(isam2_parameters(0.0))
         # the empty slots of factors that were removed are passed on, so that every factor keeps its slot
         self.isam.update(factors, values)
         now = self.poses
@@ -223,6 +229,9 @@ def solve_online(
     *,
     settle: bool = False,
     callback: Callable[[IncrementalSmoother], None] | None = None,
+    threshold: float = 0.01,
+    skip: int = 1,
+    factorization: str = FACTORIZATIONS[0],
     **options: Any,
 ) -> Solution:
     """Go through a log step by step with ISAM2, and return the estimate at the end.
@@ -231,6 +240,7 @@ def solve_online(
         log: with controls.
         settle: relinearise everything at the end, which gives the batch solution.
         callback: called after each step.
+        threshold, skip, factorization: of ISAM2; see `isam2_parameters`.
         options: those of `Graph.from_log`, with its defaults; see `IncrementalSmoother` for what ISAM2 can do.
 
     Raises:
@@ -240,6 +250,7 @@ def solve_online(
     With ``settle``, ``converged`` says whether the last relinearisation moved nothing. Without it nothing is iterated,
     and ``converged`` is true.
     """
+    params = isam2_parameters(threshold, skip, factorization)
     if options.get("edges", EDGES[0]) not in EDGES:
         raise GraphError(f"isam2 needs motion edges: edges must be {' or '.join(EDGES)}, not {options['edges']!r}")
     if options.get("frame", "body") == "world":
@@ -250,7 +261,9 @@ def solve_online(
     motions, covariances = log.motions(motion)
     sightings = log.sightings[:, :2] if options.get("dimensions") == 2 else log.sightings
     own = {name: value for name, value in options.items() if name not in ("frame", "dimensions")}
-    smoother = IncrementalSmoother(log.initial_poses[0], **(own | {"motion": motion, "sensor": sensor}))
+    smoother = IncrementalSmoother(
+        log.initial_poses[0], **(own | {"motion": motion, "sensor": sensor, "params": params})
+    )
     order = np.argsort(log.steps, kind="stable")
     bounds = np.searchsorted(log.steps[order], np.arange(log.num_poses + 1))
     begin = time.perf_counter()
@@ -277,9 +290,29 @@ def solve_online(
     )  # fmt: skip
 
 
-def _parameters(threshold: float) -> gtsam.ISAM2Params:
-    """Parameters of ISAM2 that relinearise at every step what moves by more than a threshold."""
+def isam2_parameters(
+    threshold: float = 0.01, skip: int = 1, factorization: str = FACTORIZATIONS[0]
+) -> gtsam.ISAM2Params:
+    """Parameters of ISAM2.
+
+    GTSAM's own, a threshold of 0.1 at every tenth update, end up to 0.05 m from the batch solution on the sample log.
+
+    Args:
+        threshold: a node is linearised again where one of its coordinates has moved by this much [m, rad].
+        skip: only every so many updates.
+        factorization: "cholesky", or "qr", which takes two to three times as long and goes on where a little information
+            stands beside a lot, and Cholesky finds the system indeterminate.
+
+    Raises:
+        OptionError: a value is impossible.
+    """
+    check_choice("factorization", factorization, FACTORIZATIONS)
+    if not (np.isfinite(threshold) and threshold >= 0):
+        raise OptionError(f"threshold must be zero or a positive number, not {threshold!r}")
+    if not (isinstance(skip, int) and skip >= 1):
+        raise OptionError(f"skip must be a whole number from 1 on, not {skip!r}")
     params = gtsam.ISAM2Params()
-    params.relinearizeSkip = 1
-    params.setRelinearizeThreshold(threshold)
+    params.relinearizeSkip = skip
+    params.setRelinearizeThreshold(float(threshold))
+    params.setFactorization(factorization.upper())
     return params

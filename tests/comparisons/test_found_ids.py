@@ -12,7 +12,7 @@ from comparisons.show.association_tables import association_table
 from comparisons.show.films import animate
 from comparisons.show.tables import landmark_table
 from fastslam import FastSLAM2
-from graphslam import GraphError, load, sample_log_path
+from graphslam import GraphError, OptionError, load, sample_log_path
 from graphslam.association import score
 from graphslam.log import UNIDENTIFIED
 
@@ -96,6 +96,27 @@ def test_a_filter_gives_the_association_of_each_sighting(log):
     assert score(result.association, log.landmarks).precision > 0.95
     assert set(result.association[~result.unconfirmed]) - {UNIDENTIFIED} == set(result.landmarks)
     assert FastSLAM2(log, particles=50, seed=0).run().association is None
+
+
+def test_filters_find_the_landmarks_of_a_log_without_ids(log):
+    """By default, and they say so; localisation, which needs ids, is left out with advice."""
+    hidden = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+    comparison = run(hidden, particles=30, estimators=["fastslam1", "fastslam2"])
+    for name in ("fastslam1", "fastslam2"):
+        result = comparison[name]
+        assert not result.named and result.options["association"] == "maximum-likelihood"
+        assert result.notes[0] == "the sightings have no ids: maximum-likelihood association finds the landmarks"
+        assert result.association.shape == log.steps.shape
+    sampled = run(hidden, particles=30, estimators="fastslam2", association="sampled")["fastslam2"]
+    assert sampled.options["association"] == "sampled" and score(sampled.association, log.landmarks).precision > 0.9
+    for name in ("mcl", "particle-gibbs"):
+        with pytest.raises(OptionError, match=r"without ids, .* FastSLAM, .* graphslam.associate"):
+            run(hidden, estimators=name)
+    with pytest.raises(OptionError, match="the association is known: leave it out"):
+        run(hidden, estimators="fastslam2", association="known")
+    with pytest.raises(OptionError, match="smoothing needs the association known, so ids of all sightings"):
+        run(hidden, estimators="fastslam2", smoothing=50)
+    assert run(log, particles=30, estimators="fastslam2")["fastslam2"].named
 
 
 def test_all_clutter_is_refused(log):

@@ -9,8 +9,11 @@ from typer.testing import CliRunner
 
 import comparisons
 from comparisons.cli import app
+from comparisons.cli.output import Output
+from comparisons.options import RunOptions
+from comparisons.show.live import pictures
 from comparisons.show.text_plots import bars, plan
-from graphslam import OptionError, load, sample_log_path
+from graphslam import OptionError, load, sample_log_path, simulate
 
 
 @pytest.fixture
@@ -120,3 +123,19 @@ def test_plots_of_characters():
     path = np.column_stack([np.linspace(0, 10, 200), np.zeros(200)])
     lines = plan(path, np.array([[5.0, 3.0]]), width=21, height=9)
     assert lines[-2].startswith("S····") and "+" in lines[0] and lines[0].index("+") == 10
+
+
+def test_the_map_is_drawn_while_it_grows():
+    log = simulate(steps=12, seed=1)
+    *_, last = pictures(log, RunOptions.of(motion=log.motion, sensor=log.sensor), width=40, height=12)
+    assert last[-1].startswith(f"step 12 of 12, {len(np.unique(log.landmarks))} landmarks")
+    assert any("+" in line for line in last) and any("·" in line for line in last)
+    assert "· estimated path, + landmark" in last[-2]
+
+
+def test_only_the_last_picture_without_a_terminal(capsys):
+    with Output(None).picture() as (draw, (width, height)):
+        assert width > 20 and height >= 5
+        draw(["one"])
+        draw(["two", "three"])
+    assert capsys.readouterr().err.split() == ["two", "three"]

@@ -100,6 +100,9 @@ def test_given_parameters(book_log):
         ({"kernel": "huber"}, OptionError, "landmark\\+motion"),
         ({"weight": "all"}, OptionError, "weight must be one of"),
         ({"frame": "world"}, GraphError, "use frame='body'"),
+        ({"factorization": "lu"}, OptionError, "factorization must be one of"),
+        ({"threshold": -1.0}, OptionError, "threshold must be zero or a positive number"),
+        ({"skip": 0}, OptionError, "skip must be a whole number"),
     ],
 )
 def test_options_that_isam2_does_not_have(options, error, message, book_log):
@@ -128,3 +131,18 @@ def test_an_impossible_input_changes_nothing(call, arguments, message):
     smoother.update()
     np.testing.assert_allclose(smoother.poses, [[1, 2, 3]])
     assert smoother.landmarks == {}
+
+
+def test_parameters_of_isam2(book_log):
+    options = {"edges": "landmark+motion"}
+    usual = solve_online(book_log, **options)
+    by_qr = solve_online(book_log, factorization="qr", **options)
+    np.testing.assert_allclose(by_qr.poses, usual.poses, atol=1e-6)
+    seldom = solve_online(book_log, threshold=0.1, skip=10, **options)
+    optimum = solve(Graph.from_log(book_log, **options))
+    errors = [np.abs(found.poses - optimum.poses).max() for found in (usual, seldom)]
+    assert errors[0] < 0.3 * errors[1]
+    smoother = IncrementalSmoother(book_log.initial_poses[0], edges="landmark+motion")
+    smoother.move_by([1, 0, 0], np.diag([1e-20, 1.0, 1e20]))
+    with pytest.raises(GraphError, match="factorization='qr'"):
+        smoother.update()

@@ -79,7 +79,7 @@ def particle_film(log: Log, options: RunOptions, animation: AnimationOptions, pr
 
     def set_up(figure: Figure) -> Show:
         # localisation is in the axes of its map, which are the true ones
-        last, named = frames[-1], options.filter.uses_ids
+        last, named = frames[-1], result.options.uses_ids
         placement = np.zeros(3) if name == "mcl" else placement_of(log, last.poses, None, last.landmarks, named=named)
         scene = Scene(figure, log, name, placement, frames, title, options.motion)
         scene.add_sightings()
