@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -11,9 +12,12 @@ import numpy as np
 import fastslam
 from graphslam import Association, Log, associate
 from graphslam.log import UNIDENTIFIED
+from graphslam.se2 import Array
 
 from .options import RunOptions
 
+#: runs of FastSLAM 2.0 with which the front end best begins, beside the drive
+STARTS = 3
 #: what was found for a log, by what it was found with
 _FOUND: WeakKeyDictionary[Log, dict[tuple[object, ...], Association]] = WeakKeyDictionary()
 
@@ -26,7 +30,10 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
     """
     if log.identified and options.filter.uses_ids:
         return log, None
-    key = (options.motion, options.sensor, options.front_end, str(options.filter.seed), options.estimate)
+    key = (
+        options.motion, options.sensor, options.front_end, options.front_particles, str(options.filter.seed),
+        options.estimate,
+    )  # fmt: skip
     found = _FOUND.setdefault(log, {})
     if key not in found:
         found[key] = _associated(log, options)
@@ -34,19 +41,29 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
 
 
 def _associated(log: Log, options: RunOptions) -> Association:
-    models = {"motion": options.motion, "sensor": options.sensor}
+    models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
     # an epsilon that the options name stays
-    ways = {"slip": "epsilon" not in options.numbers, "estimate": options.estimate}
+    ways: dict[str, Any] = {"slip": "epsilon" not in options.numbers, "estimate": options.estimate}
     if options.front_end == "batch" or log.controls is None or len(log.steps) == 0:
         # without controls or sightings this refuses the log
-        return associate(log, **models, **ways)  # type: ignore[arg-type]
+        return associate(log, **models, **ways)
     begin = time.perf_counter()
     front = replace(options.filter, particles=options.front_particles, association="maximum-likelihood")
-    result = fastslam.FastSLAM2(log, options=front, **models).run()  # type: ignore[arg-type]
+    if options.front_end == "best":
+        seeds = np.random.default_rng(front.seed).integers(2**31, size=STARTS).tolist()
+        starts = [None, *(_filtered(log, replace(front, seed=seed), models) for seed in seeds)]
+        note = f"the ids began with those of a drive with the local filter, and of {STARTS} runs of FastSLAM 2.0"
+    else:
+        starts = [_filtered(log, front, models)]
+        note = "the ids began with those of FastSLAM 2.0"
+    found = associate(log, start=starts, **models, **ways)
+    note += f" with {front.particles} particles, and were found anew in the graph"
+    return replace(found, seconds=time.perf_counter() - begin, notes=(*found.notes, note))
+
+
+def _filtered(log: Log, front: fastslam.FilterOptions, models: dict[str, Any]) -> tuple[np.ndarray, Array]:
+    """The ids (M,) and poses (T+1, 3) of a run of FastSLAM 2.0, -1 for sightings of no confirmed landmark."""
+    result = fastslam.FastSLAM2(log, options=front, **models).run()
     assert result.association is not None and result.unconfirmed is not None
     lost = (result.association == UNIDENTIFIED) | result.unconfirmed
-    found = associate(log, start=(np.where(lost, -1, result.association), result.poses), **models, **ways)  # type: ignore[arg-type]
-    note = (
-        f"the ids began with those of FastSLAM 2.0 with {front.particles} particles, and were found anew in the graph"
-    )
-    return replace(found, seconds=time.perf_counter() - begin, notes=(*found.notes, note))
+    return np.where(lost, -1, result.association), result.poses

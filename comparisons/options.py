@@ -153,8 +153,9 @@ class FrontEndOptions(Options):
 
     panel = "Graph"
     front_end: str = option(
-        "fastslam2", "What finds ids for the graph where sightings have none: fastslam2, or batch, which solves graphs "
-        "along the drive. Both are then refined in the graph.", choices=("fastslam2", "batch"),
+        "fastslam2", "What finds ids for the graph where sightings have none: fastslam2; batch, which solves graphs "
+        "along the drive; or best: both, fastslam2 three times, of which the end with the highest evidence is taken. All are "
+        "then refined in the graph.", choices=("fastslam2", "batch", "best"),
     )  # fmt: skip
     front_particles: int = option(30, "Particles of the front end fastslam2.", minimum=1)
 

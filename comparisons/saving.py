@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -25,20 +26,33 @@ RESULTS = Path("results")
 FIGURE_FORMATS = (".png", ".pdf", ".svg")
 
 
+class Numbers(list[Any]):
+    """An array as lists of numbers that JSON can hold, null for what is not finite: nothing in it needs a second look."""
+
+
 def jsonable(value: Any) -> Any:
     """The value as JSON can hold it: arrays as lists, keys as text, and what is not a finite number as null."""
+    # the types of most values first: a long log has millions of numbers
+    if isinstance(value, (str, int, Numbers)) or value is None:
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
     if isinstance(value, np.ndarray):
-        return jsonable(value.tolist())
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
+            known = np.isfinite(value)
+            value = value.astype(object)
+            value[~known] = None
+        elif value.dtype.kind not in "biuf":
+            return jsonable(value.tolist())
+        return Numbers(value.tolist()) if value.ndim else jsonable(value.item())
     if isinstance(value, np.generic):
         return jsonable(value.item())
-    if isinstance(value, Mapping):
-        return {str(key): jsonable(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
         return [jsonable(entry) for entry in value]
+    if isinstance(value, Mapping):
+        return {str(key): jsonable(entry) for key, entry in value.items()}
     if isinstance(value, Path):
         return str(value)
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
     return value
 
 
@@ -56,13 +70,21 @@ def _laid_out(value: Any, line: str) -> str:
     if isinstance(value, dict):
         parts = [f"{_one_line(key)}: {_laid_out(entry, inner)}" for key, entry in value.items()]
         return "{" + inner + f",{inner}".join(parts) + line + "}"
+    if isinstance(value, Numbers) and not (value[0] and isinstance(value[0][0], list)):
+        # rows of numbers, all at once
+        return "[" + inner + _AS_IT_IS(value)[1:-1].replace("], [", f"],{inner}[") + line + "]"
     return "[" + inner + f",{inner}".join(_laid_out(entry, inner) for entry in value) + line + "]"
 
 
 def _one_line(value: Any) -> str:
     """JSON on one line; ASCII where a name has bytes that are not UTF-8, which JSON can hold as escapes only."""
-    text = json.dumps(value, allow_nan=False, ensure_ascii=False)
-    return json.dumps(value, allow_nan=False) if any("\ud800" <= c <= "\udfff" for c in text) else text
+    text = _AS_IT_IS(value)
+    return text if text.isascii() or _SURROGATES.search(text) is None else _IN_ASCII(value)
+
+
+_AS_IT_IS = json.JSONEncoder(allow_nan=False, ensure_ascii=False).encode
+_IN_ASCII = json.JSONEncoder(allow_nan=False).encode
+_SURROGATES = re.compile("[\ud800-\udfff]")
 
 
 def json_line(value: Any) -> str:

@@ -118,6 +118,11 @@ class Output:
     def _line(self, text: str) -> None:
         self.console.print(text, markup=False, soft_wrap=True)
 
+    @property
+    def wants_json(self) -> bool:
+        """Whether JSON was asked for."""
+        return self._to_stdout or self._file is not None
+
     def json(self, payload: Mapping[str, Any]) -> None:
         """Write the JSON where it was asked for, if anywhere."""
         from ..saving import json_text, write_json

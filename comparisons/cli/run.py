@@ -50,7 +50,8 @@ def run(
             files |= {kind: path}
             output.hint(f"Wrote {path}.")
     output.say(*(f"{note[0].upper()}{note[1:]}." for note in files.notes))
-    output.json(outcome.to_json(files))
+    if output.wants_json:
+        output.json(outcome.to_json(files))
     folder = files["json"].parent
     named = [
         p.name

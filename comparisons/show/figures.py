@@ -35,6 +35,8 @@ from .style import SIGHTING, START, TRUE_LANDMARK, TRUTH, colour_of, ellipse_sty
 
 #: longer logs have some of their sightings drawn, evenly spread: more lines would only fill the page
 MOST_SIGHTINGS = 3000
+#: maps of more landmarks have their ellipses as an image in PDF and SVG files, which makes and opens them faster
+MOST_ELLIPSES = 1000
 #: estimators whose maps are drawn with ellipses
 _MAPS = ("graph", "fastslam1")
 
@@ -126,7 +128,9 @@ def _draw_landmarks(axes: Axes, result: EstimatorResult, placement: Array, solid
     means, covariances = place_map(placement, result.landmarks, result.landmark_covariances)
     curves, places, color = ellipses(means, covariances), np.array(list(means.values())), colour_of(result.name)
     axes.plot(places[:, 0], places[:, 1], ".", color=color, markersize=3, zorder=3.1)
-    axes.add_collection(PolyCollection(list(curves), zorder=3.0, **ellipse_style(color, solid=solid)), autolim=False)
+    drawn = PolyCollection(list(curves), zorder=3.0, **ellipse_style(color, solid=solid))
+    drawn.set_rasterized(len(curves) > MOST_ELLIPSES)
+    axes.add_collection(drawn, autolim=False)
     return np.concatenate([places, curves.reshape(-1, 2)])
 
 

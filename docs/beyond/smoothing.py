@@ -40,6 +40,34 @@ ax.set(xlabel="step", ylabel="distinct poses among the histories")
 ax.legend()
 
 
+# %% backward
+def forward(N):
+    """The particles of a filter at each step before its resampling, and the logarithms of their weights."""
+    x, log_w = np.zeros((T, N)), np.zeros((T, N))
+    for t in range(T):
+        start = x[t - 1, draw(log_w[t - 1], N)] if t else 0
+        x[t] = start + rng.normal(0, move, N)
+        log_w[t] = log_normal(z[t] - x[t], see)
+    return x, log_w
+
+
+def backward(x, log_w):
+    """A trajectory, drawn from the last step to the first."""
+    new = np.zeros(T)
+    new[-1] = x[-1, draw(log_w[-1])]
+    for t in range(T - 2, -1, -1):
+        new[t] = x[t, draw(log_w[t] + log_normal(new[t + 1] - x[t], move))]
+    return new
+
+
+particles = forward(100)
+drawn = np.array([backward(*particles) for _ in range(500)])
+print(
+    "distinct poses among 500 trajectories, at every eighth step:",
+    [len(np.unique(drawn[:, t])) for t in range(0, T, 8)],
+)
+
+
 # %% gibbs
 def sweep(kept, N=10, ancestor_sampling=True):
     """A new trajectory, given the one that is kept: a filter whose last particle is the kept trajectory."""
@@ -101,13 +129,14 @@ for step in (10, 30, 60):
     print(f"std of pose {step}: graph {by_graph.round(3)}, samples {by_samples.round(3)}")
 
 # %% filter
-filtered = FastSLAM2(log, particles=200, seed=0, sensor=sensor).run()
+filtered = FastSLAM2(log, particles=200, seed=0, sensor=sensor, smoothing=100).run()
 for name, poses in (
     ("FastSLAM 2.0, one history", filtered.poses),
+    ("its histories, drawn backwards", filtered.smoothed.poses),
     ("samples, their mean", smoother.poses),
     ("graph", graph.poses),
 ):
-    print(f"{name:26} position error {np.sqrt(np.mean((poses - log.true_poses)[:, :2] ** 2)):.3f} m")
+    print(f"{name:30} position error {np.sqrt(np.mean((poses - log.true_poses)[:, :2] ** 2)):.3f} m")
 
 # %% stuck
 for sampling in (False, True):

@@ -166,7 +166,10 @@ def associate(
         raise GraphError(
             f"no landmark of {log.name} was seen often enough to be one: all its {len(log.steps)} sightings may be clutter"
         )
-    given, robot = robot, adapted(robot, firsts[0], names, classes, options)
+    # what the best of them says about the robot counts for all
+    shared = Densities.mean([end.densities for end in firsts])
+    likely = int(np.argmax([evidence(log, backbone, end.solved, field, shared) for end in firsts]))
+    given, robot = robot, adapted(robot, firsts[likely], names, classes, options)
     if robot is not given:
         log, backbone, field = robot.log, robot.backbone, Field.of(robot.log, robot.sensor)
         firsts = [end for first in firsts if (end := again(robot, first, classes, options)) is not None] or firsts

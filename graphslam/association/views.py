@@ -29,13 +29,13 @@ class Views:
     def of(cls, log: Log, backbone: Backbone, solved: Solved, field: Field) -> Views:
         """Those of the landmarks of a solved graph."""
         scans = np.unique(log.steps)
-        limits = np.array([[field.nearest / s, field.farthest * s, field.bearing * s] for s in (INSIDE, 1.0)])
+        limits = np.array(
+            [[field.nearest / s, field.farthest * s, np.cos(min(field.bearing * s, np.pi))] for s in (INSIDE, 1.0)]
+        )
         origin = np.asarray(backbone.origin, dtype=float)
         everywhere = _counts(solved.poses[scans], solved.landmarks, origin, limits)
-        seen = _counts_of_pairs(
-            solved.poses[log.steps[solved.rows]], solved.landmarks[solved.which], solved.which, origin, limits,
-            len(solved.landmarks),
-        )  # fmt: skip
+        inside = _inside(solved.poses[log.steps[solved.rows]], solved.landmarks[solved.which], origin, limits)
+        seen = [np.bincount(solved.which, each, len(solved.landmarks)).astype(np.int64) for each in inside]
         return cls(everywhere[0], seen[0], everywhere[1], seen[1])
 
     def misses(self, densities: Densities) -> Array:
@@ -45,39 +45,40 @@ class Views:
         return well * densities.missed + border * np.log1p(-np.exp(densities.seen) / 2)
 
 
-@njit(cache=True, error_model="numpy")
-def _inside(pose, c, s, landmark, origin, limits):  # type: ignore[no-untyped-def]
-    dx, dy = landmark[0] - pose[0], landmark[1] - pose[1]
+def _inside(poses: Array, landmarks: Array, origin: Array, limits: Array) -> np.ndarray:
+    """For each of the limits (S, 3) whether a landmark (n, d) is inside seen from a pose (n, 3), (S, n)."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    dx, dy = (landmarks[:, :2] - poses[:, :2]).T
     x, y = c * dx + s * dy - origin[0], c * dy - s * dx - origin[1]
-    square, n = x * x + y * y, len(limits)
-    for k in range(n):
-        low, high, bearing = limits[n - 1 - k]
-        # the limits are nested, the widest last
-        if square < low * low or square > high * high or abs(np.arctan2(y, x)) > bearing:
-            return k
-    return n
+    square, ahead = x * x + y * y, x * np.abs(x)
+    low, high, cosine = limits.T[:, :, None]
+    return np.asarray((square >= low**2) & (square <= high**2) & (ahead >= cosine * np.abs(cosine) * square))
 
 
 @njit(cache=True, error_model="numpy")
 def _counts(poses, landmarks, origin, limits):  # type: ignore[no-untyped-def]
-    """For each of the nested limits (S, 3) in how many of the poses (n, 3) each landmark (L, d) is inside, (S, L)."""
+    """For each of the nested limits (S, 3), the widest last, in how many of the poses (n, 3) each landmark is inside, (S, L).
+
+    A limit is the least and the most range, and the cosine of the most bearing: a bearing is within it where x / r is at
+    least that.
+    """
     n = len(limits)
     counts = np.zeros((n, len(landmarks)), np.int64)
+    ax, ay, farthest = origin[0], origin[1], limits[n - 1, 1] ** 2
     for t in range(len(poses)):
         c, s = np.cos(poses[t, 2]), np.sin(poses[t, 2])
+        # the sensor in the world
+        px, py = poses[t, 0] + c * ax - s * ay, poses[t, 1] + s * ax + c * ay
         for j in range(len(landmarks)):
-            for k in range(_inside(poses[t], c, s, landmarks[j], origin, limits)):
-                counts[n - 1 - k, j] += 1
-    return counts
-
-
-@njit(cache=True, error_model="numpy")
-def _counts_of_pairs(poses, landmarks, which, origin, limits, count):  # type: ignore[no-untyped-def]
-    """The same for pairs of a pose (n, 3) and a landmark (n, d), added up by landmark ``which`` (n,)."""
-    n = len(limits)
-    counts = np.zeros((n, count), np.int64)
-    for t in range(len(poses)):
-        c, s = np.cos(poses[t, 2]), np.sin(poses[t, 2])
-        for k in range(_inside(poses[t], c, s, landmarks[t], origin, limits)):
-            counts[n - 1 - k, which[t]] += 1
+            dx, dy = landmarks[j, 0] - px, landmarks[j, 1] - py
+            square = dx * dx + dy * dy
+            if square > farthest:
+                continue
+            x = c * dx + s * dy
+            ahead = x * abs(x)
+            for k in range(n - 1, -1, -1):
+                low, high, cosine = limits[k, 0], limits[k, 1], limits[k, 2]
+                if square < low * low or square > high * high or ahead < cosine * abs(cosine) * square:
+                    break
+                counts[k, j] += 1
     return counts

@@ -223,50 +223,55 @@ def reevaluate(moved, count, nodes, edges, tree, robust, memory, homes, late):
 
 @njit(cache=True, error_model="numpy")
 def marginals(wanted, nodes, tree, work):
-    """The joint covariance (3k, 3k) of k nodes in the axes of their increments, by solves on their paths to the roots."""
+    """The joint covariance (3k, 3k) of k nodes in world axes, or of points in those that they have.
+
+    With the unit vectors E of the nodes, it is Y' Y, L Y = E. The columns of Y are zero beside the paths from their nodes
+    to the roots, so that they are solved forward on these only.
+    """
+    size = 3 * len(wanted)
     homes = np.empty(len(wanted), np.int32)
     for k in range(len(wanted)):
         homes[k] = nodes.home[wanted[k]]
-    path, x, result = upwards(homes, len(homes), tree), tree.floats, np.empty((3 * len(wanted), 3 * len(wanted)))
-    for column in range(3 * len(wanted)):
-        nodes.scratch[wanted[column // 3], column % 3] = 1.0
-        y = tree.counts[FLOATS]
+    path, x, rows = upwards(homes, len(wanted), tree), tree.floats, 0
+    for s in path:
+        rows += 3 * tree.groups.w[s]
+    Y, spare = np.zeros((size, rows)), tree.counts[FLOATS]
+    for column in range(size):
+        node, axis = wanted[column // 3], column % 3
+        # a unit vector of the world in the axes of the node
+        c, t = (1.0, 0.0) if nodes.point[node] else (nodes.axes[node, 0], nodes.axes[node, 1])
+        if axis == 2:
+            nodes.scratch[node, 2] = 1.0
+        else:
+            nodes.scratch[node, 0], nodes.scratch[node, 1] = (c, -t) if axis == 0 else (t, c)
+        at, begun = 0, False
         for s in path:
             w, r = np.int64(tree.groups.w[s]), np.int64(tree.groups.r[s])
-            ld, _, _ = sizes(w, r)
-            clear(work, 0, ld)
-            for q in range(w):
-                node = tree.ints[tree.groups.nodes_at[s] + q]
+            front, begun = tree.groups.nodes_at[s], begun or s == nodes.home[node]
+            some = False
+            for q in range(w + r if begun else 0):
+                inner = tree.ints[front + q]
                 for k in range(3):
-                    work[3 * q + k] = nodes.scratch[node, k]
-                    nodes.scratch[node, k] = 0.0
-            _solve_forward(x, tree.groups.at[s], ld, 3 * w, work, y)
-            for q in range(w, w + r):
-                node = tree.ints[tree.groups.nodes_at[s] + q]
-                for k in range(3):
-                    nodes.scratch[node, k] += work[3 * q + k]
-            y += 3 * w
-        for s in path[::-1]:
-            w, r = np.int64(tree.groups.w[s]), np.int64(tree.groups.r[s])
-            ld, _, _ = sizes(w, r)
-            y -= 3 * w
-            clear(work, 0, ld)
-            for q in range(w, w + r):
-                node = tree.ints[tree.groups.nodes_at[s] + q]
-                for k in range(3):
-                    work[3 * q + k] = nodes.scratch[node, k]
-            _solve_backward(x, tree.groups.at[s], ld, 3 * w, work, y)
-            for q in range(w):
-                node = tree.ints[tree.groups.nodes_at[s] + q]
-                for k in range(3):
-                    nodes.scratch[node, k] = work[3 * q + k]
-        for k in range(len(wanted)):
-            for c in range(3):
-                result[3 * k + c, column] = nodes.scratch[wanted[k], c]
-        for s in path:
-            for q in range(tree.groups.w[s]):
-                for k in range(3):
-                    nodes.scratch[tree.ints[tree.groups.nodes_at[s] + q], k] = 0.0
+                    work[3 * q + k] = nodes.scratch[inner, k]
+                    some = some or (q < w and nodes.scratch[inner, k] != 0.0)
+            if some:
+                ld, padded, _ = sizes(w, r)
+                clear(work, 3 * (w + r), padded - 3 * r)
+                _solve_forward(x, tree.groups.at[s], ld, 3 * w, work, spare)
+                for q in range(3 * w):
+                    Y[column, at + q] = x[spare + q]
+                for q in range(w + r):
+                    inner = tree.ints[front + q]
+                    for k in range(3):
+                        nodes.scratch[inner, k] = 0.0 if q < w else work[3 * q + k]
+            at += 3 * w
+    result = np.empty((size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            total = 0.0
+            for q in range(rows):
+                total += Y[i, q] * Y[j, q]
+            result[i, j], result[j, i] = total, total
     return result
 
 

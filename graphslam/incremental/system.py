@@ -8,7 +8,7 @@ import numpy as np
 
 from ..edges.robust import Kernel, code_and_width
 from ..errors import GraphError
-from ..se2 import Array, turn_matrix
+from ..se2 import Array
 from .advance import APART, DONE, INDEFINITE, SHARE, advance
 from .append import append, detach
 from .arrays import (
@@ -28,6 +28,7 @@ from .arrays import (
 from .batch import batch_state
 from .linearize import CHANGED, CURVED
 from .passes import backward, marginals, total_cost
+from .refactor import refactor
 from .top import BUILT, GROW, rebuild
 
 #: the most passes of one step, after which the batch solver takes over
@@ -169,6 +170,16 @@ class OnlineSystem:
             if not self.converged:
                 self._begin_at(start, newest)
 
+    def relinearize(self, newest: Any) -> None:
+        """Linearise all edges where they are now and factorise again, in the order of the tree, and solve."""
+        self.complete()
+        room, every = self._room(), np.arange(self.num_edges, dtype=np.int32)
+        if not refactor(every, len(every), self.nodes, self.edges, self.tree, self._robust, self._memory, room[0]):
+            nodes = np.arange(self.num_nodes, dtype=np.int32)
+            self._memory[[CURVED_FROM, HOLD]] = np.inf, PLAIN
+            self._eliminate(nodes, nodes[:0], np.asarray(newest, dtype=np.int32))
+        self.converged = self._iterate(np.asarray(newest, dtype=np.int32))
+
     def _begin_at(self, x: Array, newest: np.ndarray) -> None:
         """Build the tree anew with all nodes at x (n, 3)."""
         self._restart(x)
@@ -226,12 +237,6 @@ class OnlineSystem:
 
     def covariance(self, members: list[int]) -> Array:
         """The joint covariance (3k, 3k) of k nodes, in world axes."""
-        wanted = np.array(members, dtype=np.int32)
-        # room for one number per coordinate eliminated on the way to the roots
-        self.tree = with_room(self.tree, 0, 3 * self.num_nodes, 0)
-        block = marginals(wanted, self.nodes, self.tree, self._room()[0])
-        turn = np.zeros_like(block)
-        for k, node in enumerate(members):
-            angle = 0.0 if self.nodes["point"][node] else self.nodes["x"][node, 2]
-            turn[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = turn_matrix(np.array([angle]))[0]
-        return np.asarray(turn @ block @ turn.T)
+        room = self._room()[0]
+        self.tree = with_room(self.tree, 0, len(room), 0)
+        return np.asarray(marginals(np.array(members, dtype=np.int32), self.nodes, self.tree, room))

@@ -12,7 +12,7 @@ from comparisons.show.association_tables import association_table
 from comparisons.show.films import animate
 from comparisons.show.tables import landmark_table
 from fastslam import FastSLAM2
-from graphslam import GraphError, OptionError, load, sample_log_path
+from graphslam import Graph, GraphError, OptionError, load, sample_log_path
 from graphslam.association import score
 from graphslam.log import UNIDENTIFIED
 
@@ -37,13 +37,18 @@ def test_the_graph_finds_ids_that_the_log_lacks(log):
     forecast = ESTIMATORS["gtsam"].seconds_per_iteration
     assert forecast(hidden, comparison.options) == pytest.approx(forecast(log, known.options))
     assert pair_count(hidden) == 0 < pair_count(log)
+    entry = comparison.to_json()["estimators"][0]
+    assert entry["cost_per_dof"] < 1.1 and entry["certificate"]["status"] in ("global", "not applicable", "not proven")
+    assert comparison.table["graph"].certificate is not None
+    with pytest.raises(GraphError, match=r"graphslam\.associate"):
+        Graph.from_log(hidden)
     # without true ids there is nothing to compare with
     assert comparison.associations["graph"] is None
     assert comparison.to_json()["estimators"][0]["association"]["landmarks"] == 13
     assert known["graph"].association is None
 
 
-@pytest.mark.parametrize("front_end", ["fastslam2", "batch"])
+@pytest.mark.parametrize("front_end", ["fastslam2", "batch", "best"])
 def test_ignored_ids_are_compared_with_those_found(log, front_end):
     comparison = run(log, estimators="graph", association="maximum-likelihood", front_end=front_end)
     row = comparison.table["graph"]
@@ -55,6 +60,9 @@ def test_ignored_ids_are_compared_with_those_found(log, front_end):
         "landmarks": 13, "clutter": 0, "precision": 1.0, "recall": 1.0, "found": 13, "missed": 0, "doubled": 0, "invented": 0,
         "classes": None, "unconfirmed": 0, "doubts": [],
     }  # fmt: skip
+    assert any("of 4 starts the best by evidence" in note for note in comparison["graph"].notes) == (
+        front_end == "best"
+    )
     assert sorted(matches.values()) == log.landmark_ids.tolist() and np.isfinite(evidence)
     for j, true in matches.items():
         np.testing.assert_array_equal(comparison["graph"].association == int(j), log.landmarks == true)

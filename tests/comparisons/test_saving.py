@@ -37,6 +37,14 @@ def test_json_keeps_every_digit_and_rows_on_their_line() -> None:
     assert json.loads(text)["nested"] == {"x": {"y": [1]}}
 
 
+@pytest.mark.parametrize("shape", [(3, 2), (2, 3, 3), (4,), (0, 3), (3, 0), (1, 1)])
+def test_arrays_are_laid_out_like_lists(shape: tuple[int, ...]) -> None:
+    values = np.random.default_rng(0).normal(size=shape)
+    values[values > 1] = np.nan
+    lists = json.loads(json.dumps(values.tolist()), parse_constant=lambda _: None)
+    assert json_text({"a": [values, 1], "b": values}) == json_text({"a": [lists, 1], "b": lists})
+
+
 def test_paths_become_text() -> None:
     assert jsonable({"p": Path("a/b")}) == {"p": str(Path("a/b"))}
 
