@@ -31,8 +31,8 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
     if log.identified and options.filter.uses_ids:
         return log, None
     key = (
-        options.motion, options.sensor, options.front_end, options.front_particles, str(options.filter.seed),
-        options.estimate,
+        options.motion, options.sensor, options.front_end, options.front_particles, options.class_confusion,
+        str(options.filter.seed), options.estimate,
     )  # fmt: skip
     found = _FOUND.setdefault(log, {})
     if key not in found:
@@ -44,6 +44,8 @@ def _associated(log: Log, options: RunOptions) -> Association:
     models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
     # an epsilon that the options name stays
     ways: dict[str, Any] = {"slip": "epsilon" not in options.numbers, "estimate": options.estimate}
+    if options.class_confusion is not None:
+        ways["confusion"] = options.class_confusion
     if options.front_end == "batch" or log.controls is None or len(log.steps) == 0:
         # without controls or sightings this refuses the log
         return associate(log, **models, **ways)

@@ -85,6 +85,8 @@ def test_classes_and_matches_are_in_tables_files_and_film(log):
     assert len(rows) == len(log.steps) + 1 and rows[-1][-1] == "" and rows[1][-1] == str(log.landmarks[0])
     found = comparison["graph"].association
     assert [row[5] for row in rows[1:]] == ["" if j == UNIDENTIFIED else str(j) for j in found]
+    with pytest.raises(OptionError, match="confusion must lie between 0 and 1"):
+        run(with_classes, estimators="graph", association="maximum-likelihood", class_confusion=2.0)
     assert {row[6] for row in rows[1:]} <= {"confirmed", "unconfirmed", "clutter"}
     film = animate(with_classes, estimator="association", association="maximum-likelihood", max_frames=5)
     for frame in film.frames:
