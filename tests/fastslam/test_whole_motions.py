@@ -103,13 +103,17 @@ def test_moves_by_hand_carry_the_sensor() -> None:
     np.testing.assert_allclose(slam.trajectory()[0], [0.5, 0.2, 0.3], atol=1e-12)
 
 
-def test_unknown_ids_need_maximum_likelihood() -> None:
+def test_unknown_ids_need_an_association() -> None:
     log = drive(CENTRED).replace(landmarks=np.full(39, UNIDENTIFIED))
     for kind in FILTERS:
         with pytest.raises(OptionError, match="has sightings without ids"):
-            kind(log, particles=2)
-    result = FastSLAM2(log, particles=500, association="maximum-likelihood").run()
+            kind(log, particles=2, association="known")
+    # localisation has none but that of the ids
+    with pytest.raises(OptionError, match="take FastSLAM, which finds out"):
+        MonteCarloLocalization(log, particles=2)
+    result = FastSLAM2(log, particles=500).run()
     assert len(result.landmarks) == 3
+    assert result.options.association == "maximum-likelihood"
 
 
 def test_the_lectures_filters_take_one_control_a_step() -> None:
