@@ -30,8 +30,10 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
     """
     if log.identified and options.filter.uses_ids:
         return log, None
-    key = (options.motion, options.sensor, options.front_end, options.front_particles, options.class_confusion,
-           str(options.filter.seed))  # fmt: skip
+    key = (
+        options.motion, options.sensor, options.front_end, options.front_particles, options.class_confusion,
+        str(options.filter.seed), options.estimate,
+    )  # fmt: skip
     found = _FOUND.setdefault(log, {})
     if key not in found:
         found[key] = _associated(log, options)
@@ -40,10 +42,13 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
 
 def _associated(log: Log, options: RunOptions) -> Association:
     models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
-    confusion: dict[str, Any] = {} if options.class_confusion is None else {"confusion": options.class_confusion}
+    # an epsilon that the options name stays
+    ways: dict[str, Any] = {"slip": "epsilon" not in options.numbers, "estimate": options.estimate}
+    if options.class_confusion is not None:
+        ways["confusion"] = options.class_confusion
     if options.front_end == "batch" or log.controls is None or len(log.steps) == 0:
         # without controls or sightings this refuses the log
-        return associate(log, **models, **confusion)
+        return associate(log, **models, **ways)
     begin = time.perf_counter()
     front = replace(options.filter, particles=options.front_particles, association="maximum-likelihood")
     if options.front_end == "best":
@@ -53,7 +58,7 @@ def _associated(log: Log, options: RunOptions) -> Association:
     else:
         starts = [_filtered(log, front, models)]
         note = "the ids began with those of FastSLAM 2.0"
-    found = associate(log, start=starts, **models, **confusion)
+    found = associate(log, start=starts, **models, **ways)
     note += f" with {front.particles} particles, and were found anew in the graph"
     return replace(found, seconds=time.perf_counter() - begin, notes=(*found.notes, note))
 

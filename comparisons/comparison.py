@@ -21,7 +21,14 @@ from graphslam.se2 import wrap
 from .attempt import Skipped, attempts
 from .config import config_text
 from .display import Displayed
-from .documents import EstimatorDocument, RunDocument, certificate_document, describe, document
+from .documents import (
+    EstimatorDocument,
+    RunDocument,
+    certificate_document,
+    describe,
+    document,
+    parameters_document,
+)
 from .estimators import ESTIMATORS, check_estimators, default_estimators, make_graph
 from .exchange import texts, write_pose_graph
 from .failures import noted
@@ -205,6 +212,7 @@ class Comparison(Displayed):
                 EstimatorDocument, r, self.metrics[r.name], nees=self.nees[r.name], notes=self.notes_of(r),
                 certificate=certificate_document(r.certificate),
                 association=association_document(self.log, r, self.associations[r.name]),
+                parameters=parameters_document(r.parameters),
             )
             for r in self.results
         }  # fmt: skip

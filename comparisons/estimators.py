@@ -75,7 +75,9 @@ def make_graph(log: Log, options: RunOptions) -> Graph:
     Raises:
         GraphError: the log does not determine it.
     """
-    return Graph.from_log(identified(log, options)[0], **graph_keywords(log, options))
+    known, found = identified(log, options)
+    keywords = graph_keywords(log, options)
+    return Graph.from_log(known, **(keywords if found is None else keywords | {"motion": found.motion}))
 
 
 def graph_keywords(log: Log, options: RunOptions) -> dict[str, Any]:
@@ -216,6 +218,7 @@ def online_keywords(log: Log, options: RunOptions) -> dict[str, Any]:
     """
     _no_gnc(options)
     keywords = graph_keywords(log, options)
+    del keywords["estimate"]
     if keywords.pop("frame") != "body":
         raise GraphError("online and isam2 have no world frame, whose information is re-evaluated; use --frame body")
     return keywords
@@ -342,6 +345,11 @@ def _gtsam_seconds(log: Log, options: RunOptions) -> float:
     # 30 us a pose; GTSAM copies all values for every call of a Python factor, of which there is one for 16 poses
     seconds = 3e-5 * log.num_poses + 4e-8 * log.num_poses**2
     options = chosen(log, options)
+    if options.estimate:
+        # a factor for each edge, made anew at every step
+        paired = options.weight != "marginal" and not str(options.edges).startswith("landmark")
+        count = log.num_poses + (pair_count(identified(log, options)[0]) if paired else len(log.steps))
+        return count * (5e-4 + 8e-8 * log.num_poses)
     if str(options.edges).startswith("landmark"):
         return seconds
     # how often each landmark is seen decides, so sightings without ids need them now; they are found once for all
@@ -377,7 +385,9 @@ ESTIMATORS: dict[str, Estimator] = {
     "graph-no-kernel": Estimator(graph_no_kernel, tuple(name for name in _SOLVED if name != "kernel"), on_request=True),
     "gtsam": Estimator(gtsam_estimator, _SOLVED, _gtsam_seconds),
     "online": Estimator(online, ("motion_weight", "kernel"), on_request=True),
-    "isam2": Estimator(isam2, tuple(name for name in _SOLVED if name != "initialize"), _isam2_seconds),
+    "isam2": Estimator(
+        isam2, tuple(name for name in _SOLVED if name not in ("initialize", "estimate")), _isam2_seconds
+    ),
     "mcl": Estimator(mcl, _LOCALISATION),
     "fastslam1": Estimator(fastslam1, _FILTER),
     "fastslam2": Estimator(fastslam2, _FILTER),
@@ -417,6 +427,13 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
     notes = list(solution.notes)
     with noted(notes, "the covariances of the map are not known"):
         values["landmark_covariances"] = solution.landmark_covariances
+    parameters = solution.parameters
+    if parameters is not None:
+        notes.append(f"estimated with the poses: {parameters.sentence}")
+        if options.weight == "pairs" and not str(options.edges).startswith("landmark"):
+            notes.append(
+                "pairs weigh sightings too much, so these standard deviations are too small; see --weight marginal"
+            )
     weighed_down = None
     if solution.graph is not None and (kernel := solution.graph.verdict[0]) is not None:
         weights = solution.graph.sighting_weights(solution.state)
@@ -427,6 +444,7 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
             f"({weighed_down / len(weights):.1%}; {usual:.1%} would be usual if none were wrong)"
         )
     values |= {"name": name, "origin": solution, "notes": tuple(notes), "weighed_down": weighed_down}
+    values["parameters"] = parameters
     if found is not None:
         # the notes of the association came with its log
         values |= {

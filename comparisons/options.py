@@ -19,6 +19,7 @@ from fastslam.options import FilterOptions, GibbsOptions
 from graphslam.checks import option
 from graphslam.errors import OptionError
 from graphslam.models import RESIDUALS, MotionModel, SensorModel
+from graphslam.parameters.declared import PARAMETERS, parsed
 from graphslam.sources.simulator import MotionFaults, SensorFaults
 from graphslam.sources.worlds import WORLDS, World
 from graphslam.tables.options import TableOptions
@@ -139,6 +140,11 @@ class GraphOptions(Options):
         RESIDUALS[0], "Residual of landmark nodes: the sighting as a position in the robot's axes, or as range and bearing.",
         choices=RESIDUALS,
     )  # fmt: skip
+    estimate: tuple[str, ...] | None = option(
+        None, "Parameters of robot and sensor to estimate with the poses, relative to what is recorded: "
+        f"{', '.join(PARAMETERS)}. NAME:0.1 gives a prior with this standard deviation.", metavar="NAME[:STD],...",
+        default_text="none",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,7 +172,8 @@ class RunOptions(FrontEndOptions, GraphOptions, LogOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _ = self.filter, self.gibbs  # checks the values
+        # these check the values
+        _ = self.filter, self.gibbs, parsed(self.estimate or ())
 
     @property
     def filter(self) -> FilterOptions:

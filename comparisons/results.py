@@ -13,6 +13,7 @@ from fastslam.gibbs.result import GibbsResult
 from fastslam.samples import Samples
 from fastslam.state import FilterResult
 from graphslam import Association, Certificate, Graph, Log, MotionModel, Solution, certify
+from graphslam.parameters import ParameterEstimate
 from graphslam.se2 import Array, compose, inverse, rotation, wrap
 from graphslam.textbook import TextbookSolution
 from graphslam.uncertainty import Uncertainty
@@ -41,6 +42,7 @@ class EstimatorResult:
             none; None where it used the ids of the log.
         found: how these ids were found, where `graphslam.associate` found them.
         weighed_down: the number of sightings that a robust kernel gives less than half of their weight; None without one.
+        parameters: of robot and sensor, where they were estimated.
         options: the options that it used, for the record.
         reason: why it ended, one sentence.
         notes: what the user should know.
@@ -65,6 +67,7 @@ class EstimatorResult:
     association: np.ndarray | None = field(default=None, repr=False)
     found: Association | None = field(default=None, repr=False)
     weighed_down: int | None = None
+    parameters: ParameterEstimate | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     reason: str = ""
     notes: tuple[str, ...] = ()

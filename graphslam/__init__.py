@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .log import Log
     from .mapping import LandmarkMap, estimate_map
     from .models import MotionModel, SensorModel
+    from .parameters import PARAMETERS, Parameter, ParameterEstimate
     from .solution import Solution
     from .solvers.gnc import solve_gnc
     from .solvers.gtsam_solver import solve_with_gtsam
@@ -55,6 +56,7 @@ _PUBLIC = {
     "log": "Log",
     "mapping": "LandmarkMap estimate_map",
     "models": "MotionModel SensorModel",
+    "parameters": "PARAMETERS Parameter ParameterEstimate",
     "solution": "Solution",
     "solvers.gnc": "solve_gnc",
     "solvers.gtsam_solver": "solve_with_gtsam",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from os import PathLike
@@ -19,6 +20,7 @@ from .linear.information import BlockSystem
 from .log import Log
 from .mapping import LandmarkMap, estimate_map
 from .models import RESIDUALS, MotionModel, SensorModel
+from .parameters.declared import Parameters, declared
 from .se2 import Array
 
 EDGES = ("virtual", "virtual+motion", "landmark+motion")
@@ -48,6 +50,7 @@ class Graph:
         log, sensor: what the graph was made from, where it was made from a log.
         notes: what the user should know, one sentence each.
         sighting_rows: (M,) the row of the log's sightings that each sighting of the edges comes from.
+        parameters: what is unknown about vehicle and sensor beside the nodes, or None; the edges are those at its values.
     """
 
     initial: Array
@@ -63,6 +66,7 @@ class Graph:
     sensor: SensorModel | None = None
     notes: tuple[str, ...] = ()
     sighting_rows: np.ndarray = field(default_factory=_none)
+    parameters: Parameters | None = None
 
     def __repr__(self) -> str:
         nodes = f"{len(self.steps)} poses, {len(self.landmark_ids)} landmarks"
@@ -82,6 +86,7 @@ class Graph:
         kernel: Kernel | str | None = None,
         dimensions: int | None = None,
         residual: str = "cartesian",
+        estimate: str | Iterable[str] | Mapping[str, float | None] | None = None,
     ) -> Graph:
         """The graph of a log: an anchor at the first node, edges from the sightings, and motion edges where asked for.
 
@@ -101,6 +106,9 @@ class Graph:
             dimensions: 3: require orientation psi; 2: ignore it; default: use psi where the log has it.
             residual: of landmark nodes: "cartesian" (the sighting as a position in the robot's axes, the landmark's heading
                 with it) or "polar" (range and bearing, h(x, m) - z, whose cost has false minima).
+            estimate: parameters of vehicle and sensor to estimate with the poses, names of `graphslam.parameters.PARAMETERS`:
+                ["wheel_scale", "range_bias"]. "wheel_scale:0.1" gives a prior with this standard deviation about the
+                ideal value; {"wheel_scale": 0.1, "range_bias": None} is the same for both. Default: none is estimated.
 
         Raises:
             GraphError: the log lacks what the options need, or the edges cannot determine the poses; the message names
@@ -112,7 +120,7 @@ class Graph:
         check_choice("weight", weight, WEIGHTS)
         check_choice("residual", residual, RESIDUALS)
         check_positive(motion_weight=motion_weight)
-        log = _with_dimensions(log, dimensions)
+        recorded = log = _with_dimensions(log, dimensions)
         motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
         parts = parts_of_log(
             log, motion=motion, sensor=sensor, edges=edges, frame=frame, weight=weight, scale=motion_weight,
@@ -121,7 +129,8 @@ class Graph:
         if edges.startswith("landmark") and weight != WEIGHTS[0]:
             note = f"weight={weight!r} has no effect: with landmark nodes each sighting counts once"
             parts["notes"] = (*parts.get("notes", ()), note)
-        return cls(**parts)
+        parameters = declared(estimate, recorded, motion, sensor, edges, residual, motion_weight)
+        return cls(**parts, parameters=parameters)
 
     @classmethod
     def from_g2o(cls, path: str | PathLike[str], *, format: str | None = None, unknown: str = "error") -> Graph:
@@ -175,6 +184,13 @@ class Graph:
         vars(changed)["system"] = self.system
         return changed
 
+    def check_no_parameters(self, solver: str) -> None:
+        """Raise `GraphError` where the graph has parameters, which this solver cannot estimate."""
+        if self.parameters is not None:
+            raise GraphError(
+                f"{solver} cannot estimate parameters ({', '.join(self.parameters.names)}): use solve or solve_with_gtsam"
+            )
+
     @property
     def num_nodes(self) -> int:
         """The number n of nodes."""
@@ -209,7 +225,8 @@ class Graph:
     def degrees_of_freedom(self) -> int:
         """The independent numbers that the edges measure, minus the unknowns: not above zero where nothing is checked."""
         rows = sum(family.numbers[0] for family in self.families)
-        return rows - 3 * (len(self.steps) - 1) - self.landmark_dimension * len(self.landmark_ids)
+        of_nodes = 3 * (len(self.steps) - 1) + self.landmark_dimension * len(self.landmark_ids)
+        return rows - of_nodes - len(self.parameters or ())
 
     @property
     def expected_cost(self) -> float:
@@ -269,7 +286,8 @@ class Graph:
             return np.ones(len(family.sightings))
         if isinstance(family, LandmarkSightings):
             by_landmark = family.starts, family.nodes, family.sightings, family.sensor
-            squares = MarginalEdges(*by_landmark, kernel=family.kernel, trust=family.trust).squares(state, state)
+            noise = {"kernel": family.kernel, "trust": family.trust, "noise_at": family.noise_at}
+            squares = MarginalEdges(*by_landmark, **noise).squares(state, state)  # type: ignore[arg-type]
         else:
             squares = family.linearize(state, state).mahalanobis
         return family.kernel.weight(squares)

@@ -190,24 +190,30 @@ class MotionModel(NoiseModel):
             The motions (T, 3), headings not wrapped, and their covariances (T, 3, 3), in the frame of each motion's start.
         """
         controls, dt = np.asarray(controls, dtype=float), np.asarray(dt, dtype=float)
+        motions, A = self.accumulated_slopes(controls, dt, starts)
+        M = self.M(controls, dt, recorded_dt)
+        if control_variances is not None:
+            M[:, [0, 1], [0, 1]] += control_variances
+        each = A @ M @ np.swapaxes(A, -1, -2)
+        covariances = np.add.reduceat(each, starts[:-1], axis=0) if len(starts) > 1 else np.zeros((0, 3, 3))
+        return motions, covariances + self.epsilon * np.eye(3)
+
+    def accumulated_slopes(self, controls: Array, dt: Array, starts: np.ndarray) -> tuple[Array, Array]:
+        """The motions (T, 3) of `accumulate`, and the derivative (S, 3, 2) of each by each of its controls."""
         first, count = starts[:-1], np.diff(starts)
         before = np.zeros((len(controls), 3))
         before[:, 2] = _sum_before(controls[:, 1] * dt, first, count)
         # with the heading it has within its motion, each control starts from the origin: f is affine in (x, y)
         steps = self.f(before, controls, dt) - before
         motions = np.add.reduceat(steps, first, axis=0) if len(first) else np.zeros((0, 3))
-        A, M = self.A(before, controls, dt), self.M(controls, dt, recorded_dt)
-        if control_variances is not None:
-            M[:, [0, 1], [0, 1]] += control_variances
+        A = self.A(before, controls, dt)
         left = np.repeat(motions[:, :2], count, axis=0) - steps[:, :2]
         left -= np.column_stack([_sum_before(steps[:, k], first, count) for k in (0, 1)])
         # no control follows the last one of a motion: its lever is zero, without rounding errors
         left[starts[1:] - 1] = 0.0
         A[:, 0, :] -= left[:, 1, None] * A[:, 2, :]
         A[:, 1, :] += left[:, 0, None] * A[:, 2, :]
-        each = A @ M @ np.swapaxes(A, -1, -2)
-        covariances = np.add.reduceat(each, first, axis=0) if len(first) else np.zeros((0, 3, 3))
-        return motions, covariances + self.epsilon * np.eye(3)
+        return motions, A
 
     def dead_reckoning(self, start: ArrayLike, controls: ArrayLike, dt: ArrayLike) -> Array:
         """The poses x_t = f(x_{t-1}, u_t) from a start (3,), noise-free; controls (T, 2), dt (T,) -> (T+1, 3)."""

@@ -14,6 +14,7 @@ from .errors import OptionError
 from .graph import Graph
 from .mapping import LandmarkMap
 from .metrics import pose_nees
+from .parameters.declared import ParameterEstimate
 from .se2 import Array, wrap
 from .uncertainty import Uncertainty
 
@@ -73,7 +74,8 @@ class Solution:
     def certificate(self) -> Certificate:
         """Whether the solution is proven to be the global minimum of J, and how far below J any state may lie at most.
 
-        Computed at the first use. The status of a run that has not converged is "not proven", also where the bound is tight.
+        Computed at the first use; with estimated parameters, at their values. The status of a run that has not converged
+        is "not proven", also where the bound is tight.
         """
         return prove(self._solved_graph, self.state).of_run(self.converged, self.reason)
 
@@ -153,6 +155,22 @@ class Solution:
         graph = self._solved_graph
         errors = _errors(self.state[: len(graph.steps)], np.asarray(true_poses, dtype=float)[graph.steps])
         return self._uncertainty.joint_square(errors) / errors[1:].size
+
+    @cached_property
+    def parameters(self) -> ParameterEstimate | None:
+        """The parameters of vehicle and sensor that the graph estimates, with their covariance; None for none.
+
+        Raises:
+            GraphError: the edges do not determine them.
+        """
+        unknown = None if self.graph is None else self.graph.parameters
+        if unknown is None:
+            return None
+        priors = zip(unknown.names, unknown.means.tolist(), unknown.deviations.tolist())
+        return ParameterEstimate(
+            unknown.names, unknown.values, self._uncertainty.of_parameters,
+            {name: (mean, deviation) for name, mean, deviation in priors if np.isfinite(deviation)},
+        )  # fmt: skip
 
     @property
     def _solved_graph(self) -> Graph:

@@ -10,6 +10,7 @@ from .diagnosis import undetermined
 from .edges.base import Linearization
 from .graph import Graph
 from .linear.cholesky import Factor, FactorizationError
+from .parameters.joint import JointFactor, JointGraph
 from .se2 import Array
 
 
@@ -17,7 +18,8 @@ class Uncertainty:
     """Marginal covariances of the nodes of a graph at a state (n, 3), computed at the first use.
 
     Omega is the Gauss-Newton information at the state, so the covariances are those of the linearised problem. With
-    robust kernels it is that of their estimate (`Graph.information`). Fixed nodes have covariance zero.
+    robust kernels it is that of their estimate (`Graph.information`). Fixed nodes have covariance zero. Where the graph has
+    parameters, their uncertainty is part of that of the nodes: Omega^-1 + (Omega^-1 C) S^-1 (Omega^-1 C)'.
 
     Raises:
         GraphError: (all methods) the edges do not determine the nodes.
@@ -36,9 +38,26 @@ class Uncertainty:
             raise undetermined(self._graph, self._state, error) from None
 
     @cached_property
+    def _joint(self) -> JointFactor | None:
+        """The factor of the system with its parameters."""
+        if self._graph.parameters is None:
+            return None
+        joint = JointGraph(self._graph)
+        border = joint.border(self._graph, self._state, self._state, scaled=True)
+        return JointFactor(joint, self._factor, border)
+
+    @property
+    def of_parameters(self) -> Array:
+        """The covariance (K, K) of the parameters."""
+        return np.zeros((0, 0)) if self._joint is None else self._joint.covariance
+
+    @cached_property
     def diagonal(self) -> Array:
         """The covariance of every node, (n, 3, 3), by selected inversion."""
         blocks = self._factor.diagonal_covariances()
+        if self._joint is not None:
+            reach = self._joint.reach
+            blocks += reach @ self._joint.covariance @ np.swapaxes(reach, 1, 2)
         blocks[self._graph.fixed] = 0.0
         return blocks
 
@@ -48,7 +67,10 @@ class Uncertainty:
             return self.diagonal[i].copy()
         if i in self._graph.fixed or j in self._graph.fixed:
             return np.zeros((3, 3))
-        return self._factor.covariance(i, j)
+        block = self._factor.covariance(i, j)
+        if self._joint is not None:
+            block = block + self._joint.reach[i] @ self._joint.covariance @ self._joint.reach[j].T
+        return block
 
     def solve(self, right: Array) -> Array:
         """Omega^-1 times right-hand sides, (n, 3) or (n, 3, k)."""

@@ -12,6 +12,7 @@ from .runs import (
     EstimatorDocument,
     RunDocument,
     certificate_document,
+    parameters_document,
 )
 from .solvers import BackendsDocument, SolversDocument
 from .studies import ConsistencyDocument, ParticlesDocument, StudyDocument, SweepDocument
@@ -35,5 +36,5 @@ DOCUMENTS: dict[str, type[Document]] = {
 
 __all__ = [
     "DOCUMENTS", "AssociationDocument", "Document", "DoubtDocument", "EstimatorDocument", "certificate_document", "describe",
-    "document",
+    "document", "parameters_document",
 ]  # fmt: skip

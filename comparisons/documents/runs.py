@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from .base import CostPerDof, Count, Covariance, Document, Id, Pose, Position, about, document
 from .logs import LogDocument
+
+if TYPE_CHECKING:
+    from graphslam.parameters import ParameterEstimate
 
 
 class CertificateDocument(Document):
@@ -26,6 +29,25 @@ class CertificateDocument(Document):
 def certificate_document(certificate: object | None) -> dict[str, Any] | None:
     """A `graphslam.Certificate` as plain data, or None."""
     return None if certificate is None else document(CertificateDocument, certificate)
+
+
+class ParameterDocument(Document):
+    """A parameter of robot or sensor that was estimated with the poses; see docs/parameters.md."""
+
+    value: Annotated[float, about("its estimate")]
+    deviation: Annotated[float, about("its standard deviation")]
+    prior: Annotated[float | None, about("the standard deviation of its prior; null without one")]
+
+
+def parameters_document(parameters: ParameterEstimate | None) -> dict[str, Any] | None:
+    """Estimated parameters as plain data by name, or None."""
+    if parameters is None:
+        return None
+    priors = {name: deviation for name, (_, deviation) in parameters.priors.items()}
+    return {
+        name: document(ParameterDocument, value=parameters[name], deviation=deviation, prior=priors.get(name))
+        for name, deviation in parameters.deviations.items()
+    }
 
 
 class DoubtDocument(Document):
@@ -97,6 +119,9 @@ class EstimatorDocument(Document):
     ]
     association: Annotated[
         AssociationDocument | None, about("ids found for the sightings; null where the ids of the log were used")
+    ]
+    parameters: Annotated[
+        dict[str, ParameterDocument] | None, about("estimated parameters by name; null where none was estimated")
     ]
     poses_counted: Annotated[Count | None, about("number of poses that the metrics are of")]
     poses: Annotated[list[Pose] | None, about("the trajectory, T + 1 poses")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -12,9 +13,10 @@ import numpy as np
 from ..errors import GraphError, LogError, OptionError
 from ..log import UNIDENTIFIED, Log
 from ..models import MotionModel, SensorModel
+from ..parameters.declared import ParameterEstimate
 from ..precision import check_log
 from ..se2 import Array
-from .accounts import Account
+from .adapting import Robot, adapted, again, wanted
 from .classes import Classes
 from .climbing import climb
 from .densities import Densities, Field
@@ -23,7 +25,6 @@ from .driving import drive
 from .evidence import evidence
 from .options import AssociationOptions
 from .refining import Refined, refine
-from .solved import Backbone
 
 #: ids (M,) and poses (T+1, 3)
 Start = tuple[np.ndarray, Array]
@@ -44,6 +45,8 @@ class Association:
         rounds, settled: how often sightings were assigned anew, and whether the last time changed nothing.
         cost_per_dof: J of that graph per degree of freedom: about 1 where noise models and ids are right, far above it
             where one of them is wrong.
+        motion: the noise model of the graph, with the slip that the log shows, where it does (`association.adapting`).
+        parameters: the estimated parameters of vehicle and sensor, or None. ``poses`` are those of the corrected log.
         doubts: places that may have been taken for others, the most doubtful first.
         evidence: E of `association.evidence`, the logarithm of the evidence for these ids, to compare associations of one
             log.
@@ -59,6 +62,8 @@ class Association:
     rounds: int
     settled: bool
     cost_per_dof: float
+    motion: MotionModel
+    parameters: ParameterEstimate | None
     doubts: tuple[Doubt, ...]
     evidence: float
     options: AssociationOptions
@@ -96,11 +101,13 @@ class Association:
 
     @cached_property
     def log(self) -> Log:
-        """The log with these ids, without clutter. It starts from ``poses``."""
+        """The log with these ids, without clutter. It starts from ``poses``, and has the noise model ``motion``."""
         kept = self.ids != UNIDENTIFIED
         log = self.of
         notes = (*log.notes, *self.notes)
-        return log.with_sightings(kept, landmarks=self.ids[kept], initial_poses=self.poses, notes=notes)
+        return log.with_sightings(
+            kept, landmarks=self.ids[kept], initial_poses=self.poses, notes=notes, motion=self.motion
+        )
 
 
 def associate(
@@ -110,6 +117,7 @@ def associate(
     sensor: SensorModel | None = None,
     options: AssociationOptions | None = None,
     start: Start | list[Start | None] | None = None,
+    estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None,
     **changes: Any,
 ) -> Association:
     """Find out which sightings are of the same landmark, from the log alone. Ids that the log has are not used.
@@ -126,10 +134,13 @@ def associate(
         options: the options; ``changes`` replace single fields of `AssociationOptions`.
         start: (ids (M,), poses (T+1, 3)) that another front end found, such as a particle filter; instead of the drive.
             Of a list of such starts, with None for the drive, the one that ends with the highest evidence is the result.
+        estimate: parameters of vehicle and sensor to estimate on the way, as in `Graph.from_log`; sightings are then
+            assigned in the corrected log.
 
     Raises:
         LogError: the log has no controls.
-        GraphError: the log has no sightings, or no landmark was seen twice: all sightings may be clutter.
+        GraphError: the log has no sightings, or no landmark was seen twice: all sightings may be clutter; or it does not
+            tell the parameters.
         OptionError: an option has an impossible value.
     """
     begin = time.perf_counter()
@@ -140,24 +151,34 @@ def associate(
     if len(log.steps) == 0:
         raise GraphError(f"{log.name} has no sightings at all, so there is nothing to associate")
     check_log(log, motion, sensor)
-    backbone, field = Backbone.of(log, sensor, motion), Field.of(log, sensor)
+    names, robot = wanted(estimate), Robot(log, motion, sensor)
+    backbone, field = robot.backbone, Field.of(log, sensor)
     densities = Densities.of(log, field, options.clutter)
     classes = Classes.of(log, options.confusion)
-    ends: list[tuple[Refined, list[Account]]] = []
+    firsts: list[Refined] = []
     for labels, poses in _starts(log, start):
         if labels is None or poses is None:
             driven = drive(log, motion, backbone, densities, classes, options)
             labels, poses = driven.labels, driven.poses
         if (end := refine(log, backbone, labels, poses, field, densities, classes, options)) is not None:
-            ends.append(climb(log, backbone, end, field, classes, options))
-    if not ends:
+            firsts.append(end)
+    if not firsts:
         raise GraphError(
             f"no landmark of {log.name} was seen often enough to be one: all its {len(log.steps)} sightings may be clutter"
         )
+    # what the best of them says about the robot counts for all
+    shared = Densities.mean([end.densities for end in firsts])
+    likely = int(np.argmax([evidence(log, backbone, end.solved, field, shared) for end in firsts]))
+    given, robot = robot, adapted(robot, firsts[likely], names, classes, options)
+    if robot is not given:
+        log, backbone, field = robot.log, robot.backbone, Field.of(robot.log, robot.sensor)
+        firsts = [end for first in firsts if (end := again(robot, first, classes, options)) is not None] or firsts
+    ends = [climb(log, backbone, end, field, classes, options) for end in firsts]
     densities = Densities.mean([end.densities for end, _ in ends])
     values = [evidence(log, backbone, end.solved, field, densities) for end, _ in ends]
     refined, accounts = ends[int(np.argmax(values))]
-    return _report(log, refined, values, doubts(accounts, options.factor), options, time.perf_counter() - begin)
+    doubtful = doubts(accounts, options.factor)
+    return _report(given, robot, refined, values, doubtful, options, time.perf_counter() - begin)
 
 
 def _starts(log: Log, start: Start | list[Start | None] | None) -> list[tuple[np.ndarray | None, Array | None]]:
@@ -177,19 +198,29 @@ def _starts(log: Log, start: Start | list[Start | None] | None) -> list[tuple[np
 
 
 def _report(
-    log: Log, refined: Refined, values: list[float], doubtful: tuple[Doubt, ...], options: AssociationOptions, seconds: float
+    given: Robot, robot: Robot, refined: Refined, values: list[float], doubtful: tuple[Doubt, ...],
+    options: AssociationOptions, seconds: float,
 ) -> Association:  # fmt: skip
-    graph = refined.solved.graph
+    """The association of the log as it was recorded, found with another robot."""
+    log, graph = given.log, refined.solved.graph
     found = Association(
         of=log, ids=np.where(refined.labels < 0, UNIDENTIFIED, refined.labels),
         margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solved.poses, rounds=refined.rounds,
-        settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), doubts=doubtful,
+        settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), motion=robot.motion,
+        parameters=robot.estimate, doubts=doubtful,
         evidence=max(values), options=options, seconds=seconds, notes=(),
     )  # fmt: skip
     notes = [
         f"found {found.landmarks} landmarks in sightings without ids; {found.clutter} of {len(log.steps)} sightings are "
         f"of no landmark (clutter), J per degree of freedom is {found.cost_per_dof:.2f}"
     ]
+    if robot.motion.epsilon != given.motion.epsilon:
+        notes.append(
+            "over long ways the robot slips sideways more than its noise model allows: for the graph epsilon is raised from "
+            f"{given.motion.epsilon:.2g} to {robot.motion.epsilon:.2g}"
+        )
+    if found.parameters is not None:
+        notes.append(f"ids were found with estimated parameters: {found.parameters.sentence}")
     if found.ambiguous:
         notes.append(
             f"the landmark of {found.ambiguous} sightings is ambiguous: the evidence for it is less than "

@@ -40,7 +40,7 @@ class CartesianObservationEdges(ObservationEdges):
         """The same edges without their kernel: landmarks measured in the robot's axes, the trust in their information."""
         at_origin = np.zeros((self.count, 3))
         measured = self.sensor.h_inverse(at_origin, self.sightings)
-        information = np.linalg.inv(self.sensor.landmark_covariance(at_origin, self.sightings))
+        information = np.linalg.inv(self.sensor.landmark_covariance(at_origin, self.noisy))
         information = (information + np.swapaxes(information, 1, 2)) / 2 * self.trusted[:, None, None]
         edges = RelativePoseEdges if self.oriented else RelativePointEdges
         return edges(self.first, self.second, measured, information, frame=self.frame)

@@ -68,7 +68,7 @@ class MarginalEdges(LandmarkSightings):
         """The sightings one by one, as edges to landmark nodes: the marginal cost is the minimum over these nodes."""
         self._check_constant(self.frame)
         place, means = self._place, self.landmarks(state, state)
-        covariance = self.sensor.landmark_covariance(np.zeros((self.count, 3)), self.sightings)
+        covariance = self.sensor.landmark_covariance(np.zeros((self.count, 3)), self.noisy)
         information = np.linalg.inv(covariance) * self.trusted[:, None, None]
         turn, start = place[:, 2] if self.oriented else None, place[:, :2]
         second = len(state) + self.group

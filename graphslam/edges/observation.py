@@ -22,7 +22,7 @@ from .sightings import SightingEdges
 class ObservationEdges(PairEdges, SightingEdges):
     """Sightings (M, 2 or 3) of landmark nodes ``second`` (M,) from pose nodes ``first`` (M,).
 
-    ``kernel`` and ``trust`` are those of `SightingEdges`.
+    ``kernel``, ``trust`` and ``noise_at`` are those of `SightingEdges`.
     """
 
     sightings: Array
@@ -30,6 +30,7 @@ class ObservationEdges(PairEdges, SightingEdges):
     _: KW_ONLY
     kernel: Kernel | None = None
     trust: Array | None = None
+    noise_at: Array | None = None
 
     @property
     def numbers(self) -> tuple[int, float]:
@@ -46,5 +47,5 @@ class ObservationEdges(PairEdges, SightingEdges):
         x = state[self.first]
         at_origin = np.column_stack([np.zeros((self.count, 2)), x[:, 2]])
         offset = self.sensor.h_inverse(at_origin, self.sightings[:, :2])
-        information = np.linalg.inv(self.sensor.landmark_covariance(x, self.sightings[:, :2]))
+        information = np.linalg.inv(self.sensor.landmark_covariance(x, self.noisy[:, :2]))
         return Relations(self.first, self.second, offset, information)

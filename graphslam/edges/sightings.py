@@ -43,6 +43,7 @@ class SightingEdges(EdgeFamily):
     sensor: SensorModel
     kernel: Kernel | None
     trust: Array | None
+    noise_at: Array | None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -57,6 +58,11 @@ class SightingEdges(EdgeFamily):
     def trusted(self) -> Array:
         """The trust (M,) that the edges work with."""
         return np.ones(len(self.sightings)) if self.trust is None else np.maximum(self.trust, NO_TRUST)
+
+    @property
+    def noisy(self) -> Array:
+        """The sightings (M, 2 or 3) at which the covariance is evaluated."""
+        return self.sightings if self.noise_at is None else self.noise_at
 
     @property
     def oriented(self) -> bool:
@@ -101,7 +107,7 @@ class LandmarkSightings(SightingEdges):
         sightings: (M, 2 or 3).
         sensor: gives Q.
         frame: "world" or "body".
-        kernel, trust: see `SightingEdges`.
+        kernel, trust, noise_at: see `SightingEdges`.
     """
 
     starts: np.ndarray
@@ -112,6 +118,7 @@ class LandmarkSightings(SightingEdges):
     frame: str = "body"
     kernel: Kernel | None = None
     trust: Array | None = None
+    noise_at: Array | None = None
 
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
         return self.starts, self.nodes
@@ -148,7 +155,7 @@ class LandmarkSightings(SightingEdges):
         a, b, first, second = self._consecutive
         y, _ = self.placed(state)
         towards = y[:, :2] - state[self.nodes, :2]
-        covariance = self.sensor.landmark_covariance(state[self.nodes], self.sightings)[:, :2, :2]
+        covariance = self.sensor.landmark_covariance(state[self.nodes], self.noisy)[:, :2, :2]
         return Relations(first, second, towards[a] - towards[b], np.linalg.inv(covariance[a] + covariance[b]))
 
     @cached_property
@@ -164,7 +171,7 @@ class LandmarkSightings(SightingEdges):
 
     def _prepared(self, state: Array, reference: Array, mode: int) -> tuple[Array, Array, Array, Array]:
         """y (M, 3), lever (M, 2), gamma (M,) and C (M, 6) of the sightings; see `prepare`."""
-        return prepare(state, reference, self.nodes, self.sightings, *self._noise, mode)
+        return prepare(state, reference, self.nodes, self.sightings, self.noisy, *self._noise, mode)
 
     @cached_property
     def _by_node(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -181,8 +188,8 @@ class LandmarkSightings(SightingEdges):
 
 
 @njit(cache=True, error_model="numpy")
-def prepare(state, reference, nodes, z, variances, offset, mode):  # type: ignore[no-untyped-def]
-    """y, the lever t, gamma and C = (c_xx, c_xy, c_yy, c_xt, c_yt, c_tt) of each sighting."""
+def prepare(state, reference, nodes, z, noisy, variances, offset, mode):  # type: ignore[no-untyped-def]
+    """y, the lever t, gamma and C = (c_xx, c_xy, c_yy, c_xt, c_yt, c_tt) of each sighting, C at the sightings ``noisy``."""
     count, oriented = len(nodes), z.shape[1] == 3
     by_range, constant, bearing_variance, psi_variance = variances
     y, lever, gamma, C = np.zeros((count, 3)), np.empty((count, 2)), np.zeros(count), np.zeros((count, 6))
@@ -201,13 +208,14 @@ def prepare(state, reference, nodes, z, variances, offset, mode):  # type: ignor
             y[k, 2] = direction - z[k, 2]
         if mode == BODY:
             gamma[k] = y[k, 2]
-            c, s = np.cos(z[k, 2]), np.sin(z[k, 2])
+            c, s = np.cos(noisy[k, 2]), np.sin(noisy[k, 2])
         else:
             before = reference[nodes[k], 2]
             if mode == BODY_WITHOUT_PSI:
                 gamma[k] = x[2] - before
-            if before != x[2]:
-                c, s = np.cos(before + z[k, 1]), np.sin(before + z[k, 1])
+            if before != x[2] or noisy[k, 1] != z[k, 1]:
+                c, s = np.cos(before + noisy[k, 1]), np.sin(before + noisy[k, 1])
+        l = noisy[k, 0]  # noqa: E741
         # R Q R' with R = [[c, -l s, 0], [s, l c, 0], [0, 1, -1]]
         along, across = by_range * l * l + constant, bearing_variance * l * l
         C[k, 0] = along * c * c + across * s * s

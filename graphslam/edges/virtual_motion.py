@@ -88,11 +88,11 @@ class VirtualMotionEdges(LandmarkSightings):
     def covariances(self, reference: Array) -> Array:
         """C (M, d, d) of each sighting in the axes that `frame` uses: the landmark's own, or the reference's world."""
         if self.frame == "world" or not self.oriented:
-            return self.sensor.landmark_covariance(reference[self.nodes], self.sightings)
+            return self.sensor.landmark_covariance(reference[self.nodes], self.noisy)
         # a sighting from direction psi in the landmark's axes: R Q R' of a pose whose theta + phi is psi
         facing = np.zeros((len(self.nodes), 3))
-        facing[:, 2] = self.sightings[:, 2] - self.sightings[:, 1]
-        return self.sensor.landmark_covariance(facing, self.sightings)
+        facing[:, 2] = self.noisy[:, 2] - self.noisy[:, 1]
+        return self.sensor.landmark_covariance(facing, self.noisy)
 
     def linearize(self, state: Array, reference: Array) -> Linearization:
         """The edges one by one; with ``frame="body"`` the residuals are given in the rotated axes."""

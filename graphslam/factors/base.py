@@ -103,6 +103,8 @@ class Factor(gtsam.CustomFactor):
         named = keys if named_keys is None else map(index, named_keys)
         description = FactorDescription(type(self).__name__, tuple(named), arguments)
         super().__init__(noise, keys, _guarded(description, keys, kinds, noise.dim(), residual, in_own_axes, error))
+        #: the residual, for factors made of this one; it closes over numbers only
+        self.residual, self.kinds, self.in_own_axes = residual, tuple(kinds), in_own_axes
         #: what the factor was made from; `describe` reads it also from a factor that only a graph holds
         self.description = description
 

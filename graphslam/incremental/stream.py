@@ -75,6 +75,7 @@ def solve_by_steps(graph: Graph, *, tolerance: float = 1e-7) -> Solution:
 
 def steps_of(graph: Graph, *, tolerance: float = 1e-7) -> Iterator[OnlineEstimate]:
     """As `online`, for the graph of a log with landmark nodes, motion edges and Cartesian residuals in the body frame."""
+    graph.check_no_parameters("the solver step by step")
     sighted = next(family for family in graph.families if isinstance(family, CartesianObservationEdges))
     motions = next(family for family in graph.families if isinstance(family, RelativePoseEdges))
     solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=sighted.kernel, tolerance=tolerance)

@@ -157,7 +157,10 @@ class OnlineSystem:
         touched, fresh, newest = (np.asarray(part, dtype=np.int32) for part in (touched, fresh, newest))
         self.passes, before = 0, self.nodes["x"][: self.num_nodes].copy()
         if not self._eliminate(touched, fresh, newest):
-            raise GraphError("a node is not determined")
+            # second derivatives below the top may make it indefinite, so without them everywhere
+            every = np.arange(self.num_nodes, dtype=np.int32)
+            if len(touched) == len(every) or not self._eliminate(every, fresh, newest):
+                raise GraphError("a node is not determined")
         self.converged = self._iterate(newest)
         if not self.converged:
             # the correction is too large for undamped passes

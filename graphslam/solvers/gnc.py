@@ -24,8 +24,10 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from ..edges import EdgeFamily, MarginalEdges, ObservationEdges, VirtualMotionEdges
+from ..edges.robust import Cauchy
 from ..errors import GraphError, OptionError
 from ..graph import Graph
+from ..parameters.corrected import corrected, sighted_edges
 from ..se2 import Array
 from ..solution import Solution
 from ..transform import poses_only, with_landmark_nodes
@@ -33,6 +35,7 @@ from .iteration import Run
 from .levenberg_marquardt import levenberg_marquardt
 from .solve import solve
 from .start import place_landmarks
+from .with_parameters import without_parameters
 
 #: mu grows by this factor from one graph to the next
 GROWTH = 1.4
@@ -77,7 +80,9 @@ def solve_gnc(
     if max_rounds < 1:
         raise OptionError(f"max_rounds must be at least 1, not {max_rounds}")
     begin = time.perf_counter()
-    best = _best_sequence(graph, probability, max_rounds, initialize)
+    if graph.parameters is not None:
+        graph = _at_robust_parameters(graph, initialize)
+    best = _best_sequence(without_parameters(graph), probability, max_rounds, initialize)
     trust, weighted = best.trust, graph.with_trust(best.trust)
     start = weighted.with_initial(place_landmarks(weighted, best.state[: len(graph.steps)]))
     solution = solve(start, tolerance=tolerance, initialize="given")
@@ -95,6 +100,16 @@ def solve_gnc(
         notes=(*graph.notes, note),
         trust=trust,
     )
+
+
+def _at_robust_parameters(graph: Graph, initialize: str) -> Graph:
+    """The graph at parameters that a robust kernel finds: at wrong parameters correct sightings would be rejected."""
+    seen = sighted_edges(graph)
+    robust = replace(seen, kernel=Cauchy())  # type: ignore[type-var]
+    families = tuple(robust if family is seen else family for family in graph.families)
+    found = solve(replace(graph, families=families), tolerance=_rough(graph), initialize=initialize)
+    assert found.graph is not None and found.graph.parameters is not None
+    return corrected(graph, found.graph.parameters.values, found.state).with_initial(found.state)
 
 
 @dataclass(frozen=True)

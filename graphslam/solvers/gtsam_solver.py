@@ -12,7 +12,6 @@ from collections import Counter
 import gtsam
 import numpy as np
 
-from .. import edges
 from .. import factors as factor_types
 from ..checks import check_count, check_positive
 from ..errors import GraphError
@@ -21,9 +20,12 @@ from ..se2 import Array, wrap
 from ..solution import Solution, make_solution
 from .auto import DAMPED, best_run
 from .gtsam_factors import to_gtsam
+from .gtsam_parameters import solve_jointly_with_gtsam
+from .gtsam_values import eliminated_landmarks, from_values, to_values
 from .iteration import Run
 from .mixing import AndersonMixing
 from .starting import starting_state
+from .with_parameters import FIRST, solve_jointly, without_parameters
 
 
 def solve_with_gtsam(
@@ -60,6 +62,8 @@ def solve_with_gtsam(
     """
     check_positive(tolerance=tolerance)
     check_count(max_iterations=max_iterations)
+    if graph.parameters is not None:
+        return _with_parameters(graph, tolerance, max_iterations, initialize, factors)
     made = to_gtsam(graph, factors=factors)
     begin = time.perf_counter()
 
@@ -89,6 +93,19 @@ def solve_with_gtsam(
     )  # fmt: skip
 
 
+def _with_parameters(graph: Graph, tolerance: float, most: int, initialize: str, factors: str) -> Solution:
+    """The solution of a graph with parameters: the nodes alone first, then all together."""
+    begin = time.perf_counter()
+    rough = max(FIRST, tolerance)
+    first = solve_with_gtsam(without_parameters(graph), tolerance=rough, initialize=initialize, factors=factors)
+    run = Run(first.state, tolerance, most)
+    found = solve_jointly(graph, first.state, solve_jointly_with_gtsam, run)
+    return make_solution(
+        found, run.state, step_norms=run.step_norms, costs=[], converged=run.converged, reason=run.reason,
+        seconds=time.perf_counter() - begin, solver="gtsam",
+    )  # fmt: skip
+
+
 def _contents(factors: gtsam.NonlinearFactorGraph) -> str:
     """The number of factors of each type, as a note of a solution."""
     each = [factors.at(k) for k in range(factors.size())]
@@ -96,40 +113,6 @@ def _contents(factors: gtsam.NonlinearFactorGraph) -> str:
         factor_types.describe(f).kind if isinstance(f, gtsam.CustomFactor) else type(f).__name__ for f in each
     )
     return "graph: " + ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in kinds.items())
-
-
-def eliminated_landmarks(graph: Graph, state: Array) -> gtsam.Values:
-    """The values of the landmark nodes that `to_gtsam` adds for marginal edges with a kernel: their robust means."""
-    values = gtsam.Values()
-    for family in graph.families:
-        if isinstance(family, edges.MarginalEdges) and family.kernel is not None:
-            for key, (x, y, heading) in enumerate(family.landmarks(state, state).tolist(), start=graph.num_nodes):
-                oriented = family.sightings.shape[1] == 3
-                values.insert(key, gtsam.Pose2(x, y, heading) if oriented else gtsam.Point2(x, y))
-    return values
-
-
-def to_values(graph: Graph, state: Array) -> gtsam.Values:
-    """The values of all nodes (n, 3), keyed by node number: `gtsam.Pose2`, or `gtsam.Point2` for a point landmark."""
-    values, poses = gtsam.Values(), _count_poses(graph)
-    for node, (x, y, theta) in enumerate(state.tolist()):
-        values.insert(node, gtsam.Pose2(x, y, theta) if node < poses else gtsam.Point2(x, y))
-    return values
-
-
-def from_values(graph: Graph, values: gtsam.Values) -> Array:
-    """The state (n, 3) of values that `to_values` made and an optimiser moved."""
-    state, poses = np.zeros((graph.num_nodes, 3)), _count_poses(graph)
-    # the landmarks of `eliminated_landmarks` follow the graph's own nodes
-    state[:poses] = gtsam.utilities.extractPose2(values)[:poses]
-    if poses < len(state):
-        state[poses:, :2] = gtsam.utilities.extractPoint2(values)[: len(state) - poses]
-    return state
-
-
-def _count_poses(graph: Graph) -> int:
-    """The number of nodes that are `gtsam.Pose2`: poses, and landmarks with a heading."""
-    return graph.num_nodes if graph.landmark_dimension == 3 else len(graph.steps)
 
 
 def _difference(a: Array, b: Array) -> Array:

@@ -256,6 +256,7 @@ def solve_online(
     if options.get("frame", "body") == "world":
         raise GraphError("isam2 cannot re-evaluate the information of the world frame; use frame='body'")
     graph = Graph.from_log(log, **options)
+    graph.check_no_parameters("ISAM2")
     motion, sensor = options.get("motion") or log.motion or MotionModel(), graph.sensor
     motions, covariances = log.motions(motion)
     sightings = log.sightings[:, :2] if options.get("dimensions") == 2 else log.sightings

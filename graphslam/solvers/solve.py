@@ -16,6 +16,7 @@ from .gauss_newton import gauss_newton
 from .iteration import Iteration, Run
 from .levenberg_marquardt import levenberg_marquardt
 from .starting import INITIALIZE, starting_state
+from .with_parameters import FIRST, solve_jointly, without_parameters
 
 METHODS = {"gauss-newton": gauss_newton, "levenberg-marquardt": levenberg_marquardt}
 
@@ -81,7 +82,11 @@ def solve(
         METHODS[search](graph, run)
         return run
 
-    if initialize == "auto":
+    if graph.parameters is not None:
+        first = solve(without_parameters(graph), method=method, tolerance=max(FIRST, tolerance), initialize=initialize)
+        run = Run(first.state, tolerance, max_iterations, cost_tolerance, callback=callback)
+        graph = solve_jointly(graph, first.state, METHODS[method], run)
+    elif initialize == "auto":
         run = best_run(graph, run_from, method)
         for step in run.recorded if callback is not None else ():
             callback(step)

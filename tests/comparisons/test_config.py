@@ -112,7 +112,7 @@ def test_a_log_that_has_changed_is_not_taken_for_the_same(invoke: Invoke, log_fi
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("\nestimater = ['graph']\n", [":2:", "'estimater'", "'estimators'"]),
+        ("\nestimatorz = ['graph']\n", [":2:", "'estimatorz'", "'estimators'"]),
         ("estimators = ['grap']\n", [":1:", "'graph'"]),
         ("particles = 'many'\n", [":1:", "whole number"]),
         ("\nparticles = 0\n", [":2:", "at least 1"]),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from comparisons.comparison import compare
+from comparisons.documents import parameters_document
 from comparisons.estimators import (
     ESTIMATORS,
     Estimator,
@@ -59,7 +60,9 @@ def test_graph_is_what_the_library_solves(log: Log) -> None:
     np.testing.assert_array_equal(result.poses, expected.poses)
     assert (result.cost, result.iterations) == (expected.cost, expected.iterations)
     recorded = {"edges": "virtual+motion", "frame": "world", "weight": "tempered", "motion_weight": 3.0}
-    assert result.options == recorded | {"initialize": "auto", "kernel": "none", "residual": "cartesian"}
+    assert result.options == recorded | {
+        "initialize": "auto", "kernel": "none", "residual": "cartesian", "estimate": None,
+    }  # fmt: skip
     given = ESTIMATORS["graph"].run(log, replace(options, initialize="given"))
     np.testing.assert_array_equal(given.poses, solve(make_graph(log, options), initialize="given").poses)
 
@@ -266,3 +269,18 @@ def test_what_mcl_needs(log: Log) -> None:
 def test_impossible_options_of_the_filters(options):
     with pytest.raises(OptionError, match="must be one of"):
         RunOptions.of(**options)
+
+
+def test_parameters_are_estimated_and_told(log: Log) -> None:
+    options = replace(OPTIONS, edges="landmark+motion", estimate=("turn-scale", "bearing_bias:0.1"))
+    result = ESTIMATORS["graph"].run(log, options)
+    expected = solve(make_graph(log, options)).parameters
+    assert result.parameters is not None and expected is not None
+    np.testing.assert_array_equal(result.parameters.values, expected.values)
+    assert any(expected.sentence in note for note in result.notes)
+    told = parameters_document(result.parameters)
+    assert told is not None and told["turn_scale"]["prior"] is None and told["bearing_bias"]["prior"] == 0.1
+    assert told["turn_scale"]["deviation"] == expected.deviations["turn_scale"]
+    assert ESTIMATORS["isam2"].run(log, options).parameters is None
+    with pytest.raises(OptionError, match="no parameter 'turn'"):
+        replace(OPTIONS, estimate=("turn",))

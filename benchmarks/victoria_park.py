@@ -1,0 +1,70 @@
+"""Victoria Park without ids: FastSLAM 2.0, the association from its ids, and the graph, against GPS at the antenna.
+
+    python benchmarks/victoria_park.py --runs 30:0 10:0 10:1 10:2 [--estimate turn_scale,range_bias,bearing_bias]
+
+Nothing is tuned on GPS. Root mean square distances over all GPS positions, aligned and not; processor times.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+from fastslam import FastSLAM2
+from fastslam.options import FilterOptions
+from graphslam import Graph, Log, associate, load, solve
+from graphslam.log import UNIDENTIFIED
+from graphslam.metrics import ate
+from graphslam.se2 import Array
+
+DATA = Path(os.environ.get("SLAM_DATA", Path(__file__).parents[1] / "../shared/data"))
+
+
+def errors(log: Log, poses: Array) -> str:
+    """The errors at the antenna, 'aligned / unaligned'."""
+    assert log.true_poses is not None
+    here = log.covered
+    at, truth = log.at_truth(poses)[here], log.true_poses[here]
+    return f"{ate(truth, at):.2f} / {np.sqrt(np.mean(np.sum((at - truth)[:, :2] ** 2, axis=1))):.2f} m"
+
+
+def main() -> None:
+    """Print a line for each run and each graph."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", nargs="+", default=["30:0"], metavar="PARTICLES:SEED")
+    parser.add_argument("--estimate", default="")
+    given = parser.parse_args()
+    log = load(DATA / "victoria_park")
+    for run in given.runs:
+        particles, seed = map(int, run.split(":"))
+        begin = time.process_time()
+        options = FilterOptions(particles=particles, seed=seed, association="maximum-likelihood")
+        result = FastSLAM2(log, options=options).run()
+        filtered = time.process_time()
+        assert result.association is not None and result.unconfirmed is not None
+        lost = (result.association == UNIDENTIFIED) | result.unconfirmed
+        start = (np.where(lost, -1, result.association), result.poses)
+        print(f"{particles} particles, seed {seed}: {errors(log, result.poses)}, {filtered - begin:.1f} s", flush=True)
+        for slip in (False, True):
+            begin = time.process_time()
+            found = associate(log, start=start, slip=slip, estimate=given.estimate)
+            middle = time.process_time()
+            print(
+                f"  slip {slip}: {found.landmarks} landmarks, epsilon {found.motion.epsilon:.2g}, {middle - begin:.1f} s"
+            )
+            for kernel in (None, "cauchy"):
+                begin = time.process_time()
+                graph = Graph.from_log(found.log, edges="landmark+motion", kernel=kernel, estimate=given.estimate)
+                solution = solve(graph)
+                seconds = time.process_time() - begin
+                dof = solution.cost / solution.graph.degrees_of_freedom if solution.graph else np.nan
+                what = f"kernel {kernel}, J / dof {dof:.3f}, {seconds:.1f} s"
+                print(f"    graph {errors(log, solution.poses)}, {what}, {solution.parameters or ''}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,304 @@
+"""Parameters of vehicle and sensor as unknowns of the graph."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from graphslam import (
+    Graph,
+    GraphError,
+    Log,
+    MotionModel,
+    OptionError,
+    SensorModel,
+    load,
+    sample_log_path,
+    simulate,
+    solve,
+    solve_gnc,
+    solve_online,
+    solve_with_gtsam,
+)
+from graphslam.incremental.stream import solve_by_steps
+from graphslam.parameters import PARAMETERS
+from graphslam.parameters.corrections import (
+    corrected_controls,
+    corrected_sensor,
+    corrected_sightings,
+    motion_slopes,
+    moves,
+)
+from graphslam.parameters.declared import parsed
+from graphslam.parameters.joint import JointGraph
+from graphslam.se2 import compose
+
+MOTION = MotionModel(nn=0.02, no=0.001, on=0.02, oo=0.02, epsilon=1e-6)
+SENSOR = SensorModel(range_rate=0.02, bearing_std=0.01, orientation_std=0.01)
+#: what is wrong with the logs of `drive`
+BIASES = {"wheel_scale": 1.03, "turn_scale": 0.95, "turn_rate_bias": 0.004, "bearing_bias": 0.05, "range_bias": 0.1}
+
+
+def drive(seed: int = 0, steps: int = 40, **biases: float) -> Log:
+    """A clean drive along way points, recorded by a robot with biases."""
+    log = simulate(
+        seed=seed, steps=steps, clean=True, motion=MOTION, sensor=SENSOR, way_points=((3, -3), (3, 3), (-3, 3), (-3, -3)),
+        turn_rate=0.4,
+    )  # fmt: skip
+    b = {name: parameter.ideal for name, parameter in PARAMETERS.items()} | biases
+    assert log.controls is not None
+    nu, omega = log.controls.T
+    recorded = np.column_stack(
+        [b["wheel_scale"] * nu, b["turn_scale"] * omega + b["turn_rate_bias"] + b["curvature_bias"] * nu]
+    )
+    z = log.sightings * [b["range_scale"], 1, 1] + [b["range_bias"], b["bearing_bias"], 0]
+    biased = log.replace(controls=recorded, sightings=z, motion=MOTION, sensor=SENSOR)
+    return biased.replace(initial_poses=biased.dead_reckoning())
+
+
+@pytest.fixture(scope="module")
+def biased() -> Log:
+    return drive(**BIASES)
+
+
+ALL = list(PARAMETERS)
+
+
+def test_derivatives_are_those_of_the_corrections(biased: Log) -> None:
+    """At values far from the ideal ones, with motions of several controls."""
+    graph = Graph.from_log(biased.at_steps(np.arange(0, 41, 4)), edges="landmark+motion", estimate=ALL)
+    assert graph.parameters is not None
+    values = np.array([1.1, 0.9, 0.01, 0.02, 1.2, 0.1, 0.1, 0.3, -0.2, 0.0])
+    p = graph.parameters.at(values)
+    rows = np.arange(len(p.recorded.steps))
+
+    def evaluated(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        here = p.at(v)
+        z = corrected_sightings(here, rows, 3)
+        facing = corrected_sensor(here).h_inverse(np.zeros(3), z)
+        return here.motion.accumulated_slopes(corrected_controls(here), p.recorded.dt, p.recorded.control_starts)[
+            0
+        ], facing
+
+    _, slopes = motion_slopes(p, corrected_controls(p))
+    X = moves(p, corrected_sightings(p, rows, 3), p.recorded.steps)
+    places = evaluated(values)[1]
+    for k in range(len(values)):
+        h = 1e-6 * np.eye(len(values))[k]
+        (motions, ahead), (before, behind) = evaluated(values + h), evaluated(values - h)
+        np.testing.assert_allclose(slopes[:, :, k], (motions - before) / 2e-6, atol=1e-7, err_msg=ALL[k])
+        # the same places, seen from a pose that moves
+        numeric = (ahead - behind) / 2e-6
+        moved = (compose(1e-6 * X[:, :, k], places) - compose(-1e-6 * X[:, :, k], places)) / 2e-6
+        np.testing.assert_allclose(moved, numeric, atol=1e-6, err_msg=ALL[k])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"edges": "landmark+motion", "kernel": "cauchy"},
+        {"edges": "landmark+motion", "frame": "world", "dimensions": 2},
+        {"weight": "marginal"},
+        {"weight": "tempered", "kernel": "huber"},
+        {"weight": "pairs", "dimensions": 2},
+    ],
+    ids=str,
+)
+def test_both_solvers_end_at_the_same_optimum(options: dict) -> None:
+    log = drive(steps=14, **BIASES)
+    estimate = ["wheel_scale", "turn_scale:0.2", "bearing_bias", "sensor_ahead:0.1"]
+    graph = Graph.from_log(log, estimate=estimate, **options)
+    ours, theirs = solve(graph), solve_with_gtsam(graph)
+    assert ours.converged and theirs.converged
+    np.testing.assert_allclose(ours.parameters.values, theirs.parameters.values, atol=1e-8)
+    np.testing.assert_allclose(ours.poses, theirs.poses, atol=1e-8)
+
+
+def test_landmarks_as_nodes_and_eliminated_are_the_same(biased: Log) -> None:
+    nodes = solve(Graph.from_log(biased, edges="landmark+motion", estimate=list(BIASES)))
+    marginal = solve(Graph.from_log(biased, weight="marginal", estimate=list(BIASES)))
+    np.testing.assert_allclose(nodes.parameters.values, marginal.parameters.values, atol=1e-8)
+    np.testing.assert_allclose(nodes.parameters.covariance, marginal.parameters.covariance, rtol=1e-6)
+    np.testing.assert_allclose(nodes.covariance(20), marginal.covariance(20), rtol=1e-5)
+    assert nodes.cost == pytest.approx(marginal.cost, rel=1e-8)
+
+
+def test_known_biases_are_found_with_their_covariance() -> None:
+    """e' P^-1 e over the number of parameters is 1 on average; 12 logs with 5 parameters leave it between 0.6 and 1.5."""
+    truth, squares = np.array(list(BIASES.values())), []
+    for seed in range(12):
+        found = solve(Graph.from_log(drive(seed, **BIASES), edges="landmark+motion", estimate=list(BIASES))).parameters
+        error = found.values - truth
+        squares.append(error @ np.linalg.solve(found.covariance, error) / len(error))
+    assert 0.6 < np.mean(squares) < 1.5
+
+
+def test_range_scale_is_found_beside_noise_in_proportion_to_the_range() -> None:
+    """With noise and derivatives at the measured ranges these logs give 1.006 in place of 0.95."""
+    found = []
+    for seed in range(8):
+        log = simulate(seed=seed, steps=60, clean=True, motion=MOTION)
+        z = log.sightings * [0.95, 1, 1]
+        found.append(
+            solve(
+                Graph.from_log(log.replace(sightings=z), motion=MOTION, edges="landmark+motion", estimate="range_scale")
+            )
+        )
+    values = [solution.parameters["range_scale"] for solution in found]
+    deviation = np.mean([solution.parameters.deviations["range_scale"] for solution in found])
+    assert abs(np.mean(values) - 0.95) < 3 * deviation / np.sqrt(len(values))
+
+
+def test_covariances_are_the_inverse_of_the_whole_system(biased: Log) -> None:
+    solution = solve(Graph.from_log(biased, edges="landmark+motion", estimate=["wheel_scale", "bearing_bias:0.1"]))
+    graph = solution.graph
+    joint = JointGraph(graph)
+    border = joint.border(graph, solution.state, solution.state)
+    omega = graph.linearize(solution.state)[0].to_sparse().toarray()
+    n = len(omega)
+    whole = np.zeros((n + 2, n + 2))
+    whole[:n, :n], whole[n:, n:] = omega, border.own
+    whole[:n, n:] = border.mixed.reshape(n, 2)
+    whole[n:, :n] = whole[:n, n:].T
+    covariance = np.linalg.inv(whole)
+    np.testing.assert_allclose(solution.parameters.covariance, covariance[n:, n:], rtol=1e-6)
+    np.testing.assert_allclose(solution.covariance(7), covariance[21:24, 21:24], rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(solution.cross_covariance(3, 9), covariance[9:12, 27:30], rtol=1e-5, atol=1e-10)
+
+
+def test_the_deviation_is_the_curvature_of_the_cost(biased: Log) -> None:
+    """J of logs that are corrected by hand, minimised over the nodes, is J* + (p - p*)² / sigma²."""
+    solution = solve(Graph.from_log(biased, edges="landmark+motion", estimate="turn_rate_bias"))
+    found, sigma = solution.parameters["turn_rate_bias"], solution.parameters.deviations["turn_rate_bias"]
+    at = [found - 3 * sigma, found, found + 3 * sigma]
+    costs = [solve(Graph.from_log(biased.corrected(turn_rate_bias=b), edges="landmark+motion")).cost for b in at]
+    # the noise at measured ranges, not at predicted ones, shifts the minimum a little
+    assert costs[0] - 2 * costs[1] + costs[2] == pytest.approx(2 * 9, rel=0.03)
+
+
+def test_the_sample_log_shows_its_biases() -> None:
+    """Its notes: turn rate x 1.082, bearing -0.044 rad; speed x 1.035 and range x 0.977 only as a ratio."""
+    log = load(sample_log_path())
+    graph = Graph.from_log(log, edges="landmark+motion", estimate=["range_scale", "turn_scale", "bearing_bias"])
+    found = solve(graph).parameters
+    for name, truth in {"range_scale": 0.977 * 1.035, "turn_scale": 1 / 1.082, "bearing_bias": -0.044}.items():
+        assert abs(found[name] - truth) < 2 * found.deviations[name], name
+    assert "turn_scale 0.92" in repr(found)
+
+
+@pytest.mark.parametrize(
+    ("log", "estimate", "words"),
+    [
+        ("biased", ["wheel_scale", "range_scale"], "wheel_scale and range_scale together.*size of the world"),
+        ("biased", ["wheel_scale:0.1", "range_scale:0.1"], "size of the world"),
+        ("straight", ["sensor_left"], "tell sensor_left: poses and landmarks can follow"),
+        ("straight", ["turn_scale"], "tell turn_scale: nothing that was recorded depends on it"),
+        ("circle", ["turn_scale", "turn_rate_bias"], "turn_scale and turn_rate_bias together"),
+        ("circle", ["turn_rate_bias", "curvature_bias"], "turn_rate_bias and curvature_bias together"),
+        ("noisy", ["turn_scale"], "its standard deviation would be"),
+    ],
+)
+def test_what_a_log_does_not_tell_is_refused(biased: Log, log: str, estimate: list[str], words: str) -> None:
+    world = {"steps": 20, "clean": True, "motion": MOTION, "sensor": SENSOR}
+    straight = {"turn_rate": 0.0, "landmarks": ((1, -4), (2, -1), (5, -4), (8, -1), (11, -4), (13, -1))}
+    exact = {
+        "motion": MotionModel(nn=1e-9, no=1e-9, on=1e-9, oo=1e-9, epsilon=1e-16),
+        "sensor": SensorModel(range_rate=1e-9, bearing_std=1e-9),
+    }
+    logs = {
+        "biased": lambda: biased,
+        "straight": lambda: simulate(**(world | exact), **straight),
+        "circle": lambda: simulate(**world),
+        "noisy": lambda: simulate(**world, **(straight | {"turn_rate": 1e-4})),
+    }
+    graph = Graph.from_log(
+        logs[log](), motion=MOTION, sensor=SENSOR, edges="landmark+motion", dimensions=2, estimate=estimate
+    )
+    with pytest.raises(GraphError, match=words):
+        solve(graph)
+    if log == "biased":
+        with pytest.raises(GraphError, match=words):
+            solve_with_gtsam(graph)
+
+
+def test_a_known_lever_tells_the_size_of_the_world() -> None:
+    """A sensor at a known place ahead of the robot is a length that both scales can be measured by."""
+    far = replace(SENSOR, offset=(1.5, 0.0))
+    log = simulate(
+        seed=3, steps=60, clean=True, motion=MOTION, sensor=far, turn_rate=0.4,
+        way_points=((3, -3), (3, 3), (-3, 3), (-3, -3)),
+    )  # fmt: skip
+    log = log.replace(sightings=log.sightings * [1.1, 1, 1], motion=MOTION, sensor=far)
+    found = solve(Graph.from_log(log, edges="landmark+motion", estimate=["wheel_scale", "range_scale"])).parameters
+    assert abs(found["range_scale"] - 1.1) < 3 * found.deviations["range_scale"] < 0.3
+
+
+def test_priors_hold_parameters(biased: Log) -> None:
+    free, weak, tight = (
+        solve(Graph.from_log(biased, weight="marginal", estimate={"turn_scale": deviation})).parameters
+        for deviation in (None, 10.0, 1e-6)
+    )
+    assert weak["turn_scale"] == pytest.approx(free["turn_scale"], abs=1e-5) and free.priors == {}
+    assert tight["turn_scale"] == pytest.approx(1.0, abs=1e-5)
+    assert tight.deviations["turn_scale"] < 1e-6 and tight.priors == {"turn_scale": (1.0, 1e-6)}
+
+
+def test_the_solution_is_that_of_the_corrected_log(biased: Log) -> None:
+    solution = solve(Graph.from_log(biased, weight="marginal", estimate=list(BIASES)))
+    log = solution.graph.log
+    np.testing.assert_allclose(log.sightings[:, 1], biased.sightings[:, 1] - solution.parameters["bearing_bias"])
+    again = solve(Graph.from_log(log, weight="marginal"))
+    # only the ranges at which the noise is evaluated differ
+    plain = solve(Graph.from_log(biased, weight="marginal"))
+    change = np.abs(plain.poses - solution.poses).max()
+    assert np.abs(again.poses - solution.poses).max() < 0.05 * change
+    assert solution.certificate.applicable
+    assert set(solution.landmarks) == set(again.landmarks)
+
+
+def test_wrong_sightings_are_rejected_at_the_estimated_parameters(biased: Log) -> None:
+    wrong = np.arange(len(biased.steps)) % 10 == 0
+    z = biased.sightings.copy()
+    z[wrong, 0] *= 2
+    options = {"edges": "landmark+motion", "estimate": list(BIASES)}
+    robust = solve_gnc(Graph.from_log(biased.replace(sightings=z), **options))
+    assert robust.trust is not None
+    assert robust.trust[wrong].max() < 0.5 and np.mean(robust.trust[~wrong]) > 0.95
+    clean = solve(Graph.from_log(biased.with_sightings(~wrong), **options)).parameters
+    deviations = np.array(list(clean.deviations.values()))
+    np.testing.assert_array_less(np.abs(robust.parameters.values - clean.values), deviations)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"estimate": ["wheel_size"]}, OptionError, "did you mean 'wheel_scale'"),
+        ({"estimate": ["wheel_scale:-1"]}, OptionError, "positive standard deviation"),
+        ({"estimate": ["wheel_scale:many"]}, OptionError, "positive standard deviation"),
+        ({"estimate": "wheel-scale", "edges": "virtual"}, GraphError, "no motion edges"),
+        ({"estimate": "range_bias", "edges": "landmark+motion", "residual": "polar"}, GraphError, "cartesian"),
+    ],
+)
+def test_impossible_requests(biased: Log, options: dict, error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        Graph.from_log(biased, **options)
+
+
+def test_names_may_have_hyphens_and_priors() -> None:
+    assert parsed("wheel-scale,range_bias:0.1") == {"wheel_scale": np.inf, "range_bias": 0.1}
+    assert parsed({"wheel_scale": 0.1, "range_bias": None}) == {"wheel_scale": 0.1, "range_bias": np.inf}
+
+
+def test_solvers_without_parameters_refuse(biased: Log) -> None:
+    graph = Graph.from_log(biased, edges="landmark+motion", estimate="bearing_bias")
+    with pytest.raises(GraphError, match="cannot estimate parameters"):
+        solve_by_steps(graph)
+    with pytest.raises(GraphError, match="cannot estimate parameters"):
+        solve_online(biased, estimate="bearing_bias")
+
+
+def test_a_landmark_seen_twice_from_a_pose_needs_its_sightings_counted_once(biased: Log) -> None:
+    twice = biased.with_sightings(np.sort(np.append(np.arange(len(biased.steps)), 5)))
+    with pytest.raises(GraphError, match="seen twice from one pose.*weight='marginal'"):
+        solve(Graph.from_log(twice, estimate="bearing_bias"))
+    assert solve(Graph.from_log(twice, weight="marginal", estimate="bearing_bias")).converged
