@@ -5,7 +5,9 @@
 
     printf 'u 1 0 1\\nz 7 2 0.3\\nu 1 0.1 1\\nz 7 1.2 0.5\\n' | python examples/online.py
 
-After each motion with its sightings, it prints x, y, theta and their standard deviations; at the end, the map.
+After each motion with its sightings, it prints x, y, theta and their standard deviations; at the end, the map. Empty lines
+and those that begin with # are left out. A line that makes no sense, and a step that is refused, are reported on standard
+error, and the run goes on.
 """
 
 import sys
@@ -16,7 +18,7 @@ from graphslam import OnlineSolver, SlamError
 
 
 def main() -> None:
-    """Read lines until the end; a line that is refused is reported, and the run goes on."""
+    """Read lines until the end."""
     solver, control, seen = OnlineSolver(), None, []
 
     def take() -> None:
@@ -27,18 +29,30 @@ def main() -> None:
         try:
             pose = solver.step(**moved, ids=ids, sightings=sightings)
         except SlamError as error:
-            print(error, file=sys.stderr)
+            print(f"step before line {number}: {error}", file=sys.stderr)
             return
         std = np.sqrt(np.diag(solver.covariance()))
         print(*(f"{value:.4f}" for value in (*pose, *std)), flush=True)
 
-    for line in sys.stdin:
-        kind, *words = line.split() or [""]
-        if kind == "u":
-            take()
-            control, seen = [float(word) for word in words], []
-        elif kind == "z":
-            seen.append((int(words[0]), [float(word) for word in words[1:]]))
+    number = 0
+    for number, line in enumerate(sys.stdin, start=1):
+        words = line.split()
+        try:
+            match words:
+                case ["u", nu, omega, dt]:
+                    following = float(nu), float(omega), float(dt)
+                    take()
+                    control, seen = following, []
+                case ["z", landmark, *measured] if len(measured) in (2, 3):
+                    seen.append((int(landmark), [float(word) for word in measured]))
+                case [word, *_] if not word.startswith("#"):
+                    raise ValueError
+        except ValueError:
+            print(
+                f"line {number} is neither 'u nu omega dt' nor 'z id range bearing [psi]': {line.strip()}",
+                file=sys.stderr,
+            )
+    number += 1
     take()
     for landmark, mark in solver.landmarks.items():
         print("landmark", landmark, *(f"{value:.4f}" for value in mark))
