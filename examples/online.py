@@ -5,9 +5,7 @@
 
     printf 'u 1 0 1\\nz 7 2 0.3\\nu 1 0.1 1\\nz 7 1.2 0.5\\n' | python examples/online.py
 
-After each motion with its sightings, it prints x, y, theta and their standard deviations; at the end, the map. Empty lines
-and those that begin with # are left out. A line that makes no sense, and a step that is refused, are reported on standard
-error, and the run goes on.
+After each motion with its sightings, it prints x, y, theta and their standard deviations; at the end, the map.
 """
 
 import sys
@@ -18,8 +16,8 @@ from graphslam import OnlineSolver, SlamError
 
 
 def main() -> None:
-    """Read lines until the end."""
-    solver, control, seen = OnlineSolver(), None, []
+    """Read lines until the end; what is refused is reported with its line, and the run goes on."""
+    solver, began, control, seen = OnlineSolver(), 1, None, []
 
     def take() -> None:
         if control is None and not seen:
@@ -29,33 +27,37 @@ def main() -> None:
         try:
             pose = solver.step(**moved, ids=ids, sightings=sightings)
         except SlamError as error:
-            print(f"step before line {number}: {error}", file=sys.stderr)
+            print(f"line {began}: the step from here on is left out: {error}", file=sys.stderr)
             return
         std = np.sqrt(np.diag(solver.covariance()))
         print(*(f"{value:.4f}" for value in (*pose, *std)), flush=True)
 
-    number = 0
     for number, line in enumerate(sys.stdin, start=1):
-        words = line.split()
-        try:
-            match words:
-                case ["u", nu, omega, dt]:
-                    following = float(nu), float(omega), float(dt)
-                    take()
-                    control, seen = following, []
-                case ["z", landmark, *measured] if len(measured) in (2, 3):
-                    seen.append((int(landmark), [float(word) for word in measured]))
-                case [word, *_] if not word.startswith("#"):
-                    raise ValueError
-        except ValueError:
-            print(
-                f"line {number} is neither 'u nu omega dt' nor 'z id range bearing [psi]': {line.strip()}",
-                file=sys.stderr,
-            )
-    number += 1
+        match line.split():
+            case ["u", *words] if len(words) == 3 and all(map(is_number, words)):
+                take()
+                began, control, seen = number, [float(word) for word in words], []
+            case ["z", landmark, *words] if (
+                landmark.lstrip("-").isdecimal() and len(words) in (2, 3) and all(map(is_number, words))
+            ):
+                seen.append((int(landmark), [float(word) for word in words]))
+            case []:
+                pass
+            case _:
+                wanted = "u nu omega dt, or z id range bearing [psi]"
+                print(f"line {number}: expected {wanted}, not {line.strip()!r}; left out", file=sys.stderr)
     take()
     for landmark, mark in solver.landmarks.items():
         print("landmark", landmark, *(f"{value:.4f}" for value in mark))
+
+
+def is_number(word: str) -> bool:
+    """Whether a word is a number; the solver itself refuses those that are not finite."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 if __name__ == "__main__":
