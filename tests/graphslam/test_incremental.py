@@ -1,7 +1,10 @@
 """The online solver: after every step at the optimum of the whole graph, and unchanged by steps that it refuses."""
 
+import io
+import runpy
 from copy import deepcopy
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -221,3 +224,30 @@ def test_the_minimum_is_found_where_gauss_newton_diverges(monkeypatch):
     found = solver.poses
     solver.relinearize()
     np.testing.assert_allclose(solver.poses, found, atol=1e-6)
+
+
+def test_the_example_goes_on_after_lines_that_are_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = [
+        "u 1 0 1",
+        "z 7 2 0.3",
+        "u 1 0.1 1",
+        "z 7 1.2 0.5",
+        "u 1 0.1 -1",
+        "q 3",
+        "z a b",
+        "",
+        "u 1 0.1 1",
+        "z 7 1 0.9",
+    ]
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(lines)))
+    runpy.run_path(str(Path(__file__).parents[2] / "examples" / "online.py"), run_name="__main__")
+    printed = capsys.readouterr()
+    poses = [list(map(float, line.split())) for line in printed.out.splitlines()[:-1]]
+    assert np.shape(poses) == (3, 6)
+    assert poses[2][0] > poses[1][0] > poses[0][0] > 0
+    assert printed.out.splitlines()[-1].startswith("landmark 7 ")
+    refused = printed.err.splitlines()
+    assert [line.split(":")[0] for line in refused] == ["line 6", "line 7", "line 5"]
+    assert "dt must be a positive number, not -1.0" in refused[2]
