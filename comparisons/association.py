@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 import fastslam
-from graphslam import Association, Log, associate
+from graphslam import Association, Log, SlamError, associate
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import Array
 
@@ -18,8 +18,8 @@ from .options import RunOptions
 
 #: runs of FastSLAM 2.0 with which the front end best begins, beside the drive
 STARTS = 3
-#: what was found for a log, by what it was found with
-_FOUND: WeakKeyDictionary[Log, dict[tuple[object, ...], Association]] = WeakKeyDictionary()
+#: what was found for a log, or why nothing was, by what it was found with
+_FOUND: WeakKeyDictionary[Log, dict[tuple[object, ...], Association | SlamError]] = WeakKeyDictionary()
 
 
 def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
@@ -32,12 +32,18 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
         return log, None
     key = (
         options.motion, options.sensor, options.front_end, options.front_particles, options.class_confusion,
-        str(options.filter.seed), options.estimate,
+        str(replace(options.filter, particles=1)), options.estimate, "epsilon" in options.numbers,
     )  # fmt: skip
-    found = _FOUND.setdefault(log, {})
-    if key not in found:
-        found[key] = _associated(log, options)
-    return found[key].log, found[key]
+    known = _FOUND.setdefault(log, {})
+    if key not in known:
+        try:
+            known[key] = _associated(log, options)
+        except SlamError as error:
+            known[key] = error
+    found = known[key]
+    if isinstance(found, SlamError):
+        raise found
+    return found.log, found
 
 
 def _associated(log: Log, options: RunOptions) -> Association:

@@ -46,6 +46,8 @@ def attempt(name: str, log: Log, options: RunOptions) -> EstimatorResult | Skipp
             result = ESTIMATORS[name].run(log, options)
     except Exception as error:
         return Skipped(name, sentence(error), error)
+    if log.identified and not options.filter.uses_ids and result.association is None:
+        result = replace(result, notes=(*result.notes, "the ids of the log were used all the same"))
     return _with_warnings(result, caught)
 
 

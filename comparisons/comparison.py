@@ -18,6 +18,7 @@ from graphslam.metrics import Metrics, evaluate
 from graphslam.plausibility import Finding, plausibility
 from graphslam.se2 import wrap
 
+from .association import identified
 from .attempt import Skipped, attempts
 from .config import config_text
 from .display import Displayed
@@ -310,7 +311,8 @@ def run(
     Raises:
         FormatError: a file cannot be read.
         OptionError: an option or estimator is unknown or impossible, or a named estimator cannot run on such a log.
-        GraphError: the log does not determine the graph of ``graph``.
+        GraphError: the log does not determine the graph of ``graph``; a row where only its ids cannot be found and
+            ``graph`` is not named.
         SlamError: no estimator has a result.
     """
     return compare(log, RunOptions.of(**options), estimators=estimators, time_limit=time_limit, progress=progress)
@@ -334,7 +336,7 @@ def compare(
         raise GraphError(f"{data.name} has no sightings at all{within}, so there is nothing to estimate from")
     if names is None or "graph" in names:
         # a graph that the log cannot make is refused before anything has run
-        _check_graph(data, options)
+        _check_graph(data, options, asked=names is not None or bool(options.estimate))
     announce_memory(((name, data, options) for name in names or default_estimators()), announce)
     results: list[EstimatorResult] = []
     skipped: list[Skipped] = []
@@ -363,9 +365,18 @@ def compare(
     return Comparison(data, tuple(results), tuple(skipped), source, options, names, time_limit)
 
 
-def _check_graph(log: Log, options: RunOptions) -> None:
-    """Raise `SlamError` where the log cannot make the graph; whatever else fails is the failure of one estimator."""
+def _check_graph(log: Log, options: RunOptions, *, asked: bool) -> None:
+    """Raise `SlamError` where the log cannot make the graph; whatever else fails is the failure of one estimator.
+
+    Unless the graph was asked for, it is one where ids cannot be found, because particle filters go on without them.
+    """
     try:
+        try:
+            identified(log, options)
+        except GraphError:
+            if asked:
+                raise
+            return
         make_graph(log, options)
     except SlamError:
         raise

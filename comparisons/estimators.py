@@ -336,24 +336,30 @@ def _sighting_counts(log: Log) -> np.ndarray:
 
 
 def _textbook_seconds(log: Log, _: RunOptions) -> float:
-    # the lectures' program refuses sightings without ids at once
+    if not log.identified:  # the lectures' program refuses them at once
+        return 0.0
     # 50 us of plain Python per edge; the dense solve at some 10 GFLOP/s
     return 5e-5 * (pair_count(log) + log.num_poses) + 2 / 3 * (3.0 * log.num_poses) ** 3 / 1e10
 
 
 def _gtsam_seconds(log: Log, options: RunOptions) -> float:
+    return _factor_seconds(log, options, lambda: identified(log, options)[0])
+
+
+def _factor_seconds(log: Log, options: RunOptions, known: Callable[[], Log]) -> float:
+    """The time [s] of one pass over all factors in GTSAM; ``known`` gives the log with the ids that they use."""
     # 30 us a pose; GTSAM copies all values for every call of a Python factor, of which there is one for 16 poses
     seconds = 3e-5 * log.num_poses + 4e-8 * log.num_poses**2
     options = chosen(log, options)
     if options.estimate:
         # a factor for each edge, made anew at every step
         paired = options.weight != "marginal" and not str(options.edges).startswith("landmark")
-        count = log.num_poses + (pair_count(identified(log, options)[0]) if paired else len(log.steps))
+        count = log.num_poses + (pair_count(known()) if paired else len(log.steps))
         return count * (5e-4 + 8e-8 * log.num_poses)
     if str(options.edges).startswith("landmark"):
         return seconds
     # how often each landmark is seen decides, so sightings without ids need them now; they are found once for all
-    log = identified(log, options)[0]
+    log = known()
     if options.kernel not in ("none", "gnc") and options.weight != "marginal":
         # a factor for each pair, because each has its own robust weight
         return seconds + 1e-4 * pair_count(log)
@@ -362,8 +368,11 @@ def _gtsam_seconds(log: Log, options: RunOptions) -> float:
 
 
 def _isam2_seconds(log: Log, options: RunOptions) -> float:
-    # some ten milliseconds a step, and the landmarks' factors made anew as they grow; "per iteration" is per step here
-    return 1e-3 * log.num_poses + _gtsam_seconds(log, options)
+    if not log.identified:  # it refuses them at once
+        return 0.0
+    # some ten milliseconds a step, and the landmarks' factors made anew as they grow; "per iteration" is per step here.
+    # It estimates no parameters, and uses the ids of the log
+    return 1e-3 * log.num_poses + _factor_seconds(log, replace(options, estimate=None), lambda: log)
 
 
 _GRAPH = tuple(options_of(GraphOptions))
@@ -420,7 +429,8 @@ def check_estimators(names: Any) -> tuple[str, ...]:
 
 def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -> EstimatorResult:
     options = chosen(log, options)
-    found = None if name == "isam2" else identified(log, options)[1]
+    # what goes step by step through a log uses the ids that this has
+    found = None if name in ("isam2", "online") else identified(log, options)[1]
     # the fields that both have under the same names
     shared = {f.name for f in fields(EstimatorResult)} & {f.name for f in fields(Solution)}
     values = {field: getattr(solution, field) for field in shared}

@@ -16,8 +16,8 @@ from graphslam import OnlineSolver, SlamError
 
 
 def main() -> None:
-    """Read lines until the end; a line that is refused is reported, and the run goes on."""
-    solver, control, seen = OnlineSolver(), None, []
+    """Read lines until the end; what is refused is reported with its line, and the run goes on."""
+    solver, began, control, seen = OnlineSolver(), 1, None, []
 
     def take() -> None:
         if control is None and not seen:
@@ -27,21 +27,37 @@ def main() -> None:
         try:
             pose = solver.step(**moved, ids=ids, sightings=sightings)
         except SlamError as error:
-            print(error, file=sys.stderr)
+            print(f"line {began}: the step from here on is left out: {error}", file=sys.stderr)
             return
         std = np.sqrt(np.diag(solver.covariance()))
         print(*(f"{value:.4f}" for value in (*pose, *std)), flush=True)
 
-    for line in sys.stdin:
-        kind, *words = line.split() or [""]
-        if kind == "u":
-            take()
-            control, seen = [float(word) for word in words], []
-        elif kind == "z":
-            seen.append((int(words[0]), [float(word) for word in words[1:]]))
+    for number, line in enumerate(sys.stdin, start=1):
+        match line.split():
+            case ["u", *words] if len(words) == 3 and all(map(is_number, words)):
+                take()
+                began, control, seen = number, [float(word) for word in words], []
+            case ["z", landmark, *words] if (
+                landmark.lstrip("-").isdecimal() and len(words) in (2, 3) and all(map(is_number, words))
+            ):
+                seen.append((int(landmark), [float(word) for word in words]))
+            case []:
+                pass
+            case _:
+                wanted = "u nu omega dt, or z id range bearing [psi]"
+                print(f"line {number}: expected {wanted}, not {line.strip()!r}; left out", file=sys.stderr)
     take()
     for landmark, mark in solver.landmarks.items():
         print("landmark", landmark, *(f"{value:.4f}" for value in mark))
+
+
+def is_number(word: str) -> bool:
+    """Whether a word is a number; the solver itself refuses those that are not finite."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 if __name__ == "__main__":

@@ -72,8 +72,8 @@ class Association:
 
     def __repr__(self) -> str:
         return (
-            f"<Association of {self.of.name}: {self.landmarks} landmarks, {self.clutter} of {len(self.ids)} sightings are "
-            f"clutter, {self.ambiguous} ambiguous, {self.seconds:.3g} s>"
+            f"<Association of {self.of.name}: {_counted(self.landmarks, 'landmark')}, {self.clutter} of "
+            f"{_counted(len(self.ids), 'sighting')} are clutter, {self.ambiguous} ambiguous, {self.seconds:.3g} s>"
         )
 
     @property
@@ -164,7 +164,8 @@ def associate(
             firsts.append(end)
     if not firsts:
         raise GraphError(
-            f"no landmark of {log.name} was seen often enough to be one: all its {len(log.steps)} sightings may be clutter"
+            f"no landmark of {log.name} was seen often enough to be one: all its "
+            f"{_counted(len(log.steps), 'sighting')} may be clutter"
         )
     # what the best of them says about the robot counts for all
     shared = Densities.mean([end.densities for end in firsts])
@@ -211,8 +212,9 @@ def _report(
         evidence=max(values), options=options, seconds=seconds, notes=(),
     )  # fmt: skip
     notes = [
-        f"found {found.landmarks} landmarks in sightings without ids; {found.clutter} of {len(log.steps)} sightings are "
-        f"of no landmark (clutter), J per degree of freedom is {found.cost_per_dof:.2f}"
+        f"found {_counted(found.landmarks, 'landmark')} in sightings without ids; {found.clutter} of "
+        f"{_counted(len(log.steps), 'sighting')} are of no landmark (clutter), J per degree of freedom is "
+        f"{found.cost_per_dof:.2f}"
     ]
     if robot.motion.epsilon != given.motion.epsilon:
         notes.append(
@@ -243,3 +245,7 @@ def _report(
     if not found.settled:
         notes.append(f"the association had not settled after {found.rounds} rounds")
     return replace(found, notes=tuple(notes))
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

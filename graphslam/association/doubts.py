@@ -44,17 +44,17 @@ class Doubt:
             begin = (
                 f"the arrival at {which} at step {self.step}, after a blind drive from step {self.last}, is ambiguous"
             )
-            mine = "the evidence that nothing there had been seen before"
+            mine = "that nothing there had been seen before"
         else:
             begin = f"the return to {which} at step {self.step}, last seen at step {self.last}, is ambiguous"
-            mine = "the evidence for it"
+            mine = "for it"
         if self.others and set(self.others) <= set(self.landmarks):
-            other = f"that for {_listed(self.others)}, exchanged"
+            other = f"for {_listed(self.others)}, exchanged"
         else:
-            other = f"that for {_listed(self.others)} instead" if self.others else "that for a place not seen before"
+            other = f"for {_listed(self.others)} instead" if self.others else "for a place not seen before"
         if self.log_factor >= 0:
-            return f"{begin}: {mine} is only {self.factor:.3g} times {other}"
-        return f"{begin}: {other} is {1 / self.factor:.3g} times {mine}"
+            return f"{begin}: the evidence {mine} is only {self.factor:.3g} times that {other}"
+        return f"{begin}: the evidence {other} is {1 / self.factor:.3g} times that {mine}"
 
 
 def doubts(accounts: list[Account], factor: float) -> tuple[Doubt, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 
 from ..checks import check_choice, check_count, option
 from ..errors import OptionError
@@ -39,10 +40,13 @@ class AssociationOptions:
     def __post_init__(self) -> None:
         check_choice("method", self.method, METHODS)
         for name in ("gate", "clutter", "confusion"):
-            if not 0 < getattr(self, name) < 1:
-                raise OptionError(f"{name} must lie between 0 and 1, not {getattr(self, name)!r}")
-        if not self.factor >= 1:
+            value: float = getattr(self, name)
+            if not isinstance(value, Real) or not 0 < value < 1:
+                raise OptionError(f"{name} must lie between 0 and 1, not {value!r}")
+        if not isinstance(self.factor, Real) or not self.factor >= 1:
             raise OptionError(f"factor must be at least 1, not {self.factor!r}")
+        if not isinstance(self.slip, bool):
+            raise OptionError(f"slip must be True or False, not {self.slip!r}")
         check_count(window=self.window, rounds=self.rounds, tries=self.tries)
         if self.window < 1:
             raise OptionError("window must be at least 1")

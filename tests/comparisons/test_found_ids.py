@@ -1,6 +1,7 @@
 """Estimators on logs whose sightings have no ids: the graph finds them, and they are compared with the true ones."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -136,3 +137,39 @@ def test_all_clutter_is_refused(log):
     clutter = log.replace(steps=steps, landmarks=np.full(8, UNIDENTIFIED), sightings=far)
     with pytest.raises(GraphError, match="may be clutter"):
         run(clutter, estimators="graph")
+
+
+def test_where_no_ids_can_be_found_the_filters_go_on(log):
+    rng = np.random.default_rng(0)
+    steps = np.arange(8) * 20
+    far = np.column_stack([np.linspace(1, 6, 8), rng.uniform(-3, 3, 8), rng.uniform(-3, 3, 8)])
+    clutter = log.replace(steps=steps, landmarks=np.full(8, UNIDENTIFIED), sightings=far)
+    comparison = run(clutter, particles=30)
+    assert {"dead-reckoning", "fastslam1", "fastslam2"} == {result.name for result in comparison.results}
+    reasons = {entry.name: entry.reason for entry in comparison.skipped}
+    assert all("all its 8 sightings may be clutter" in reasons[name] for name in ("graph", "gtsam"))
+    with pytest.raises(GraphError, match="may be clutter"):
+        run(clutter, estimate=["turn_scale"])
+
+
+def test_whatever_uses_the_ids_all_the_same_says_so_and_has_no_association(log):
+    comparison = run(
+        log,
+        estimators=["textbook", "graph", "online", "isam2"],
+        association="maximum-likelihood",
+        edges="virtual+motion",
+    )
+    used = "the ids of the log were used all the same"
+    assert [r.name for r in comparison.results if used in r.notes] == ["textbook", "online", "isam2"]
+    assert [r.name for r in comparison.results if r.association is not None] == ["graph"]
+    # what cannot run on a log is not offered to whoever waits
+    hidden = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+    options = replace(comparison.options, estimate=("turn_scale",))
+    assert [ESTIMATORS[name].too_slow(hidden, options) for name in ("textbook", "isam2")] == [None, None]
+
+
+def test_ids_are_found_anew_with_other_options(log):
+    given = {"estimators": "graph", "association": "maximum-likelihood"}
+    first = run(log, **given)["graph"].found
+    assert run(log, **given)["graph"].found is first
+    assert run(log, **given, new_landmark_threshold=1e-3)["graph"].found is not first

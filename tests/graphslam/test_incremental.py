@@ -1,7 +1,10 @@
 """The online solver: after every step at the optimum of the whole graph, and unchanged by steps that it refuses."""
 
+import io
+import runpy
 from copy import deepcopy
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -117,6 +120,13 @@ BAD_STEPS = [
     ({"control": (1.0, 0.0), "time": 0.5}, OptionError, "time runs backwards"),
     ({"motion": (1, 0, 0), "covariance": -np.eye(3)}, OptionError, "positive definite"),
     ({"motion": (1, np.nan, 0), "covariance": np.eye(3)}, OptionError, "motion must be finite"),
+    ({"control": (1.0, 0.0), "time": "noon"}, OptionError, "time must be a finite number"),
+    ({"control": (1.0, 0.0), "dt": 1.0, "covariance": np.eye(3)}, OptionError, "belongs to a measured motion"),
+    ({"pose": 0.5, "ids": [1], "sightings": [[1.0, 0.0]]}, OptionError, "pose must be a whole number"),
+    ({"relations": [(0.7, 1, (1, 0, 0), np.eye(3))]}, OptionError, "relations must be a list"),
+    ({"relations": [(0, 1)]}, OptionError, "relations must be a list"),
+    ({"control": (1, 0), "dt": 1, "sightings": [[1.0, 0.0]]}, OptionError, "needs the id"),
+    ({"control": (1, 0), "dt": 1, "ids": [1, 2], "sightings": [[1.0, 0.0], [1.0]]}, OptionError, "range, bearing"),
     ({"control": (1, 0), "dt": 1, "ids": [3], "sightings": [[0.0, 0.0]]}, OptionError, "ranges above zero"),
     ({"control": (1, 0), "dt": 1, "ids": [3], "sightings": [[1.0, 0.0, 0.0]]}, OptionError, "2 numbers each"),
     ({"control": (1, 0), "dt": 1, "ids": [0.5], "sightings": [[1.0, 0.0]]}, OptionError, "whole numbers"),
@@ -175,6 +185,28 @@ def test_the_first_pose_may_see_landmarks():
     assert replace(SensorModel(), bearing_std=0.1) != solver.sensor
 
 
+def test_a_robot_that_sees_nothing_at_first():
+    log = simulate(seed=2, steps=20, orientation=False)
+    later = log.steps > 5
+    log = replace(log, steps=log.steps[later], landmarks=log.landmarks[later], sightings=log.sightings[later])
+    *_, last = online(log)
+    assert last.step == log.num_poses - 1
+    batch = solve(Graph.from_log(log, edges="landmark+motion"), initialize="auto")
+    assert last.solver.cost <= batch.cost * (1 + 1e-6) + 1e-9
+    # nothing seen from a known pose
+    before = last.poses
+    last.solver.step(pose=3)
+    np.testing.assert_array_equal(last.poses, before)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"edges": "landmark+motion", "residual": "polar"}, {"edges": "landmark+motion", "frame": "world"}]
+)
+def test_graphs_that_cannot_be_solved_step_by_step(options):
+    with pytest.raises(GraphError, match="edges='landmark\\+motion' with residual='cartesian' and frame='body'"):
+        solve_by_steps(Graph.from_log(simulate(seed=2, steps=8), **options))
+
+
 def test_a_correction_too_large_for_undamped_passes():
     """After 300 motions without a closure, the heading is off by a radian: the batch solver takes the step."""
     rng = np.random.default_rng(2)
@@ -221,3 +253,30 @@ def test_the_minimum_is_found_where_gauss_newton_diverges(monkeypatch):
     found = solver.poses
     solver.relinearize()
     np.testing.assert_allclose(solver.poses, found, atol=1e-6)
+
+
+def test_the_example_goes_on_after_lines_that_are_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = [
+        "u 1 0 1",
+        "z 7 2 0.3",
+        "u 1 0.1 1",
+        "z 7 1.2 0.5",
+        "u 1 0.1 -1",
+        "q 3",
+        "z a b",
+        "",
+        "u 1 0.1 1",
+        "z 7 1 0.9",
+    ]
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(lines)))
+    runpy.run_path(str(Path(__file__).parents[2] / "examples" / "online.py"), run_name="__main__")
+    printed = capsys.readouterr()
+    poses = [list(map(float, line.split())) for line in printed.out.splitlines()[:-1]]
+    assert np.shape(poses) == (3, 6)
+    assert poses[2][0] > poses[1][0] > poses[0][0] > 0
+    assert printed.out.splitlines()[-1].startswith("landmark 7 ")
+    refused = printed.err.splitlines()
+    assert [line.split(":")[0] for line in refused] == ["line 6", "line 7", "line 5"]
+    assert "dt must be a positive number, not -1.0" in refused[2]
