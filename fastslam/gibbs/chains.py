@@ -162,7 +162,7 @@ def _check_finite(log: Log, runs: list[tuple[Array, Array]]) -> None:
     """Raise `OptionError` where samples have left floating point."""
     if not all(np.isfinite(samples).all() for run in runs for samples in run):
         raise OptionError(
-            f"{log.name}: the samples of particle Gibbs left floating point. The noise of some directions is far smaller than "
+            f"{log.name}: the samples of particle Gibbs left floating point. The noise of some directions is far less than "
             "that of others: raise epsilon of the motion, or the least noise of the sensor"
         )
 
