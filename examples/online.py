@@ -37,7 +37,9 @@ def main() -> None:
             case ["u", *words] if len(words) == 3 and all(map(is_number, words)):
                 take()
                 began, control, seen = number, [float(word) for word in words], []
-            case ["z", landmark, *words] if landmark.isdigit() and len(words) in (2, 3) and all(map(is_number, words)):
+            case ["z", landmark, *words] if (
+                landmark.removeprefix("-").isdecimal() and len(words) in (2, 3) and all(map(is_number, words))
+            ):
                 seen.append((int(landmark), [float(word) for word in words]))
             case []:
                 pass

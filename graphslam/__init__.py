@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from .solution import Solution
     from .solvers.gnc import solve_gnc
     from .solvers.gtsam_solver import solve_with_gtsam
+    from .solvers.many import solve_many
     from .solvers.online import IncrementalSmoother, isam2_parameters, solve_online
     from .solvers.solve import Iteration, solve
     from .sources.simulator import MotionFaults, SensorFaults, simulate
@@ -60,6 +61,7 @@ _PUBLIC = {
     "solution": "Solution",
     "solvers.gnc": "solve_gnc",
     "solvers.gtsam_solver": "solve_with_gtsam",
+    "solvers.many": "solve_many",
     "solvers.online": "IncrementalSmoother isam2_parameters solve_online",
     "solvers.solve": "Iteration solve",
     "sources.simulator": "MotionFaults SensorFaults simulate",

@@ -7,6 +7,7 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -71,6 +72,11 @@ class Graph:
     def __repr__(self) -> str:
         nodes = f"{len(self.steps)} poses, {len(self.landmark_ids)} landmarks"
         return f"Graph({nodes}; {', '.join(f'{family.count} {type(family).__name__}' for family in self.families)})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        # the system is made again where it is needed: it finds edges by the addresses of their arrays, which another
+        # process gives to other arrays, and its factor is many times larger than the graph
+        return {name: value for name, value in vars(self).items() if name != "system"}
 
     @classmethod
     def from_log(

@@ -189,13 +189,16 @@ def _progress(output: Output, advance: Advance) -> Progress:
 
 
 def _draw_live(output: Output, log: Path | None, options: RunOptions) -> None:
+    from ..failures import noted
     from ..reading import prepare
     from ..show.live import pictures
 
     prepared, _, filled = prepare(log, options)
-    with output.picture() as (draw, size):
+    notes: list[str] = []
+    with noted(notes, "The live picture ends here"), output.picture() as (draw, size):
         for lines in pictures(prepared, filled, width=size[0], height=size[1]):
             draw(lines)
+    output.say(*notes)
 
 
 def _recordings(saving: OutputOptions) -> dict[str, tuple[Path, Callable[[Comparison, Path], None]]]:

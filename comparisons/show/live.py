@@ -25,17 +25,19 @@ def pictures(
     Raises:
         GraphError: the log lacks what the graph needs.
     """
-    steps, drawn, spent, begin = online_steps(log, options), -np.inf, 0.0, time.perf_counter()
+    steps, drawn, begin = online_steps(log, options), -np.inf, time.perf_counter()
+    spent: list[float] = []
     for estimate in steps:
         now = time.perf_counter()
-        spent += now - begin
+        spent.append(now - begin)
         if now - drawn >= every or estimate.step == log.num_poses - 1:
             marks = np.array([mark[:2] for mark in estimate.landmarks.values()]).reshape(-1, 2)
             lines = plan(estimate.poses[:, :2], marks, width, height, ("estimated path", "landmark"))
-            pace = 1e3 * spent / (estimate.step + 1)
+            # the first steps of a process load compiled code
+            pace = 1e3 * float(np.median(spent))
             yield [
                 *lines,
-                f"step {estimate.step} of {log.num_poses - 1}, {len(marks)} landmarks, {pace:.2f} ms per step",
+                f"step {estimate.step} of {log.num_poses - 1}, {len(marks)} landmarks, {pace:.2f} ms per step (median)",
             ]
             drawn = now
         begin = time.perf_counter()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from numbers import Real
+from operator import index
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_positive
+from ..checks import check_count, check_positive
 from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError
@@ -107,10 +109,12 @@ class OnlineSolver:
             OptionError: a value is impossible. GraphError: a pose is unknown or not determined.
                 The solver then is as it was before the step.
         """
-        related = [(int(i), int(j), z, P) for i, j, z, P in relations]
+        related = _relations(relations)
         last, clock = len(self._poses) - 1, self._time
         if time is not None:
-            if not np.isfinite(time) or time <= clock:
+            if not isinstance(time, Real) or not np.isfinite(time):
+                raise OptionError(f"time must be a finite number, not {time!r}")
+            if time <= clock:
                 raise OptionError(f"time runs backwards: {time!r} s after {clock!r} s")
             if dt is None and np.isfinite(clock):
                 dt = time - clock
@@ -120,6 +124,10 @@ class OnlineSolver:
         if moves > 1 or (moves == 0 and created is None and not (related and not np.size(ids))):
             raise OptionError(
                 "a step needs a motion: give a control and dt, a motion and its covariance, or a known pose"
+            )
+        if covariance is not None and motion is None:
+            raise OptionError(
+                "a covariance belongs to a measured motion; that of a control comes from the motion model"
             )
         edge: tuple[int, Array, Array] | None = None
         if control is not None:
@@ -136,7 +144,9 @@ class OnlineSolver:
         for i, j, *_ in related:
             if not (0 <= i < known and 0 <= j < known and i != j):
                 raise GraphError(f"a relation between poses {i} and {j}: the poses so far are 0 to {known - 1}")
-        if pose is not None and not 0 <= pose <= last:
+        if pose is not None:
+            check_count(pose=pose)
+        if pose is not None and pose > last:
             raise GraphError(f"sightings from the unknown pose {pose}: the poses so far are 0 to {last}")
         ends = np.array([(i, j) for i, j, *_ in related], dtype=np.int64).reshape(-1, 2)
         loops = np.array([_numbers("relation", z, (3,)) for _, _, z, _ in related]).reshape(-1, 3)
@@ -157,15 +167,17 @@ class OnlineSolver:
 
     def _checked(self, ids: ArrayLike, sightings: ArrayLike) -> tuple[list[int], Array]:
         landmarks = np.atleast_1d(np.asarray(ids))
-        if landmarks.size == 0:
+        z = _array(sightings)
+        if landmarks.size == 0 and z is not None and z.size == 0:
             return [], np.zeros((0, self._columns or 2))
-        if landmarks.dtype.kind not in "iu" or landmarks.ndim != 1:
+        if landmarks.size and (landmarks.dtype.kind not in "iu" or landmarks.ndim != 1):
             raise OptionError(f"ids must be whole numbers, not {ids!r}")
-        z = _numbers("sightings", sightings, (len(landmarks), np.shape(sightings)[-1] if np.ndim(sightings) else 0))
-        if z.shape[1] not in (2, 3) or np.any(z[:, 0] <= 0):
+        if z is None or z.ndim != 2 or z.shape[1] not in (2, 3) or not np.isfinite(z).all() or np.any(z[:, 0] <= 0):
             raise OptionError(
                 f"sightings must be (range, bearing) or with psi, with ranges above zero, not {sightings!r}"
             )
+        if len(z) != landmarks.size:
+            raise OptionError(f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {ids!r}")
         if self._columns not in (None, z.shape[1]):
             raise OptionError(f"the sightings so far have {self._columns} numbers each, these have {z.shape[1]}")
         return landmarks.tolist(), z
@@ -263,8 +275,9 @@ class OnlineSolver:
             GraphError: a pose or landmark is unknown.
         """
         pose = len(self._poses) - 1 if pose is None else pose
+        check_count(pose=pose)
         unknown = [key for key in landmarks if key not in self._landmarks]
-        if not 0 <= pose < len(self._poses) or unknown:
+        if pose >= len(self._poses) or unknown:
             raise GraphError(
                 f"there is no covariance of pose {pose} and landmarks {list(landmarks)}: not all are known"
             )
@@ -281,12 +294,30 @@ def _packed(information: Array) -> Array:
     return information[..., [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
 
 
-def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+def _array(value: ArrayLike) -> Array | None:
+    """A value as an array of numbers, None if it is none."""
     try:
-        array: Array = np.array(value, dtype=float)
+        return np.array(value, dtype=float)
     except (TypeError, ValueError):
-        array = np.empty(0)
-    if array.shape != shape or not np.isfinite(array).all():
+        return None
+
+
+def _relations(
+    relations: Iterable[tuple[int, int, ArrayLike, ArrayLike]],
+) -> list[tuple[int, int, ArrayLike, ArrayLike]]:
+    """Relations with checked numbers of poses."""
+    try:
+        related = [(index(i), index(j), z, P) for i, j, z, P in relations]
+    except (TypeError, ValueError):
+        raise OptionError(
+            f"relations must be a list of (first pose, second pose, measured, covariance), not {relations!r}"
+        ) from None
+    return related
+
+
+def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    array = _array(value)
+    if array is None or array.shape != shape or not np.isfinite(array).all():
         raise OptionError(f"{name} must be finite numbers of shape {shape}, not {value!r}")
     return array
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..edges import CartesianObservationEdges, RelativePoseEdges
+from ..errors import GraphError
 from ..graph import Graph
 from ..log import Log
 from ..se2 import Array
@@ -74,10 +75,18 @@ def solve_by_steps(graph: Graph, *, tolerance: float = 1e-7) -> Solution:
 
 
 def steps_of(graph: Graph, *, tolerance: float = 1e-7) -> Iterator[OnlineEstimate]:
-    """As `online`, for the graph of a log with landmark nodes, motion edges and Cartesian residuals in the body frame."""
+    """As `online`, for the graph of a log with landmark nodes, motion edges and Cartesian residuals in the body frame.
+
+    Raises:
+        GraphError: the graph is another one.
+    """
     graph.check_no_parameters("the solver step by step")
-    sighted = next(family for family in graph.families if isinstance(family, CartesianObservationEdges))
-    motions = next(family for family in graph.families if isinstance(family, RelativePoseEdges))
+    sighted = next((family for family in graph.families if isinstance(family, CartesianObservationEdges)), None)
+    motions = next((family for family in graph.families if isinstance(family, RelativePoseEdges)), None)
+    if sighted is None or motions is None or sighted.frame != "body":
+        raise GraphError(
+            "the solver step by step needs a graph of edges='landmark+motion' with residual='cartesian' and frame='body'"
+        )
     solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=sighted.kernel, tolerance=tolerance)
     total = len(graph.steps)
     rows = np.argsort(sighted.first, kind="stable")

@@ -107,6 +107,10 @@ class OnlineSystem:
             GraphError: a node is not determined. The system then is as before, without the new nodes.
         """
         count, before = len(rows), self.num_edges
+        if count == 0:
+            # a known pose from which nothing is seen
+            self.passes = 0
+            return
         while before + count > len(self.edges):
             self.edges = doubled(self.edges, new_edges(2 * len(self.edges)))
         self.num_edges += count

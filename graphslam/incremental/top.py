@@ -11,7 +11,7 @@ from numba import njit
 from ..linear.cholesky.ordering import fewest_neighbours
 from ..linear.cholesky.supernodal import factorize
 from ..linear.cholesky.symbolic import Layout, structure
-from ..linear.information import pattern
+from ..linear.structure import pattern
 from .arrays import COST, CURVED_FROM, FLOATS, FREE, INTS, WASTE_FLOATS, WASTE_INTS, sizes
 from .linearize import between, relinearize
 from .passes import forward_one

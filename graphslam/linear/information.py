@@ -16,18 +16,19 @@ import scipy.sparse as sp
 from numba import njit
 
 from ..se2 import Array
-from .cholesky import Factor, Symbolic, analyze, symmetric
+from .cholesky import Factor, Symbolic, symmetric
+from .structure import Structure, structure_of
 
 
 @dataclass(frozen=True, eq=False)
 class BlockSystem:
     """Omega and xi of a graph with n nodes; see the module for the layout.
 
-    ``workspace`` (n,) is scratch space for edges that look up slots column by column.
+    The `structure` may be shared with other systems, the numbers are the system's own. ``workspace`` (n,) is scratch space
+    for edges that look up slots column by column.
     """
 
-    indptr: np.ndarray
-    indices: np.ndarray
+    structure: Structure
     values: Array
     xi: Array
     workspace: np.ndarray
@@ -40,19 +41,29 @@ class BlockSystem:
         parts = list(cliques)
         nodes = np.concatenate([np.zeros(0, dtype=np.int64)] + [nodes for _, nodes in parts])
         sizes = np.concatenate([np.zeros(0, dtype=np.int64)] + [starts[1:] - starts[:-1] for starts, _ in parts])
-        indptr, indices = pattern(num_nodes, sizes, nodes)
-        values, xi, workspace = np.zeros((len(indices), 3, 3)), np.zeros((num_nodes, 3)), np.zeros(num_nodes, np.int64)
-        return cls(indptr, indices, values, xi, workspace)
+        structure = structure_of(num_nodes, sizes, nodes)
+        values = np.zeros((len(structure.indices), 3, 3))
+        return cls(structure, values, np.zeros((num_nodes, 3)), np.zeros(num_nodes, np.int64))
+
+    @property
+    def indptr(self) -> np.ndarray:
+        """Where each column begins in ``indices`` and ``values``, (n + 1,)."""
+        return self.structure.indptr
+
+    @property
+    def indices(self) -> np.ndarray:
+        """The row node of each block."""
+        return self.structure.indices
 
     @property
     def num_nodes(self) -> int:
         """The number n of nodes."""
         return len(self.indptr) - 1
 
-    @cached_property
+    @property
     def symbolic(self) -> Symbolic:
         """Ordering and structure of the factor, computed once for the pattern."""
-        return analyze(self.indptr, self.indices)
+        return self.structure.symbolic
 
     @cached_property
     def _factor(self) -> Factor:
@@ -107,62 +118,6 @@ class BlockSystem:
     def to_sparse(self) -> sp.csc_matrix:
         """Omega whole, both triangles, as a SciPy matrix (3n, 3n)."""
         return symmetric(self.indptr, self.indices, self.values)
-
-
-@njit(cache=True)
-def pattern(num_nodes, sizes, nodes):  # type: ignore[no-untyped-def]
-    """Column pointers and rows of the upper triangle for groups of given sizes, whose nodes follow each other."""
-    # where each node occurs, and where the group of each occurrence begins
-    begin = np.empty(len(nodes), dtype=np.int64)
-    at = 0
-    for size in sizes:
-        begin[at : at + size] = at
-        at += size
-    by_node, occurrence = _sorted_by(num_nodes, nodes)
-    # the neighbours below each node in any order, ...
-    mark = np.full(num_nodes, -1, dtype=np.int64)
-    count = np.zeros(num_nodes, dtype=np.int64)
-    for fill in (False, True):
-        if fill:
-            low, high = np.empty(count.sum(), dtype=np.int64), np.empty(count.sum(), dtype=np.int64)
-            mark[:] = -1
-        total = 0
-        for j in range(num_nodes):
-            mark[j] = j
-            for here in occurrence[by_node[j] : by_node[j + 1]]:
-                for p in range(begin[here], here):
-                    i = nodes[p]
-                    if mark[i] != j:
-                        mark[i] = j
-                        if fill:
-                            low[total], high[total] = i, j
-                        else:
-                            count[j] += 1
-                        total += 1
-    # ... and a stable sort by the neighbour, then by the node, brings them into columns with increasing rows
-    _, by_low = _sorted_by(num_nodes, low)
-    start, by_high = _sorted_by(num_nodes, high[by_low])
-    indptr = start + np.arange(num_nodes + 1)
-    indices = np.empty(indptr[num_nodes], dtype=np.int64)
-    for j in range(num_nodes):
-        for k in range(start[j], start[j + 1]):
-            indices[k + j] = low[by_low[by_high[k]]]
-        indices[indptr[j + 1] - 1] = j
-    return indptr, indices
-
-
-@njit(cache=True)
-def _sorted_by(num_keys, keys):  # type: ignore[no-untyped-def]
-    """Counting sort, stable: where each key's places start (num_keys + 1,), and the places key by key."""
-    start = np.zeros(num_keys + 1, dtype=np.int64)
-    for key in keys:
-        start[key + 1] += 1
-    start = np.cumsum(start)
-    free, places = start[:-1].copy(), np.empty(len(keys), dtype=np.int64)
-    for place, key in enumerate(keys):
-        places[free[key]] = place
-        free[key] += 1
-    return start, places
 
 
 @njit(cache=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from numbers import Real
 from typing import Any
 
 import gtsam
@@ -307,7 +308,7 @@ def isam2_parameters(
         OptionError: a value is impossible.
     """
     check_choice("factorization", factorization, FACTORIZATIONS)
-    if not (np.isfinite(threshold) and threshold >= 0):
+    if not (isinstance(threshold, Real) and np.isfinite(threshold) and threshold >= 0):
         raise OptionError(f"threshold must be zero or a positive number, not {threshold!r}")
     if not (isinstance(skip, int) and skip >= 1):
         raise OptionError(f"skip must be a whole number from 1 on, not {skip!r}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from numbers import Real
+from typing import Any
 
 from ..checks import check_choice, check_count, check_positive
 from ..errors import OptionError
@@ -18,7 +19,10 @@ from .levenberg_marquardt import levenberg_marquardt
 from .starting import INITIALIZE, starting_state
 from .with_parameters import FIRST, solve_jointly, without_parameters
 
-METHODS = {"gauss-newton": gauss_newton, "levenberg-marquardt": levenberg_marquardt}
+METHODS: dict[str, Callable[[Any, Run], Any]] = {
+    "gauss-newton": gauss_newton,
+    "levenberg-marquardt": levenberg_marquardt,
+}
 
 __all__ = ["INITIALIZE", "METHODS", "Iteration", "solve", "starting_state"]
 
@@ -67,12 +71,7 @@ def solve(
 
     Not reaching the tolerance is no error: `Solution.converged` and `Solution.reason` report it.
     """
-    check_choice("method", method, METHODS)
-    check_choice("initialize", initialize, INITIALIZE)
-    check_positive(tolerance=tolerance)
-    if not isinstance(cost_tolerance, Real) or not 0 <= cost_tolerance < 1:
-        raise OptionError(f"cost_tolerance must lie between 0 and 1, not {cost_tolerance!r}")
-    check_count(max_iterations=max_iterations)
+    check_options(method, tolerance, max_iterations, initialize, cost_tolerance)
     begin = time.perf_counter()
 
     def run_from(start: Array, search: str, descend: bool = False) -> Run:
@@ -88,8 +87,9 @@ def solve(
         graph = solve_jointly(graph, first.state, METHODS[method], run)
     elif initialize == "auto":
         run = best_run(graph, run_from, method)
-        for step in run.recorded if callback is not None else ():
-            callback(step)
+        if callback is not None:
+            for step in run.recorded:
+                callback(step)
     else:
         run = run_from(starting_state(graph, initialize), method)
     return make_solution(
@@ -102,3 +102,13 @@ def solve(
         seconds=time.perf_counter() - begin,
         solver="graphslam",
     )
+
+
+def check_options(method: str, tolerance: float, max_iterations: int, initialize: str, cost_tolerance: float) -> None:
+    """Raise `OptionError` if an option of `solve` has an impossible value."""
+    check_choice("method", method, METHODS)
+    check_choice("initialize", initialize, INITIALIZE)
+    check_positive(tolerance=tolerance)
+    if not isinstance(cost_tolerance, Real) or not 0 <= cost_tolerance < 1:
+        raise OptionError(f"cost_tolerance must lie between 0 and 1, not {cost_tolerance!r}")
+    check_count(max_iterations=max_iterations)

@@ -120,6 +120,13 @@ BAD_STEPS = [
     ({"control": (1.0, 0.0), "time": 0.5}, OptionError, "time runs backwards"),
     ({"motion": (1, 0, 0), "covariance": -np.eye(3)}, OptionError, "positive definite"),
     ({"motion": (1, np.nan, 0), "covariance": np.eye(3)}, OptionError, "motion must be finite"),
+    ({"control": (1.0, 0.0), "time": "noon"}, OptionError, "time must be a finite number"),
+    ({"control": (1.0, 0.0), "dt": 1.0, "covariance": np.eye(3)}, OptionError, "belongs to a measured motion"),
+    ({"pose": 0.5, "ids": [1], "sightings": [[1.0, 0.0]]}, OptionError, "pose must be a whole number"),
+    ({"relations": [(0.7, 1, (1, 0, 0), np.eye(3))]}, OptionError, "relations must be a list"),
+    ({"relations": [(0, 1)]}, OptionError, "relations must be a list"),
+    ({"control": (1, 0), "dt": 1, "sightings": [[1.0, 0.0]]}, OptionError, "needs the id"),
+    ({"control": (1, 0), "dt": 1, "ids": [1, 2], "sightings": [[1.0, 0.0], [1.0]]}, OptionError, "range, bearing"),
     ({"control": (1, 0), "dt": 1, "ids": [3], "sightings": [[0.0, 0.0]]}, OptionError, "ranges above zero"),
     ({"control": (1, 0), "dt": 1, "ids": [3], "sightings": [[1.0, 0.0, 0.0]]}, OptionError, "2 numbers each"),
     ({"control": (1, 0), "dt": 1, "ids": [0.5], "sightings": [[1.0, 0.0]]}, OptionError, "whole numbers"),
@@ -176,6 +183,28 @@ def test_the_first_pose_may_see_landmarks():
     np.testing.assert_allclose(solver.landmarks[4], [2 * np.cos(0.5), 2 * np.sin(0.5)], atol=1e-9)
     assert solver.covariance().shape == (3, 3)
     assert replace(SensorModel(), bearing_std=0.1) != solver.sensor
+
+
+def test_a_robot_that_sees_nothing_at_first():
+    log = simulate(seed=2, steps=20, orientation=False)
+    later = log.steps > 5
+    log = replace(log, steps=log.steps[later], landmarks=log.landmarks[later], sightings=log.sightings[later])
+    *_, last = online(log)
+    assert last.step == log.num_poses - 1
+    batch = solve(Graph.from_log(log, edges="landmark+motion"), initialize="auto")
+    assert last.solver.cost <= batch.cost * (1 + 1e-6) + 1e-9
+    # nothing seen from a known pose
+    before = last.poses
+    last.solver.step(pose=3)
+    np.testing.assert_array_equal(last.poses, before)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"edges": "landmark+motion", "residual": "polar"}, {"edges": "landmark+motion", "frame": "world"}]
+)
+def test_graphs_that_cannot_be_solved_step_by_step(options):
+    with pytest.raises(GraphError, match="edges='landmark\\+motion' with residual='cartesian' and frame='body'"):
+        solve_by_steps(Graph.from_log(simulate(seed=2, steps=8), **options))
 
 
 def test_a_correction_too_large_for_undamped_passes():

@@ -1,0 +1,180 @@
+"""`solve_many`: the same bits as `solve`, in order, whatever fails; structures are shared only where they are equal."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from graphslam import Graph, GraphError, OptionError, SlamError, Solution, load, sample_log_path, solve, solve_many
+from graphslam.edges import AnchorEdges
+from graphslam.linear.structure import Structures, sharing
+from graphslam.solvers import many
+
+
+@pytest.fixture(scope="module")
+def graph() -> Graph:
+    return Graph.from_log(load(sample_log_path()), edges="landmark+motion")
+
+
+def noisy(graph: Graph, seed: int) -> Graph:
+    """The same edges with other measurements."""
+    random = np.random.default_rng(seed)
+    families = []
+    for family in graph.families:
+        if hasattr(family, "measured"):
+            measured = family.measured + 0.02 * random.standard_normal(np.shape(family.measured))
+            family = replace(family, measured=measured)
+        families.append(family)
+    return replace(graph, families=tuple(families))
+
+
+def singular(graph: Graph) -> Graph:
+    """Without the anchor."""
+    return replace(graph, families=graph.families[1:])
+
+
+def fresh(graph: Graph) -> Graph:
+    """With a system of its own."""
+    return replace(graph)
+
+
+def assert_same(found: Solution | SlamError, expected: Solution) -> None:
+    assert isinstance(found, Solution)
+    for name in ("state", "poses", "costs", "step_norms", "estimated"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+    assert (found.cost, found.reason, found.notes) == (expected.cost, expected.reason, expected.notes)
+    assert found.landmarks.keys() == expected.landmarks.keys()
+    for landmark, mark in expected.landmarks.items():
+        np.testing.assert_array_equal(found.landmarks[landmark], mark)
+    np.testing.assert_array_equal(found.covariances(), expected.covariances())
+
+
+def test_results_are_those_of_solve_and_a_failure_stays_alone(graph: Graph) -> None:
+    graphs = [noisy(graph, 0), singular(graph), noisy(graph, 1), Graph.from_log(load(sample_log_path()), frame="world")]
+    first, failed, second, world = solve_many(map(fresh, graphs), jobs=0, initialize="given", tolerance=1e-7)
+    assert not np.array_equal(graphs[0].initial, first.state)
+    for found, one in ((first, graphs[0]), (second, graphs[2]), (world, graphs[3])):
+        assert_same(found, solve(fresh(one), initialize="given", tolerance=1e-7))
+    assert first.cost != second.cost
+    assert isinstance(failed, GraphError)
+    with pytest.raises(GraphError) as caught:
+        solve(graphs[1], initialize="given")
+    assert str(failed) == str(caught.value)
+
+
+class Deadly(AnchorEdges):
+    """The process that solves it dies."""
+
+    def cliques(self) -> tuple[np.ndarray, np.ndarray]:
+        os._exit(3)
+
+
+@pytest.mark.slow
+def test_processes_return_the_same_and_what_goes_wrong_costs_one_graph(graph: Graph) -> None:
+    class Local(AnchorEdges):
+        """No other process finds this class."""
+
+    def anchored(kind: type[AnchorEdges]) -> Graph:
+        return replace(graph, families=(kind(**vars(graph.families[0])), *graph.families[1:]))
+
+    read, wrong = [], {2: singular(graph), 4: anchored(Deadly), 5: anchored(Local)}
+
+    def reading() -> Iterator[Graph]:
+        for seed in range(7):
+            read.append(seed)
+            yield wrong.get(seed) or noisy(graph, seed)
+        raise LookupError("end of the measurements")
+
+    results = solve_many(reading(), jobs=1)
+    assert read == []
+    found = [next(results)]
+    assert len(read) == many.AHEAD
+    with pytest.raises(LookupError, match="end of the measurements"):
+        found.extend(results)
+    assert len(found) == 7
+    for seed in (0, 1, 3, 6):
+        expected = noisy(graph, seed)
+        assert_same(found[seed], solve(expected))
+        assert found[seed].graph is not None
+        np.testing.assert_array_equal(found[seed].graph.initial, expected.initial)
+    assert isinstance(found[2], GraphError)
+    assert str(found[4]) == "the process ended with exit status 3"
+    assert_same(found[5], solve(fresh(graph)))
+
+
+def test_processes_are_started_only_for_work_that_lasts(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(many, "default_jobs", lambda: 2)
+    elsewhere = []
+
+    def in_processes(graphs: Iterator[Graph], jobs: int, *_: object) -> Iterator[Solution]:
+        elsewhere.append((len([*graphs]), jobs))
+        return iter(())
+
+    monkeypatch.setattr(many, "_in_processes", in_processes)
+    assert len([*solve_many([graph] * 3)]) == 3
+    assert elsewhere == []
+    monkeypatch.setattr(many, "ALONE", 1e-9)
+    assert len([*solve_many([graph] * 3)]) == 1
+    assert elsewhere == [(2, 2)]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"methods": "gauss-newton"}, "no option 'methods'; did you mean 'method'.* it takes jobs and method"),
+        ({"callback": print}, "no option 'callback'"),
+        ({"method": "newton"}, "method must be one of"),
+        ({"tolerance": 0.0}, "tolerance must be a positive number"),
+        ({"jobs": -1}, "jobs must not be negative"),
+        ({"jobs": 1.5}, "jobs must be a whole number"),
+    ],
+)
+def test_bad_options_are_refused_before_any_graph_is_read(options: dict, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        solve_many((pytest.fail("read") for _ in range(1)), **options)
+
+
+def test_what_is_no_graph_is_refused_in_its_turn(graph: Graph) -> None:
+    with pytest.raises(OptionError, match="an iterator of graphs, not a Graph; for one graph use solve"):
+        solve_many(graph)
+    for jobs in (0, None):
+        results = solve_many([graph, load(sample_log_path())], jobs=jobs, initialize="given")
+        assert isinstance(next(results), Solution)
+        with pytest.raises(OptionError, match=r"graphs\[1\] must be a Graph, not a Log"):
+            next(results)
+    assert list(solve_many([])) == []
+
+
+def test_only_equal_structures_are_shared_and_few_are_kept(graph: Graph) -> None:
+    kept = Structures(most_blocks=12)
+    chain, other = np.array([0, 1, 1, 2]), np.array([0, 1, 0, 2])
+    sizes = np.array([2, 2])
+    first = kept.of(3, sizes, chain)
+    assert kept.of(3, sizes, chain.copy()) is first
+    assert kept.of(3, sizes, other) is not first
+    np.testing.assert_array_equal(kept.of(3, sizes, other).indices, [0, 0, 1, 0, 2])
+    np.testing.assert_array_equal(first.indices, [0, 0, 1, 1, 2])
+    assert kept.of(4, sizes, chain) is not first
+    # 5 + 5 + 6 blocks are more than 12: the first, which was used longest ago, was dropped
+    assert len(kept) == 2
+    assert kept.of(3, sizes, chain) is not first
+    with sharing(Structures()):
+        one, two = fresh(graph).system, noisy(graph, 1).system
+        assert one.structure is two.structure
+        assert one.symbolic is two.symbolic
+        assert not np.shares_memory(one.values, two.values)
+    assert fresh(graph).system.structure is not one.structure
+
+
+def test_a_pickled_graph_leaves_its_system_behind(graph: Graph) -> None:
+    solved = fresh(graph)
+    solve(solved)
+    copy = pickle.loads(pickle.dumps(solved))
+    assert "system" in vars(solved)
+    assert "system" not in vars(copy)
+    assert_same(solve(copy), solve(fresh(graph)))
