@@ -38,7 +38,7 @@ def main() -> None:
                 take()
                 began, control, seen = number, [float(word) for word in words], []
             case ["z", landmark, *words] if (
-                landmark.lstrip("-").isdecimal() and len(words) in (2, 3) and all(map(is_number, words))
+                landmark.removeprefix("-").isdecimal() and len(words) in (2, 3) and all(map(is_number, words))
             ):
                 seen.append((int(landmark), [float(word) for word in words]))
             case []:

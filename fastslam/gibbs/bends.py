@@ -25,6 +25,7 @@ import scipy.sparse as sp
 from numba import njit
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
+from graphslam.errors import OptionError
 from graphslam.se2 import Array, between, wrap
 
 from ..fast_math import OPTIONS, wrap_angle
@@ -202,7 +203,13 @@ def linear(target: Target, poses: Array, marks: Array) -> tuple[sp.csr_array, Ar
     d = between(starts, np.concatenate([poses[1:], marks[p.marks]]))
     e = d - np.concatenate([p.motions, p.y])
     e[:, 2] = wrap(e[:, 2])
-    root = np.swapaxes(np.linalg.cholesky(np.concatenate([full(p.information), W])), 1, 2)
+    try:
+        root = np.swapaxes(np.linalg.cholesky(np.concatenate([full(p.information), W])), 1, 2)
+    except np.linalg.LinAlgError:
+        raise OptionError(
+            "a motion or a sighting has a covariance without an inverse in floating point: look for a wrong range (the "
+            f"longest is {p.z[:, 0].max():.3g} m), or raise epsilon of the motion"
+        ) from None
     c, s = np.cos(starts[:, 2]), np.sin(starts[:, 2])
     zero, one = np.zeros_like(c), np.ones_like(c)
     A = np.moveaxis(np.array([[-c, -s, d[:, 1]], [s, -c, -d[:, 0]], [zero, zero, -one]]), -1, 0)

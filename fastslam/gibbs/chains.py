@@ -15,9 +15,9 @@ from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 
 from ..fastslam2 import FastSLAM2
-from ..memory import GIGABYTE, available_memory
+from ..memory import GIGABYTE, available_memory, forecast
 from ..motions import robot_poses
-from ..options import GibbsOptions
+from ..options import FilterOptions, GibbsOptions
 from . import exact, paths, pivots
 from .bends import ACCEPTED, Bends, Target
 from .result import GibbsResult
@@ -45,7 +45,8 @@ class ParticleGibbs:
         motion, sensor: the models; default: those of the log, else the book's.
 
     Raises:
-        OptionError: an option has an impossible value, or the log has no sightings or some without ids.
+        OptionError: an option has an impossible value or needs more memory than there is, or the log has no sightings or
+            some without ids. `run` raises it where the noise is so unequal that the samples leave floating point.
         LogError: the log has no controls.
     """
 
@@ -69,6 +70,8 @@ class ParticleGibbs:
                 f"{log.name} has sightings without ids, which particle Gibbs needs: take FastSLAM, which finds out, or first "
                 "give the log ids by graphslam.associate"
             )
+        # before the filters, which need memory themselves
+        _check_memory(log, self.options)
         # the filters check log, models, seed and threads, and that the log can be used
         self._seeds = _seeds(seed, 2 * self.options.chains)
         self._filters = [
@@ -79,7 +82,6 @@ class ParticleGibbs:
             raise LogError(f"{log.name} has no motion to smooth")
         if len(log.steps) == 0:
             raise OptionError(f"{log.name} has no sightings: particle Gibbs would only repeat its noise model")
-        _check_memory(log, self.options)
         self.log = log
         self.motion, self.sensor = self._filters[0].motion, self._filters[0].sensor
         self._problem = Problem.of(log, self.motion, self.sensor)
@@ -98,6 +100,7 @@ class ParticleGibbs:
                     continue
                 bends = Bends(Target.of(problem, o), chains[0].poses, marks)
                 runs = list(pool.map(lambda c: c.run(problem, bends, o, sweeps, warm_up=True), chains))  # noqa: B023
+                _check_finite(self.log, runs)
                 later = [(x[sweeps // 2 :], m[sweeps // 2 :]) for x, m in runs]
                 trajectories, maps = (np.concatenate(parts) for parts in zip(*later, strict=True))
                 marks = maps[-1]
@@ -106,6 +109,7 @@ class ParticleGibbs:
                     chain.guess = problem.motions_of(trajectories)
             bends = Bends(Target.of(problem, o), chains[-1].poses, marks)
             runs = list(pool.map(lambda c: c.run(problem, bends, o, o.iterations, warm_up=False), chains))
+            _check_finite(self.log, runs)
         return GibbsResult(
             log=self.log.name,
             options=o,
@@ -132,14 +136,34 @@ def _seeds(seed: Any, count: int) -> list[int]:
 
 
 def _check_memory(log: Log, options: GibbsOptions) -> None:
-    """Raise `OptionError` where the samples need more memory than there is."""
-    sweep = 24 * options.chains * (log.num_poses + len(log.landmark_ids))
-    # the statistics need another copy
-    need, there = 2 * sweep * max(options.iterations, options.warm_up), available_memory()
-    if there is not None and need > there:
+    """Raise `OptionError` where particles or samples need more memory than there is."""
+    there = available_memory()
+    if there is None:
+        return
+    # of each particle: poses and ancestors of a stretch, and two copies of the landmarks that it sees
+    need = options.particles * (32.0 * min(options.block, log.num_poses) + 144 * len(log.landmark_ids))
+    if need > there:
         raise OptionError(
-            f"the samples of particle Gibbs need {need / GIGABYTE:.3g} GB of memory, but {there / GIGABYTE:.3g} GB are "
-            f"available; at most {int(there / (2 * sweep))} iterations have room"
+            f"{options.particles:,} particles of particle Gibbs need {need / GIGABYTE:.3g} GB of memory, but "
+            f"{there / GIGABYTE:.3g} GB are available; take at most {int(options.particles * there / need):,}"
+        )
+    sweeps = max(options.iterations, options.warm_up)
+    # the statistics need another copy of the samples; the filters of the start are all there at once
+    start = forecast(log, FilterOptions(particles=STARTS), maps=True).least
+    need = options.chains * (start + 48.0 * sweeps * (log.num_poses + len(log.landmark_ids)))
+    if need > there:
+        raise OptionError(
+            f"{options.chains:,} chains of {sweeps:,} sweeps of particle Gibbs need {need / GIGABYTE:.3g} GB of memory, but "
+            f"{there / GIGABYTE:.3g} GB are available; take fewer chains or shorter ones (iterations, warm_up)"
+        )
+
+
+def _check_finite(log: Log, runs: list[tuple[Array, Array]]) -> None:
+    """Raise `OptionError` where samples have left floating point."""
+    if not all(np.isfinite(samples).all() for run in runs for samples in run):
+        raise OptionError(
+            f"{log.name}: the samples of particle Gibbs left floating point. The noise of some directions is far less than "
+            "that of others: raise epsilon of the motion, or the least noise of the sensor"
         )
 
 

@@ -54,11 +54,13 @@ class Mixing:
 
 
 def judge(samples: Array, names: list[str]) -> Mixing:
-    """Return R-hat and effective sample size of samples (chains, sweeps, coordinates), each chain split in two halves."""
+    """Return R-hat and effective sample size of samples (chains, sweeps, coordinates), each chain split in two halves.
+
+    Where chains are shorter than four sweeps, or nothing ever changes, R-hat is infinite and the effective sample size 0.
+    """
     half = samples.shape[1] // 2
-    if half < 2:
-        unknown = np.full(samples.shape[2], np.nan)
-        return Mixing(names, unknown + np.inf, np.zeros(samples.shape[2]))
+    if half < 2 or np.all(samples == samples[:1, :1]):
+        return Mixing(names, np.full(samples.shape[2], np.inf), np.zeros(samples.shape[2]))
     halves = np.concatenate([samples[:, :half], samples[:, half : 2 * half]])
     mean = halves.mean(axis=1, keepdims=True)
     within = halves.var(axis=1, ddof=1).mean(axis=0)

@@ -222,6 +222,25 @@ def test_mixing_of_known_chains() -> None:
     assert judge(chains[:, :, :2], ["a", "b"]).mixed
 
 
+@pytest.mark.parametrize("shape", [(1, 1, 2), (4, 3, 2), (1, 50, 2)])
+def test_chains_that_say_nothing_have_not_mixed(shape: tuple[int, int, int]) -> None:
+    """Too few sweeps, or a chain that has never moved."""
+    mixing = judge(np.ones(shape), ["a", "b"])
+    assert not mixing.mixed
+    assert mixing.statement.startswith("not mixed: R-hat at most inf (a), effective sample size at least 0 (a)")
+
+
+def test_noise_that_leaves_floating_point_is_refused() -> None:
+    log = simulate(seed=2, steps=6, clean=True)
+    motion = MotionModel(nn=0.001, no=0, on=0.001, oo=0, epsilon=1e-14)
+    with pytest.raises(OptionError, match="left floating point.*raise epsilon"):
+        ParticleGibbs(log, motion=motion, particles=4, iterations=8, warm_up=8, chains=1).run()
+    sightings = log.sightings.copy()
+    sightings[5, 0] = 1e49
+    with pytest.raises(OptionError, match="longest is 1e\\+49 m"):
+        ParticleGibbs(log.replace(sightings=sightings), particles=4, iterations=8, warm_up=8, chains=1).run()
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -235,6 +254,8 @@ def test_mixing_of_known_chains() -> None:
         ({"degrees_of_freedom": "many"}, "degrees_of_freedom must be a number above 0"),
         ({"density": "true"}, "density must be one of linearised, exact"),
         ({"iterations": 10**12}, "need .* of memory"),
+        ({"chains": 10**9}, "1,000,000,000 chains .* need .* of memory"),
+        ({"particles": 10**12}, "particles of particle Gibbs need .* of memory"),
         ({"seed": -1}, "seed must be a whole number, not below 0"),
         ({"seed": 0.5}, "seed must be a whole number"),
         ({"threads": 0}, "threads must be a whole number of at least 1"),

@@ -381,7 +381,7 @@ def test_values_that_are_not_finite(method, bad):
             assert not isinstance(caught.value, SingularPivot)
 
 
-@pytest.mark.parametrize("threads", [2, 3])
+@pytest.mark.parametrize("threads", [2, 3, 200])
 def test_threads_change_no_bit(threads, monkeypatch):
     k = np.arange(70 * 70).reshape(70, 70)
     low = np.concatenate([k[1:].ravel(), k[:, 1:].ravel(), k[1:, 1:].ravel()])

@@ -40,7 +40,7 @@ def divide(first, row_start, child_start, children, threads):
             tree[s] += tree[children[q]]
             size[s] += size[children[q]]
             is_root[children[q]] = False
-    part = np.zeros(ns, np.int8)
+    part = np.zeros(ns, np.int32)
     total = own.sum()
     if total < LEAST or threads < 2:
         return part

@@ -220,7 +220,7 @@ def structure(n, indptr, indices, order):
         n, first, rows_below, row_pointer, columns
     )
     panel_start, tallest = _panels(first, row_start)
-    stack_start, stack_size = stacks(first, row_start, child_start, children, np.zeros(first.size - 1, np.int8))
+    stack_start, stack_size = stacks(first, row_start, child_start, children, np.zeros(first.size - 1, np.int32))
     entries = _entries(n, indptr, indices, position, owner, first, row_start, rows)
     parts = (order, position, first, row_start, rows, relative, child_start, children, panel_start, stack_start)
     return parts, entries, (stack_size, tallest, blocks, flops)
