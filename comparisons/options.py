@@ -183,7 +183,11 @@ class RunOptions(FrontEndOptions, GraphOptions, LogOptions):
     @property
     def gibbs(self) -> GibbsOptions:
         """The options of the particle smoother."""
-        return GibbsOptions(**self.of_component("gibbs"))
+        try:
+            return GibbsOptions(**self.of_component("gibbs"))
+        except OptionError as error:
+            # the filters have particles, too
+            raise OptionError(f"gibbs_{error}") from None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,7 +35,7 @@ from .fast_math import OPTIONS
 from .gibbs.exact import draw_map
 from .gibbs.maps import UNSEEN, absorb, choose, composed, density, fuse, put, relative, six, three, turned
 from .gibbs.sightings import Sightings
-from .memory import GIGABYTE, available_memory
+from .memory import GIGABYTE, available_memory, smoothing_memory
 from .motions import robot_poses
 from .samples import Samples
 from .threads import available_threads
@@ -99,11 +99,11 @@ class Record:
         at[:, : marks.shape[1]] = marks
         seen = seen.linearised_at(trajectory[None], at[None])
         events, numbers = _events(seen, T)
-        need, there = 4.0 * (T + 1) * J * N + 72.0 * len(events) * N + 36.0 * (T + 1) * N, available_memory()
+        need, there = smoothing_memory(N, T + 1, J, len(events), count), available_memory()
         if there is not None and need > there:
             raise OptionError(
-                f"smoothing {N:,} particles over {T} steps needs {need / GIGABYTE:.3g} GB of memory, and "
-                f"{there / GIGABYTE:.2g} GB are available; take at most {int(N * there / need):,} particles"
+                f"smoothing {N:,} particles over {T} steps by {count:,} trajectories needs {need / GIGABYTE:.3g} GB of "
+                f"memory, and {there / GIGABYTE:.2g} GB are available; take fewer particles or trajectories"
             )
         poses = np.ascontiguousarray(np.moveaxis(np.array(self._poses), 1, 2))
         parents, log_weights = np.array(self._parents), np.array(self._log_weights)

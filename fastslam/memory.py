@@ -53,7 +53,18 @@ def forecast(log: Log, options: FilterOptions, *, maps: bool) -> Forecast:
     often, rarely = (min(count, 2 * log.num_poses) for count in (OFTEN, RARELY))
     if options.ess_threshold == 0:
         often, rarely = log.num_poses, 2 * log.num_poses
-    return Forecast(*(options.particles * (fixed + POSE * poses) for poses in (often, rarely)))
+    record = 0.0
+    if maps and options.smoothing:
+        events = len(np.unique(np.column_stack([log.steps, log.landmarks]), axis=0))
+        record = smoothing_memory(options.particles, log.num_poses, len(log.landmark_ids), events, options.smoothing)
+    return Forecast(*(record + options.particles * (fixed + POSE * poses) for poses in (often, rarely)))
+
+
+def smoothing_memory(particles: int, poses: int, landmarks: int, events: int, count: int) -> float:
+    """The memory [bytes] of backward simulation of ``count`` trajectories; an event is a step that sees a landmark."""
+    record = 4.0 * poses * landmarks + 72.0 * events + 36.0 * poses
+    # the covariances need another copy of the samples
+    return particles * record + 48.0 * count * (poses + landmarks)
 
 
 def check_memory(log: Log, options: FilterOptions, *, maps: bool) -> None:
@@ -63,7 +74,7 @@ def check_memory(log: Log, options: FilterOptions, *, maps: bool) -> None:
         most = int(options.particles * there / need.most)
         raise OptionError(
             f"{options.particles:,} particles on {log.name} need {need} of memory, and {there / GIGABYTE:.2g} GB are "
-            f"available; take at most {most:,} particles"
+            f"available; take at most {most:,} particles{' or a smaller smoothing' if options.smoothing else ''}"
         )
 
 

@@ -136,10 +136,11 @@ class FilterResult:
     smoothed: Samples | None = None
 
     def __repr__(self) -> str:
+        drawn = "" if self.smoothed is None else f", {self.smoothed.trajectories.shape[1]} trajectories drawn backwards"
         return (
             f"FilterResult({self.estimator} on {self.log or 'measurements by hand'}: {len(self.log_weights)} particles, "
             f"{len(self.poses)} poses, {len(self.landmarks)} landmarks, smallest ESS {self.ess.min():.1f}, "
-            f"{int(self.resampled.sum())} resamplings)"
+            f"{int(self.resampled.sum())} resamplings{drawn})"
         )
 
 

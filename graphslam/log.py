@@ -492,8 +492,11 @@ def _integers(name: str, value: ArrayLike, length: int) -> np.ndarray:
         array = array.astype(np.int64).reshape(-1)
     if array.shape != (length,):
         raise LogError(f"{name} must have one entry per sighting, shape ({length},), not {array.shape}")
-    with np.errstate(invalid="ignore"):
-        whole = array.astype(np.int64)
+    try:
+        with np.errstate(invalid="ignore"):
+            whole = array.astype(np.int64)
+    except (TypeError, ValueError):  # of a word, or None
+        raise LogError(f"{name} must be whole numbers, not such as {array[0]!r}") from None
     if not np.array_equal(whole, array):
         raise LogError(f"{name} must be whole numbers")
     return whole.copy()

@@ -50,8 +50,8 @@ PARAMETERS = {
     "range_scale": Parameter(1.0, "", "Measured range = scale * range + range_bias", False, 0.5),
     "range_bias": Parameter(0.0, "m", "Bias of the measured range", False),
     "bearing_bias": Parameter(0.0, "rad", "Bias of the measured bearing", False, 0.5),
-    "sensor_ahead": Parameter(0.0, "m", "Position of the sensor on the robot, forward", False),
-    "sensor_left": Parameter(0.0, "m", "Position of the sensor on the robot, to the left", False),
+    "sensor_ahead": Parameter(0.0, "m", "Position of the sensor on the robot, forward", False, 0.5),
+    "sensor_left": Parameter(0.0, "m", "Position of the sensor on the robot, to the left", False, 0.5),
     "sensor_delay": Parameter(0.0, "s", "How late the times of sightings are against those of controls", False),
 }
 
@@ -174,6 +174,8 @@ def parsed(estimate: str | Iterable[str] | Mapping[str, float | None]) -> dict[s
     """
     if isinstance(estimate, str):
         estimate = [word for word in estimate.split(",") if word.strip()]
+    if not isinstance(estimate, Iterable):
+        raise OptionError(f"estimate must be names of parameters, not {estimate!r}; they are {', '.join(PARAMETERS)}")
     if isinstance(estimate, Mapping):
         pairs = [(str(name), inf if value is None else value) for name, value in estimate.items()]
     else:

@@ -116,8 +116,18 @@ def test_it_needs_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     log = simulate(seed=1, steps=5)
     slam = FastSLAM1(log, particles=100, smoothing=10)
     monkeypatch.setattr("fastslam.backward.available_memory", lambda: 1e4)
-    with pytest.raises(OptionError, match=r"smoothing 100 particles over 5 steps needs .* take at most \d+ particles"):
+    with pytest.raises(
+        OptionError, match=r"smoothing 100 particles over 5 steps by 10 trajectories needs .* take fewer"
+    ):
         slam.run()
+
+
+def test_what_cannot_fit_is_refused_before_the_run() -> None:
+    log = simulate(seed=1, steps=5)
+    with pytest.raises(OptionError, match=r"take at most [\d,]+ particles or a smaller smoothing"):
+        FastSLAM1(log, particles=100, smoothing=10**9)
+    with pytest.raises(OptionError, match=r"take at most [\d,]+ particles or a smaller smoothing"):
+        FastSLAM1(log.replace(name="long"), particles=49_000_000, smoothing=10)
 
 
 def test_the_estimator_reports_the_smoothed_trajectory() -> None:
@@ -130,4 +140,5 @@ def test_the_estimator_reports_the_smoothed_trajectory() -> None:
     assert result.reason.endswith("and drew 20 trajectories backwards")
     # localisation ignores it
     assert comparison.results[0].origin.smoothed is None
+    assert repr(result.origin).endswith("20 trajectories drawn backwards)")
     assert MonteCarloLocalization(log, particles=20, smoothing=20).run().smoothed is None

@@ -294,3 +294,5 @@ def test_the_estimator_and_its_options() -> None:
     assert comparison.metrics["particle-gibbs"].ate_m < 1
     with pytest.raises(OptionError, match="gibbs_chains must be a whole number"):
         comparisons.run(log, estimators=["particle-gibbs"], gibbs_chains=1.5)
+    with pytest.raises(OptionError, match="^gibbs_particles must be at least 2, not 1"):
+        comparisons.run(log, estimators=["particle-gibbs"], gibbs_particles=1)

@@ -60,6 +60,8 @@ def test_two_sightings_of_one_landmark_in_one_step_are_allowed_here():
         ({"steps": [1, 0, 1]}, "sighting 1 runs backwards"),
         ({"steps": [0, 1]}, "steps must have one entry per sighting"),
         ({"steps": [0.5, 1, 1]}, "steps must be whole numbers"),
+        ({"classes": ["red", "blue", "red"]}, "classes must be whole numbers, not such as .*red"),
+        ({"landmarks": [None, 1, 2]}, "landmarks must be whole numbers, not such as None"),
         ({"sightings": [[-2.0, 0.1, 0.2], [1.5, 0.2, 0.3], [4.0, -0.1, 3.0]]}, "sighting 0 has range -2 m"),
         ({"sightings": [[2.0, np.inf, 0.2], [1.5, 0.2, 0.3], [4.0, -0.1, 3.0]]}, r"sightings\[0, 1\] is inf"),
         ({"sightings": [[2.0], [1.5], [4.0]]}, "sightings must have shape"),

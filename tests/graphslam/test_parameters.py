@@ -196,6 +196,7 @@ def test_the_sample_log_shows_its_biases() -> None:
         ("circle", ["turn_scale", "turn_rate_bias"], "turn_scale and turn_rate_bias together"),
         ("circle", ["turn_rate_bias", "curvature_bias"], "turn_rate_bias and curvature_bias together"),
         ("noisy", ["turn_scale"], "its standard deviation would be"),
+        ("noisy", ["sensor_left"], "sensor_left: its standard deviation would be .* m; "),
     ],
 )
 def test_what_a_log_does_not_tell_is_refused(biased: Log, log: str, estimate: list[str], words: str) -> None:
