@@ -229,6 +229,8 @@ class _Problem:
         Only edges without a split can have one. The result is whether all are positive semi-definite in exact arithmetic.
         """
         suspects = np.flatnonzero(curve.beta < 0)
+        if not len(suspects):
+            return True
         W = self.edges[6][suspects][:, [[0, 1, 3], [1, 2, 4], [3, 4, 5]]]
         diagonal = np.einsum("eii->ei", W)
         size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
@@ -348,6 +350,15 @@ def _semidefinite(W: Array) -> bool:
     return min(a, c, f, two, a * (c * f - e * e) - b * (b * f - d * e) + d * (b * e - c * d)) >= 0
 
 
+def _symmetric(matrices: Array) -> bool:
+    """Whether matrices (E, d, d) are symmetric, but for rounding."""
+    transposed = np.swapaxes(matrices, 1, 2)
+    if np.array_equal(matrices, transposed):
+        return True
+    size = np.abs(np.einsum("eii->ei", matrices))
+    return not np.any(np.abs(matrices - transposed) > ROUNDED[0] * (size[:, :, None] + size[:, None, :]))
+
+
 def _joined(parts: Sequence[ConstantEdges]) -> tuple[Array, ...]:
     first = np.concatenate([np.zeros(0, np.int64), *(edges.first for edges in parts)])
     second = np.concatenate([np.zeros(0, np.int64), *(edges.second for edges in parts)])
@@ -358,12 +369,10 @@ def _joined(parts: Sequence[ConstantEdges]) -> tuple[Array, ...]:
     for edges in parts:
         to = at + len(edges.first)
         W = edges.information
+        if not _symmetric(W):
+            raise GraphError("the information of an edge is not symmetric")
         for k, (i, j) in enumerate(_UPPER[: 3 * (W.shape[1] - 1)]):
             information[at:to, k] = W[:, i, j]
-            if i != j and np.any(
-                np.abs(W[:, i, j] - W[:, j, i]) > ROUNDED[0] * (np.abs(W[:, i, i]) + np.abs(W[:, j, j]))
-            ):
-                raise GraphError("the information of an edge is not symmetric")
         if edges.turn is not None:
             turn[at:to], oriented[at:to] = edges.turn, True
         at = to

@@ -20,6 +20,7 @@ from ..factors.landmark import WEIGHTS
 from ..graph import Graph
 from ..log import Log
 from ..models import RESIDUALS, MotionModel, SensorModel
+from ..reading import UNIDENTIFIED
 from ..se2 import Array, between, compose
 from ..solution import Solution, make_solution
 
@@ -152,9 +153,13 @@ class IncrementalSmoother:
     def _checked(self, ids: ArrayLike, sightings: ArrayLike) -> list[tuple[int, Array]]:
         landmarks = np.atleast_1d(np.asarray(ids))
         if landmarks.size == 0:
+            if np.size(sightings):
+                raise OptionError(f"each sighting needs the id of its landmark, but there are none for {sightings!r}")
             return []
         if landmarks.dtype.kind not in "iu" or landmarks.ndim != 1:
             raise OptionError(f"ids must be whole numbers, not {ids!r}")
+        if np.any(landmarks == UNIDENTIFIED):
+            raise OptionError("isam2 takes identified landmarks only: leave out what nobody has identified")
         z = numbers("sightings", sightings, (2, 3), rows=len(landmarks))
         if np.any(z[:, 0] <= 0):
             raise OptionError(f"the ranges of sightings must be above zero: {sightings!r}")

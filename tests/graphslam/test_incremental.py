@@ -14,6 +14,7 @@ from graphslam import Graph, GraphError, MotionModel, OnlineSolver, OptionError,
 from graphslam.edges import AnchorEdges, RelativePoseEdges
 from graphslam.incremental.arrays import FLOATS
 from graphslam.incremental.stream import solve_by_steps, steps_of
+from graphslam.reading import UNIDENTIFIED
 from graphslam.se2 import between, compose, wrap
 from graphslam.transform import first_poses
 
@@ -126,6 +127,11 @@ BAD_STEPS = [
     ({"relations": [(0.7, 1, (1, 0, 0), np.eye(3))]}, OptionError, "relations must be a list"),
     ({"relations": [(0, 1)]}, OptionError, "relations must be a list"),
     ({"control": (1, 0), "dt": 1, "sightings": [[1.0, 0.0]]}, OptionError, "needs the id"),
+    (
+        {"control": (1, 0), "dt": 1, "ids": [UNIDENTIFIED], "sightings": [[1.0, 0.0]]},
+        OptionError,
+        "identified landmarks only",
+    ),
     ({"control": (1, 0), "dt": 1, "ids": [1, 2], "sightings": [[1.0, 0.0], [1.0]]}, OptionError, "range, bearing"),
     ({"control": (1, 0), "dt": 1, "ids": [3], "sightings": [[0.0, 0.0]]}, OptionError, "ranges above zero"),
     ({"control": (1, 0), "dt": 1, "ids": [3], "sightings": [[1.0, 0.0, 0.0]]}, OptionError, "2 numbers each"),

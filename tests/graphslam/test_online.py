@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from graphslam import Graph, GraphError, IncrementalSmoother, OptionError, load, sample_log_path, solve, solve_online
+from graphslam.reading import UNIDENTIFIED
 from graphslam.se2 import wrap
 
 VARIANTS = [
@@ -90,6 +91,15 @@ def test_given_parameters(book_log):
     smoother.observe([1], [[2.0, 0.1, 0.2]])
     smoother.update()
     assert set(smoother.landmarks) == {1}
+
+
+@pytest.mark.parametrize("ids", [[], [UNIDENTIFIED]])
+def test_sightings_without_ids_are_refused(ids):
+    smoother = IncrementalSmoother(edges="landmark+motion")
+    with pytest.raises(OptionError, match="needs the id|identified landmarks only"):
+        smoother.observe(ids, [[2.0, 0.1]])
+    smoother.update()
+    assert not smoother.landmarks
 
 
 @pytest.mark.parametrize(

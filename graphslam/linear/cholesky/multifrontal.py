@@ -1,6 +1,9 @@
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
 """Storage of a supernodal factor and the calls into the compiled routines."""
 
+# otherwise the annotations of the function inside `factorize` are evaluated at every call: 8 us, 4 % of a solve of 77 nodes
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np
