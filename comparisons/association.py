@@ -37,7 +37,7 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
     known = _FOUND.setdefault(log, {})
     if key not in known:
         try:
-            known[key] = _associated(log, options)
+            known[key] = _noted(_associated(log, options), options)
         except SlamError as error:
             known[key] = error
     found = known[key]
@@ -67,6 +67,24 @@ def _associated(log: Log, options: RunOptions) -> Association:
     found = associate(log, start=starts, **models, **ways)
     note += f" with {front.particles} particles, and were found anew in the graph"
     return replace(found, seconds=time.perf_counter() - begin, notes=(*found.notes, note))
+
+
+def _noted(found: Association, options: RunOptions) -> Association:
+    """The same with a note where ids are lost that nobody asked to ignore."""
+    lost = unused_ids(found.of)
+    return found if lost is None or not options.filter.uses_ids else replace(found, notes=(lost, *found.notes))
+
+
+def unused_ids(log: Log) -> str | None:
+    """Why the ids that some sightings have are not used, or None where all of them have one, or none."""
+    without = int(np.count_nonzero(log.landmarks == UNIDENTIFIED))
+    if not 0 < without < len(log.steps):
+        return None
+    have, these = ("has", "this one") if without == 1 else ("have", "these")
+    return (
+        f"{without} of {len(log.steps)} sightings {have} no id, so the ids of the others are not used either (remove "
+        f"{these} from the log to use them)"
+    )
 
 
 def _filtered(log: Log, front: fastslam.FilterOptions, models: dict[str, Any]) -> tuple[np.ndarray, Array]:

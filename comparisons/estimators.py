@@ -20,7 +20,7 @@ from graphslam.checks import suggestion
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import wrap
 
-from .association import identified
+from .association import identified, unused_ids
 from .failures import noted
 from .option import options_of
 from .options import FrontEndOptions, GraphOptions, RunOptions
@@ -301,7 +301,8 @@ def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResul
     named = name == "mcl" or result.options.uses_ids
     notes = [] if named else ["landmarks are numbered by discovery, and matched to the true ones by position"]
     if not log.identified:
-        notes = [f"the sightings have no ids: {result.options.association} association finds the landmarks"]
+        why = unused_ids(log) or "the sightings have no ids"
+        notes = [f"{why}: {result.options.association} association finds the landmarks"]
     maps = name != "mcl"
     reason = f"processed the log once with {options.filter.particles} particles"
     reported: fastslam.FilterResult | Samples = result

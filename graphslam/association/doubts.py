@@ -54,7 +54,8 @@ class Doubt:
             other = f"for {_listed(self.others)} instead" if self.others else "for a place not seen before"
         if self.log_factor >= 0:
             return f"{begin}: the evidence {mine} is only {self.factor:.3g} times that {other}"
-        return f"{begin}: the evidence {other} is {1 / self.factor:.3g} times that {mine}"
+        more = f"the evidence {other} is {1 / self.factor:.3g} times that {mine}"
+        return f"{begin}: taken by itself, {more}; for the drive as a whole no higher evidence was found"
 
 
 def doubts(accounts: list[Account], factor: float) -> tuple[Doubt, ...]:

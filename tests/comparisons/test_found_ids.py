@@ -173,3 +173,12 @@ def test_ids_are_found_anew_with_other_options(log):
     first = run(log, **given)["graph"].found
     assert run(log, **given)["graph"].found is first
     assert run(log, **given, new_landmark_threshold=1e-3)["graph"].found is not first
+
+
+def test_ids_that_cannot_be_used_are_told(log):
+    partly = log.replace(landmarks=np.where(np.arange(len(log.steps)) == 5, UNIDENTIFIED, log.landmarks))
+    comparison = run(partly, estimators=["graph", "fastslam2"], particles=30)
+    for result in comparison.results:
+        assert result.notes[0].startswith("1 of 283 sightings has no id, so the ids of the others are not used either")
+    asked = run(partly, estimators="graph", association="maximum-likelihood")
+    assert not any("not used" in note for note in asked["graph"].notes)
