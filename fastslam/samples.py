@@ -23,6 +23,10 @@ class Samples:
     maps: Array
     ids: np.ndarray
 
+    def __repr__(self) -> str:
+        chains, each, poses = self.trajectories.shape[:3]
+        return f"{type(self).__name__}({chains * each} trajectories of {poses} poses, {len(self.ids)} landmarks)"
+
     @cached_property
     def poses(self) -> Array:
         """The mean trajectory, (T + 1, 3); headings are directions of the mean of (cos, sin)."""

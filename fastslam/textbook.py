@@ -17,12 +17,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from graphslam.checks import check_choice
 from graphslam.errors import LogError
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
 
 from .noise import standard_normals
+from .options import PROPOSAL_WEIGHTS
 
 
 @dataclass(frozen=True)
@@ -365,7 +367,9 @@ def fastslam2(
 
     Raises:
         LogError: the log has no controls, several controls in a step, or a sensor at an offset.
+        OptionError: there is no such proposal_weight.
     """
+    check_choice("proposal_weight", proposal_weight, PROPOSAL_WEIGHTS)
     motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
     current = start(particles, log.initial_poses[0])
     for u, dt, ids, sightings in measurements(log, sensor):

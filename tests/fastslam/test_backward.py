@@ -141,4 +141,5 @@ def test_the_estimator_reports_the_smoothed_trajectory() -> None:
     # localisation ignores it
     assert comparison.results[0].origin.smoothed is None
     assert repr(result.origin).endswith("20 trajectories drawn backwards)")
+    assert repr(result.origin.smoothed) == f"Samples(20 trajectories of 13 poses, {len(result.landmarks)} landmarks)"
     assert MonteCarloLocalization(log, particles=20, smoothing=20).run().smoothed is None

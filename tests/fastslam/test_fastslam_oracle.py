@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, ParticleFilter, textbook
-from graphslam import Log, simulate
+from graphslam import Log, OptionError, simulate
 
 TOLERANCE = {"rtol": 1e-10, "atol": 1e-10}
 
@@ -106,6 +106,12 @@ def test_the_textbook_with_one_particle() -> None:
     # N(z; h(m), 2 Q) at its mode
     expected = -0.5 * np.log(np.linalg.det(2 * np.pi * 2 * sensor.Q(z)))
     assert textbook.log_likelihood(particles[0].pose, first, z, sensor) == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_textbook_refuses_an_unknown_weight() -> None:
+    log = simulate(seed=1, steps=2)
+    with pytest.raises(OptionError, match="proposal_weight must be one of exact, linearised, not 'linear'"):
+        next(textbook.fastslam2(log, rng=np.random.default_rng(0), proposal_weight="linear"))
 
 
 def test_textbook_restores_vanished_weights() -> None:
