@@ -12,10 +12,10 @@ compare: .venv/.compiled
 # two processes; the tests of a file stay together, because they share its fixtures
 PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
-test: lint .venv/.compiled
+test: lint .venv/.compiled-all
 	$(PYTEST)
 
-check: lint .venv/.compiled
+check: lint .venv/.compiled-all
 	$(PYTEST) -m "not slow and not browser and not cluster"
 
 lint: .venv/.installed-test
@@ -33,9 +33,13 @@ lint: .venv/.installed-test
 	$(PIP) install --no-compile --editable .
 	touch $@
 
-# not needed, only quicker: the kernels of both packages, on two cores
+# not needed, only quicker: the kernels of both packages, on two cores; first those of a comparison, for tests all
 .venv/.compiled: .venv/.installed
 	$(BIN)/python -m comparisons.kernels
+	touch $@
+
+.venv/.compiled-all: .venv/.compiled
+	$(BIN)/python -m comparisons.kernels --all
 	touch $@
 
 .venv/.installed-test: pyproject.toml | .venv/bin/python

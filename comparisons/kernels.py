@@ -1,11 +1,12 @@
-"""Compile the numba kernels ahead of their first use: ``python -m comparisons.kernels``, two processes side by side.
+"""Compile the numba kernels ahead of their first use: ``python -m comparisons.kernels [--all]``, two processes side by side.
 
-numba compiles a function when it is first called and keeps the result beside the source; in one process all of them
-take half a minute. This is optional.
+numba compiles a function when it is first called and keeps the result beside the source. Without ``--all`` only those
+that a comparison on a small log needs are compiled, because the others take longer. This is optional.
 """
 
 from __future__ import annotations
 
+import sys
 import warnings
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
@@ -41,29 +42,43 @@ def edges_and_filters() -> None:
     factor.linearize(at)
     for kind in (MonteCarloLocalization, FastSLAM1, FastSLAM2):
         kind(log, particles=10).run()
-    FastSLAM2(log, particles=10, association="sampled", merge_interval=1).run()
 
 
-def factorisation() -> None:
-    """Orderings, structure, factorisation, solution and selected inverse of a small ring with a chord."""
-    from graphslam.linear.cholesky import analyze, fill_reducing
+def sampled_association() -> None:
+    """FastSLAM that draws the landmarks of sightings without ids."""
+    from fastslam import FastSLAM2
+    from graphslam import load, sample_log_path
 
+    FastSLAM2(load(sample_log_path()), particles=10, association="sampled", merge_interval=1).run()
+
+
+def _ring() -> tuple[np.ndarray, np.ndarray]:
+    """The pattern of a small ring."""
     n = 40
     rows = [[*({j - 1} if j else set()), *({0} if j == n - 1 else set()), j] for j in range(n)]
     rows = [sorted(set(column)) for column in rows]
     indptr = np.concatenate([[0], np.cumsum([len(column) for column in rows])])
-    indices = np.concatenate(rows)
+    return indptr, np.concatenate(rows)
+
+
+def factorisation() -> None:
+    """Structure, factorisation, solution and selected inverse of a small ring."""
+    from graphslam.linear.cholesky import analyze
+
+    indptr, indices = _ring()
+    n = len(indptr) - 1
     values = np.zeros((len(indices), 3, 3))
     values[indptr[1:] - 1] = 4 * np.eye(3)
-    fill_reducing(indptr, indices, smallest=0, worth=0.0)
     factor = analyze(indptr, indices).factorize(values)
     factor.solve(np.ones((n, 3)))
     factor.diagonal_covariances()
-    _online()
 
 
-def _online() -> None:
-    """The online solver, which shares the factorisation: some steps with a loop closure, and a covariance."""
+def large_and_online() -> None:
+    """Nested dissection, and the online solver: some steps with a loop closure, and a covariance."""
+    from graphslam.linear.cholesky import fill_reducing
+
+    fill_reducing(*_ring(), smallest=0, worth=0.0)
     solver = OnlineSolver()
     for step in range(1, 4):
         solver.step((1.0, 0.1), 1.0, ids=[1, 2], sightings=[[2.0 - 0.5 * step, 0.3], [1.5, -0.4]])
@@ -92,10 +107,14 @@ def warm_up(estimator: str) -> None:
 
 
 def main() -> None:
-    """Compile both halves."""
+    """Compile both halves, and with ``--all`` then the two others, which use the first."""
+    halves = [(edges_and_filters, factorisation)]
+    if "--all" in sys.argv[1:]:
+        halves.append((sampled_association, large_and_online))
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        for done in [pool.submit(edges_and_filters), pool.submit(factorisation)]:
-            done.result()
+        for half in halves:
+            for done in [pool.submit(function) for function in half]:
+                done.result()
 
 
 if __name__ == "__main__":
