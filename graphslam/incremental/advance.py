@@ -12,7 +12,7 @@ from .refactor import refactor
 #: in standard deviations of the edges of a node: edges are evaluated again where a node has moved by `APART`, and the
 #: tree is solved downwards where a separator has moved by `SHARE`; both are smaller, in proportion to its square root, where
 #: the cost is less than `SMALL`
-APART, SHARE, SMALL = 0.005, 0.001, 120.0
+APART, SHARE, SMALL = 0.005, 0.001, 600.0
 #: where a pass predicts more than `SLOW` times the decrease of the pass before, the limit beyond which an edge is linearised
 #: again is multiplied by `STRICTER`, and by `EASIER` after every step that needs no pass
 SLOW, STRICTER, EASIER = 0.2, 0.1, 1.1
