@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from real_filters import matched_gps
 
 from fastslam import FastSLAM2
 from fastslam.options import FilterOptions
@@ -25,11 +26,14 @@ DATA = Path(os.environ.get("SLAM_DATA", Path(__file__).parents[1] / "../shared/d
 
 
 def errors(log: Log, poses: Array) -> str:
-    """The errors at the antenna, 'aligned / unaligned'."""
+    """The errors at the antenna, 'aligned / unaligned', and that in the scoring of `real_filters`."""
     assert log.true_poses is not None
     here = log.covered
     at, truth = log.at_truth(poses)[here], log.true_poses[here]
-    return f"{ate(truth, at):.2f} / {np.sqrt(np.mean(np.sum((at - truth)[:, :2] ** 2, axis=1))):.2f} m"
+    unaligned = np.sqrt(np.mean(np.sum((at - truth)[:, :2] ** 2, axis=1)))
+    scans, fixes = matched_gps(DATA, log)
+    published = np.sqrt(np.mean(np.sum((log.at_truth(poses)[scans, :2] - fixes) ** 2, axis=1)))
+    return f"{ate(truth, at):.2f} / {unaligned:.2f} m, published scoring {published:.2f} m"
 
 
 def main() -> None:
