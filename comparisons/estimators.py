@@ -271,7 +271,10 @@ def particle_gibbs(log: Log, options: RunOptions) -> EstimatorResult:
         seconds=seconds,
         landmarks=result.landmarks,
         landmark_covariances=result.landmark_covariances,
-        notes=(result.mixing.statement,),
+        converged=result.mixing.mixed,
+        iterations=options.gibbs.iterations,
+        # where they have not mixed, the reason says it
+        notes=(result.mixing.statement,) if result.mixing.mixed else (),
         options={"seed": options.filter.seed} | {f"gibbs_{k}": v for k, v in asdict(options.gibbs).items()},
         reason=result.mixing.statement,
         origin=result,

@@ -30,8 +30,8 @@ class EstimatorResult:
         poses: (T+1, 3) [m, m, rad], headings in [-pi, pi).
         estimated: (T+1,) bool; False where a pose is only the initial guess. Such poses count in no metric.
         seconds: the estimation alone, without reading, setting up or compiling.
-        converged: whether the stop rule was met; None where nothing is iterated.
-        iterations: the number of iterations; 0 where nothing is iterated.
+        converged: whether the stop rule was met, or the chains of particle Gibbs have mixed; None where nothing is iterated.
+        iterations: their number, of particle Gibbs that of the samples of each chain; 0 where nothing is iterated.
         step_norms: (iterations,) the norm of each correction.
         cost: J at the end; None where nothing is minimised.
         costs: J before the first step and after each, as far as the solver reports it.

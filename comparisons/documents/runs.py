@@ -94,7 +94,9 @@ class EstimatorDocument(Document):
     """The result of one estimator. Every metric is null where it cannot be known, or the estimator did not run."""
 
     name: Annotated[str, about("name of the estimator")]
-    converged: Annotated[bool | None, about("whether the stop rule was met; null where nothing is iterated")]
+    converged: Annotated[
+        bool | None, about("whether the stop rule was met, of particle Gibbs whether its chains have mixed; else null")
+    ]
     iterations: Annotated[Count | None, about("number of iterations")]
     step_norms: Annotated[list[float | None] | None, about("norm of the correction of each iteration")]
     cost: Annotated[float | None, about("J at the end")]

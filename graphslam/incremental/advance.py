@@ -13,6 +13,8 @@ from .refactor import refactor
 #: tree is solved downwards where a separator has moved by `SHARE`; both are smaller, in proportion to its square root, where
 #: the cost is less than `SMALL`
 APART, SHARE, SMALL = 0.005, 0.001, 600.0
+#: `APART` with a robust kernel, whose weights change faster with a node than its Jacobians do
+ROBUST_APART = 0.0015
 #: where a pass predicts more than `SLOW` times the decrease of the pass before, the limit beyond which an edge is linearised
 #: again is multiplied by `STRICTER`, and by `EASIER` after every step that needs no pass
 SLOW, STRICTER, EASIER = 0.2, 0.1, 1.1

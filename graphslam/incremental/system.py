@@ -9,7 +9,7 @@ import numpy as np
 from ..edges.robust import Kernel, code_and_width
 from ..errors import GraphError
 from ..se2 import Array
-from .advance import APART, DONE, INDEFINITE, SHARE, advance
+from .advance import APART, DONE, INDEFINITE, ROBUST_APART, SHARE, advance
 from .append import append, detach
 from .arrays import (
     COST,
@@ -212,10 +212,10 @@ class OnlineSystem:
 
     def _iterate(self, newest: np.ndarray) -> bool:
         """Passes until the optimum is reached; returns whether it is."""
-        done = 0
+        done, apart = 0, APART if self._kernel is None else ROBUST_APART
         while True:
             result, passes = advance(
-                self.nodes, self.edges, self.tree, self._robust, self._room(), self._memory, self.tolerance, APART,
+                self.nodes, self.edges, self.tree, self._robust, self._room(), self._memory, self.tolerance, apart,
                 SHARE, done, PASSES,
             )  # fmt: skip
             self.passes, done = self.passes + passes - done, passes

@@ -290,6 +290,9 @@ def test_the_estimator_and_its_options() -> None:
     assert result.origin.options == GibbsOptions(iterations=60, chains=2, particles=10)
     assert result.options["gibbs_iterations"] == 60
     assert result.reason.startswith("not mixed")
+    assert (result.converged, result.iterations) == (False, 60)
+    # the tables print the reason, and would print a note beside it
+    assert result.notes == ()
     assert result.pose_covariances.shape == (6, 3, 3)
     assert comparison.metrics["particle-gibbs"].ate_m < 1
     with pytest.raises(OptionError, match="gibbs_chains must be a whole number"):
