@@ -45,12 +45,14 @@ def test_every_estimator_answers_in_the_same_form(log: Log, name: str) -> None:
     assert result.estimated.shape == (25,)
     assert np.all((result.poses[:, 2] >= -np.pi) & (result.poses[:, 2] < np.pi))
     assert result.seconds >= 0
-    assert len(result.step_norms) == result.iterations
+    # samples are drawn, not corrected
+    assert len(result.step_norms) == (0 if name == "particle-gibbs" else result.iterations)
     assert result.landmarks.keys() == result.landmark_covariances.keys()
     assert bool(result.landmarks) == (name != "mcl")
     assert (result.converged is None) == (result.iterations == 0)
     # online and isam2 minimise J, too, but in one pass
-    assert (result.cost is None) == (result.iterations == 0 and name not in ("online", "isam2"))
+    minimises = name in ("online", "isam2") or (result.iterations > 0 and name != "particle-gibbs")
+    assert (result.cost is None) == (not minimises)
 
 
 def test_graph_is_what_the_library_solves(log: Log) -> None:
