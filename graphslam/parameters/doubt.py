@@ -35,7 +35,8 @@ def doubt_of_turns(graph: Graph, state: Array, uncertainty: Uncertainty) -> str:
     if expected < ENOUGH or cost > SMALL * expected:
         return ""
     return (
-        f"the motions vary much less than the motion model allows: J of their edges is {cost / expected:.2f} of its expected value. "
-        f"Noise of the sightings may then appear as turns of the robot, so do not rely on {', '.join(names)}. "
-        "Give the motion model the noise of the robot, for example with slam-compare calibrate"
+        "the motions vary much less than the motion model allows: J of their edges is "
+        f"{cost / expected:.2f} of its expected value. Noise of the sightings may then appear as turns of the robot, "
+        f"so do not rely on {', '.join(names)}. Give the motion model the noise of the robot, "
+        "for example with slam-compare calibrate"
     )
