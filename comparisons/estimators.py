@@ -444,6 +444,8 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
     parameters = solution.parameters
     if parameters is not None:
         notes.append(f"estimated with the poses: {parameters.sentence}")
+        if parameters.doubt:
+            notes.append(parameters.doubt)
         if options.weight == "pairs" and not str(options.edges).startswith("landmark"):
             notes.append(
                 "pairs weigh sightings too much, so these standard deviations are too small; see --weight marginal"
