@@ -8,7 +8,7 @@ from numba import njit
 # panel, flops, scalars of the update matrix passed to the parent. They were fitted by timing 14 settings on six graphs;
 # nearby settings change the times by 5 to 10 %. Without amalgamation INTEL, M3500 and city10000 take 1.2 to 1.3 times
 # as long; with twice as much amalgamation the path of 10^5 poses takes twice as long, because of memory.
-COST_NODE, COST_PANEL, COST_FLOP, COST_UPDATE = 100.0, 2.0, 0.05, 1.0
+COST_NODE, COST_PANEL, COST_FLOP, COST_UPDATE = 150.0, 2.0, 0.04, 2.0
 
 
 @njit(cache=True, error_model="numpy")
