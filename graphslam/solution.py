@@ -217,7 +217,7 @@ def make_solution(
     notes: tuple[str, ...] = (),
     cost: float | None = None,
 ) -> Solution:
-    """The `Solution` of a graph from the final state (n, 3) of a solver, its cost if known, and the record of its iterations."""
+    """The `Solution` of a graph from the final state (n, 3) of a solver, its cost if known, and the record of its steps."""
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])
     cost = graph.cost(state) if cost is None else cost

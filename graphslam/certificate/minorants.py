@@ -186,9 +186,7 @@ def forces(state, first, second, start, end, turn, oriented, information):
         p_size, v_size = _length(p[e]), _length(v)
         p_error[e] = 2 * ROUNDOFF * p_size + (4 * ROUNDOFF) ** 2 * rows * (v_size + abs(h))
         g_error = 2 * ROUNDOFF * abs(g[e]) + (4 * ROUNDOFF) ** 2 * ((abs(w[3]) + abs(w[4])) * v_size + abs(w[5] * h))
-        slack[e] = (
-            3 * p_size * place_error[e] + 3 * abs(g[e]) * heading_error[e] + p_error[e] * v_size + 16 * g_error
-        )
+        slack[e] = 3 * p_size * place_error[e] + 3 * abs(g[e]) * heading_error[e] + p_error[e] * v_size + 16 * g_error
     return p, p_error, g, reached, place_error, heading_error, cost, slack, zero
 
 

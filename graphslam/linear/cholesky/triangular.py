@@ -77,7 +77,7 @@ def backward(first, row_start, rows, panel_start, x, b, work):
 
 @njit(cache=True, error_model="numpy")
 def solve(order, first, row_start, rows, panel_start, x, rhs, out, b, work):
-    """Solve Omega out = rhs, both (3n,) in node order; ``b`` (3n,) and ``work`` are scratch. Returns whether rhs is finite."""
+    """Solve Omega out = rhs, (3n,) in node order; returns whether rhs is finite. ``b`` (3n,) and ``work`` are scratch."""
     zero = 0.0
     for k in range(order.size):
         i = 3 * order[k]
