@@ -128,10 +128,9 @@ def _assigned(
 ) -> tuple[np.ndarray, Array]:
     """The label and the margin (M,) of each sighting: the best assignment of every scan."""
     shown = classes.sums(solved.which, solved.rows, len(solved.labels))
-    each = classes.log_confusion[:, classes.shown].T
 
     def weights(item: np.ndarray, landmark: np.ndarray) -> Array:
-        return densities.seen - densities.clutter + classes.together(each[item], shown[landmark])
+        return densities.seen - densities.clutter + classes.together(classes.of_sightings(item), shown[landmark])
 
     own = solved.own_covariances + solved.slack
     chosen, margins = assign(world, log.steps, solved.landmarks, own, options.gate, weights)
