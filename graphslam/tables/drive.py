@@ -306,7 +306,7 @@ def _moved(rows: Array, offset: Array) -> Array:
 
 
 def _ids(reader: _Reader) -> tuple[np.ndarray, tuple[str, ...]]:
-    """The ids (N,) as whole numbers, and notes; `UNIDENTIFIED` where there is no column of them."""
+    """The ids (N,) as whole numbers, and notes; `UNIDENTIFIED` where there is no column of them, or a cell is empty."""
     table = reader.table
     if not reader.has("id"):
         missing = reader.missing("id", ", so no landmark is identified")
@@ -317,9 +317,10 @@ def _ids(reader: _Reader) -> tuple[np.ndarray, tuple[str, ...]]:
         values = table.numbers([column])[:, 0]
     except LogError:
         return _named_ids(table, table.words(column))
-    whole = np.isfinite(values) & (values % 1 == 0)
+    empty = np.isnan(values)
+    whole = (np.isfinite(values) & (values % 1 == 0)) | (empty & ~empty.all())
     if (k := first(~whole)) is not None:
-        shown = "empty" if np.isnan(values[k]) else f"{values[k]:g}"
+        shown = "empty" if empty[k] else f"{values[k]:g}"
         raise table.error(
             k,
             f"the id {table.title(column)} is {shown}, but ids are whole numbers or words: is the order of the columns "
@@ -327,11 +328,22 @@ def _ids(reader: _Reader) -> tuple[np.ndarray, tuple[str, ...]]:
         )
     if np.any(np.abs(values) >= 2.0**53):
         return table.words(column).astype(np.int64), ()
+    if empty.any():
+        ids = np.where(empty, 0.0, values).astype(np.int64)
+        return np.where(empty, UNIDENTIFIED, ids), _without(table, empty)
     return values.astype(np.int64), ()
+
+
+def _without(table: Table, empty: np.ndarray) -> tuple[str, ...]:
+    return (f"{table.source}: {np.sum(empty)} of {len(empty)} sightings have no id",)
 
 
 def _named_ids(table: Table, words: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     """Numbers of landmarks that have names: the number at the end of each name where these differ, else counted."""
+    if np.any(empty := words == "") and not empty.all():
+        ids = np.full(len(words), UNIDENTIFIED)
+        ids[~empty], notes = _named_ids(table, words[~empty])
+        return ids, (*notes, *_without(table, empty))
     names, which = np.unique(words, return_inverse=True)
     ends = [name[len(name.rstrip("0123456789")) :] for name in names.tolist()]
     if all(ends) and len({int(end) for end in ends}) == len(names):

@@ -316,6 +316,15 @@ def test_a_column_that_holds_no_classes_is_left_out(drive, values, reason):
         load(drive(sightings=table, recipe='[sightings]\nclass = "class"'))
 
 
+def test_sightings_may_lack_ids(drive, expected):
+    rows = [(t, "" if k in (1, 4) else j, r, b) for k, (t, j, r, b) in enumerate(SEEN)]
+    lacking = np.where(np.isin(np.arange(len(SEEN)), (1, 4)), UNIDENTIFIED, expected.landmarks)
+    for table in (rows, [(t, f"cone {j}" if j else "", r, b) for t, j, r, b in rows]):
+        log = load(drive(sightings=text("t,id,range,bearing", table)))
+        assert log.landmarks.tolist() == lacking.tolist()
+        assert log.notes[-1].endswith("sightings.csv: 2 of 7 sightings have no id")
+
+
 ODOMETRY = list(zip(T.tolist(), NU.tolist(), OMEGA.tolist()))
 
 
