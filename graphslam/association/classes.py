@@ -17,6 +17,9 @@ from ..log import Log
 from ..reading import MOST_CLASSES
 from ..se2 import Array
 
+#: a probability below this counts as this much
+LEAST = 1e-300
+
 
 @dataclass(frozen=True, eq=False)
 class Classes:
@@ -61,8 +64,12 @@ class Classes:
     def sums(self, group: np.ndarray, rows: np.ndarray, groups: int) -> Array:
         """The sum (groups, n) of log P(shown given true) over the sightings in rows (k,) of each group (k,)."""
         total = np.zeros((groups, self.count))
-        np.add.at(total, group, self.log_confusion[:, self.shown[rows]].T)
+        np.add.at(total, group, self.of_sightings(rows))
         return total
+
+    def of_sightings(self, rows: np.ndarray) -> Array:
+        """log P(shown given true) (k, n) of the sightings in rows (k,)."""
+        return self.log_confusion[:, self.shown[rows]].T
 
     def together(self, a: Array, b: Array) -> Array:
         """log of P(both | one landmark) / (P(a) P(b)) for sums (..., n), broadcast; 0 where there are no classes."""
