@@ -158,10 +158,6 @@ class FrontEndOptions(Options):
         "then refined in the graph.", choices=("fastslam2", "batch", "best"),
     )  # fmt: skip
     front_particles: int = option(30, "Particles of the front end fastslam2.", minimum=1)
-    class_confusion: float | None = option(
-        None, "Probability that the class of a sighting is wrong, where a log has classes and the graph finds the ids.",
-        default_text="0.05", positive=True,
-    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

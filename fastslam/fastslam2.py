@@ -69,15 +69,15 @@ class FastSLAM2(FastSLAM1):
         self._set_poses(poses)
         return log_likelihood
 
-    def _weigh_anonymous(self, maps: AnonymousLandmarks, sightings: Array, q: Array) -> Array:
+    def _weigh_anonymous(self, maps: AnonymousLandmarks, sightings: Array, q: Array, shown: np.ndarray) -> Array:
         if self._motion is None:
-            return super()._weigh_anonymous(maps, sightings, q)
+            return super()._weigh_anonymous(maps, sightings, q, shown)
         log_likelihood = np.zeros(self.particles)
         belief, poses = np.empty((9, self.particles)), np.empty_like(self._poses)
         exact = self.options.proposal_weight == "exact"
         predict, arguments = self._motion.predict(belief, exact)
         self._threads.run(predict, *arguments)
         choices = self._choices(maps)
-        maps.scan(belief, poses, sightings, q, self._step, log_likelihood, choices, self._motion, exact)
+        maps.scan(belief, poses, sightings, q, self._step, log_likelihood, choices, shown, self._motion, exact)
         self._set_poses(poses)
         return log_likelihood

@@ -80,6 +80,12 @@ class FilterOptions:
         default=10,
         metadata={"help": "Merge landmarks that are one after every so many scans, 0: never; for unknown ids."},
     )
+    class_confusion: float = field(
+        default=0.05,
+        metadata={
+            "help": "Probability that the class of a sighting is wrong, where a log has classes; for unknown ids."
+        },
+    )
 
     proposal_weight: str = field(
         default="exact",
@@ -155,7 +161,7 @@ class FilterOptions:
             raise OptionError(
                 f"ess_threshold must lie between 0 (never resample) and 1 (always), not {self.ess_threshold!r}"
             )
-        for name in ("new_landmark_threshold", "detection_probability", "clutter_share"):
+        for name in ("new_landmark_threshold", "detection_probability", "clutter_share", "class_confusion"):
             value = getattr(self, name)
             if not 0 < finite(name, value, "a number between 0 and 1", [()]) < 1:
                 raise OptionError(f"{name} must lie between 0 and 1, not {value!r}")

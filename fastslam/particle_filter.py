@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam.association import ids_by_map
 from graphslam.errors import LogError, OptionError
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
@@ -224,7 +223,8 @@ class ParticleFilter(ABC):
             elif t > 0:
                 self._move_by_control(log.controls[t - 1], control_std[t - 1], log.dt[t - 1])
             if first[t + 1] > first[t]:
-                self._observe(log.landmarks[first[t] : first[t + 1]], log.sightings[first[t] : first[t + 1]])
+                rows = slice(first[t], first[t + 1])
+                self._observe(log.landmarks[rows], log.sightings[rows], rows)
             self._next = t + 1
             yield self.state
 
@@ -272,16 +272,9 @@ class ParticleFilter(ABC):
             self.options.smoothing, deepcopy(self._rng), self.sensor, mean_poses, marks, self.options.threads
         )
 
-    def _association(self, poses: Array) -> dict[str, np.ndarray]:
+    def _association(self, poses: Array) -> dict[str, np.ndarray]:  # noqa: ARG002
         """The fields ``association`` and ``unconfirmed`` of the result, where they are defined."""
-        if self.log is None or self._needs_ids or self._next < self.log.num_poses:
-            return {}
-        estimates = self._map(self._best, provisional=True)
-        means = {j: estimate.mean for j, estimate in estimates.items()}
-        covariances = {j: estimate.covariance for j, estimate in estimates.items()}
-        ids = ids_by_map(self.log, poses, means, covariances, self.sensor)
-        doubtful = [j for j, estimate in estimates.items() if not estimate.confirmed]
-        return {"association": ids, "unconfirmed": np.isin(ids, doubtful)}
+        return {}
 
     # -- the filter --------------------------------------------------------------------------------------------------
 
@@ -295,8 +288,11 @@ class ParticleFilter(ABC):
         """Raise `OptionError` where sightings of these ids with this number of columns cannot be used."""
 
     @abstractmethod
-    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
-        """Return the log likelihoods (N,) of sightings (k, n) with variances q (k, n), None if none was weighed."""
+    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> Array | None:
+        """Return the log likelihoods (N,) of sightings (k, n) with variances q (k, n), None if none was weighed.
+
+        ``rows``: which sightings of the log these are; None for those that are handed in.
+        """
 
     @abstractmethod
     def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:
@@ -353,11 +349,11 @@ class ParticleFilter(ABC):
         self._poses = _read_only(poses)
         self._genealogy.amend(poses)
 
-    def _observe(self, ids: np.ndarray, sightings: Array) -> None:
+    def _observe(self, ids: np.ndarray, sightings: Array, rows: slice | None = None) -> None:
         with np.errstate(over="ignore"):
             q = np.diagonal(self.sensor.Q(sightings), axis1=-2, axis2=-1).copy()
         # a copy: kernels would be compiled once more for the read-only arrays of a log
-        log_weights = self._weigh(ids, sightings.copy(), q)
+        log_weights = self._weigh(ids, sightings.copy(), q, rows)
         self._version, self._observed = self._version + 1, True
         # the poses now depend on the sightings: later sightings of this step must not correct the motion again
         self._motion = None
