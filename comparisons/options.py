@@ -161,10 +161,26 @@ class FrontEndOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions(FrontEndOptions, GraphOptions, LogOptions):
+class SmootherOptions(Options):
+    """The particle smoother: the fields of `fastslam.GibbsOptions`, whose names begin with ``gibbs_`` here."""
+
+    components = {"gibbs": (GibbsOptions, GIBBS)}
+
+    @property
+    def gibbs(self) -> GibbsOptions:
+        """The options of the particle smoother."""
+        try:
+            return GibbsOptions(**self.of_component("gibbs"))
+        except OptionError as error:
+            # the filters have particles, too
+            raise OptionError(f"gibbs_{error}") from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions(FrontEndOptions, GraphOptions, LogOptions, SmootherOptions):
     """All options of a run: reading, noise, graph, filters and smoother; ``comparisons.run(log, kernel="huber")``."""
 
-    components = LogOptions.components | {"filter": (FilterOptions, FILTER), "gibbs": (GibbsOptions, GIBBS)}
+    components = LogOptions.components | {"filter": (FilterOptions, FILTER)} | SmootherOptions.components
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -175,15 +191,6 @@ class RunOptions(FrontEndOptions, GraphOptions, LogOptions):
     def filter(self) -> FilterOptions:
         """The options of the particle filters."""
         return FilterOptions(**self.of_component("filter"))
-
-    @property
-    def gibbs(self) -> GibbsOptions:
-        """The options of the particle smoother."""
-        try:
-            return GibbsOptions(**self.of_component("gibbs"))
-        except OptionError as error:
-            # the filters have particles, too
-            raise OptionError(f"gibbs_{error}") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,7 +310,7 @@ class ParticleStudyOptions(LimitOptions, JobsOptions, LogOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConsistencyOptions(JobsOptions):
+class ConsistencyOptions(JobsOptions, SmootherOptions):
     """What `consistency.study_consistency` simulates and tests."""
 
     logs: int = option(200, "Number of simulated logs.", minimum=1)
@@ -316,6 +323,10 @@ class ConsistencyOptions(JobsOptions):
         metavar="NAME,...",
     )  # fmt: skip
     seed: int = option(0, "Random seed of the first log; the others follow.", minimum=0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.gibbs  # checks the values
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -95,6 +95,7 @@ class ParticleFilter(ABC):
             if value is not None and not isinstance(value, kind):
                 raise OptionError(f"{name} must be a {kind.__name__}, not {value!r}")
         self.options = replace(options or FilterOptions(), **keywords).for_ids(log is None or log.identified)
+        self._check_options()
         self.particles = self.options.particles
         if log is not None and log.controls is None:
             raise LogError(
@@ -277,6 +278,9 @@ class ParticleFilter(ABC):
         return {}
 
     # -- the filter --------------------------------------------------------------------------------------------------
+
+    def _check_options(self) -> None:  # noqa: B027
+        """Raise `OptionError` where the filter cannot use its options."""
 
     @property
     def _needs_ids(self) -> bool:

@@ -58,6 +58,8 @@ def test_ignored_ids_are_compared_with_those_found(log, front_end):
     assert "1.000, 1.000" in str(comparison) and "13 0 0 0" in str(comparison)
     entry = json.loads(json.dumps(comparison.to_json()))["estimators"][0]["association"]
     matches, evidence = entry.pop("matches"), entry.pop("evidence")
+    options = comparison["graph"].options
+    assert (options["front_end"], options["front_particles"], options["class_confusion"]) == (front_end, 30, 0.05)
     assert entry == {
         "landmarks": 13, "clutter": 0, "precision": 1.0, "recall": 1.0, "found": 13, "missed": 0, "doubled": 0, "invented": 0,
         "classes": None, "unconfirmed": 0, "doubts": [],
@@ -129,7 +131,7 @@ def test_filters_find_the_landmarks_of_a_log_without_ids(log):
             run(hidden, estimators=name)
     with pytest.raises(OptionError, match="the association is known: leave it out"):
         run(hidden, estimators="fastslam2", association="known")
-    with pytest.raises(OptionError, match="smoothing needs the association known, so ids of all sightings"):
+    with pytest.raises(OptionError, match="smoothing 50 needs the association known, so ids of all sightings"):
         run(hidden, estimators="fastslam2", smoothing=50)
     assert run(log, particles=30, estimators="fastslam2")["fastslam2"].named
 
