@@ -315,7 +315,7 @@ def without_ids(log: Log) -> Log:
 def test_sightings_without_ids() -> None:
     log = load(sample_log_path())
     known, found = calibrate(log, source="residuals"), calibrate(without_ids(log), source="residuals")
-    # all ids are found, so that only the start of the search differs; of the motion the log determines only the sum of the parts
+    # all ids are found, so that only the start of the search differs
     for name in ("range_rate", "bearing_std", "orientation_std"):
         assert found.numbers[name] == pytest.approx(known.numbers[name], abs=0.1 * known.errors[name]), name
     assert "13 landmarks were found" in found.notes[0] and found.counts == known.counts
