@@ -237,10 +237,10 @@ def _report(
     ]
     if kept:
         notes.append(f"{kept} of {len(log.steps)} sightings kept the ids that they have")
-    if robot.motion.epsilon != given.motion.epsilon:
+    if robot.motion.slip != given.motion.slip:
         notes.append(
-            "over long ways the robot slips sideways more than its noise model allows: for the graph epsilon is raised from "
-            f"{given.motion.epsilon:.2g} to {robot.motion.epsilon:.2g}"
+            "over long ways the robot slips sideways more than its noise model allows: for the graph slip is raised from "
+            f"{given.motion.slip:.2g} to {robot.motion.slip:.2g} m/√m"
         )
     if found.parameters is not None:
         notes.append(f"ids were found with estimated parameters: {found.parameters.sentence}")
