@@ -13,8 +13,8 @@ from ..reading import UNIDENTIFIED
 from .grid import MISSING
 from .table import Table
 
-#: cells without an id, in small letters
-_EMPTY = (*(cell.decode() for cell in MISSING), "nan", "<na>")
+#: cells without an id or a class, in small letters
+EMPTY = (*(cell.decode() for cell in MISSING), "nan", "<na>")
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def ids_of(table: Table, column: int, known: Mapping[str, int] | None = None) ->
         values = table.numbers([column])[:, 0]
     except LogError:
         words = table.words(column)
-        empty = np.isin(np.char.lower(words), _EMPTY)
+        empty = np.isin(np.char.lower(words), EMPTY)
         numbers, names = _of_names(words[~empty], known or {})
     else:
         names, empty = {}, np.isnan(values)
