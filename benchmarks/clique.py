@@ -8,6 +8,7 @@ Cholesky of the same size, in the same run.
 
 from __future__ import annotations
 
+import argparse
 import resource
 import statistics
 import time
@@ -43,6 +44,7 @@ def median_of(function, repeat: int = 3) -> float:
 
 def main() -> None:
     """Print what the goals name."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     warm = Graph.from_log(clique_log(50, 5), edges="virtual")
     system, _ = warm.linearize(warm.initial)
     system.factorize().solve(system.xi)

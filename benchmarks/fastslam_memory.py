@@ -5,6 +5,7 @@ python benchmarks/fastslam_memory.py
 
 from __future__ import annotations
 
+import argparse
 import resource
 import time
 
@@ -16,6 +17,7 @@ from graphslam import MotionModel, SensorModel, simulate
 
 def main() -> None:
     """Run and print the largest resident size of the process before and after."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     motion = MotionModel(nn=0.04, no=0.0005, on=0.01, oo=0.01, epsilon=1e-5)
     sensor = SensorModel(range_rate=0.03, bearing_std=0.01)
     # lanes up and down a square of 100 m

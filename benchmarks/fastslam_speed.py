@@ -12,6 +12,7 @@ The exact weight of FastSLAM 2.0 against that of the lectures: processor time, i
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Callable
 from unittest.mock import patch
@@ -76,6 +77,7 @@ def shared_work(kind: type[ParticleFilter], particles: int, marks: np.ndarray) -
 
 def main() -> None:
     """Print the tables."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     rng = np.random.default_rng(1)
     print("filter     psi    N       in view  predict  observe  [ns per particle (and sighting)]")
     for kind in (FastSLAM1, FastSLAM2):

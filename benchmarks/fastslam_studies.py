@@ -5,6 +5,7 @@ python benchmarks/fastslam_studies.py
 
 from __future__ import annotations
 
+import argparse
 from math import pi
 
 import numpy as np
@@ -76,5 +77,6 @@ def compare_association() -> None:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     compare_versions()
     compare_association()

@@ -8,7 +8,7 @@ second, range 30 m, half a circle ahead). The run is timed whole, from making th
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from math import pi
 from pathlib import Path
@@ -50,9 +50,11 @@ def webmap_log(path: Path, *, steps: int = 21_000, seed: int = 0) -> Log:
 def main() -> None:
     """Time both versions and print a line each."""
     default = Path(__file__).parents[2] / "shared" / "data" / "fastslam_webmap" / "webmap.txt"
-    path = Path(sys.argv[1]) if len(sys.argv) > 1 else default
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("path", type=Path, nargs="?", default=default)
+    path = parser.parse_args().path
     if not path.is_file():
-        sys.exit(f"{path}: no such file; give the path of webmap.txt (35 landmarks, 17 way points) as the argument")
+        parser.error(f"{path}: no such file; give the path of webmap.txt (35 landmarks, 17 way points) as the argument")
     log = webmap_log(path)
     print(f"{log.num_poses - 1} predictions, {len(np.unique(log.steps))} observation steps, {len(log.steps)} sightings")
     for kind in (FastSLAM1, FastSLAM2):

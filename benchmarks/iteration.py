@@ -7,9 +7,9 @@ The folder defaults to ../shared/data or the environment variable SLAM_DATA. GTS
 
 from __future__ import annotations
 
+import argparse
 import os
 import statistics
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -58,7 +58,9 @@ def g2o_iteration(graph: Graph) -> float | None:
 
 def main() -> None:
     """Print the tables of docs/benchmarks.md."""
-    data = Path(sys.argv[1] if len(sys.argv) > 1 else os.environ.get("SLAM_DATA", HERE))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path, nargs="?", default=os.environ.get("SLAM_DATA", HERE))
+    data = Path(parser.parse_args().data)
     log = load(data / "lnpr/log2_for_book.txt")
     graph = Graph.from_log(log)
     solve(graph, initialize="given")

@@ -15,6 +15,7 @@ from .graph import Graph
 from .mapping import LandmarkMap
 from .metrics import pose_nees
 from .parameters.declared import ParameterEstimate
+from .parameters.doubt import doubt_of_turns
 from .se2 import Array, wrap
 from .uncertainty import Uncertainty
 
@@ -170,6 +171,7 @@ class Solution:
         return ParameterEstimate(
             unknown.names, unknown.values, self._uncertainty.of_parameters,
             {name: (mean, deviation) for name, mean, deviation in priors if np.isfinite(deviation)},
+            doubt_of_turns(self._solved_graph, self.state, self._uncertainty),
         )  # fmt: skip
 
     @property
@@ -215,11 +217,12 @@ def make_solution(
     seconds: float,
     solver: str,
     notes: tuple[str, ...] = (),
+    cost: float | None = None,
 ) -> Solution:
-    """The `Solution` of a graph from the final state (n, 3) of a solver and the record of its iterations."""
+    """The `Solution` of a graph from the final state (n, 3) of a solver, its cost if known, and the record of its steps."""
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])
-    cost = graph.cost(state)
+    cost = graph.cost(state) if cost is None else cost
     landmarks: dict[int, Array] = {}
     if len(graph.landmark_ids):
         nodes = state[len(graph.steps) :, : graph.landmark_dimension].copy()

@@ -104,12 +104,14 @@ class ParameterEstimate:
         values: (K,).
         covariance: (K, K), that of the linearised problem, as for poses.
         priors: {name: (mean, standard deviation)} of the parameters that have a prior.
+        doubt: one sentence that says why values and covariance are not reliable; empty where nothing speaks against them.
     """
 
     names: tuple[str, ...]
     values: Array
     covariance: Array
     priors: Mapping[str, tuple[float, float]]
+    doubt: str = ""
 
     def __getitem__(self, name: str) -> float:
         return float(self.values[self.names.index(name)])

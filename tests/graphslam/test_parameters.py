@@ -303,3 +303,21 @@ def test_a_landmark_seen_twice_from_a_pose_needs_its_sightings_counted_once(bias
     with pytest.raises(GraphError, match="seen twice from one pose.*weight='marginal'"):
         solve(Graph.from_log(twice, estimate="bearing_bias"))
     assert solve(Graph.from_log(twice, weight="marginal", estimate="bearing_bias")).converged
+
+
+@pytest.mark.parametrize(("wider", "doubted"), [(1, False), (10, True)])
+def test_turns_that_may_be_noise_of_sightings_are_doubted(wider: int, doubted: bool) -> None:
+    robot = MotionModel.constant(0.05 / wider, 0.05 / wider)
+    log = simulate(seed=0, steps=100, clean=True, motion=robot, sensor=SENSOR)
+    graph = Graph.from_log(
+        log, motion=MotionModel.constant(0.05, 0.05), sensor=SENSOR, edges="landmark+motion", estimate="sensor_delay"
+    )
+    doubt = solve(graph).parameters.doubt
+    assert ("do not rely on sensor_delay" in doubt) == doubted
+
+
+def test_scales_need_no_turns(biased: Log) -> None:
+    graph = Graph.from_log(
+        biased, motion=MotionModel.constant(5, 5), sensor=SENSOR, edges="landmark+motion", estimate="bearing_bias"
+    )
+    assert solve(graph).parameters.doubt == ""
