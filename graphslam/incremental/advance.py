@@ -29,7 +29,7 @@ SLOW, STRICTER, EASIER = 0.2, 0.1, 1.1
 #: passes slow along directions that are hardly determined, so that they are not in the factor otherwise
 DIVERGING, GROWS, NEAR, STRICT = 0.5, 1.5, 1e-6, 1e-4
 #: for so many passes second derivatives are convex once exact ones have made Omega indefinite
-HELD = 20
+HELD = 3
 #: the part of the tolerance that coarse passes may cost, and the most work that is allowed, as a part of J
 PRICE, MOST = 0.1, 1e-3
 #: by so much the largest ratio of what coarse passes cost to the square of their work falls with each fine pass, and that of
@@ -73,7 +73,7 @@ def advance(nodes, edges, tree, robust, buffers, memory, tolerance, apart, done,
             _allow(memory, predicted, PRICE * tolerance * memory[COST], MOST * memory[COST])
             first = False
         # what is left after this pass, if the predictions of further ones shrink as slowly as lately
-        memory[SHRINKS] = max(memory[SHRINKS], min(predicted / last, 0.9))
+        memory[SHRINKS] = max(memory[SHRINKS], min(predicted / last, 0.9), 0.75 if memory[CURVED_FROM] == 0.0 else 0.0)
         if predicted * max(1.0, memory[SHRINKS] / (1 - memory[SHRINKS])) <= tolerance * memory[COST]:
             if count > 0:
                 backward(nodes, tree, work, share, np.inf, moved, none)
@@ -88,7 +88,7 @@ def advance(nodes, edges, tree, robust, buffers, memory, tolerance, apart, done,
             return DONE, k
         if predicted > (DIVERGING if renewed else SLOW) * last:
             near = GROWS * last < predicted < NEAR * memory[COST]
-            if near and renewed and memory[LIMIT] < STRICT and memory[CURVED_FROM] > 0.0:
+            if near and renewed and memory[HOLD] == 0 and memory[LIMIT] < STRICT and memory[CURVED_FROM] > 0.0:
                 memory[CURVED_FROM] = 0.0
             else:
                 # slow passes: more of the edges have to be linearised where they are
