@@ -31,8 +31,8 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
     if log.identified and options.filter.uses_ids:
         return log, None
     key = (
-        options.motion, options.sensor, options.front_end, options.front_particles, options.class_confusion,
-        str(replace(options.filter, particles=1)), options.estimate, "epsilon" in options.numbers,
+        options.motion, options.sensor, options.front_end, options.front_particles,
+        str(replace(options.filter, particles=1)), options.estimate, "slip" in options.numbers,
     )  # fmt: skip
     known = _FOUND.setdefault(log, {})
     if key not in known:
@@ -48,10 +48,11 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
 
 def _associated(log: Log, options: RunOptions) -> Association:
     models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
-    # an epsilon that the options name stays
-    ways: dict[str, Any] = {"slip": "epsilon" not in options.numbers, "estimate": options.estimate}
-    if options.class_confusion is not None:
-        ways["confusion"] = options.class_confusion
+    # a slip that the options name stays
+    ways: dict[str, Any] = {
+        "slip": "slip" not in options.numbers, "estimate": options.estimate,
+        "confusion": options.filter.class_confusion,
+    }  # fmt: skip
     if options.front_end == "batch" or log.controls is None or len(log.steps) == 0:
         # without controls or sightings this refuses the log
         return associate(log, **models, **ways)

@@ -305,7 +305,8 @@ def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResul
     notes = [] if named else ["landmarks are numbered by discovery, and matched to the true ones by position"]
     if not log.identified:
         why = unused_ids(log) or "the sightings have no ids"
-        notes = [f"{why}: {result.options.association} association finds the landmarks"]
+        by_class = ", and heeds the classes of sightings" if log.classes is not None and not named else ""
+        notes = [f"{why}: {result.options.association} association finds the landmarks{by_class}"]
     maps = name != "mcl"
     reason = f"processed the log once with {options.filter.particles} particles"
     reported: fastslam.FilterResult | Samples = result
@@ -381,7 +382,7 @@ def _isam2_seconds(log: Log, options: RunOptions) -> float:
 
 _GRAPH = tuple(options_of(GraphOptions))
 #: and what finds the ids for it
-_SOLVED = (*_GRAPH, *options_of(FrontEndOptions))
+_SOLVED = (*_GRAPH, *options_of(FrontEndOptions), "class_confusion")
 _FILTER = tuple(name for name in options_of(fastslam.FilterOptions) if name not in ("seed", "threads"))
 _GIBBS = tuple(name for name, each in options_of(RunOptions).items() if each.model == "gibbs")
 #: localisation knows its map: it has no association, no landmarks to update and no corrected proposal
@@ -460,7 +461,7 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
             f"({weighed_down / len(weights):.1%}; {usual:.1%} would be usual if none were wrong)"
         )
     values |= {"name": name, "origin": solution, "notes": tuple(notes), "weighed_down": weighed_down}
-    values["parameters"] = parameters
+    values |= {"parameters": parameters, "options": {name: getattr(options, name) for name in _GRAPH}}
     if found is not None:
         # the notes of the association came with its log
         values |= {
@@ -470,7 +471,9 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
             "seconds": solution.seconds + found.seconds,
         }
         values["notes"] = (*found.notes, *notes)
-    return EstimatorResult(**values, options={name: getattr(options, name) for name in _GRAPH})
+        values["options"] |= {name: getattr(options, name) for name in options_of(FrontEndOptions)}
+        values["options"]["class_confusion"] = options.filter.class_confusion
+    return EstimatorResult(**values)
 
 
 def _with_map(source: Log, sensor: SensorModel | None, poses: Any, **rest: Any) -> EstimatorResult:

@@ -158,17 +158,29 @@ class FrontEndOptions(Options):
         "then refined in the graph.", choices=("fastslam2", "batch", "best"),
     )  # fmt: skip
     front_particles: int = option(30, "Particles of the front end fastslam2.", minimum=1)
-    class_confusion: float | None = option(
-        None, "Probability that the class of a sighting is wrong, where a log has classes and the graph finds the ids.",
-        default_text="0.05", positive=True,
-    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions(FrontEndOptions, GraphOptions, LogOptions):
+class SmootherOptions(Options):
+    """The particle smoother: the fields of `fastslam.GibbsOptions`, whose names begin with ``gibbs_`` here."""
+
+    components = {"gibbs": (GibbsOptions, GIBBS)}
+
+    @property
+    def gibbs(self) -> GibbsOptions:
+        """The options of the particle smoother."""
+        try:
+            return GibbsOptions(**self.of_component("gibbs"))
+        except OptionError as error:
+            # the filters have particles, too
+            raise OptionError(f"gibbs_{error}") from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions(FrontEndOptions, GraphOptions, LogOptions, SmootherOptions):
     """All options of a run: reading, noise, graph, filters and smoother; ``comparisons.run(log, kernel="huber")``."""
 
-    components = LogOptions.components | {"filter": (FilterOptions, FILTER), "gibbs": (GibbsOptions, GIBBS)}
+    components = LogOptions.components | {"filter": (FilterOptions, FILTER)} | SmootherOptions.components
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -179,15 +191,6 @@ class RunOptions(FrontEndOptions, GraphOptions, LogOptions):
     def filter(self) -> FilterOptions:
         """The options of the particle filters."""
         return FilterOptions(**self.of_component("filter"))
-
-    @property
-    def gibbs(self) -> GibbsOptions:
-        """The options of the particle smoother."""
-        try:
-            return GibbsOptions(**self.of_component("gibbs"))
-        except OptionError as error:
-            # the filters have particles, too
-            raise OptionError(f"gibbs_{error}") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -307,7 +310,7 @@ class ParticleStudyOptions(LimitOptions, JobsOptions, LogOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConsistencyOptions(JobsOptions):
+class ConsistencyOptions(JobsOptions, SmootherOptions):
     """What `consistency.study_consistency` simulates and tests."""
 
     logs: int = option(200, "Number of simulated logs.", minimum=1)
@@ -320,6 +323,10 @@ class ConsistencyOptions(JobsOptions):
         metavar="NAME,...",
     )  # fmt: skip
     seed: int = option(0, "Random seed of the first log; the others follow.", minimum=0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.gibbs  # checks the values
 
 
 @dataclass(frozen=True, kw_only=True)

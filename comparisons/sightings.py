@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -15,16 +17,19 @@ from .results import EstimatorResult
 
 #: what a sighting is to an estimator that gave it an id itself
 CONFIRMED, UNCONFIRMED, CLUTTER = "confirmed", "unconfirmed", "clutter"
-SIGHTING_COLUMNS = "step,range,bearing,orientation,class,landmark,status,true_id"
+SIGHTING_COLUMNS = ("step", "range", "bearing", "orientation", "class", "landmark", "status", "true_id")
 
 
 @dataclass(frozen=True, eq=False)
 class SeenLandmark:
-    """A landmark and its sightings: ``rows`` (k,) of the log, the class that most of them show, and the share that do."""
+    """A landmark and its sightings: ``rows`` (k,) of the log, the class that most of them show, and the share that do.
+
+    Where no class of a sighting is known both are None.
+    """
 
     landmark: int
     rows: np.ndarray
-    of_class: int | None
+    of_class: int | str | None
     share: float | None
 
 
@@ -33,12 +38,12 @@ def sightings_of(log: Log, ids: np.ndarray) -> list[SeenLandmark]:
     found = []
     for j in np.setdiff1d(ids, [UNIDENTIFIED]).tolist():
         rows = np.flatnonzero(ids == j)
-        if log.classes is None:
+        if log.classes is None or not np.any(known := log.classified[rows]):
             found.append(SeenLandmark(j, rows, None, None))
             continue
-        names, counts = np.unique(log.classes[rows], return_counts=True)
+        names, counts = np.unique(log.classes[rows[known]], return_counts=True)
         best = int(np.argmax(counts))
-        found.append(SeenLandmark(j, rows, int(names[best]), float(counts[best] / len(rows))))
+        found.append(SeenLandmark(j, rows, names[best].item(), float(counts[best] / len(rows))))
     return found
 
 
@@ -53,13 +58,16 @@ def status_of(result: EstimatorResult) -> np.ndarray:
 def sightings_text(log: Log, result: EstimatorResult) -> str:
     """A table of all sightings with the ids that an estimator gave them; what is not known, or none, stays empty."""
     assert result.association is not None
-    lines, status = [SIGHTING_COLUMNS], status_of(result).tolist()
-    classes = [""] * len(log.steps) if log.classes is None else log.classes.tolist()
+    status, known = status_of(result).tolist(), log.classified
+    classes = [] if log.classes is None else log.classes.tolist()
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(SIGHTING_COLUMNS)
     for k, z in enumerate(log.sightings.tolist()):
         ids = ["" if j == UNIDENTIFIED else j for j in (int(result.association[k]), int(log.landmarks[k]))]
-        cells = [int(log.steps[k]), *z, *[""] * (3 - len(z)), classes[k], ids[0], status[k], ids[1]]
-        lines.append(",".join(map(str, cells)))
-    return "\n".join(lines) + "\n"
+        shown = classes[k] if known[k] else ""
+        table.writerow([int(log.steps[k]), *z, *[""] * (3 - len(z)), shown, ids[0], status[k], ids[1]])
+    return text.getvalue()
 
 
 def association_document(log: Log, result: EstimatorResult, scores: AssociationScore | None) -> dict[str, Any] | None:

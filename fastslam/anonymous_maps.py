@@ -18,10 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from graphslam.association.classes import Classes
 from graphslam.models import SensorModel
 from graphslam.se2 import Array
 
 from . import association_kernels as kernels
+from . import class_kernels
 from . import existence_kernels as existence
 from .blocks import unpack
 from .genealogy import Genealogy
@@ -84,11 +86,12 @@ class AnonymousLandmarks:
             of landmarks whose ids are unknown.
         sensor: its limits of range and bearing say where a landmark can be seen. A limit that it does not have is learned:
             it is that of all sightings so far.
+        classes: of the sightings, None where they have none.
     """
 
     def __init__(
         self, genealogy: Genealogy, threads: Threads, particles: int, coordinates: int, options: FilterOptions,
-        sensor: SensorModel,
+        sensor: SensorModel, classes: Classes | None = None,
     ) -> None:  # fmt: skip
         from scipy.special import chdtri  # imported here because it takes 0.3 s and known ids do not need it
 
@@ -98,9 +101,10 @@ class AnonymousLandmarks:
         self._border = float(chdtri(coordinates, options.new_landmark_threshold))
         self._evidence = log_odds(options.detection_probability, options.clutter_share) if self.sampled else COUNTED
         below = BELOW if self.sampled else 0.0
-        each = self._evidence
+        each, self._confusion = self._evidence, class_kernels.confusion_of(classes)
+        # the class of a sighting is at most n times as likely as for a new landmark
         self._rule = kernels.Rule(
-            self._border + 2 * below,
+            self._border + 2 * (below + log(max(1, len(self._confusion)))),
             below,
             self.sampled,
             each.first,
@@ -112,7 +116,7 @@ class AnonymousLandmarks:
         )
         self._merge_interval, self._merge_gate = options.merge_interval, float(chdtri(coordinates, MERGED))
         self._blur = 0.0, 0.0
-        self._pool = np.empty((0, kernels.LAST_STEP + 1, particles))
+        self._pool = np.empty((0, class_kernels.FIRST + len(self._confusion), particles))
         # for each slice of the pool: its landmark, -1 for none; when it was written last, whether a particle could then drop
         # it, and the box of its means
         self._landmarks, self._levels = np.empty(0, np.int64), np.empty(0, np.int64)
@@ -139,9 +143,9 @@ class AnonymousLandmarks:
 
     def scan(
         self, belief: Array, poses: Array, sightings: Array, q: Array, step: int, log_likelihood: Array,
-        choices: np.uint64, motion: ControlMotion | GaussianMotion | None = None, exact: bool = True,
+        choices: np.uint64, shown: np.ndarray, motion: ControlMotion | GaussianMotion | None = None, exact: bool = True,
     ) -> None:  # fmt: skip
-        """Process a scan of sightings (K, n) with variances (K, n); see `association_kernels.associate`.
+        """Process a scan of sightings (K, n) with variances (K, n) and classes (K,); see `association_kernels.associate`.
 
         Without a motion the poses are those of 1.0. With the motion they are drawn, with exact weights or linearised ones.
         """
@@ -168,8 +172,8 @@ class AnonymousLandmarks:
         fresh = self._make_room(count)
         self._pool[fresh, kernels.EVIDENCE] = 0.0
         self._threads.run(
-            kernels.associate, belief, poses, motion is None, *draw, self._pool, near, fresh, rows, float(n == 3), log_new,
-            step, self._rule, choices, log_likelihood,
+            kernels.associate, belief, poses, motion is None, *draw, self._pool, near, fresh, rows, shown, self._confusion,
+            float(n == 3), log_new, step, self._rule, choices, log_likelihood,
         )  # fmt: skip
         self._landmarks[fresh] = np.arange(self._created, self._created + count)
         self._created += count
@@ -216,6 +220,12 @@ class AnonymousLandmarks:
         index = int(np.flatnonzero(self._landmarks == landmark)[0])
         inherited = self._pool[index][:, self._genealogy.ancestors(int(self._levels[index]))[particles]]
         return *unpack(inherited[:9], self.coordinates), inherited[kernels.EVIDENCE]
+
+    def class_probabilities(self, landmark: int, particle: int) -> Array:
+        """Return p(c) (n,) of a landmark in a particle that has it; (0,) without classes."""
+        index = int(np.flatnonzero(self._landmarks == landmark)[0])
+        ancestor = self._genealogy.ancestors(int(self._levels[index]))[particle]
+        return self._pool[index, class_kernels.FIRST :, ancestor].copy()
 
     def _with_known(self, learned: list[float]) -> Array:
         return np.where(np.isnan(self._known), learned, self._known)

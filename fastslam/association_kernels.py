@@ -1,8 +1,9 @@
 """Unknown data association, compiled: every particle decides by itself which landmark each sighting belongs to.
 
 Unlike the kernels for known landmarks these have branches, because the particles decide differently. Maps are slices of
-one pool (landmarks, 11, N). Rows 0 to 8 are the Gaussian, as in `blocks`; row 9 is the *evidence* for the landmark, 0
-where the particle does not have it; row 10 is the step of its last sighting.
+one pool (landmarks, 11 + n, N). Rows 0 to 8 are the Gaussian, as in `blocks`; row 9 is the *evidence* for the landmark, 0
+where the particle does not have it; row 10 is the step of its last sighting. With n classes, the other rows are those of
+`class_kernels`.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from numba import njit
 
 from graphslam.se2 import Array
 
-from . import proposal
+from . import class_kernels, proposal
 from .blocks import Nine, get_nine, get_three, put_nine
 from .fast_math import INLINED, OPTIONS, atan2, sincos, wrap_angle
 from .kalman import draw_pose, initial_landmark, update_landmark, update_pose
@@ -50,9 +51,8 @@ class Rule(NamedTuple):
 @njit(**OPTIONS)
 def associate(
     lo: int, hi: int, belief: Array, poses: Array, drawn: bool, exact: bool, starts: Array, motion: proposal.Motion,
-    key: np.uint64, pool: Array, candidates: np.ndarray,
-    fresh: np.ndarray, sightings: Array, third: float, log_new: Array, step: int, rule: Rule, choices: np.uint64,
-    log_likelihood: Array,
+    key: np.uint64, pool: Array, candidates: np.ndarray, fresh: np.ndarray, sightings: Array, shown: np.ndarray,
+    confusion: Array, third: float, log_new: Array, step: int, rule: Rule, choices: np.uint64, log_likelihood: Array,
 ) -> None:  # fmt: skip
     """Process one scan of K sightings (6, K): assign, weigh, draw the pose (2.0), update the map and its evidence.
 
@@ -60,6 +60,7 @@ def associate(
     pose, and a new landmark or clutter, with w_0. A landmark that the scan has used is no hypothesis any more. The most
     likely one is taken. Or, with w_j multiplied by P_D e_j, the probabilities that landmark j is seen and exists, one is
     drawn with the probability w / W, W = sum of all w; its likelihood under the drawn pose is then multiplied by W / w.
+    Where sightings have classes, w_j is also multiplied by the ratio of `class_kernels.log_ratio`.
 
     Args:
         belief: Gaussians (9, N) of the poses; the covariance is zero in 1.0.
@@ -67,12 +68,13 @@ def associate(
         exact: whether the weights of 2.0 are exact, for the motion from ``starts`` (3, N); see `proposal`.
         candidates: pool indices of the landmarks that may be in view; ``fresh``: (K,) free indices for new landmarks.
         sightings: rows l, phi, psi and their variances; without psi rows 2 and 5 are 0 and 1.
+        shown: (K,) the class of each sighting, with ``confusion`` (n, n + 1), see `class_kernels`; n = 0 without classes.
         third: 1 with psi, 0 without.
         log_new: (K,) log likelihood of each sighting if it belongs to a new landmark.
         step: the step of the scan.
         choices: the key of the uniform numbers by which hypotheses are drawn, K for each particle.
     """
-    scan, known = sightings.shape[1], len(candidates)
+    scan, known, classified = sightings.shape[1], len(candidates), len(confusion) > 0
     # for each sighting: the landmarks to which it may belong, their log likelihoods, and how many they are
     landmarks, scores, counts = np.empty((scan, known), np.int64), np.empty((scan, known)), np.empty(scan, np.int64)
     chosen, won, taken = np.empty(scan, np.int64), np.empty(scan), np.empty(known, np.bool_)
@@ -101,6 +103,9 @@ def associate(
                 b[6, m], _ = update_pose(x, landmark, get_three(b, 0, m), get_three(b, 3, m), third)
             if rule.sampled and count > 0:
                 seen[c] = log(rule.detection * existence(rows[EVIDENCE, i], rule.dropped))
+            if classified:
+                for m in range(count):
+                    b[6, m] += class_kernels.log_ratio(rows, i, confusion, shown[which[m]])
             for m in range(count):
                 k = which[m]
                 if b[6, m] >= log_new[k] - rule.below:
@@ -122,6 +127,8 @@ def associate(
                 value, x = update_pose(x, get_nine(pool[candidates[chosen[k]]], 0, i), z, variances, third)
                 if not exact:
                     log_likelihood[i] += value
+                if classified:
+                    log_likelihood[i] += class_kernels.log_ratio(pool[candidates[chosen[k]]], i, confusion, shown[k])
         if exact:
             pose, ratio = proposal.draw_weighted(get_three(starts, 0, i), x, proposal.five_normals(key, i), motion)
             poses[0, i], poses[1, i], poses[2, i] = pose
@@ -146,6 +153,8 @@ def associate(
                 rows[EVIDENCE, i] = min(rows[EVIDENCE, i] + max(more, 0.0), rule.kept)
             put_nine(rows, 0, i, landmark)
             rows[LAST_STEP, i] = step
+            if classified:
+                class_kernels.show(rows, i, confusion, shown[k], chosen[k] >= 0)
 
 
 @njit(**INLINED)

@@ -12,6 +12,7 @@ from numba import njit
 
 from graphslam.se2 import Array
 
+from . import class_kernels
 from .association_kernels import EVIDENCE, LAST_STEP, Rule, existence
 from .blocks import Nine, get_nine, put_nine
 from .fast_math import INLINED, OPTIONS, atan2, wrap_angle
@@ -78,12 +79,15 @@ def merge(
     """Merge landmarks of a particle that are one: the older takes what the younger knows, and the younger goes.
 
     They are one where the squared Mahalanobis distance of their means, under S_a + S_b + diag(blur), is at most the gate,
-    and the last scan that saw one of them did not see both.
+    and the last scan that saw one of them did not see both. With classes, twice `class_kernels.log_same` is subtracted from
+    the distance.
 
     Args:
         slices: pool indices, the older first; ``third``: 1 where landmarks have a heading.
         blur: variances [m², rad²] by which the covariances are too small, because errors of sightings are correlated.
     """
+    classes = pool.shape[1] - class_kernels.FIRST
+    farthest = gate + 2 * log(classes) if classes > 0 else gate
     for i in range(lo, hi):
         for young in range(1, len(slices)):
             rows = pool[slices[young]]
@@ -94,13 +98,16 @@ def merge(
                 if other[EVIDENCE, i] == 0 or other[LAST_STEP, i] == rows[LAST_STEP, i]:
                     continue
                 dx, dy = rows[0, i] - other[0, i], rows[1, i] - other[1, i]
-                # within the gate the distance is at most that of the traces
+                # within the gate the distance is at most that of the traces, and a common class is worth at most log n
                 wide = rows[3, i] + rows[6, i] + other[3, i] + other[6, i] + 2 * blur[0]
-                if dx * dx + dy * dy > gate * wide:
+                if dx * dx + dy * dy > farthest * wide:
                     continue
                 squared, fused = _fused(get_nine(other, 0, i), get_nine(rows, 0, i), third, blur)
+                if classes > 0:
+                    squared -= 2 * class_kernels.log_same(rows, other, i)
                 if squared <= gate:
                     put_nine(other, 0, i, fused)
+                    class_kernels.join(rows, other, i)
                     other[EVIDENCE, i] = min(other[EVIDENCE, i] + rows[EVIDENCE, i], kept)
                     other[LAST_STEP, i] = max(other[LAST_STEP, i], rows[LAST_STEP, i])
                     rows[EVIDENCE, i] = 0.0

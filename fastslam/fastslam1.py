@@ -7,9 +7,12 @@ Sources: Murphy, *Bayesian map learning in dynamic environments*, NIPS 1999; Mon
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 
+from graphslam.association import ids_by_map
+from graphslam.association.classes import Classes
 from graphslam.errors import OptionError
 from graphslam.se2 import Array
 
@@ -69,7 +72,12 @@ class FastSLAM1(ParticleFilter):
         if self._maps is not None and columns != self._maps.coordinates:
             raise OptionError(f"sightings so far had {self._maps.coordinates} columns, these have {columns}")
 
-    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
+    @cached_property
+    def _classes(self) -> Classes | None:
+        """The classes of the sightings of the log, where they are used."""
+        return None if self.log is None or self._needs_ids else Classes.of(self.log, self.options.class_confusion)
+
+    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> Array | None:
         # three comparisons first, because this is checked at every step
         if sightings[:, 0].max() > LARGEST or q.min() < LARGEST**-2 or q.max() > LARGEST**2:
             k = int(np.argmax((sightings[:, 0] > LARGEST) | np.any((q < LARGEST**-2) | (q > LARGEST**2), axis=1)))
@@ -88,10 +96,15 @@ class FastSLAM1(ParticleFilter):
                     range_noise=(self.sensor.range_rate, self.sensor.range_std) if estimated else None,
                 )
             else:
-                self._maps = AnonymousLandmarks(*shape, self.options, self.sensor)
+                self._maps = AnonymousLandmarks(*shape, self.options, self.sensor, self._classes)
         if isinstance(self._maps, IdentifiedLandmarks):
             return self._weigh_identified(self._maps, ids, sightings, q)
-        return self._weigh_anonymous(self._maps, sightings, q)
+        if self._classes is None or rows is None:
+            # sightings that are handed in are of unknown class
+            shown = np.full(len(sightings), 0 if self._classes is None else self._classes.count)
+        else:
+            shown = self._classes.shown[rows].copy()
+        return self._weigh_anonymous(self._maps, sightings, q, shown)
 
     def _weigh_identified(self, maps: IdentifiedLandmarks, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
         """Weigh sightings with ids, as `_weigh`."""
@@ -106,13 +119,26 @@ class FastSLAM1(ParticleFilter):
         maps.finish()
         return log_likelihood
 
-    def _weigh_anonymous(self, maps: AnonymousLandmarks, sightings: Array, q: Array) -> Array:
+    def _weigh_anonymous(self, maps: AnonymousLandmarks, sightings: Array, q: Array, shown: np.ndarray) -> Array:
         """Weigh sightings without ids from the current poses; each particle decides which landmarks they belong to."""
         log_likelihood, belief = np.zeros(self.particles), np.zeros((9, self.particles))
         belief[:3] = self._poses
         # the poses are not written here, but the kernel is compiled for writable ones
-        maps.scan(belief, belief[:3], sightings, q, self._step, log_likelihood, self._choices(maps))
+        maps.scan(belief, belief[:3], sightings, q, self._step, log_likelihood, self._choices(maps), shown)
         return log_likelihood
+
+    def _association(self, poses: Array) -> dict[str, np.ndarray]:
+        if self.log is None or self._needs_ids or self._next < self.log.num_poses:
+            return {}
+        estimates = self._map(self._best, provisional=True)
+        means = {j: estimate.mean for j, estimate in estimates.items()}
+        covariances = {j: estimate.covariance for j, estimate in estimates.items()}
+        probabilities = {}
+        if isinstance(self._maps, AnonymousLandmarks):
+            probabilities = {j: self._maps.class_probabilities(j, self._best) for j in estimates}
+        ids = ids_by_map(self.log, poses, means, covariances, self.sensor, self._classes, probabilities)
+        doubtful = [j for j, estimate in estimates.items() if not estimate.confirmed]
+        return {"association": ids, "unconfirmed": np.isin(ids, doubtful)}
 
     def _choices(self, maps: AnonymousLandmarks) -> np.uint64:
         """The key of the numbers by which the associations of a scan are drawn."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from graphslam.errors import OptionError
 from graphslam.se2 import Array
 
 from . import landmark_kernels
@@ -39,6 +40,13 @@ class FastSLAM2(FastSLAM1):
     with new landmarks only is drawn from the linearised motion.
     """
 
+    def _check_options(self) -> None:
+        if self.options.range_noise == "estimated" and self.options.proposal_weight != "exact":
+            raise OptionError(
+                f"FastSLAM 2.0 with range_noise {self.options.range_noise} needs the proposal_weight exact, not "
+                f"{self.options.proposal_weight}, which is that of the measured range: leave out one of them"
+            )
+
     def _weigh_identified(self, maps: IdentifiedLandmarks, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
         # the first sighting of each known landmark
         leading: dict[int, int] = {}
@@ -69,15 +77,15 @@ class FastSLAM2(FastSLAM1):
         self._set_poses(poses)
         return log_likelihood
 
-    def _weigh_anonymous(self, maps: AnonymousLandmarks, sightings: Array, q: Array) -> Array:
+    def _weigh_anonymous(self, maps: AnonymousLandmarks, sightings: Array, q: Array, shown: np.ndarray) -> Array:
         if self._motion is None:
-            return super()._weigh_anonymous(maps, sightings, q)
+            return super()._weigh_anonymous(maps, sightings, q, shown)
         log_likelihood = np.zeros(self.particles)
         belief, poses = np.empty((9, self.particles)), np.empty_like(self._poses)
         exact = self.options.proposal_weight == "exact"
         predict, arguments = self._motion.predict(belief, exact)
         self._threads.run(predict, *arguments)
         choices = self._choices(maps)
-        maps.scan(belief, poses, sightings, q, self._step, log_likelihood, choices, self._motion, exact)
+        maps.scan(belief, poses, sightings, q, self._step, log_likelihood, choices, shown, self._motion, exact)
         self._set_poses(poses)
         return log_likelihood

@@ -72,7 +72,7 @@ class MonteCarloLocalization(ParticleFilter):
                     f"landmark {j} was seen but is not on the known map: add it to landmarks, or use FastSLAM1"
                 )
 
-    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
+    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> Array | None:  # noqa: ARG002
         log_likelihood = np.zeros(self.particles)
         for j, z, variances in zip(ids.tolist(), sightings, q, strict=True):
             known = self._landmarks[j]

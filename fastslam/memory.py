@@ -46,6 +46,8 @@ def forecast(log: Log, options: FilterOptions, *, maps: bool) -> Forecast:
     landmark = 8 * NUMBERS[log.sightings.shape[1]]
     if options.landmark_update == "joint":
         landmark += 8 * (3 * JOINT + 1)
+    if not options.uses_ids and log.classes is not None:
+        landmark += 8 * len(np.unique(log.classes))
     spare = int(np.bincount(log.steps).max(initial=0)) + 1
     seen = len(log.landmark_ids) * (1 if options.uses_ids else ANONYMOUS) + spare
     fixed = BUFFERS + (seen * landmark + len(log.landmark_ids) * INDEX if maps else 0)

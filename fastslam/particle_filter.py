@@ -5,6 +5,7 @@ Sources: Ueda, *LNPR*, chapters 5 and 8; Thrun, Burgard and Fox, *Probabilistic 
 
 from __future__ import annotations
 
+import math
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -15,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam.association import ids_by_map
 from graphslam.errors import LogError, OptionError
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
@@ -48,11 +48,11 @@ class ParticleFilter(ABC):
     Motion: each particle draws a control u' ~ N(u, M) and moves to f(x, u') + e, e ~ N(0, epsilon I). The lectures have
     no e, but the graph's motion edges have covariance A M A' + epsilon I, and with e both estimate the same posterior.
 
-    A motion of several controls, and every motion of a robot whose sensor sits at an offset, is drawn at once: x_{t-1}
-    moves, in its own axes, by a draw of the Gaussian of the whole motion, `MotionModel.accumulate`. Drawing each control
-    would cost one draw per control, for a difference of second order in the noise between two sightings, and FastSLAM
-    2.0 and the graph use the Gaussian in any case. With an offset the particles are poses of the sensor; all poses that
-    are returned are poses of the robot.
+    A motion of several controls, and every motion of a robot that slips or whose sensor sits at an offset, is drawn at
+    once: x_{t-1} moves, in its own axes, by a draw of the Gaussian of the whole motion, `MotionModel.accumulate`. Drawing
+    each control would cost one draw per control, for a difference of second order in the noise between two sightings, and
+    FastSLAM 2.0 and the graph use the Gaussian in any case. With an offset the particles are poses of the sensor; all
+    poses that are returned are poses of the robot.
 
     Weights: logarithms, with the determinant of the likelihood's covariance; Q is taken at the measured range, as in
     the graph's edges. A particle for which the sightings are impossible (likelihood 0) gets weight zero. If they are
@@ -95,6 +95,7 @@ class ParticleFilter(ABC):
             if value is not None and not isinstance(value, kind):
                 raise OptionError(f"{name} must be a {kind.__name__}, not {value!r}")
         self.options = replace(options or FilterOptions(), **keywords).for_ids(log is None or log.identified)
+        self._check_options()
         self.particles = self.options.particles
         if log is not None and log.controls is None:
             raise LogError(
@@ -121,7 +122,7 @@ class ParticleFilter(ABC):
         self._poses = _read_only(poses)
         self._uniform = _read_only(np.full(self.particles, -np.log(self.particles)))
         self._log_weights = self._uniform
-        self._best, self._resampled = 0, False
+        self._best, self._resampled, self._log_evidence = 0, False, 0.0
         self._motion: ControlMotion | GaussianMotion | None = None
         # whether this step has been observed, even if nothing was seen
         self._observed = False
@@ -148,7 +149,7 @@ class ParticleFilter(ABC):
             raise OptionError(f"dt must be 0 s or longer, not {dt!r}")
         with np.errstate(over="ignore"):
             std = np.sqrt(np.diag(self.motion.M(u, dt))) if dt > 0 else np.zeros(2)
-        if dt > 0 and not self.sensor.centred:
+        if dt > 0 and self._gaussian_motions:
             self._check_control(u, std, dt)
             motions, covariances = self.motion.accumulate(u[None], [dt], np.array([0, 1]))
             self._move_by_gaussian(*sensor_motions(self.sensor, motions, covariances))
@@ -209,7 +210,7 @@ class ParticleFilter(ABC):
         if log is None:
             raise OptionError("this filter has no log: give it one, or use move and observe")
         assert log.controls is not None and log.dt is not None  # checked by __init__
-        whole_motions = log.composite or not self.sensor.centred
+        whole_motions = log.composite or self._gaussian_motions
         # a step that overflows is refused when it is reached
         with np.errstate(over="ignore", invalid="ignore"):
             if whole_motions:
@@ -223,7 +224,8 @@ class ParticleFilter(ABC):
             elif t > 0:
                 self._move_by_control(log.controls[t - 1], control_std[t - 1], log.dt[t - 1])
             if first[t + 1] > first[t]:
-                self._observe(log.landmarks[first[t] : first[t + 1]], log.sightings[first[t] : first[t + 1]])
+                rows = slice(first[t], first[t + 1])
+                self._observe(log.landmarks[rows], log.sightings[rows], rows)
             self._next = t + 1
             yield self.state
 
@@ -253,6 +255,7 @@ class ParticleFilter(ABC):
             landmarks={j: estimate.mean for j, estimate in best_map.items()},
             landmark_covariances={j: estimate.covariance for j, estimate in best_map.items()},
             log_weights=self._log_weights,
+            log_evidence=self._log_evidence,
             ess=np.array(self._ess_history),
             resampled=np.array(self._resampled_history),
             ancestors=ancestors,
@@ -270,18 +273,14 @@ class ParticleFilter(ABC):
             self.options.smoothing, deepcopy(self._rng), self.sensor, mean_poses, marks, self.options.threads
         )
 
-    def _association(self, poses: Array) -> dict[str, np.ndarray]:
+    def _association(self, poses: Array) -> dict[str, np.ndarray]:  # noqa: ARG002
         """The fields ``association`` and ``unconfirmed`` of the result, where they are defined."""
-        if self.log is None or self._needs_ids or self._next < self.log.num_poses:
-            return {}
-        estimates = self._map(self._best, provisional=True)
-        means = {j: estimate.mean for j, estimate in estimates.items()}
-        covariances = {j: estimate.covariance for j, estimate in estimates.items()}
-        ids = ids_by_map(self.log, poses, means, covariances, self.sensor)
-        doubtful = [j for j, estimate in estimates.items() if not estimate.confirmed]
-        return {"association": ids, "unconfirmed": np.isin(ids, doubtful)}
+        return {}
 
     # -- the filter --------------------------------------------------------------------------------------------------
+
+    def _check_options(self) -> None:  # noqa: B027
+        """Raise `OptionError` where the filter cannot use its options."""
 
     @property
     def _needs_ids(self) -> bool:
@@ -293,8 +292,11 @@ class ParticleFilter(ABC):
         """Raise `OptionError` where sightings of these ids with this number of columns cannot be used."""
 
     @abstractmethod
-    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
-        """Return the log likelihoods (N,) of sightings (k, n) with variances q (k, n), None if none was weighed."""
+    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> Array | None:
+        """Return the log likelihoods (N,) of sightings (k, n) with variances q (k, n), None if none was weighed.
+
+        ``rows``: which sightings of the log these are; None for those that are handed in.
+        """
 
     @abstractmethod
     def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:
@@ -303,6 +305,11 @@ class ParticleFilter(ABC):
     @abstractmethod
     def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]:
         """Return the mixture of all maps under weights (N,), as `ParticleState.mixture_map`."""
+
+    @property
+    def _gaussian_motions(self) -> bool:
+        """Whether motions are drawn from their Gaussian even where they have one control only."""
+        return not self.sensor.centred or self.motion.slip > 0
 
     def _end_step(self) -> None:  # noqa: B027
         """Do what has to wait until an observed step is over."""
@@ -346,11 +353,11 @@ class ParticleFilter(ABC):
         self._poses = _read_only(poses)
         self._genealogy.amend(poses)
 
-    def _observe(self, ids: np.ndarray, sightings: Array) -> None:
+    def _observe(self, ids: np.ndarray, sightings: Array, rows: slice | None = None) -> None:
         with np.errstate(over="ignore"):
             q = np.diagonal(self.sensor.Q(sightings), axis1=-2, axis2=-1).copy()
         # a copy: kernels would be compiled once more for the read-only arrays of a log
-        log_weights = self._weigh(ids, sightings.copy(), q)
+        log_weights = self._weigh(ids, sightings.copy(), q, rows)
         self._version, self._observed = self._version + 1, True
         # the poses now depend on the sightings: later sightings of this step must not correct the motion again
         self._motion = None
@@ -369,6 +376,7 @@ class ParticleFilter(ABC):
             )
             return
         weights, total, squares = normalize(self._threads, log_weights, highest)
+        self._log_evidence += highest + math.log(total)
         ess = min(total * total / squares, float(self.particles))
         self._log_weights, self._best = _read_only(log_weights), int(np.argmax(log_weights))
         self._ess_history[-1] = ess

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from .checks import check_positive, checked_offset, first
 from .errors import LogError, OptionError, printable
 from .models import MotionModel, SensorModel
-from .reading import UNIDENTIFIED
+from .reading import NO_CLASS, UNIDENTIFIED
 from .se2 import Array, mounted, wrap
 from .tables import TableOptions, parts_of_tables
 
@@ -35,8 +35,9 @@ class Log:
         steps: the step of each sighting, (M,), not decreasing.
         landmarks: the id of the landmark of each sighting, (M,) integers; `UNIDENTIFIED` where the sensor gives none.
         sightings: (l, phi) or (l, phi, psi) [m, rad, rad], (M, 2) or (M, 3); angles are wrapped to [-pi, pi).
-        classes: what each sighting looks like, (M,) integers, such as the colour of a cone; None where the sensor tells none.
-            `graphslam.associate` uses them.
+        classes: what each sighting looks like, such as the colour of a cone: (M,) words, or integers; None where the sensor
+            tells none. Where the class of a sighting is not known it is "", or `UNIDENTIFIED`. `graphslam.associate` and
+            FastSLAM use classes where they find the ids.
         initial_poses: (T+1, 3), the initial guess of the trajectory; default: dead reckoning from (0, 0, 0). Headings
             are not wrapped, so that they can count turns.
         true_poses: the ground truth, (T+1, 3), or None where unknown. A row is NaN where the pose is unknown, and (x, y,
@@ -198,7 +199,7 @@ class Log:
             raise LogError(
                 f"sighting {k + 1} runs backwards, from step {steps[k]} to {steps[k + 1]}: sort sightings by step"
             )
-        classes = None if self.classes is None else _integers("classes", self.classes, len(sightings))
+        classes = None if self.classes is None else _checked_classes(self.classes, len(sightings))
         return {"steps": steps, "landmarks": landmarks, "sightings": sightings, "classes": classes}
 
     def with_sightings(self, kept: np.ndarray, **changes: Any) -> Log:
@@ -211,6 +212,7 @@ class Log:
         """One line: name, sizes, and what is known."""
         parts = {
             "psi": self.has_orientation,
+            "classes": self.classes is not None,
             "controls": self.controls is not None,
             "truth": self.true_poses is not None,
         }
@@ -248,6 +250,13 @@ class Log:
     def identified(self) -> bool:
         """Whether the landmark of every sighting is known."""
         return not np.any(self.landmarks == UNIDENTIFIED)
+
+    @property
+    def classified(self) -> np.ndarray:
+        """Whether the class of each sighting is known, (M,) bool."""
+        if self.classes is None:
+            return np.zeros(len(self.steps), dtype=bool)
+        return np.asarray(self.classes != (NO_CLASS if self.classes.dtype.kind == "U" else UNIDENTIFIED))
 
     @property
     def composite(self) -> bool:
@@ -439,7 +448,7 @@ def _same(a: Any, b: Any) -> bool:
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
-        return np.array_equal(a, b, equal_nan=True)
+        return np.array_equal(a, b, equal_nan=a.dtype.kind == b.dtype.kind == "f")
     return bool(a == b) if type(a) is type(b) else False
 
 
@@ -465,6 +474,18 @@ def _checked_truth(value: ArrayLike, shape: tuple[int, ...], name: str = "true_p
     return known
 
 
+def _checked_classes(value: ArrayLike, length: int) -> np.ndarray:
+    """Classes as words, or as whole numbers."""
+    array = np.asarray(value)
+    if array.dtype.kind == "O" and all(isinstance(each, str) for each in array.flat):
+        array = array.astype(str)
+    if array.dtype.kind != "U":
+        return _integers("classes", array, length, "words, or whole numbers")
+    if array.shape != (length,):
+        raise LogError(f"classes must have one entry per sighting, shape ({length},), not {array.shape}")
+    return np.char.strip(array)
+
+
 def _landmark(id: int, value: ArrayLike) -> Array:
     landmark = _floats(f"true_landmarks[{id}]", value, (None,))
     if len(landmark) not in (2, 3):
@@ -486,7 +507,7 @@ def _floats(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array
     return array
 
 
-def _integers(name: str, value: ArrayLike, length: int) -> np.ndarray:
+def _integers(name: str, value: ArrayLike, length: int, wanted: str = "whole numbers") -> np.ndarray:
     array = np.asarray(value)
     if array.size == 0:
         array = array.astype(np.int64).reshape(-1)
@@ -496,7 +517,7 @@ def _integers(name: str, value: ArrayLike, length: int) -> np.ndarray:
         with np.errstate(invalid="ignore"):
             whole = array.astype(np.int64)
     except (TypeError, ValueError):  # of a word, or None
-        raise LogError(f"{name} must be whole numbers, not such as {array[0]!r}") from None
+        raise LogError(f"{name} must be {wanted}, not such as {array[0]!r}") from None
     if not np.array_equal(whole, array):
-        raise LogError(f"{name} must be whole numbers")
+        raise LogError(f"{name} must be {wanted}")
     return whole.copy()

@@ -8,6 +8,10 @@ from .checks import check_positive, option
 
 #: the id of a landmark that the sensor could not identify
 UNIDENTIFIED = -(2**63)
+#: the class of a sighting whose class is not known, where classes are words; `UNIDENTIFIED` where they are numbers
+NO_CLASS = ""
+#: the most classes that sightings may have: more are no kinds of landmarks
+MOST_CLASSES = 100
 
 
 @dataclass(frozen=True, kw_only=True)

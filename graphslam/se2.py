@@ -18,10 +18,13 @@ Array = NDArray[Any]
 def wrap(angle: ArrayLike) -> Array:
     """The same angle in [-pi, pi) [rad], element by element; angles in that range are returned unchanged."""
     angle = np.asarray(angle, dtype=float)
+    within = (angle >= -np.pi) & (angle < np.pi)
+    if within.all():
+        return angle.copy()
     wrapped = np.mod(angle + np.pi, 2 * np.pi) - np.pi
     # np.mod may round a tiny negative number up to the full 2 pi
     wrapped = np.where(wrapped >= np.pi, -np.pi, wrapped)
-    return np.where((angle >= -np.pi) & (angle < np.pi), angle, wrapped)
+    return np.where(within, angle, wrapped)
 
 
 def rotation(theta: ArrayLike) -> Array:

@@ -217,11 +217,12 @@ def make_solution(
     seconds: float,
     solver: str,
     notes: tuple[str, ...] = (),
+    cost: float | None = None,
 ) -> Solution:
-    """The `Solution` of a graph from the final state (n, 3) of a solver and the record of its iterations."""
+    """The `Solution` of a graph from the final state (n, 3) of a solver, its cost if known, and the record of its steps."""
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])
-    cost = graph.cost(state)
+    cost = graph.cost(state) if cost is None else cost
     landmarks: dict[int, Array] = {}
     if len(graph.landmark_ids):
         nodes = state[len(graph.steps) :, : graph.landmark_dimension].copy()

@@ -22,6 +22,7 @@ class LogDocument(Document):
     sightings: Annotated[Count, about("number of sightings")]
     landmarks: Annotated[Count, about("number of landmarks seen")]
     dimensions: Dimensions
+    classes: Annotated[dict[str, int] | None, about("number of sightings of each class; null without classes")]
     simulated: Annotated[bool, about("whether `simulate` made it; all others count as real data")]
     has_controls: Annotated[bool, about("whether there is odometry")]
     controls: Annotated[Count | None, about("number of controls")]
@@ -44,10 +45,16 @@ def describe(log: Log, source: Path | None = None) -> dict[str, Any]:
         sightings=len(log.steps),
         landmarks=len(log.landmark_ids),
         dimensions=log.sightings.shape[1],
+        classes=None if log.classes is None else _counts(log.classes[log.classified]),
         has_controls=log.controls is not None,
         controls=None if log.controls is None else len(log.controls),
         poses_covered=int(np.count_nonzero(log.covered)),
     )
+
+
+def _counts(classes: np.ndarray) -> dict[str, int]:
+    names, counts = np.unique(classes, return_counts=True)
+    return dict(zip(map(str, names.tolist()), counts.tolist()))
 
 
 class SimulateDocument(Document):

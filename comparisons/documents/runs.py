@@ -78,7 +78,8 @@ class AssociationDocument(Document):
     invented: Annotated[Count | None, about("landmarks made mostly of clutter")]
     matches: Annotated[dict[Id, int] | None, about("the true landmark of each that is matched, by id")]
     classes: Annotated[
-        dict[Id, int] | None, about("the class that most sightings of a landmark show, by id; null without classes")
+        dict[Id, int | str | None] | None,
+        about("the class that most sightings of a landmark show, by id; null where none is known"),
     ]
     unconfirmed: Annotated[
         Count | None,

@@ -10,9 +10,11 @@ from rich.table import Table
 from graphslam.log import UNIDENTIFIED
 
 from ..sightings import sightings_of
-from .cells import NOTHING, LeanTable
+from .cells import NOTHING, LeanTable, number, word
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
     from ..comparison import Comparison
     from ..results import EstimatorResult
 
@@ -34,9 +36,9 @@ def association_table(comparison: Comparison, result: EstimatorResult) -> Table 
     for each in sightings_of(log, result.association):
         steps = log.steps[each.rows]
         doubtful = 0 if result.unconfirmed is None else int(np.sum(result.unconfirmed[each.rows]))
-        cells = [str(len(each.rows)), str(doubtful), f"{steps.min()}-{steps.max()}"]
+        cells: list[RenderableType] = [str(len(each.rows)), str(doubtful), f"{steps.min()}-{steps.max()}"]
         if log.classes is not None:
-            cells += [str(each.of_class), f"{each.share:.2f}"]
+            cells += [word(each.of_class), number(each.share, 2)]
         if scores is not None:
             true = scores.matches.get(each.landmark, UNIDENTIFIED)
             share = float(np.mean(log.landmarks[each.rows] == true))

@@ -40,6 +40,11 @@ def seconds(value: float | None) -> str:
     return f"{value * 1e3:.1f} ms" if value < 1 else f"{value:.2f} s"
 
 
+def word(value: int | str | None) -> Text:
+    """A name from the data, which may hold any characters; a dash where there is none."""
+    return Text(NOTHING if value is None else printable(str(value)))
+
+
 def yes_no(value: bool | None, more: str = "") -> Text:
     """Yes, no, or a dash where the question makes no sense; ``more`` follows in the same cell."""
     if value is None:

@@ -54,7 +54,10 @@ _LISTED = 12
 def overview_tables(overview: Overview) -> Tables:
     """Rates and landmarks; below, histograms, the way from above, and what is probably wrong."""
     log = overview.log
-    parts = {"psi": log.has_orientation, "true poses": log.true_poses is not None, "true map": bool(log.true_landmarks)}
+    parts = {
+        "psi": log.has_orientation, "classes": log.classes is not None, "true poses": log.true_poses is not None,
+        "true map": bool(log.true_landmarks),
+    }  # fmt: skip
     known = ", ".join(part for part, present in parts.items() if present)
     title = f"{log.name}: {log.num_poses} poses, {log.seen}"
     rates = LeanTable("times", [""], ["number", "rate\n[Hz]", "longest\ngap [s]", "at\n[s]"])

@@ -22,7 +22,7 @@ from graphslam.metrics import exchanged
 
 from ..options import AUTO_TOOK, DOUBTFUL
 from ..sightings import sightings_of
-from .cells import NOTHING, LeanTable, number, optimum, seconds, yes_no
+from .cells import NOTHING, LeanTable, number, optimum, seconds, word, yes_no
 from .placement import placement_of_result
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ def landmark_table(comparison: Comparison) -> Table | None:
     ids, counts = np.unique(comparison.log.landmarks, return_counts=True)
     seen = dict(zip(ids.tolist(), counts.tolist()))
     for j in sorted(set().union(*errors.values()), key=lambda j: (-first.get(j, -1.0), j)):
-        shown = [str(classes.get(j, NOTHING))] * bool(classes)
+        shown = [word(classes.get(j))] * bool(classes)
         table.add_row(str(j), *shown, str(seen.get(j, NOTHING)), *(number(of.get(j)) for of in errors.values()))
     return table
 

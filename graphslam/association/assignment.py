@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from ..log import UNIDENTIFIED, Log
 from ..models import SensorModel
 from ..se2 import Array, transform, turn_matrix, wrap
+from .classes import LEAST, Classes
 from .densities import Densities, Field
 from .geometry import Places, differences
 from .hypotheses import gates, log_density
@@ -87,8 +88,9 @@ def _runs(values: np.ndarray) -> list[tuple[int, int]]:
 
 
 def ids_by_map(
-    log: Log, poses: Array, means: Mapping[int, Array], covariances: Mapping[int, Array], sensor: SensorModel
-) -> np.ndarray:
+    log: Log, poses: Array, means: Mapping[int, Array], covariances: Mapping[int, Array], sensor: SensorModel,
+    classes: Classes | None = None, probabilities: Mapping[int, Array] | None = None,
+) -> np.ndarray:  # fmt: skip
     """The id (M,) of the landmark of a map to which each sighting belongs, `UNIDENTIFIED` for none.
 
     Args:
@@ -96,6 +98,7 @@ def ids_by_map(
         poses: (T+1, 3) the trajectory to which the map belongs.
         means, covariances: the map, {id: (d,)} and {id: (d, d)}.
         sensor: the noise model.
+        classes: of the sightings, with the ``probabilities`` {id: (n,)} that each landmark is of each class.
     """
     if not means or len(log.steps) == 0:
         return np.full(len(log.steps), UNIDENTIFIED)
@@ -104,8 +107,12 @@ def ids_by_map(
     world = World.of(Places.of(log, sensor), np.asarray(poses)[log.steps])
     own = np.array([covariances[j] for j in means])
 
-    def weights(item: np.ndarray, _: np.ndarray) -> Array:
-        return np.full(len(item), densities.seen - densities.clutter)
+    def weights(item: np.ndarray, landmark: np.ndarray) -> Array:
+        constant = np.full(len(item), densities.seen - densities.clutter)
+        if classes is None or probabilities is None or classes.count == 1:
+            return constant
+        of_landmarks = np.log(np.maximum([probabilities[j] for j in means], LEAST))
+        return constant + classes.together(classes.of_sightings(item), of_landmarks[landmark])
 
     chosen, _ = assign(world, log.steps, np.array(list(means.values())), own, options.gate, weights)
     return np.where(chosen < 0, UNIDENTIFIED, names[chosen])

@@ -18,7 +18,7 @@ from ..precision import check_log
 from ..se2 import Array
 from .adapting import Robot, adapted, again, wanted
 from .classes import Classes
-from .climbing import climb
+from .climbing import ROUNDS, Climbed, climb
 from .densities import Densities, Field
 from .doubts import Doubt, doubts
 from .driving import drive
@@ -175,11 +175,9 @@ def associate(
         log, backbone, field = robot.log, robot.backbone, Field.of(robot.log, robot.sensor)
         firsts = [end for first in firsts if (end := again(robot, first, classes, options)) is not None] or firsts
     ends = [climb(log, backbone, end, field, classes, options) for end in firsts]
-    densities = Densities.mean([end.densities for end, _ in ends])
-    values = [evidence(log, backbone, end.solved, field, densities) for end, _ in ends]
-    refined, accounts = ends[int(np.argmax(values))]
-    doubtful = doubts(accounts, options.factor)
-    return _report(given, robot, refined, values, doubtful, options, time.perf_counter() - begin)
+    densities = Densities.mean([end.refined.densities for end in ends])
+    values = [evidence(log, backbone, end.refined.solved, field, densities) for end in ends]
+    return _report(given, robot, ends[int(np.argmax(values))], values, options, time.perf_counter() - begin)
 
 
 def _starts(log: Log, start: Start | list[Start | None] | None) -> list[tuple[np.ndarray | None, Array | None]]:
@@ -199,16 +197,16 @@ def _starts(log: Log, start: Start | list[Start | None] | None) -> list[tuple[np
 
 
 def _report(
-    given: Robot, robot: Robot, refined: Refined, values: list[float], doubtful: tuple[Doubt, ...],
-    options: AssociationOptions, seconds: float,
-) -> Association:  # fmt: skip
+    given: Robot, robot: Robot, end: Climbed, values: list[float], options: AssociationOptions, seconds: float
+) -> Association:
     """The association of the log as it was recorded, found with another robot."""
-    log, graph = given.log, refined.solved.graph
+    log, refined = given.log, end.refined
+    graph = refined.solved.graph
     found = Association(
         of=log, ids=np.where(refined.labels < 0, UNIDENTIFIED, refined.labels),
         margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solved.poses, rounds=refined.rounds,
         settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), motion=robot.motion,
-        parameters=robot.estimate, doubts=doubtful,
+        parameters=robot.estimate, doubts=doubts(end.accounts, options.factor),
         evidence=max(values), options=options, seconds=seconds, notes=(),
     )  # fmt: skip
     notes = [
@@ -216,16 +214,16 @@ def _report(
         f"{_counted(len(log.steps), 'sighting')} are of no landmark (clutter), J per degree of freedom is "
         f"{found.cost_per_dof:.2f}"
     ]
-    if robot.motion.epsilon != given.motion.epsilon:
+    if robot.motion.slip != given.motion.slip:
         notes.append(
-            "over long ways the robot slips sideways more than its noise model allows: for the graph epsilon is raised from "
-            f"{given.motion.epsilon:.2g} to {robot.motion.epsilon:.2g}"
+            "over long ways the robot slips sideways more than its noise model allows: for the graph slip is raised from "
+            f"{given.motion.slip:.2g} to {robot.motion.slip:.2g} m/√m"
         )
     if found.parameters is not None:
         notes.append(f"ids were found with estimated parameters: {found.parameters.sentence}")
     if found.ambiguous:
         notes.append(
-            f"the landmark of {found.ambiguous} sightings is ambiguous: the evidence for it is less than "
+            f"the landmark of {_counted(found.ambiguous, 'sighting')} is ambiguous: the evidence for it is less than "
             f"{options.factor:g} times that for another one, or for clutter"
         )
     if len(values) > 1:
@@ -243,7 +241,17 @@ def _report(
     if found.landmarks == 1:
         notes.append("one landmark alone cannot tell a wrong association from drift")
     if not found.settled:
-        notes.append(f"the association had not settled after {found.rounds} rounds")
+        notes.append(f"the association had not settled after {_counted(found.rounds, 'round')}")
+    if end.unsettled:
+        notes.append(
+            f"other accounts of the drive that had not settled when they were compared, after "
+            f"{_counted(min(options.rounds, ROUNDS), 'round')}: {end.unsettled} of {end.tried}; their evidence may be higher"
+        )
+    if end.left:
+        notes.append(
+            "other accounts of the drive that are not much less likely, but were not tried because of the limit on tries "
+            f"({options.tries}): {end.left}; with a higher limit one of them may prove better"
+        )
     return replace(found, notes=tuple(notes))
 
 

@@ -61,7 +61,7 @@ class LocalMap:
         tracks = np.full(len(rows), -1)
         tracks[matched] = self.tracks[used]
         self.last[used] = step
-        self._shown[used] += self._shows(rows[matched])
+        self._shown[used] += self._classes.of_sightings(rows[matched])
         self._correct(nu[chosen], *(each[_columns(chosen, self.d)] for each in (H, S[:, _columns(chosen, self.d)])))
         # sightings of one of several tracks are left out for now
         new = np.setdiff1d(np.flatnonzero(tracks < 0), item[doubtful])
@@ -85,12 +85,11 @@ class LocalMap:
         self.tracks, self.last, self.landmarks = self.tracks[kept], self.last[kept], self.landmarks[kept]
         self._shown = self._shown[kept]
 
-    def _shows(self, rows: np.ndarray) -> Array:
-        return self._classes.log_confusion[:, self._classes.shown[rows]].T
-
     def _weights(self, rows: np.ndarray) -> Array:
         """w (k, n) of each sighting and track."""
-        return self._densities.weight + self._classes.together(self._shows(rows)[:, None], self._shown[None])
+        return self._densities.weight + self._classes.together(
+            self._classes.of_sightings(rows)[:, None], self._shown[None]
+        )
 
     def _pairs(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array, Array, Array]:
         """Pairs of a sighting of the scan and a track within the gate.
@@ -180,7 +179,7 @@ class LocalMap:
         self.landmarks = np.concatenate([self.landmarks, means])
         self.tracks = np.concatenate([self.tracks, tracks])
         self.last = np.concatenate([self.last, np.full(k, step)])
-        self._shown = np.concatenate([self._shown, self._shows(rows)])
+        self._shown = np.concatenate([self._shown, self._classes.of_sightings(rows)])
 
 
 def _columns(places: np.ndarray, d: int) -> np.ndarray:

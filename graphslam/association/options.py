@@ -32,7 +32,7 @@ class AssociationOptions:
     confusion: float = option(0.05, "Probability that the class of a sighting is wrong, where the log has classes")
     window: int = option(30, "Steps between two solutions of the graph along the drive; more on long logs")
     rounds: int = option(10, "The most rounds of association and solving, in turn, at the end")
-    slip: bool = option(True, "Raise the noise of motions where the robot slips sideways over long ways")
+    slip: bool = option(True, "Raise the noise sideways of motions where the robot slips over long ways")
     tries: int = option(
         40, "The most other accounts of the drive that are tried in full where some are not much less likely"
     )

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import GraphError
 from ..log import Log
 from ..se2 import Array
 from .assignment import World, assign
@@ -56,7 +57,20 @@ def refine(
     log: Log, backbone: Backbone, labels: np.ndarray, poses: Array, field: Field, densities: Densities, classes: Classes,
     options: AssociationOptions,
 ) -> Refined | None:  # fmt: skip
-    """Association and solving in turn, from labels (M,) and poses (T+1, 3); None where no landmark is left."""
+    """Association and solving in turn, from labels (M,) and poses (T+1, 3).
+
+    None where no landmark is left, or where the labels contradict the motions so much that solving diverges.
+    """
+    try:
+        return _in_turn(log, backbone, labels, poses, field, densities, classes, options)
+    except GraphError:
+        return None
+
+
+def _in_turn(
+    log: Log, backbone: Backbone, labels: np.ndarray, poses: Array, field: Field, densities: Densities, classes: Classes,
+    options: AssociationOptions,
+) -> Refined | None:  # fmt: skip
     labels, settled = _compact(labels), False
     margins = np.full(len(labels), np.inf)
     rounds = 0
@@ -128,10 +142,9 @@ def _assigned(
 ) -> tuple[np.ndarray, Array]:
     """The label and the margin (M,) of each sighting: the best assignment of every scan."""
     shown = classes.sums(solved.which, solved.rows, len(solved.labels))
-    each = classes.log_confusion[:, classes.shown].T
 
     def weights(item: np.ndarray, landmark: np.ndarray) -> Array:
-        return densities.seen - densities.clutter + classes.together(each[item], shown[landmark])
+        return densities.seen - densities.clutter + classes.together(classes.of_sightings(item), shown[landmark])
 
     own = solved.own_covariances + solved.slack
     chosen, margins = assign(world, log.steps, solved.landmarks, own, options.gate, weights)

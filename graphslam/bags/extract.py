@@ -38,10 +38,12 @@ class Collector:
         self._times = array("q")
         self._values = array("d")
         self._ids: list[Any] = []
+        self._looks: list[Any] = []
         self._parent, self._child = clean(parent), re.compile(re.escape(clean(child)).replace(r"\*", ".*") or ".*")
         self._rows = attrgetter(plan.row) if plan.row else None
         self._get = _values(list(plan.columns.values()))
         self._id = getter(plan.id) if plan.id else None
+        self._look = getter(plan.look) if plan.look else None
         self._of_child = attrgetter(plan.child) if plan.child else None
         self._only = bool(parent or child)
 
@@ -74,6 +76,8 @@ class Collector:
             self._values.extend(values)
             if self._id:
                 self._ids.append(self._id(row))
+            if self._look:
+                self._looks.append(self._look(row))
 
     @property
     def times(self) -> np.ndarray:
@@ -88,11 +92,18 @@ class Collector:
 
     def ids(self) -> np.ndarray | None:
         """The ids (N,) as numbers or text; None where there are none."""
-        if not self._ids:
-            return None
-        if all(isinstance(each, (int, np.integer)) for each in self._ids):
-            return np.array(self._ids, dtype=np.int64)
-        return np.array([str(each) for each in self._ids])
+        return _words(self._ids)
+
+    def classes(self) -> np.ndarray | None:
+        """The classes (N,) as numbers or text; None where there are none."""
+        return _words(self._looks)
+
+
+def _words(values: list[Any]) -> np.ndarray | None:
+    if all(isinstance(each, (int, np.integer)) for each in values):
+        return np.array(values, dtype=np.int64) if values else None
+    words = np.array(["" if each is None else str(each) for each in values])
+    return words if np.any(words != "") else None
 
 
 def _values(paths: list[str]) -> Callable[[Any], tuple[float, ...]]:

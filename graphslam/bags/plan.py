@@ -36,7 +36,7 @@ class Plan:
         columns: {column: path in a row}. A pose whose position is at P has columns "P.x", "P.y", "P.z" and, where it has an
             orientation, "P.qx" to "P.qw".
         places: the positions P, best first.
-        id: path of the id; empty where there is none.
+        id, look: paths of the id and of the class; empty where there is none.
         stamp: whether the "row" or the "message" has the time; empty where neither has.
         frame: path of the name of the frame in the row or message that has the time.
         child: path of the name of the frame that moves; empty where there is none.
@@ -47,6 +47,7 @@ class Plan:
     columns: Mapping[str, str]
     places: tuple[str, ...]
     id: str = ""
+    look: str = ""
     stamp: str = ""
     child: str = ""
     action: bool = False
@@ -72,7 +73,7 @@ def plan_of(source: str, kind: str, type: str, types: Any, stated: Mapping[str, 
     for role, path in stated.items():
         columns[role] = _stated(source, role, str(path), inside, row)
     places: list[str] = []
-    if not columns.keys() - {"id"}:
+    if not columns.keys() - {"id", "class"}:
         places = _places(inside)
         for place in places:
             columns |= {f"{place}.{axis}": f"{place}.{axis}" for axis in "xyz"}
@@ -86,7 +87,9 @@ def plan_of(source: str, kind: str, type: str, types: Any, stated: Mapping[str, 
             for role in _PLAIN[kind]:
                 if path := next((path for path in inside if matches(role, path)), ""):
                     columns[role] = path
-    id = columns.pop("id", "") or _id(inside)
+    look = columns.pop("class", "")
+    id = columns.pop("id", "") or _id([path for path in inside if path != look])
+    look = look or _look([path for path in inside if path != id])
     if not _enough(kind, columns, places):
         raise FormatError(source, None, f"its messages, {type}, give no {kind}; {_GIVES[kind]}")
     return Plan(
@@ -94,6 +97,7 @@ def plan_of(source: str, kind: str, type: str, types: Any, stated: Mapping[str, 
         columns,
         tuple(places),
         id if kind == "sightings" else "",
+        look if kind == "sightings" else "",
         "row" if "header.stamp.sec" in inside else "message" if "header.stamp.sec" in paths else "",
         "child_frame_id" if "child_frame_id" in inside else "",
         row == "markers" and "action" in inside,
@@ -144,6 +148,12 @@ def _id(inside: list[str]) -> str:
     fits = [path for path in inside if matches("id", path) and "frame" not in path and "seq" not in path]
     fits.sort(key=lambda path: (path.replace("[]", "") != "id", "class" not in path, path.count(".")))
     return fits[0] if fits else "child_frame_id" if "child_frame_id" in inside else ""
+
+
+def _look(inside: list[str]) -> str:
+    """The class of a row; the type of a message says nothing about what was seen."""
+    fits = [path for path in inside if matches("class", path) and path.rpartition(".")[2] not in ("type", "kind")]
+    return min(fits, key=lambda path: path.count("."), default="")
 
 
 def _enough(kind: str, columns: Mapping[str, str], places: list[str]) -> bool:

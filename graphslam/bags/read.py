@@ -251,8 +251,12 @@ def _sightings_table(
     collector: Collector, options: TableOptions, frames: Frames, base: str
 ) -> tuple[Columns, tuple[float, float] | None]:
     """The sightings in the axes of the robot, and the place of the sensor where the bag says it."""
-    ids = collector.ids()
-    columns: dict[str, Any] = {"t": collector.times} | ({} if ids is None else {"id": ids})
+    ids, classes = collector.ids(), collector.classes()
+    if ids is None and "class" not in options.columns_of("sightings"):
+        # the only name that a detection has is that of its landmark, unless the user says that it is a class
+        ids, classes = classes, None
+    named = {"id": ids, "class": classes}
+    columns: dict[str, Any] = {"t": collector.times} | {name: a for name, a in named.items() if a is not None}
     if not collector.plan.places:
         names = list(collector.plan.columns)
         values = collector.columns(names)

@@ -111,6 +111,12 @@ def _two_sum(a, b):
     return s, (a - (s - t)) + (b - t)
 
 
+@njit(inline="always", error_model="numpy")
+def _length(z):
+    """abs(z), without the care for overflow that takes most of the time of `abs`; coordinates are at most 1e20."""
+    return np.sqrt(z.real * z.real + z.imag * z.imag)
+
+
 @njit(cache=True, error_model="numpy")
 def _dot(a0, a1, a2, b0, b1, b2):
     """a' b as if computed with twice the digits: Omega may have entries 1e11 times its smallest eigenvalue (INTEL).
@@ -164,7 +170,7 @@ def forces(state, first, second, start, end, turn, oriented, information):
         d_a, d_b = complex(start[e, 0], start[e, 1]), complex(end[e, 0], end[e, 1])
         reached[e] = np.conj(za) * (tb + zb * d_b - ta)
         v, h = reached[e] - d_a, 0.0
-        size = abs(ta) + abs(tb) + abs(d_a) + 2 * abs(d_b) + abs(reached[e]) + abs(v)
+        size = _length(ta) + _length(tb) + _length(d_a) + 2 * _length(d_b) + _length(reached[e]) + _length(v)
         place_error[e], heading_error[e] = 16 * ROUNDOFF * size, 0.0
         if oriented[e]:
             h = wrap(state[b, 2] - heading - turn[e])
@@ -173,15 +179,14 @@ def forces(state, first, second, start, end, turn, oriented, information):
         p[e] = complex(_dot(w[0], w[1], w[3], x, y, h), _dot(w[1], w[2], w[4], x, y, h))
         g[e] = _dot(w[3], w[4], w[5], x, y, h)
         cost[e] = p[e].real * x + p[e].imag * y + g[e] * h
-        zero[e] = (p[e] == 0 or abs(v) <= place_error[e]) and (g[e] == 0 or abs(h) <= heading_error[e])
+        zero[e] = (p[e] == 0 or _length(v) <= place_error[e]) and (g[e] == 0 or abs(h) <= heading_error[e])
         # The function touches J_e at the computed residual. Its value at the state differs by the errors of v times p and g.
         # An error of g counts by the range of e_theta; those of p are absorbed by beta.
         rows = abs(w[0]) + 2 * abs(w[1]) + abs(w[2]) + abs(w[3]) + abs(w[4])
-        p_error[e] = 2 * ROUNDOFF * abs(p[e]) + (4 * ROUNDOFF) ** 2 * rows * (abs(v) + abs(h))
-        g_error = 2 * ROUNDOFF * abs(g[e]) + (4 * ROUNDOFF) ** 2 * ((abs(w[3]) + abs(w[4])) * abs(v) + abs(w[5] * h))
-        slack[e] = (
-            3 * abs(p[e]) * place_error[e] + 3 * abs(g[e]) * heading_error[e] + p_error[e] * abs(v) + 16 * g_error
-        )
+        p_size, v_size = _length(p[e]), _length(v)
+        p_error[e] = 2 * ROUNDOFF * p_size + (4 * ROUNDOFF) ** 2 * rows * (v_size + abs(h))
+        g_error = 2 * ROUNDOFF * abs(g[e]) + (4 * ROUNDOFF) ** 2 * ((abs(w[3]) + abs(w[4])) * v_size + abs(w[5] * h))
+        slack[e] = 3 * p_size * place_error[e] + 3 * abs(g[e]) * heading_error[e] + p_error[e] * v_size + 16 * g_error
     return p, p_error, g, reached, place_error, heading_error, cost, slack, zero
 
 
@@ -253,20 +258,21 @@ def minorant(state, first, second, end, oriented, free, indptr, indices, force, 
         reached, d_b = reached_of[e], complex(end[e, 0], end[e, 1])
         za = complex(c[a], s[a]) if a >= 0 else 1 + 0j
         zb = complex(c[b], s[b])
-        pulled, strength = abs(p) * (abs(reached) + abs(d_b)), abs(p)
+        strength, reach = _length(p), _length(reached)
+        pulled = strength * (reach + _length(d_b))
         # of p times the rounding error of the place, in units of 64
         far = strength * place_error[e] / (64 * ROUNDOFF)
         curved = 4 * error_of[e] + 4 * abs(g) + (strength**2 / beta if beta > 0 else 0.0)
         if a >= 0 and free[a]:
             slot = indptr[a + 1] - 1
             corner = beta * np.conj(reached) - np.conj(p)
-            values[slot, 0, 0] += beta * abs(reached) ** 2 + A - (np.conj(p) * reached).real
+            values[slot, 0, 0] += beta * reach**2 + A - (np.conj(p) * reached).real
             values[slot, 0, 1] += corner
             values[slot, 1, 0] += np.conj(corner)
             values[slot, 1, 1] += beta
             gradient[a, 0] += za * complex(0, -(p * np.conj(reached)).imag - g)
             gradient[a, 1] -= p * za
-            scale[a, 0] += 4 * beta * abs(reached) ** 2 + curved + 2 * pulled
+            scale[a, 0] += 4 * beta * reach**2 + curved + 2 * pulled
             scale[a, 1] += 8 * beta
             error[a, 0] += 2 * pulled + abs(g) + far
             error[a, 1] += 2 * strength
@@ -274,7 +280,7 @@ def minorant(state, first, second, end, oriented, free, indptr, indices, force, 
             slot = indptr[b + 1] - 1
             force_b = np.conj(zb) * za * p * np.conj(d_b)
             corner = beta * np.conj(d_b)
-            values[slot, 0, 0] += beta * abs(d_b) ** 2 + A - force_b.real
+            values[slot, 0, 0] += beta * (d_b.real**2 + d_b.imag**2) + A - force_b.real
             values[slot, 0, 1] += corner
             values[slot, 1, 0] += np.conj(corner)
             values[slot, 1, 1] += beta
@@ -282,7 +288,7 @@ def minorant(state, first, second, end, oriented, free, indptr, indices, force, 
             gradient[b, 1] += p * za
             # without a heading row and a lever, the node has no heading
             if oriented[e] or d_b != 0:
-                scale[b, 0] += 4 * beta * abs(d_b) ** 2 + curved + 2 * pulled
+                scale[b, 0] += 4 * beta * (d_b.real**2 + d_b.imag**2) + curved + 2 * pulled
             scale[b, 1] += 8 * beta
             error[b, 0] += 2 * pulled + abs(g)
             error[b, 1] += 2 * strength

@@ -71,18 +71,19 @@ class Certificate:
         return replace(self, status=NOT_PROVEN, reason=f"the solver has not converged: {reason}{also}")
 
 
-def prove(graph: Graph, state: Array, *, thorough: bool = True) -> Certificate:
+def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bool = True) -> Certificate:
     """Check whether a state (n, 3) is a global minimum of the cost of a graph; docs/certificate.md explains how.
 
     Args:
         graph: with the edges whose cost is minimised.
         state: the candidate.
+        cost: J at the state, where it is known.
         thorough: whether to go on where the first attempt fails, with better splits of the information and a lower bound on
             the cost. That takes some 50 factorisations instead of one.
     """
     begin = time.perf_counter()
     state = np.array(state, dtype=float)
-    cost = graph.cost(state)
+    cost = graph.cost(state) if cost is None else cost
     strayed = state[graph.fixed] - graph.initial[graph.fixed]
     strayed[:, 2] = wrap(strayed[:, 2])
     moved = graph.fixed[np.any(np.abs(strayed) > HELD * (1 + np.abs(graph.initial[graph.fixed])), axis=1)]
@@ -109,8 +110,6 @@ def prove_edges(edges: Sequence[ConstantEdges], state: Array, fixed: np.ndarray,
     return _certificate(outcome, cost, begin)
 
 
-#: where the six numbers of a row of `_Problem.edges` stand in an information matrix; the first three are those of positions
-_UPPER = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 #: status, lower bound, reason and direction of a `Certificate`
 _Outcome: TypeAlias = tuple[str, float, str, Array | None]
 
@@ -216,10 +215,9 @@ class _Problem:
             order = amd(system.indptr, system.indices)
         free = np.ones(n, dtype=bool)
         free[fixed] = False
-        _hold_roots(first, second, free)
+        ends = _hold_roots(first, second, free)
         symbolic = analyze_hermitian(system.indptr, system.indices, order)
         force = Forces(*forces(nodes, *joined))
-        ends = np.bincount(first[first >= 0], minlength=n) + np.bincount(second, minlength=n)
         summation = ROUNDOFF * (128.0 + 4 * ends)
         return cls(nodes, joined, free, system.indptr, system.indices, symbolic, force, given, summation)
 
@@ -261,24 +259,22 @@ class _Problem:
         """
         # S is at least what is assembled minus ``assembled``, and L L^H is at most that minus ``assembled + margin``,
         # so that S is at least L L^H plus ``margin``.
-        free, shifts = function.scale > 0, np.zeros_like(function.scale)
-        shifts[:, 0] = shift
-        scale = function.scale + shifts
-        assembled, c = self.summation[:, None] * scale, np.empty(len(scale))
-        c[self.symbolic.order] = self.symbolic.rounding
-        margin = assembled + 2 * np.sqrt(c * c.max(initial=0.0))[:, None] * scale
+        shifts = np.full(len(function.scale), shift)
+        assembled, margin = _margins(
+            function.scale, shifts, self.summation, self.symbolic.rounding, self.symbolic.order
+        )
         while True:
-            margin[~free] = 1.0
-            values = _changed(function.values, self.indptr, np.where(free, shifts - assembled - 2 * margin, 1.0))
+            values = _changed(function.values, self.indptr, function.scale, shifts, assembled, margin)
             factor = factorize(self.symbolic, values)
             if factor.negative is not None:
                 return -np.inf, factor
             if np.all(factor.error <= margin):
                 break
-            margin = np.maximum(margin, assembled + 2 * factor.error)
+            margin = np.where(function.scale > 0, np.maximum(margin, assembled + 2 * factor.error), 1.0)
         gradient, terms = function.gradient, function.error
         if np.any(shift):
-            gradient, terms = gradient.copy(), terms + shifts
+            gradient, terms = gradient.copy(), terms.copy()
+            terms[:, 0] += shifts
             gradient[:, 0] += shift * np.exp(1j * self.state[:, 2]) * self.free
         # rounding errors of the gradient
         error = np.sqrt(np.sum((self.summation[:, None] * terms) ** 2 / margin))
@@ -350,13 +346,19 @@ def _semidefinite(W: Array) -> bool:
     return min(a, c, f, two, a * (c * f - e * e) - b * (b * f - d * e) + d * (b * e - c * d)) >= 0
 
 
-def _symmetric(matrices: Array) -> bool:
-    """Whether matrices (E, d, d) are symmetric, but for rounding."""
-    transposed = np.swapaxes(matrices, 1, 2)
-    if np.array_equal(matrices, transposed):
-        return True
-    size = np.abs(np.einsum("eii->ei", matrices))
-    return not np.any(np.abs(matrices - transposed) > ROUNDED[0] * (size[:, :, None] + size[:, None, :]))
+@njit(cache=True)
+def _take_upper(matrices, rows, tolerance):  # type: ignore[no-untyped-def]
+    """Write the upper triangles of matrices (E, d, d) into ``rows`` (E, 6); whether all are symmetric, but for rounding."""
+    d = matrices.shape[1]
+    for e in range(len(matrices)):
+        W, k = matrices[e], 0
+        for j in range(d):
+            for i in range(j + 1):
+                if abs(W[i, j] - W[j, i]) > tolerance * (abs(W[i, i]) + abs(W[j, j])):
+                    return False
+                rows[e, k] = W[i, j]
+                k += 1
+    return True
 
 
 def _joined(parts: Sequence[ConstantEdges]) -> tuple[Array, ...]:
@@ -368,11 +370,8 @@ def _joined(parts: Sequence[ConstantEdges]) -> tuple[Array, ...]:
     at = 0
     for edges in parts:
         to = at + len(edges.first)
-        W = edges.information
-        if not _symmetric(W):
+        if not _take_upper(edges.information, information[at:to], ROUNDED[0]):
             raise GraphError("the information of an edge is not symmetric")
-        for k, (i, j) in enumerate(_UPPER[: 3 * (W.shape[1] - 1)]):
-            information[at:to, k] = W[:, i, j]
         if edges.turn is not None:
             turn[at:to], oriented[at:to] = edges.turn, True
         at = to
@@ -381,8 +380,16 @@ def _joined(parts: Sequence[ConstantEdges]) -> tuple[Array, ...]:
 
 @njit(cache=True)
 def _hold_roots(first, second, free):  # type: ignore[no-untyped-def]
-    """Hold one node of every piece that nothing ties to the world: the cost does not change when such a piece moves."""
+    """Hold one node of every piece that nothing ties to the world: the cost does not change when such a piece moves.
+
+    Returns the number (n,) of edges at each node.
+    """
     n = len(free)
+    ends = np.zeros(n, np.int64)
+    for e in range(len(first)):
+        if first[e] >= 0:
+            ends[first[e]] += 1
+        ends[second[e]] += 1
     # node n is the world, which is also every node that is held
     parent = np.arange(n + 1)
     for e in range(len(first) + n):
@@ -409,14 +416,31 @@ def _hold_roots(first, second, free):  # type: ignore[no-untyped-def]
     for k in range(n):
         if parent[k] == k and k != world:
             free[k] = False
+    return ends
 
 
 @njit(cache=True)
-def _changed(values, indptr, change):  # type: ignore[no-untyped-def]
-    """S plus a change (N, 2) of its diagonal."""
+def _margins(scale, shifts, summation, rounding, order):  # type: ignore[no-untyped-def]
+    """What S may be less than assembled, and its least margin above L L^H, (N, 2) each; a node that is not free has 1."""
+    assembled, margin = np.empty(scale.shape), np.ones(scale.shape)
+    largest = rounding.max() if len(rounding) else 0.0
+    for k in range(len(order)):
+        i = order[k]
+        for c in range(2):
+            size = scale[i, c] + (shifts[i] if c == 0 else 0.0)
+            assembled[i, c] = summation[i] * size
+            if scale[i, c] > 0:
+                margin[i, c] = assembled[i, c] + 2 * np.sqrt(rounding[k] * largest) * size
+    return assembled, margin
+
+
+@njit(cache=True)
+def _changed(values, indptr, scale, shifts, assembled, margin):  # type: ignore[no-untyped-def]
+    """S with its diagonal shifted, and lowered by what `_Problem.bound` says; 1 where a node is not free."""
     out = values.copy()
     for j in range(len(indptr) - 1):
         block = out[indptr[j + 1] - 1]
-        block[0, 0] += change[j, 0]
-        block[1, 1] += change[j, 1]
+        for c in range(2):
+            change = (shifts[j] if c == 0 else 0.0) - assembled[j, c] - 2 * margin[j, c]
+            block[c, c] += change if scale[j, c] > 0 else 1.0
     return out

@@ -119,11 +119,14 @@ def _compiled(rows: int) -> Callable[..., float]:
         state, reference, first, second, measured, information, world, kernel, width,
         at_first, at_second, at_pair, values, xi,
     ):  # fmt: skip
-        total = 0.0
+        total, turned, theta, cosine, sine = 0.0, -1, 0.0, 1.0, 0.0
         for k in range(len(first)):
             i, j, z, omega = first[k], second[k], measured[k], information[k]
-            theta = state[i, 2]
-            c, s = np.cos(theta), np.sin(theta)
+            if i != turned:
+                # the edges of a pose often follow each other
+                turned, theta = i, state[i, 2]
+                cosine, sine = np.cos(theta), np.sin(theta)
+            c, s = cosine, sine
             dx, dy = state[j, 0] - state[i, 0], state[j, 1] - state[i, 1]
             rx, ry = c * z[0] - s * z[1], s * z[0] + c * z[1]
             ux, uy = -dy, dx

@@ -1,13 +1,12 @@
 """The framework's own format: a NumPy ``.npz`` archive that holds everything a `Log` holds, without rounding.
 
 Arrays (absent = None): ``format`` ("graphslam-log-1"), ``dt`` (T,), ``controls`` (T, 2), ``steps`` (M,), ``landmarks``
-(M,), ``sightings`` (M, 2 or 3), ``classes`` (M,),
-``initial_poses`` (T+1, 3), ``true_poses`` (T+1, 3), ``truth_offset`` (2,; absent = at
-the robot's pose), ``true_landmark_ids`` (L,), ``true_landmark_poses`` (L, 3; a third column of NaN marks a landmark
-without heading), ``start_time``, and for logs with several controls per motion ``control_starts`` (T+1,),
-``control_variances`` (S, 2), ``recorded_dt`` (S,) and ``true_path`` (S+1, 3); ``motion`` and ``sensor``, the fields of the
-noise models in their order, where the log has such models; ``notes`` (N,) and ``doubts`` (N, 2),
-texts; ``simulated``, where `simulate` made the log. No pickles.
+(M,), ``sightings`` (M, 2 or 3), ``classes`` (M,), numbers or words, ``initial_poses`` (T+1, 3), ``true_poses`` (T+1, 3),
+``truth_offset`` (2,; absent = at the robot's pose), ``true_landmark_ids`` (L,), ``true_landmark_poses`` (L, 3; a third
+column of NaN marks a landmark without heading), ``start_time``, and for logs with several controls per motion
+``control_starts`` (T+1,), ``control_variances`` (S, 2), ``recorded_dt`` (S,) and ``true_path`` (S+1, 3); ``motion`` and
+``sensor``, the fields of the noise models in their order, where the log has such models; ``notes`` (N,) and
+``doubts`` (N, 2), texts; ``simulated``, where `simulate` made the log. No pickles.
 """
 
 from __future__ import annotations

@@ -83,15 +83,7 @@ class HermitianFactor:
 
 def analyze_hermitian(indptr: NDArray[Any], indices: NDArray[Any], order: NDArray[Any]) -> HermitianSymbolic:
     """The structure of the factor for a pattern and an order of elimination (n,)."""
-    n = len(order)
-    order = np.ascontiguousarray(order, dtype=np.int64)
-    position = np.empty(n, dtype=np.int64)
-    position[order] = np.arange(n)
-    rows, columns, sources, turned = _entries(n, indptr, indices, position)
-    parent, count = elimination_tree(n, rows, columns.astype(np.int32))
-    starts = np.concatenate([[0], np.cumsum(count - 1)]).astype(np.int64)
-    rounding = 2 * ROUNDOFF * (16.0 + 2 * _row_lengths(n, rows, columns, parent))
-    return HermitianSymbolic(order, indptr[1:][order] - 1, rows, columns, sources, turned, parent, starts, rounding)
+    return HermitianSymbolic(*_structure(indptr, indices, np.ascontiguousarray(order, dtype=np.int64)))
 
 
 def factorize(symbolic: HermitianSymbolic, values: NDArray[Any]) -> HermitianFactor:
@@ -110,6 +102,21 @@ def factorize(symbolic: HermitianSymbolic, values: NDArray[Any]) -> HermitianFac
     error = np.empty((len(s.order), 2))
     error[s.order] = _error(s.starts, targets, blocks, pivots, np.sqrt(s.rounding))
     return HermitianFactor(s, blocks, targets, pivots, None, error)
+
+
+@njit(cache=True, error_model="numpy")
+def _structure(indptr, indices, order):
+    """The fields of `HermitianSymbolic`."""
+    n = len(order)
+    position = np.empty(n, np.int64)
+    for k in range(n):
+        position[order[k]] = k
+    rows, columns, sources, turned = _entries(n, indptr, indices, position)
+    parent, count = elimination_tree(n, rows, columns.astype(np.int32))
+    starts = np.zeros(n + 1, np.int64)
+    starts[1:] = np.cumsum(count - 1)
+    rounding = 2 * ROUNDOFF * (16.0 + 2 * _row_lengths(n, rows, columns, parent))
+    return order, indptr[1:][order] - 1, rows, columns, sources, turned, parent, starts, rounding
 
 
 @njit(cache=True, error_model="numpy")

@@ -87,9 +87,7 @@ class BlockSystem:
         key = tuple(nodes.tolist())
         if key not in self._held:
             self._held[key] = _slots_in_rows_and_columns(self.indptr, self.indices, nodes)
-        self.values[self._held[key]] = 0.0
-        self.xi[nodes] = 0.0
-        self.rest(nodes, 0)
+        _hold(self.values, self.xi, self._held[key], self.diagonal_slots, nodes)
 
     def rest(self, nodes: np.ndarray, coordinate: int) -> None:
         """Hold the coordinates of nodes from ``coordinate`` on, which no edge may touch: their diagonal becomes 1."""
@@ -133,6 +131,15 @@ def _slots_in_rows_and_columns(indptr, indices, nodes):  # type: ignore[no-untyp
                 slots[count] = k
                 count += 1
     return slots[:count]
+
+
+@njit(cache=True)
+def _hold(values, xi, slots, diagonal, nodes):  # type: ignore[no-untyped-def]
+    for slot in slots:
+        values[slot] = 0.0
+    for node in nodes:
+        xi[node] = 0.0
+    _rest(values, diagonal, nodes, 0)
 
 
 @njit(cache=True)

@@ -65,7 +65,7 @@ class End:
     @cached_property
     def certificate(self) -> Certificate:
         """What one attempt proves about the end."""
-        return prove(self.graph, self.run.state, thorough=False)
+        return prove(self.graph, self.run.state, cost=self.cost, thorough=False)
 
     @property
     def proven(self) -> bool:
@@ -77,11 +77,11 @@ class End:
         """Whether the search goes on from this end, although it is accepted."""
         if self.graph.num_nodes > PROVABLE or self.proven or not self.certificate.applicable:
             return False
-        return prove(self.graph, self.run.state).status != GLOBAL
+        return prove(self.graph, self.run.state, cost=self.cost).status != GLOBAL
 
 
-def best_run(graph: Graph, run_from: Callable[..., Run], method: str) -> Run:
-    """The run with the lowest end among the starts of `AUTO`.
+def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
+    """The lowest end among the starts of `AUTO`.
 
     The search ends when the lowest end is accepted (`enough`) and no longer `open`, or after `FURTHER` more starts. Before
     another start, other turns are tried from the end of the last one (`turned`). If the lowest end is not accepted or still
@@ -232,7 +232,7 @@ def _allowed(end: End, given: float) -> bool:
     return end.cost <= given * (1 + 1e-9)
 
 
-def _best(graph: Graph, ends: list[End]) -> Run:
+def _best(graph: Graph, ends: list[End]) -> End:
     """The lowest end. One that has not converged must be lower than a converged one by more than `SAME`.
 
     With state-dependent information only a fixed point is a solution, and J on the way to it may be lower.
@@ -240,8 +240,8 @@ def _best(graph: Graph, ends: list[End]) -> Run:
     converged = min((end for end in ends if end.run.converged), key=lambda end: end.cost, default=None)
     lowest = _lowest(ends)
     if converged is not None and (graph.state_dependent_information or converged.cost <= lowest.cost * (1 + SAME)):
-        return converged.run
-    return lowest.run
+        return converged
+    return lowest
 
 
 def enough(ends: list[End]) -> bool:

@@ -15,6 +15,10 @@ PLAIN = 8
 PATIENCE, PATIENCE_MIXED = 10, 30
 #: so many damped steps follow, and then undamped ones again
 DAMPED_STEPS = 20
+#: After a plain step that lowers J by at most this part of it, Omega hardly changes: the next step uses the same factor, ...
+KEPT = 0.01
+#: ... unless the gain that it predicts, or the square of its length, is more than this part of that of the step before it
+SHRINKING = 0.1
 
 
 def gauss_newton(graph: Graph, run: Run) -> None:
@@ -60,10 +64,18 @@ def _undamped(graph: Graph, run: Run, plain: int) -> Array | None:
             return None
         if cost < lowest:
             best, lowest, progress = run.state, cost, k
-        factor = factor or factorized(graph, run.state)
-        delta = factor.solve(system.xi)
+        confirmed = CONFIRMED * run.cost_tolerance * cost
         # the quadratic model predicts that J falls by Delta' Omega Delta = xi' Delta
-        predicted = inner(system.xi, delta)
+        if factor is not None:
+            delta = factor.solve(system.xi)
+            predicted = inner(system.xi, delta)
+            longest = SHRINKING * run.step_norms[-1] ** 2
+            if predicted > confirmed and (predicted > SHRINKING * run.predicted or inner(delta, delta) > longest):
+                factor = None
+        if factor is None:
+            factor = factorized(graph, run.state)
+            delta = factor.solve(system.xi)
+            predicted = inner(system.xi, delta)
         run.step(cost, delta)
         if run.finished(predicted, system):
             if cost <= lowest * (1 + PROMISE) or graph.state_dependent_information:
@@ -75,7 +87,6 @@ def _undamped(graph: Graph, run: Run, plain: int) -> Array | None:
             shortest, progress = run.step_norms[-1], k
         if k - progress >= (PATIENCE_MIXED if run.mixed else PATIENCE):
             return best
-        # After such a short step Omega hardly changes: the next step, which only confirms the end, uses the same factor.
-        if predicted > CONFIRMED * run.cost_tolerance * cost:
+        if predicted > (KEPT * cost if run.mixing is None else confirmed):
             factor = None
     return None if plain else best

@@ -18,7 +18,7 @@ from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array, wrap
 from ..solution import Solution, make_solution
-from .auto import DAMPED, best_run
+from .auto import DAMPED, best_end
 from .gtsam_factors import to_gtsam
 from .gtsam_parameters import solve_jointly_with_gtsam
 from .gtsam_values import eliminated_landmarks, from_values, to_values
@@ -85,7 +85,8 @@ def solve_with_gtsam(
             run.reason = "stuck: gtsam finds no step that lowers the cost"
         return run
 
-    run = best_run(graph, run_from, DAMPED) if initialize == "auto" else run_from(starting_state(graph, initialize))
+    auto = initialize == "auto"
+    run = best_end(graph, run_from, DAMPED).run if auto else run_from(starting_state(graph, initialize))
     seconds = time.perf_counter() - begin
     return make_solution(
         graph, run.state, step_norms=run.step_norms, costs=[], converged=run.converged, reason=run.reason,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from math import isfinite
 from numbers import Real
 from typing import Any
 
@@ -12,7 +13,7 @@ from ..errors import OptionError
 from ..graph import Graph
 from ..se2 import Array
 from ..solution import Solution, make_solution
-from .auto import best_run
+from .auto import best_end
 from .gauss_newton import gauss_newton
 from .iteration import Iteration, Run
 from .levenberg_marquardt import levenberg_marquardt
@@ -72,7 +73,7 @@ def solve(
     Not reaching the tolerance is no error: `Solution.converged` and `Solution.reason` report it.
     """
     check_options(method, tolerance, max_iterations, initialize, cost_tolerance)
-    begin = time.perf_counter()
+    begin, cost = time.perf_counter(), None
 
     def run_from(start: Array, search: str, descend: bool = False) -> Run:
         run = Run(start.copy(), tolerance, max_iterations, cost_tolerance, descend=descend)
@@ -86,7 +87,8 @@ def solve(
         run = Run(first.state, tolerance, max_iterations, cost_tolerance, callback=callback)
         graph = solve_jointly(graph, first.state, METHODS[method], run)
     elif initialize == "auto":
-        run = best_run(graph, run_from, method)
+        end = best_end(graph, run_from, method)
+        run, cost = end.run, end.cost if isfinite(end.cost) else None
         if callback is not None:
             for step in run.recorded:
                 callback(step)
@@ -101,6 +103,7 @@ def solve(
         reason=run.reason,
         seconds=time.perf_counter() - begin,
         solver="graphslam",
+        cost=cost,
     )
 
 

@@ -40,19 +40,17 @@ def rotation_first(graph: Graph) -> Array:
     for family in graph.families:
         relative = family.headings()
         if relative is not None:
-            _add_headings(*_ends(system, relative), unit, system.values, system.xi)
-            tied[relative.first] = tied[relative.second] = True
-    if not np.all(tied[: len(graph.steps)]):
+            _add_headings(*_ends(system, relative), unit, system.values, system.xi, tied)
+    if not tied[: len(graph.steps)].all():
         loose = np.flatnonzero(~tied[: len(graph.steps)])
         raise GraphError(
             f"initialize='rotation-first' needs edges that measure relative headings; {graph.names(loose)} have none"
         )
     system.rest(np.flatnonzero(~tied), 0)
-    unit += _solved(graph, system, held)
+    correction = _solved(graph, system, held)
     # a held heading keeps its own value, with its full turns
     tied[held] = False
-    moved = tied & np.any(unit != 0, axis=1)
-    state[moved, 2] = np.arctan2(unit[moved, 1], unit[moved, 0])
+    _turn(state, tied, unit, correction)
 
     system.clear()
     position = np.zeros((graph.num_nodes, 2))
@@ -61,7 +59,7 @@ def rotation_first(graph: Graph) -> Array:
         offset = family.positions(state)
         if offset is not None:
             _add_positions(*_ends(system, offset), position, system.values, system.xi)
-    state[:, :2] = position + _solved(graph, system, held)
+    state[:, :2] = position + _solved(graph, system, held)[:, :2]
     return state
 
 
@@ -140,11 +138,11 @@ def _ends(system: BlockSystem, relations: Relations) -> tuple[Array, ...]:
 
 
 def _solved(graph: Graph, system: BlockSystem, held: np.ndarray) -> Array:
-    """The correction (n, 2) of the first two coordinates, held nodes at rest."""
+    """The correction (n, 3), in which the third coordinate and held nodes are at rest."""
     system.rest(np.arange(graph.num_nodes), 2)
     system.hold(held)
     try:
-        return system.factorize().solve(system.xi)[:, :2]
+        return system.factorize().solve(system.xi)
     except FactorizationError as error:
         raise GraphError(
             f"initialize='rotation-first' needs edges that tie all nodes; nothing holds {graph.names(np.array([error.node]))}"
@@ -152,10 +150,20 @@ def _solved(graph: Graph, system: BlockSystem, held: np.ndarray) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def _add_headings(first, second, at_first, at_second, at_pair, turn, information, unit, values, xi):  # type: ignore[no-untyped-def]
-    """Add edges with residual e = R(turn) r_first - r_second in the first two coordinates of their nodes."""
+def _turn(state, moving, unit, correction):  # type: ignore[no-untyped-def]
+    """Set the headings of ``moving`` nodes to the directions of ``unit`` plus the correction, where these are not zero."""
+    for i in range(len(state)):
+        x, y = unit[i, 0] + correction[i, 0], unit[i, 1] + correction[i, 1]
+        if moving[i] and (x != 0 or y != 0):
+            state[i, 2] = np.arctan2(y, x)
+
+
+@njit(cache=True, error_model="numpy")
+def _add_headings(first, second, at_first, at_second, at_pair, turn, information, unit, values, xi, tied):  # type: ignore[no-untyped-def]
+    """Add edges with residual e = R(turn) r_first - r_second in the first two coordinates of their nodes; mark these."""
     for k in range(len(first)):
         i, j, w = first[k], second[k], information[k]
+        tied[i] = tied[j] = True
         c, s = w * np.cos(turn[k]), w * np.sin(turn[k])
         for at in (at_first[k], at_second[k]):
             values[at, 0, 0] += w

@@ -37,18 +37,8 @@ def starting_state(graph: Graph, initialize: str) -> Array:
         GraphError: the edges do not allow this start.
         OptionError: there is no such start.
     """
-    check_choice("initialize", initialize, dict.fromkeys((*INITIALIZE, *AUTO, *GROWING)))
-    starts: dict[str, Callable[[Graph], Array]] = {
-        "dead-reckoning": dead_reckoning,
-        "rotation-first": rotation_first,
-        "virtual-motion": virtual_motion_first,
-        "cartesian": cartesian_first,
-        **{name: partial(grown, poses=poses) for name, poses in GROWING.items()},
-    }
-    for choice in AUTO if initialize == "auto" else ():
-        with suppress(GraphError):
-            return starting_state(graph, choice)
-    return starts[initialize](graph) if initialize in starts else graph.initial
+    check_choice("initialize", initialize, _STARTS)
+    return _STARTS[initialize](graph)
 
 
 def cartesian_first(graph: Graph) -> Array:
@@ -86,3 +76,26 @@ def virtual_motion_first(graph: Graph) -> Array:
 def _roughly(graph: Graph) -> float:
     """The tolerance of steps on the way to a starting state, which needs little accuracy."""
     return 1e-3 * len(graph.steps) ** 0.5
+
+
+def _given(graph: Graph) -> Array:
+    return graph.initial
+
+
+def _first_of_auto(graph: Graph) -> Array:
+    for choice in AUTO:
+        with suppress(GraphError):
+            return _STARTS[choice](graph)
+    return graph.initial
+
+
+#: what makes the state of each start
+_STARTS: dict[str, Callable[[Graph], Array]] = {
+    "given": _given,
+    "dead-reckoning": dead_reckoning,
+    "rotation-first": rotation_first,
+    "auto": _first_of_auto,
+    "cartesian": cartesian_first,
+    "virtual-motion": virtual_motion_first,
+    **{name: partial(grown, poses=poses) for name, poses in GROWING.items()},
+}

@@ -22,6 +22,7 @@ def synchronize(
     truth: Stream | None = None,
     truth_offset: tuple[float, float] = (0.0, 0.0),
     true_landmarks: Mapping[int, ArrayLike] | None = None,
+    classes: ArrayLike | None = None,
     start: ArrayLike | None = None,
     origin: float = 0.0,
     name: str = "log",
@@ -39,6 +40,7 @@ def synchronize(
         truth: poses (G, 3), interpolated in SE(2), or positions (G, 2), interpolated along lines.
         truth_offset: the point of the robot to which the truth belongs, see `Log`.
         true_landmarks: {id: position}.
+        classes: (K,) what each sighting looks like, see `Log`.
         start: the first pose (3,); default: the true one, or (0, 0, 0) where it is unknown.
         origin: the time from which the times of the streams count [s]; it is added to ``start_time`` of the log only.
         name, notes, models: of the `Log`.
@@ -52,6 +54,6 @@ def synchronize(
     """
     parts = parts_of_streams(
         odometry, sightings, landmarks, options=options, truth=truth, truth_offset=truth_offset,
-        true_landmarks=true_landmarks, start=start, origin=origin, name=name, notes=notes, **models,
+        true_landmarks=true_landmarks, classes=classes, start=start, origin=origin, name=name, notes=notes, **models,
     )  # fmt: skip
     return Log(**parts)

@@ -35,12 +35,16 @@ NAMES: dict[str, tuple[str, ...]] = {
         "fiducial_id", "feature", "feature_id", "barcode", "label", "class_id", "target", "target_id", "subject",
         "ident", "number", "name", "landmarkid", "tagid", "markerid",
     ),
+    "class": (
+        "class", "class_name", "class_label", "colour", "color", "colour_name", "color_name", "category", "class_id",
+        "kind", "type",
+    ),
     "range": ("range", "r", "distance", "dist", "rho", "l", "d", "ranges"),
     "bearing": ("bearing", "b", "phi", "azimuth", "angle", "bearings", "bearing_angle", "theta", "beta"),
     "orientation": ("orientation", "psi", "orient"),
 }  # fmt: skip
-#: names too short to be recognised at the end of a longer one
-_SHORT = ("v", "w", "r", "l", "d", "b")
+#: names too short or too general to be recognised at the end of a longer one
+_WHOLE = ("v", "w", "r", "l", "d", "b", "kind", "type")
 #: words at the end of a name that say its unit -> the unit
 _UNITS = {
     "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms", "milliseconds": "ms",
@@ -116,7 +120,7 @@ def find(
                 fits = [
                     k
                     for k, (own, _) in enumerate(names)
-                    if k not in taken and (own == name or (tail and name not in _SHORT and own.endswith(f"_{name}")))
+                    if k not in taken and (own == name or (tail and name not in _WHOLE and own.endswith(f"_{name}")))
                 ]
                 if len(fits) > 1:
                     titles = " and ".join(table.title(k) for k in fits[:2])

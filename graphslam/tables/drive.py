@@ -15,6 +15,7 @@ from ..checks import first
 from ..errors import LogError
 from ..reading import UNIDENTIFIED
 from ..se2 import Array
+from .classes import classes_of
 from .columns import MEASURES, NAMES, Chosen, find, unit_of
 from .options import ANGLES, LENGTHS, TableOptions
 from .poses import checked_heading, controls_between
@@ -25,7 +26,7 @@ from .times import nanoseconds
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
     "odometry": ("t", "nanosec", "nu", "omega", *_POSE),
-    "sightings": ("t", "nanosec", "id", "range", "bearing", "orientation", "x", "y", "z"),
+    "sightings": ("t", "nanosec", "id", "class", "range", "bearing", "orientation", "x", "y", "z"),
     "truth": ("t", "nanosec", *_POSE),
     "map": ("id", "x", "y", "theta"),
 }
@@ -46,7 +47,7 @@ _SIDEWAYS = 0.3
 
 @dataclass(frozen=True)
 class Timed:
-    """A table that has been read: times (N,) in nanoseconds, not decreasing, and rows (N, k); ids of sightings.
+    """A table that has been read: times (N,) in nanoseconds, not decreasing, and rows (N, k); of sightings ids and classes.
 
     ``columns`` says which column was taken for what, and in which unit; ``notes`` and ``doubts`` are those of a `Log`.
     """
@@ -58,6 +59,7 @@ class Timed:
     ids: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     notes: tuple[str, ...] = ()
     doubts: tuple[Doubt, ...] = ()
+    classes: np.ndarray | None = None
 
 
 class _Reader:
@@ -132,6 +134,16 @@ class _Reader:
                     self._unit(role) or ("radians" if MEASURES[role] == "angle" else "m")
                 ]
         return values
+
+    def classes(self) -> tuple[np.ndarray | None, tuple[str, ...]]:
+        """The classes (N,) of sightings, None where no column has any; and notes."""
+        if not self.has("class"):
+            return None, ()
+        stated = "class" in self.options.columns_of(self.kind)
+        classes, notes = classes_of(self.table, self.found["class"].column, stated=stated)
+        if classes is not None:
+            self.need("class")
+        return classes, notes
 
     def poses(self, *, finite: bool = True) -> Array:
         """x, y and heading (N, 3), or x and y (N, 2) where there is no heading."""
@@ -232,7 +244,9 @@ def _controls(reader: _Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.
 
 
 def sightings_of(table: Table, options: TableOptions) -> Timed:
-    """The sightings (range, bearing[, orientation]) in the axes of the sensor turned to those of the robot, with ids.
+    """The sightings (range, bearing[, orientation]) in the axes of the sensor turned to those of the robot.
+
+    They have ids and, where there is a column of them, classes.
 
     Raises:
         LogError: a column is missing, a number is none, or the unit is almost certainly another one.
@@ -269,7 +283,9 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     ns, order, more = _ordered(reader, ns)
     ids, rows = ids[order], rows[order]
     doubts = repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
-    return Timed(table, ns, rows, reader.described(), ids, (*notes, *more), doubts)
+    classes, remarks = reader.classes()
+    classes = None if classes is None else classes[order]
+    return Timed(table, ns, rows, reader.described(), ids, (*notes, *more, *remarks), doubts, classes)
 
 
 def _polar(places: Array, axes: str) -> Array:

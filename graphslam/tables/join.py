@@ -81,6 +81,7 @@ class Drive:
             truth=joined.get("truth"),
             truth_offset=(0.0, 0.0) if self.truth_offset is None else checked_offset("truth_offset", self.truth_offset),
             true_landmarks=self.landmarks,
+            classes=self.sightings.classes,
             origin=origin / 1e9,
             name=name,
             notes=(*self.notes, *remarks),

@@ -1,5 +1,6 @@
 """Estimators on logs whose sightings have no ids: the graph finds them, and they are compared with the true ones."""
 
+import csv
 import json
 from dataclasses import replace
 
@@ -57,6 +58,8 @@ def test_ignored_ids_are_compared_with_those_found(log, front_end):
     assert "1.000, 1.000" in str(comparison) and "13 0 0 0" in str(comparison)
     entry = json.loads(json.dumps(comparison.to_json()))["estimators"][0]["association"]
     matches, evidence = entry.pop("matches"), entry.pop("evidence")
+    options = comparison["graph"].options
+    assert (options["front_end"], options["front_particles"], options["class_confusion"]) == (front_end, 30, 0.05)
     assert entry == {
         "landmarks": 13, "clutter": 0, "precision": 1.0, "recall": 1.0, "found": 13, "missed": 0, "doubled": 0, "invented": 0,
         "classes": None, "unconfirmed": 0, "doubts": [],
@@ -70,23 +73,26 @@ def test_ignored_ids_are_compared_with_those_found(log, front_end):
 
 
 def test_classes_and_matches_are_in_tables_files_and_film(log):
-    shown = np.where(np.arange(len(log.steps)) % 10 == 0, 9, log.landmarks % 3)
+    names = np.array(["big, [red]", "green", "blue", ""])
+    shown = names[np.where(np.arange(len(log.steps)) % 10 == 0, 3, log.landmarks % 3)]
     clutter = np.append(log.landmarks[:-1], UNIDENTIFIED)
     with_classes = log.replace(landmarks=clutter, classes=shown)
     comparison = run(with_classes, estimators=["graph", "fastslam1"], association="maximum-likelihood", particles=30)
     entry = comparison.to_json()["estimators"][0]["association"]
-    assert {entry["classes"][j] - true % 3 for j, true in entry["matches"].items()} == {0}
-    table = str(association_table(comparison, comparison["graph"]).columns[-4].header)
-    assert "class" in table
+    assert all(entry["classes"][j] == names[true % 3] for j, true in entry["matches"].items())
+    assert comparison.to_json()["log"]["classes"]["green"] == int(np.sum(shown == "green"))
+    column = association_table(comparison, comparison["graph"]).columns[-4]
+    assert "class" in str(column.header) and names[0] in [each.plain for each in column.cells]
     assert landmark_table(comparison).columns[1].header.plain == "class"
     for name, text in texts(comparison):
         if name == "graph-sightings.csv":
-            rows = [line.split(",") for line in text().splitlines()]
+            rows = list(csv.reader(text().splitlines()))
     assert rows[0] == ["step", "range", "bearing", "orientation", "class", "landmark", "status", "true_id"]
     assert len(rows) == len(log.steps) + 1 and rows[-1][-1] == "" and rows[1][-1] == str(log.landmarks[0])
+    assert [row[4] for row in rows[1:]] == shown.tolist()
     found = comparison["graph"].association
     assert [row[5] for row in rows[1:]] == ["" if j == UNIDENTIFIED else str(j) for j in found]
-    with pytest.raises(OptionError, match="confusion must lie between 0 and 1"):
+    with pytest.raises(OptionError, match="^class_confusion must lie between 0 and 1, not 2.0"):
         run(with_classes, estimators="graph", association="maximum-likelihood", class_confusion=2.0)
     assert {row[6] for row in rows[1:]} <= {"confirmed", "unconfirmed", "clutter"}
     film = animate(with_classes, estimator="association", association="maximum-likelihood", max_frames=5)
@@ -125,7 +131,7 @@ def test_filters_find_the_landmarks_of_a_log_without_ids(log):
             run(hidden, estimators=name)
     with pytest.raises(OptionError, match="the association is known: leave it out"):
         run(hidden, estimators="fastslam2", association="known")
-    with pytest.raises(OptionError, match="smoothing needs the association known, so ids of all sightings"):
+    with pytest.raises(OptionError, match="smoothing 50 needs the association known, so ids of all sightings"):
         run(hidden, estimators="fastslam2", smoothing=50)
     assert run(log, particles=30, estimators="fastslam2")["fastslam2"].named
 

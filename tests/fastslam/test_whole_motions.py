@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, ParticleFilter, textbook
-from graphslam import Log, LogError, MotionModel, OptionError, SensorModel
+from graphslam import Log, LogError, MotionModel, OptionError, SensorModel, simulate
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import wrap
 
@@ -120,6 +120,27 @@ def test_the_lectures_filters_take_one_control_a_step() -> None:
     for version in (textbook.fastslam1, textbook.fastslam2):
         with pytest.raises(LogError, match="one control a step"):
             next(version(drive(CENTRED), rng=np.random.default_rng(0)))
+        slips = simulate(steps=3, seed=0).replace(motion=MotionModel(slip=0.1))
+        with pytest.raises(LogError, match="slip"):
+            next(version(slips, rng=np.random.default_rng(0)))
+
+
+@pytest.mark.parametrize("kind", FILTERS)
+def test_particles_slip_sideways(kind: type[ParticleFilter]) -> None:
+    """Single controls of a robot that slips have the covariance of the model, over a log and one by one."""
+    motion = MotionModel(nn=0.1, no=0.0, on=0.1, oo=0.1, epsilon=1e-6, slip=0.4)
+    expected = motion.covariance(np.zeros(3), [2.0, 0.6], 1.0)
+    log = simulate(steps=1, seed=0).replace(
+        dt=1.0, controls=[[2.0, 0.6]], motion=motion, initial_poses=np.zeros((2, 3))
+    )
+    log = log.with_sightings(np.zeros(len(log.steps), dtype=bool))
+    driven, moved = kind(log, particles=40_000, seed=1), kind(log, particles=40_000, seed=1)
+    driven.run()
+    moved.move([2.0, 0.6], 1.0)
+    for slam in (driven, moved):
+        assert slam.state.step == 1
+        spread = np.cov(slam.state.poses.T)
+        np.testing.assert_allclose(spread, expected, atol=0.03 * np.max(expected))
 
 
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])

@@ -85,6 +85,18 @@ def test_a_return_that_odometry_decides_is_not_ambiguous() -> None:
     assert surely.doubts == () and score(surely.ids, log.landmarks).precision == 1.0
 
 
+def test_a_search_that_was_cut_short_says_so() -> None:
+    log = back_to_the_first(2.0)
+    limit, settled = (
+        "but were not tried because of the limit on tries ({}): {};",
+        "had not settled when they were compared",
+    )
+    for tries, left in ((0, 2), (1, 1)):
+        assert any(limit.format(tries, left) in note for note in associate(log, tries=tries).notes)
+    assert any(f"{settled}, after 1 round: 1 of 2;" in note for note in associate(log, rounds=1).notes)
+    assert not any("limit on tries" in note or settled in note for note in associate(log).notes)
+
+
 def test_two_corridors_are_one_or_two_by_evidence() -> None:
     apart, doubtful, joined = (associate(two_corridors(std)) for std in (1.0, 1.6, 1.8))
     assert (apart.landmarks, apart.doubts) == (10, ())

@@ -120,7 +120,7 @@ def test_the_two_solvers_share_only_their_start():
     ours = {name for name in used if not name.startswith(USES_GTSAM)}
     assert {name.rpartition(".")[2] for name in ours} == {
         "starting_state",
-        "best_run",
+        "best_end",
         "DAMPED",
         "Run",
         "AndersonMixing",

@@ -203,7 +203,29 @@ def test_types_of_sightings(make, expected, tmp_path):
         if type != "visualization_msgs/MarkerArray":
             fields["header"] = maker.header(t, "base_link")
         maker.add("/seen", type, t, **fields)
-    assert load(maker.write(tmp_path / "a.mcap")).equals(expected)
+    log = load(maker.write(tmp_path / "a.mcap"))
+    assert log.replace(classes=None).equals(expected)
+    if "vision" in type:
+        assert log.classes.tolist() == [f"tag_{j}" for j in log.landmarks]
+    else:
+        assert log.classes is None
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_class_alone_names_landmarks_unless_it_is_stated(stated, expected, tmp_path):
+    maker = Maker()
+    odometry(maker)
+    for t, j, x, y in SEEN:
+        item = detections(maker, t, j, x, y, "results") | {"id": ""}
+        header = maker.header(t, "base_link")
+        maker.add("/seen", "vision_msgs/Detection3DArray", t, header=header, detections=[item])
+    path = maker.write(tmp_path / "a.mcap")
+    if stated:
+        (tmp_path / "a.toml").write_text('[sightings]\nclass = "results.hypothesis.class_id"\n')
+        log = load(path)
+        assert log.classes.tolist() == [f"tag_{row[1]}" for row in SEEN] and len(log.landmark_ids) == 0
+    else:
+        assert load(path).equals(expected)
 
 
 def test_poses_without_ids(expected, tmp_path):

@@ -136,7 +136,7 @@ def test_wrong_sightings_and_slips_do_not_blow_the_noise_up() -> None:
 
 def test_the_parts_make_up_the_models() -> None:
     log = drive(0, steps=30, orientation=True)
-    motion = MotionModel(nn=0.1, no=0.2, on=0.3, oo=0.4, sigma_v=0.5, sigma_omega=0.6, epsilon=1e-3)
+    motion = MotionModel(nn=0.1, no=0.2, on=0.3, oo=0.4, sigma_v=0.5, sigma_omega=0.6, slip=0.7, epsilon=1e-3)
     parts, variances = motion_parts(log), variances_of(motion)
     whole = sum(variances[name] * part for name, part in parts.items())
     np.testing.assert_allclose(whole, log.motions(motion)[1], rtol=1e-9, atol=1e-15)

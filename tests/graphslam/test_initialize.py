@@ -169,7 +169,7 @@ def hard_logs():
     return module
 
 
-@pytest.mark.parametrize("number", [0, 1, 2, 3, 12, 48, 97])
+@pytest.mark.parametrize("number", [0, 1, 2, 3, 12, 63, 97])
 def test_auto_reaches_the_optimum_that_is_reached_from_the_truth(hard_logs, number):
     """Every noise level but the highest; at numbers 3, 12, 48 and 97 the first start ends 4 to 48 % higher."""
     graph = Graph.from_log(hard_logs.hard_log(number), edges="landmark+motion")
@@ -314,9 +314,9 @@ def test_other_turns_lead_out_of_a_wrong_minimum():
 
 
 def test_auto_tries_other_turns_where_an_end_is_doubtful(hard_logs):
-    """At number 63 the robot sees nothing for 21 poses and turns by about pi; growing the graph ends 0.4 % too high."""
-    graph = Graph.from_log(hard_logs.hard_log(63), edges="landmark+motion")
+    """At number 48, with twice the book's noise, the start from virtual-motion edges leads to a minimum 4 % too high."""
+    graph = Graph.from_log(hard_logs.hard_log(48), edges="landmark+motion")
     solution = solve(graph)
     assert solution.converged
     assert "other turns" in solution.reason
-    assert solution.cost == pytest.approx(1540.2417004, rel=1e-8)
+    assert solution.cost == pytest.approx(1767.2866734, rel=1e-8)

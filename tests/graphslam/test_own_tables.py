@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from graphslam import FormatError, Log, LogError, OptionError, load, save
+from graphslam.log import UNIDENTIFIED
 from graphslam.plausibility import plausibility
 from graphslam.tables.columns import plain
 from graphslam.tables.recipe import read_recipe
@@ -250,6 +251,69 @@ def test_landmarks_with_names(drive):
     log = load(drive(sightings=text("t,name,range,bearing", [(t, names[j], r, b) for t, j, r, b in SEEN])))
     assert log.landmarks.tolist() == [{3: 2, 4: 1, 5: 0}[row[1]] for row in SEEN]
     assert "0 = cone, 1 = door, 2 = pole" in log.notes[0]
+
+
+COLOURS = ["blue", "yellow", "blue, large", "", "yellow", "nan", "blue"]
+
+
+def with_column(name, values):
+    return text(f"t,id,{name},range,bearing", [(t, j, f'"{v}"', r, b) for (t, j, r, b), v in zip(SEEN, values)])
+
+
+@pytest.mark.parametrize("name", ["class", "class_name", "Colour", "cone_color", "kind", "type"])
+def test_classes_are_words(drive, expected, tmp_path, name):
+    log = load(drive(sightings=with_column(name, COLOURS)))
+    assert log.classes.tolist() == ["blue", "yellow", "blue, large", "", "yellow", "", "blue"]
+    assert log.classified.tolist() == [True, True, True, False, True, False, True]
+    assert log.notes[0].endswith("sightings.csv: 2 of 7 sightings have no class, and may be of any")
+    assert log.replace(classes=None).equals(expected)
+    # the whole log is kept, and parts of it
+    save(log, tmp_path / "log.npz")
+    assert load(tmp_path / "log.npz").equals(log) and not log.equals(expected)
+    assert log.at_steps([1, 4]).classes.tolist() == ["blue, large", ""]
+
+
+def test_classes_are_whole_numbers(drive, expected):
+    log = load(drive(sightings=with_column("class", [1, 2, "", 2, 1, 7, 1])))
+    assert log.classes.dtype == np.int64 and log.classified.tolist() == [True, True, False, True, True, True, True]
+    assert log.classes[log.classified].tolist() == [1, 2, 2, 1, 7, 1]
+    # the id has the first right to a name that may be either, and rows are sorted by time with their classes
+    rows = [(t, j % 2, j, r, b) for t, j, r, b in SEEN]
+    rows[4], rows[5] = rows[5], rows[4]
+    log = load(drive(sightings=text("t,class,class_id,range,bearing", rows)))
+    assert log.replace(classes=None).equals(expected)
+    assert log.classes.tolist() == (log.landmarks % 2).tolist()
+    stated = '[sightings]\nclass = "class_id"'
+    log = load(drive(sightings=text("t,class_id,range,bearing", SEEN), recipe=stated))
+    assert log.classes.tolist() == expected.landmarks.tolist() and len(log.landmark_ids) == 0
+    drive(recipe="")
+    assert load(drive(sightings=text("t,class_id,range,bearing", SEEN))).equals(expected)
+    frame = (
+        {"t": T, "nu": NU, "omega": OMEGA},
+        {"t": [1.0, 2.0], "range": [1, 1], "bearing": [0, 0], "kind": [np.nan, 3]},
+    )
+    assert Log.from_tables(*frame).classes.tolist() == [UNIDENTIFIED, 3]
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ([""] * 7, "all its cells are empty"),
+        ([1, 2, 0.5, 1, 2, 1, 1], "it holds numbers that are not whole, such as 0.5"),
+        (None, "it has 120 different entries, more than 100"),
+    ],
+)
+def test_a_column_that_holds_no_classes_is_left_out(drive, values, reason):
+    if values is None:
+        rows = [(0.1 * k, 3, f"name {k}", 1.0, 0.0) for k in range(120)]
+        table = text("t,id,class,range,bearing", rows)
+    else:
+        table = with_column("class", values)
+    log = load(drive(sightings=table))
+    assert log.classes is None
+    assert log.notes[0].endswith(f"sightings.csv: 'class' holds no classes of sightings: {reason}; it is left out")
+    with pytest.raises(LogError, match=f"holds no classes of sightings: {reason}$"):
+        load(drive(sightings=table, recipe='[sightings]\nclass = "class"'))
 
 
 ODOMETRY = list(zip(T.tolist(), NU.tolist(), OMEGA.tolist()))

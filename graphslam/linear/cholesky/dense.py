@@ -52,9 +52,10 @@ class DenseStore:
         """log det Omega, from the diagonal of L."""
         return 2.0 * float(np.log(np.diagonal(self.a)).sum())
 
-    def solve(self, rhs: NDArray[Any], out: NDArray[Any]) -> None:
-        """One right-hand side, flat (3n,)."""
+    def solve(self, rhs: NDArray[Any], out: NDArray[Any]) -> bool:
+        """One right-hand side, flat (3n,); returns whether it is finite."""
         out[:] = lapack.dpotrs(self.a, rhs, lower=1)[0]
+        return bool(np.isfinite(rhs).all())
 
     def invert(self) -> NDArray[np.float64]:
         """Inverse; returns its diagonal blocks (n, 3, 3)."""

@@ -138,12 +138,11 @@ class Factor:
         rhs = np.asarray(rhs, dtype=np.float64)
         if rhs.shape[:2] != (n, 3) or rhs.ndim not in (2, 3):
             raise ValueError(f"rhs must have shape ({n}, 3) or ({n}, 3, k), not {rhs.shape}")
-        if not np.isfinite(rhs).all():
-            raise ValueError("rhs holds NaN or infinity")
         if rhs.ndim == 3:
             return np.stack([self.solve(rhs[:, :, k]) for k in range(rhs.shape[2])], axis=2)
         out = np.empty(3 * n)
-        self._store.solve(np.ascontiguousarray(rhs).reshape(-1), out)
+        if not self._store.solve(np.ascontiguousarray(rhs).reshape(-1), out):
+            raise ValueError("rhs holds NaN or infinity")
         return out.reshape(n, 3)
 
     @property

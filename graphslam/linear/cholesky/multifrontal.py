@@ -63,10 +63,11 @@ class MultifrontalStore:
             np.log(self.x[np.repeat(t.panel_start[:-1], width) + column * np.repeat(ld + 1, width)]).sum()
         )
 
-    def solve(self, rhs: NDArray[Any], out: NDArray[Any]) -> None:
-        """One right-hand side, flat (3n,)."""
+    def solve(self, rhs: NDArray[Any], out: NDArray[Any]) -> bool:
+        """One right-hand side, flat (3n,); returns whether it is finite."""
         t = self.layout
-        triangular.solve(t.order, t.first, t.row_start, t.rows, t.panel_start, self.x, rhs, out, self.b, self.work)
+        tree = (t.order, t.first, t.row_start, t.rows, t.panel_start)
+        return triangular.solve(*tree, self.x, rhs, out, self.b, self.work)
 
     def invert(self) -> NDArray[np.float64]:
         """Selected inverse; returns the diagonal blocks (n, 3, 3)."""

@@ -77,12 +77,18 @@ def backward(first, row_start, rows, panel_start, x, b, work):
 
 @njit(cache=True, error_model="numpy")
 def solve(order, first, row_start, rows, panel_start, x, rhs, out, b, work):
-    """Solve Omega out = rhs, both (3n,) in node order; ``b`` (3n,) and ``work`` are scratch."""
+    """Solve Omega out = rhs, (3n,) in node order; returns whether rhs is finite. ``b`` (3n,) and ``work`` are scratch."""
+    zero = 0.0
     for k in range(order.size):
         i = 3 * order[k]
         put_triple(b, 3 * k, rhs, i)
+        # NaN for what is not finite
+        zero += 0.0 * get(rhs, i) + 0.0 * get(rhs, i + 1) + 0.0 * get(rhs, i + 2)
+    if zero != 0.0:
+        return False
     forward(first, row_start, rows, panel_start, x, b, work)
     backward(first, row_start, rows, panel_start, x, b, work)
     for k in range(order.size):
         i = 3 * order[k]
         put_triple(out, i, b, 3 * k)
+    return True
