@@ -239,8 +239,8 @@ def mcl(log: Log, options: RunOptions) -> EstimatorResult:
     """
     if log.true_landmarks is None:
         raise OptionError(
-            f"mcl localises on the true map of the landmarks, which {log.name} does not have: leave mcl out of the "
-            "estimators, or let fastslam1 or fastslam2 estimate a map"
+            f"mcl localises on the true map of the landmarks, which {log.name} does not have; fastslam1 and fastslam2 "
+            "estimate a map"
         )
     return _particle_filter("mcl", log, options)
 

@@ -16,6 +16,9 @@ from .log import Log
 from .models import MotionModel
 from .se2 import Array, between, compose, wrap
 
+#: rounding of sums of durations, as a part of an interval
+_TIE = 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class ControlPath:
@@ -105,7 +108,7 @@ def control_path(
 
     kept = np.ones(len(controls), dtype=bool)
     if interval > 0:
-        kept[1:] = (motion_of[1:] != motion_of[:-1]) | np.diff(np.floor(elapsed / interval)).astype(bool)
+        kept[1:] = (motion_of[1:] != motion_of[:-1]) | np.diff(np.floor(elapsed / interval + _TIE)).astype(bool)
         kept[last] = True
     S = _moved(driven)
     end = S[last]

@@ -83,13 +83,18 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) ->
     from ..options import DOUBTFUL
 
     fits = outcome.noise_ratio is None or 1 / DOUBTFUL <= outcome.noise_ratio[1] <= DOUBTFUL
+    # wrong ids raise J, so that it may fit with noise models that are too wide
+    fits &= outcome.log.identified
+    auto = command("run", log, "--noise", "auto", options=options)
     if fits or options.noise is not None or outcome.findings or set(outcome.noise_source.values()) != {"book"}:
         return None
-    if not outcome.log.identified or outcome.log.controls is None:
+    if outcome.log.controls is None:
         return None
+    if not outcome.log.identified:
+        return f"Ids depend on the noise models. With noise estimated from this log: {auto}"
     if outcome.log.true_poses is not None:
         return f"Noise of this robot: {command('calibrate', log, '--out', 'noise.toml')}"
-    return f"Noise of this robot: {command('run', log, '--noise', 'auto', options=options)}"
+    return f"Noise of this robot: {auto}"
 
 
 def report(

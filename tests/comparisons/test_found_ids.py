@@ -184,7 +184,11 @@ def test_ids_are_found_anew_with_other_options(log):
 def test_ids_that_cannot_be_used_are_told(log):
     partly = log.replace(landmarks=np.where(np.arange(len(log.steps)) == 5, UNIDENTIFIED, log.landmarks))
     comparison = run(partly, estimators=["graph", "fastslam2"], particles=30)
-    for result in comparison.results:
-        assert result.notes[0].startswith("1 of 283 sightings has no id, so the ids of the others are not used either")
+    kept = comparison["graph"].notes
+    assert "282 of 283 sightings kept the ids that they have" in kept and not any("not use" in note for note in kept)
+    assert np.sum(comparison["graph"].association != log.landmarks) <= 1
+    assert comparison.associations["graph"] is None and comparison.associations["fastslam2"] is not None
+    note = "1 of 283 sightings has no id, so filters do not use the ids of the others either"
+    assert comparison["fastslam2"].notes[0].startswith(note)
     asked = run(partly, estimators="graph", association="maximum-likelihood")
     assert not any("not used" in note for note in asked["graph"].notes)

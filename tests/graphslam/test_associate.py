@@ -177,7 +177,14 @@ def test_logs_that_tell_nothing() -> None:
     still = Log(initial_poses=np.zeros((2, 3)), steps=[0], landmarks=[UNIDENTIFIED], sightings=[[1.0, 0.0]])
     with pytest.raises(LogError, match="no controls"):
         associate(still)
-    for name, value in {"method": "guess", "gate": "wide", "factor": "100", "slip": "no", "tries": -1}.items():
+    for name, value in {
+        "method": "guess",
+        "gate": "wide",
+        "factor": "100",
+        "slip": "no",
+        "keep_ids": 1,
+        "tries": -1,
+    }.items():
         with pytest.raises(OptionError, match=f"{name} must .*{value}"):
             associate(log, **{name: value})
 

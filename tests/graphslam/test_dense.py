@@ -86,6 +86,15 @@ def test_without_controls_the_path_is_the_poses():
     np.testing.assert_array_equal(control_path(log).through(np.ones((3, 3))), np.ones((3, 3)))
 
 
+def test_rows_at_the_interval_are_all_kept():
+    # sums of 0.1 are not whole multiples of 0.1
+    log = Log(
+        dt=0.1, controls=np.ones((40, 2)), control_starts=[0, 7, 40], steps=[0], landmarks=[0], sightings=[(1, 0)],
+        initial_poses=np.zeros((3, 3)),
+    )  # fmt: skip
+    assert len(control_path(log, interval=0.1).times) == 41
+
+
 def test_an_interval_keeps_the_poses_of_the_log_and_leaves_out_other_rows(log):
     poses = log.dead_reckoning() + np.random.default_rng(2).normal(0, 0.1, (5, 3))
     whole, some = control_path(log), control_path(log, interval=1.5)
