@@ -61,6 +61,13 @@ def run(
     named += ["trajectories (*.tum)", "maps (*-map.csv)"]
     named += ["associations (*-sightings.csv)"] * any(name.endswith("-sightings.csv") for name in files)
     named += ["graph.g2o"] * ("graph.g2o" in files)
+    from ..option import options_of
+    from ..options import RunOptions, hint_of_import
+
+    if advice := hint_of_import(
+        " ".join([*outcome.log.notes, *(finding.message for finding in outcome.findings)]), options_of(RunOptions)
+    ):
+        output.hint(f"{advice}.")
     output.hint(f"Wrote {', '.join(named)} into {folder}{os.sep}")
     if "config" in files:
         output.hint(f"Repeat this run:     {command('run', '--config', files['config'])}")

@@ -86,9 +86,9 @@ def parts_of_streams(
         warnings.warn(f"{name}: {remarks[-1]}", UserWarning, stacklevel=4)
     before, after = times[0] - odometry.times[0], odometry.times[-1] - times[-1]
     if before + after > UNUSED * (odometry.times[-1] - odometry.times[0]):
-        parts = [f"{lasting:.1f} s {where}" for lasting, where in (
-            (before, "before the first sighting"), (after, "after the last one")) if lasting > 0]  # fmt: skip
-        remarks.append(f"the odometry of {' and '.join(parts)} is left out: poses are where something was seen")
+        ends = ((before, "before the first sighting"), (after, "after the last sighting"))
+        unseen = " and ".join(f"{lasting:.1f} s {where}" for lasting, where in ends if lasting > 0)
+        remarks.append(f"the odometry of {unseen} is left out: poses are where something was seen")
     true_poses = None if truth is None else truth_at(times, truth)
     if truth is not None and true_poses is not None:
         covered = np.isfinite(true_poses[:, 0])

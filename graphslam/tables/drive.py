@@ -87,7 +87,8 @@ class _Reader:
         """The sentence about a column that is not there, with those that are."""
         have = ", ".join(self.table.names) if self.table.names else f"{self.table.width} columns without names"
         names = " or ".join(dict.fromkeys((role, *NAMES[role][:3])))
-        which = f"Say which it is: --columns {self.kind}.{role}=NAME"
+        which = "If one has them, say which" if role == "id" else "Say which it is"
+        which += f": --columns {self.kind}.{role}=NAME"
         return f"no column for {role} (named {names}, ...){consequence}; it has {have}. {which}"
 
     def described(self) -> tuple[str, ...]:

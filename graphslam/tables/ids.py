@@ -62,6 +62,11 @@ def ids_of(table: Table, column: int, known: Mapping[str, int] | None = None) ->
     notes: tuple[str, ...] = ()
     if empty.any():
         notes = (f"{table.source}: {empty.sum()} of {len(table)} rows have no id",)
+    if np.any(numbers == -1) and numbers.min(initial=0) == -1:
+        notes = (
+            *notes,
+            f"{table.source}: the id -1 is a landmark like others; leave it empty where none was identified",
+        )
     if names:
         listed = ", ".join(f"{number} = {name}" for name, number in list(names.items())[:10])
         notes = (*notes, f"{table.source}: landmarks have names, ids count them: {listed}")

@@ -16,8 +16,8 @@ NU, OMEGA = 0.5 + 0.1 * np.sin(T), 0.3 * np.cos(T / 3)
 SEEN = [(0.2, 3, 2.0, 0.1), (0.2, 4, 3.0, -0.5), (1.0, 3, 1.7, 0.2), (5.0, 4, 2.5, 0.7), (9.0, 5, 1.0, -1.0)]
 SEEN += [(9.5, 3, 4.0, 1.2), (12.0, 5, 2.2, 0.3)]
 UNSEEN = (
-    "the odometry of 0.2 s before the first sighting and 8.0 s after the last one is left out: poses are where something was "
-    "seen"
+    "the odometry of 0.2 s before the first sighting and 8.0 s after the last sighting is left out: poses are where "
+    "something was seen"
 )
 
 
@@ -280,6 +280,13 @@ def test_sightings_that_have_ids_in_part(drive, names):
     assert log.landmarks[0] == (0 if names[3] == "door" else names[3])
 
 
+def test_an_id_that_may_mean_none_is_told(drive):
+    log = load(drive(sightings=text("t,id,range,bearing", [(t, -1 if j == 4 else j, r, b) for t, j, r, b in SEEN])))
+    assert log.notes[0].endswith(
+        "sightings.csv: the id -1 is a landmark like others; leave it empty where none was identified"
+    )
+
+
 def with_column(name, values):
     return text(f"t,id,{name},range,bearing", [(t, j, f'"{v}"', r, b) for (t, j, r, b), v in zip(SEEN, values)])
 
@@ -510,7 +517,7 @@ def test_sightings_without_ids_are_remarked(drive):
     note, _ = log.notes
     assert note.endswith(
         "sightings.csv: no column for id (named id or landmark or landmark_id, ...), so no landmark is identified; it has "
-        "t, range, bearing. Say which it is: --columns sightings.id=NAME"
+        "t, range, bearing. If one has them, say which: --columns sightings.id=NAME"
     )
 
 
