@@ -32,12 +32,12 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
         return log, None
     key = (
         options.motion, options.sensor, options.front_end, options.front_particles,
-        str(replace(options.filter, particles=1)), options.estimate, "epsilon" in options.numbers,
+        str(replace(options.filter, particles=1)), options.estimate, "slip" in options.numbers,
     )  # fmt: skip
     known = _FOUND.setdefault(log, {})
     if key not in known:
         try:
-            known[key] = _noted(_associated(log, options), options)
+            known[key] = _associated(log, options)
         except SlamError as error:
             known[key] = error
     found = known[key]
@@ -48,9 +48,10 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
 
 def _associated(log: Log, options: RunOptions) -> Association:
     models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
-    # an epsilon that the options name stays
+    # a slip that the options name stays
     ways: dict[str, Any] = {
-        "slip": "epsilon" not in options.numbers, "estimate": options.estimate,
+        "keep_ids": options.filter.uses_ids,
+        "slip": "slip" not in options.numbers, "estimate": options.estimate,
         "confusion": options.filter.class_confusion,
     }  # fmt: skip
     if options.front_end == "batch" or log.controls is None or len(log.steps) == 0:
@@ -62,6 +63,10 @@ def _associated(log: Log, options: RunOptions) -> Association:
         seeds = np.random.default_rng(front.seed).integers(2**31, size=STARTS).tolist()
         starts = [None, *(_filtered(log, replace(front, seed=seed), models) for seed in seeds)]
         note = f"the ids began with those of a drive with the local filter, and of {STARTS} runs of FastSLAM 2.0"
+    elif options.filter.uses_ids and np.any(log.landmarks != UNIDENTIFIED):
+        # the filter does not use the ids that some sightings have
+        starts = [None, _filtered(log, front, models)]
+        note = "the ids began with those of a drive with the local filter, and of FastSLAM 2.0"
     else:
         starts = [_filtered(log, front, models)]
         note = "the ids began with those of FastSLAM 2.0"
@@ -70,20 +75,14 @@ def _associated(log: Log, options: RunOptions) -> Association:
     return replace(found, seconds=time.perf_counter() - begin, notes=(*found.notes, note))
 
 
-def _noted(found: Association, options: RunOptions) -> Association:
-    """The same with a note where ids are lost that nobody asked to ignore."""
-    lost = unused_ids(found.of)
-    return found if lost is None or not options.filter.uses_ids else replace(found, notes=(lost, *found.notes))
-
-
 def unused_ids(log: Log) -> str | None:
-    """Why the ids that some sightings have are not used, or None where all of them have one, or none."""
+    """Why filters do not use the ids that some sightings have, or None where all of them have one, or none."""
     without = int(np.count_nonzero(log.landmarks == UNIDENTIFIED))
     if not 0 < without < len(log.steps):
         return None
     have, these = ("has", "this one") if without == 1 else ("have", "these")
     return (
-        f"{without} of {len(log.steps)} sightings {have} no id, so the ids of the others are not used either (remove "
+        f"{without} of {len(log.steps)} sightings {have} no id, so filters do not use the ids of the others either (remove "
         f"{these} from the log to use them)"
     )
 

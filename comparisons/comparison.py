@@ -121,7 +121,7 @@ class Comparison(Displayed):
 
     @property
     def noise_source(self) -> dict[str, str]:
-        """Where each noise model comes from: "book" for the defaults, "log" for one published with the log, or "given"."""
+        """Where each noise model comes from: "book" for the defaults, "log" for one of the log or its reader, or "given"."""
         return {
             name: "book"
             if _noise(used) == _noise(MODELS[name]())
@@ -153,12 +153,15 @@ class Comparison(Displayed):
 
     @cached_property
     def associations(self) -> dict[str, AssociationScore | None]:
-        """The association of every result against the true ids, by name; None where either is not known."""
+        """The association of every result against the true ids, by name; None where either is not known.
+
+        Ids that were kept say nothing about those that were found.
+        """
         true = self.log.landmarks
+        found = {r.name: r.association for r in self.results if r.found is None or not r.found.kept.any()}
         known = bool(np.any(true != UNIDENTIFIED))
-        return {
-            r.name: score(r.association, true) if known and r.association is not None else None for r in self.results
-        }
+        scored = {name: score(ids, true) for name, ids in found.items() if known and ids is not None}
+        return {r.name: scored.get(r.name) for r in self.results}
 
     def __getitem__(self, name: str) -> EstimatorResult:
         """The result of an estimator.

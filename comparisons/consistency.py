@@ -21,6 +21,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from fastslam import ParticleGibbs
+from fastslam.options import GibbsOptions
 from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, World, simulate, solve
 from graphslam.metrics import pose_nees
 from graphslam.se2 import Array, wrap
@@ -71,6 +72,8 @@ class Consistency:
     @property
     def steps(self) -> Array:
         """ANEES / 3 of each step, (T,)."""
+        if self.logs == 0:
+            return np.full(self.per_step.shape[1], np.nan)
         return np.asarray(np.nanmean(self.per_step, axis=0))
 
     @property
@@ -79,8 +82,10 @@ class Consistency:
         return band(3 * self.logs)
 
     @property
-    def steps_inside(self) -> float:
-        """The share of the steps inside their band; steps of one log are not independent."""
+    def steps_inside(self) -> float | None:
+        """The share of the steps inside their band, None without a log; steps of one log are not independent."""
+        if self.logs == 0:
+            return None
         low, high = self.step_band
         return float(np.mean((self.steps >= low) & (self.steps <= high)))
 
@@ -175,6 +180,8 @@ def band(degrees: int) -> tuple[float, float]:
     The quantiles of chi2(d) / d; that of chi2 at probability p is twice the inverse of the regularised incomplete gamma
     function P(d / 2, x) at p.
     """
+    if degrees == 0:
+        return np.nan, np.nan
     tail = (1 - CONFIDENCE) / 2
     low, high = 2 * gammaincinv(degrees / 2, [tail, 1 - tail]) / degrees
     return float(low), float(high)
@@ -189,7 +196,7 @@ def _one_log(seed: int, options: ConsistencyOptions) -> tuple[float, dict[str, t
     row = {}
     for name in options.estimators:
         if name == "particle-gibbs":
-            row[name] = (_smoother_nees(log, seed, noise), np.nan)
+            row[name] = (_smoother_nees(log, seed, options.gibbs, noise), np.nan)
         elif name in FILTERS:
             row[name] = (_filter_nees(name, log, seed, noise), np.nan)
         else:
@@ -214,9 +221,14 @@ def _graph_nees(log: Log, keywords: dict[str, Any]) -> tuple[Array, float] | Non
     return pose_nees(error[1:], covariances[1:]), solution.joint_nees(truth)
 
 
-def _smoother_nees(log: Log, seed: int, noise: dict[str, Any]) -> Array:
-    """NEES / 3 of the mean and covariance of the samples of particle Gibbs at each step, given the whole log; (T,)."""
-    result = ParticleGibbs(log, seed=seed, threads=1, **noise).run()
+def _smoother_nees(log: Log, seed: int, options: GibbsOptions, noise: dict[str, Any]) -> Array:
+    """NEES / 3 of the mean and covariance of the samples of particle Gibbs at each step, given the whole log; (T,).
+
+    NaN where its chains have not mixed, as their covariances are then those of the start.
+    """
+    result = ParticleGibbs(log, seed=seed, threads=1, options=options, **noise).run()
+    if not result.mixing.mixed:
+        return np.full(log.num_poses - 1, np.nan)
     error = result.poses - log.robot_truth
     error[:, 2] = wrap(error[:, 2])
     return pose_nees(error[1:], result.pose_covariances[1:])

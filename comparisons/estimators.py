@@ -239,8 +239,8 @@ def mcl(log: Log, options: RunOptions) -> EstimatorResult:
     """
     if log.true_landmarks is None:
         raise OptionError(
-            f"mcl localises on the true map of the landmarks, which {log.name} does not have: leave mcl out of the "
-            "estimators, or let fastslam1 or fastslam2 estimate a map"
+            f"mcl localises on the true map of the landmarks, which {log.name} does not have; fastslam1 and fastslam2 "
+            "estimate a map"
         )
     return _particle_filter("mcl", log, options)
 
@@ -461,7 +461,7 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
             f"({weighed_down / len(weights):.1%}; {usual:.1%} would be usual if none were wrong)"
         )
     values |= {"name": name, "origin": solution, "notes": tuple(notes), "weighed_down": weighed_down}
-    values["parameters"] = parameters
+    values |= {"parameters": parameters, "options": {name: getattr(options, name) for name in _GRAPH}}
     if found is not None:
         # the notes of the association came with its log
         values |= {
@@ -471,7 +471,9 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
             "seconds": solution.seconds + found.seconds,
         }
         values["notes"] = (*found.notes, *notes)
-    return EstimatorResult(**values, options={name: getattr(options, name) for name in _GRAPH})
+        values["options"] |= {name: getattr(options, name) for name in options_of(FrontEndOptions)}
+        values["options"]["class_confusion"] = options.filter.class_confusion
+    return EstimatorResult(**values)
 
 
 def _with_map(source: Log, sensor: SensorModel | None, poses: Any, **rest: Any) -> EstimatorResult:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from os import PathLike
@@ -161,7 +162,10 @@ def imported(source: Path | None, options: ImportOptions) -> Import:
 
 
 def _made(found: Import, drive: Drive, reading: ReadOptions, name: str) -> Import:
-    log = Log(**drive.parts(reading, name))
+    with warnings.catch_warnings():
+        # they are also notes of the log, which are shown
+        warnings.simplefilter("ignore", UserWarning)
+        log = Log(**drive.parts(reading, name))
     streams = tuple(_stream(kind, stream) for kind, stream in drive.streams.items())
     return replace(found, streams=streams, log=log, landmarks=None if drive.landmarks is None else len(drive.landmarks))
 

@@ -11,6 +11,8 @@ To add an option, add a field and use it where it takes effect.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +26,7 @@ from graphslam.sources.simulator import MotionFaults, SensorFaults
 from graphslam.sources.worlds import WORLDS, World
 from graphslam.tables.options import TableOptions
 
-from .option import Options
+from .option import Options, options_of
 
 #: the noise models: parameter name of an estimator and table of a TOML file -> the model
 MODELS: dict[str, type[MotionModel] | type[SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
@@ -161,10 +163,26 @@ class FrontEndOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions(FrontEndOptions, GraphOptions, LogOptions):
+class SmootherOptions(Options):
+    """The particle smoother: the fields of `fastslam.GibbsOptions`, whose names begin with ``gibbs_`` here."""
+
+    components = {"gibbs": (GibbsOptions, GIBBS)}
+
+    @property
+    def gibbs(self) -> GibbsOptions:
+        """The options of the particle smoother."""
+        try:
+            return GibbsOptions(**self.of_component("gibbs"))
+        except OptionError as error:
+            # the filters have particles, too
+            raise OptionError(f"gibbs_{error}") from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions(FrontEndOptions, GraphOptions, LogOptions, SmootherOptions):
     """All options of a run: reading, noise, graph, filters and smoother; ``comparisons.run(log, kernel="huber")``."""
 
-    components = LogOptions.components | {"filter": (FilterOptions, FILTER), "gibbs": (GibbsOptions, GIBBS)}
+    components = LogOptions.components | {"filter": (FilterOptions, FILTER)} | SmootherOptions.components
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -175,15 +193,6 @@ class RunOptions(FrontEndOptions, GraphOptions, LogOptions):
     def filter(self) -> FilterOptions:
         """The options of the particle filters."""
         return FilterOptions(**self.of_component("filter"))
-
-    @property
-    def gibbs(self) -> GibbsOptions:
-        """The options of the particle smoother."""
-        try:
-            return GibbsOptions(**self.of_component("gibbs"))
-        except OptionError as error:
-            # the filters have particles, too
-            raise OptionError(f"gibbs_{error}") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,7 +312,7 @@ class ParticleStudyOptions(LimitOptions, JobsOptions, LogOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConsistencyOptions(JobsOptions):
+class ConsistencyOptions(JobsOptions, SmootherOptions):
     """What `consistency.study_consistency` simulates and tests."""
 
     logs: int = option(200, "Number of simulated logs.", minimum=1)
@@ -316,6 +325,10 @@ class ConsistencyOptions(JobsOptions):
         metavar="NAME,...",
     )  # fmt: skip
     seed: int = option(0, "Random seed of the first log; the others follow.", minimum=0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.gibbs  # checks the values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -381,6 +394,24 @@ class ImportOptions(Options):
         None, "Also keep a pose at least once in this time, even where nothing was seen.", unit="s", positive=True,
         default_text="poses only where something was seen", panel=OUTPUT,
     )  # fmt: skip
+
+
+def hint_of_import(text: str, known: Collection[str] = ()) -> str | None:
+    """Where options of ``import`` that a sentence advises stand for a verb that does not have them; None where it names none.
+
+    Args:
+        text: the sentence.
+        known: names of the options of the verb.
+    """
+    names = [f"--{name.replace('_', '-')}" for name in options_of(TableOptions) if name not in known]
+    named = [name for name in names if re.search(rf"{name}\b", text)]
+    if not named:
+        return None
+    are, them = ("are options", "them") if len(named) > 1 else ("is an option", "it")
+    return (
+        f"{', '.join(named)} {are} of slam-compare import; other verbs read {them} from import.toml in the folder of the "
+        "tables, or from the TOML file of the bag's name (docs/own_robot.md)"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

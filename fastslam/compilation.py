@@ -27,7 +27,8 @@ def warm_up(particles: ParticleFilter | None = None) -> None:
     if particles is not None:
         log, sensor = particles.log, SensorModel(offset=particles.sensor.offset)
         columns = 3 if log is None else log.sightings.shape[1]
-        _run(type(particles), columns, log is not None and log.composite, sensor, particles.options)
+        composite = particles.motion.slip > 0 or (log is not None and log.composite)
+        _run(type(particles), columns, composite, sensor, particles.options)
         return
     kinds: tuple[type[ParticleFilter], ...] = (MonteCarloLocalization, FastSLAM1, FastSLAM2)
     for kind, columns, composite, association in product(kinds, (2, 3), (False, True), ASSOCIATIONS[1:]):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from graphslam.errors import OptionError
 from graphslam.se2 import Array
 
 from . import landmark_kernels
@@ -38,6 +39,13 @@ class FastSLAM2(FastSLAM1):
     1.0. With unknown association the landmarks are chosen under the prediction, before any of them corrects it; a step
     with new landmarks only is drawn from the linearised motion.
     """
+
+    def _check_options(self) -> None:
+        if self.options.range_noise == "estimated" and self.options.proposal_weight != "exact":
+            raise OptionError(
+                f"FastSLAM 2.0 with range_noise {self.options.range_noise} needs the proposal_weight exact, not "
+                f"{self.options.proposal_weight}, which is that of the measured range: leave out one of them"
+            )
 
     def _weigh_identified(self, maps: IdentifiedLandmarks, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
         # the first sighting of each known landmark

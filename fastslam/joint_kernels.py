@@ -29,6 +29,7 @@ from .blocks import Nine
 from .fast_math import OPTIONS, atan2, exp, log, wrap_angle
 from .kalman import LOG_2PI, update_landmark
 from .memory import JOINT
+from .moment_kernels import NOTHING, add, gaussian
 
 #: sightings of a landmark that are integrated together
 MOST = JOINT
@@ -162,7 +163,7 @@ def evidence(
             squared += square - mean * mean / total + log(total) - LOG_2PI
         values[p] = -0.5 * (squared - n0 * n0 - n1 * n1 + constant) + log(WEIGHTS[p // n] * WEIGHTS[p % n])
         top = max(top, values[p])
-    mass = x1 = y1 = h1 = xx = xy = xh = yy = yh = hh = rest = 0.0
+    sums, rest = NOTHING, 0.0
     for p in range(n * n):
         n0, n1 = NODES[p // n], NODES[p % n]
         ex, ey, h = l00 * n0, l10 * n0 + l11 * n1, 0.0
@@ -174,14 +175,6 @@ def evidence(
                 total, mean = total + w2, mean + w2 * wrap_angle(direction - z[k, 2] - ch)
             h, rest = mean / total, 1 / total
         w = exp(values[p] - top)
-        mass += w
-        x1, y1, h1 = x1 + w * ex, y1 + w * ey, h1 + w * h
-        xx, xy, yy = xx + w * ex * ex, xy + w * ex * ey, yy + w * ey * ey
-        xh, yh, hh = xh + w * ex * h, yh + w * ey * h, hh + w * h * h
-    x1, y1, h1 = x1 / mass, y1 / mass, h1 / mass
+        sums = add(sums, w, ex, ey, h)
     # the points are those of the standard normal density, whose normaliser is that of the change of variables
-    return log(mass) + top + log(l00 * l11) + LOG_2PI, (
-        cx + x1, cy + y1, wrap_angle(ch + h1),
-        xx / mass - x1 * x1, xy / mass - x1 * y1, xh / mass - x1 * h1,
-        yy / mass - y1 * y1, yh / mass - y1 * h1, hh / mass - h1 * h1 + rest,
-    )  # fmt: skip
+    return log(sums[0]) + top + log(l00 * l11) + LOG_2PI, gaussian(sums, cx, cy, ch, rest)

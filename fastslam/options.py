@@ -139,22 +139,18 @@ class FilterOptions:
         check_choice("landmark_update", self.landmark_update, LANDMARK_UPDATES)
         check_choice("range_noise", self.range_noise, RANGE_NOISES)
         check_choice("stage", self.stage, STAGES)
-        if not self.uses_ids and (self.landmark_update, self.range_noise) != ("kalman", "measured"):
-            raise OptionError(
-                f"landmark_update {self.landmark_update} with range_noise {self.range_noise} needs the association known, "
-                f"so ids of all sightings, not {self.association}"
-            )
-        if self.range_noise == "estimated" and self.proposal_weight != "exact":
-            raise OptionError(
-                "range_noise estimated needs the proposal_weight exact: the linearised one is that of the measured range"
-            )
         object.__setattr__(self, "smoothing", whole("smoothing", self.smoothing))
         if self.smoothing < 0 or 0 < self.smoothing < FEWEST_SMOOTHED:
             raise OptionError(
                 f"smoothing must be 0 (off) or at least {FEWEST_SMOOTHED} trajectories, not {self.smoothing}"
             )
-        if self.smoothing and not self.uses_ids:
-            raise OptionError(f"smoothing needs the association known, so ids of all sightings, not {self.association}")
+        names = ("landmark_update", "range_noise", "smoothing")
+        given = [name for name in names if getattr(self, name) != FilterOptions.__dataclass_fields__[name].default]
+        if given and not self.uses_ids:
+            raise OptionError(
+                f"{given[0]} {getattr(self, given[0])} needs the association known, so ids of all sightings; with the "
+                f"association {self.association}, which auto is where a log lacks ids, leave out {' and '.join(given)}"
+            )
         if self.smoothing and self.stage == "motion":
             raise OptionError("smoothing needs weighted particles: the stage weights or resampling, not motion")
         if not 0 <= finite("ess_threshold", self.ess_threshold, "a number between 0 and 1", [()]) <= 1:

@@ -5,6 +5,7 @@ Sources: Ueda, *LNPR*, chapters 5 and 8; Thrun, Burgard and Fox, *Probabilistic 
 
 from __future__ import annotations
 
+import math
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -47,11 +48,11 @@ class ParticleFilter(ABC):
     Motion: each particle draws a control u' ~ N(u, M) and moves to f(x, u') + e, e ~ N(0, epsilon I). The lectures have
     no e, but the graph's motion edges have covariance A M A' + epsilon I, and with e both estimate the same posterior.
 
-    A motion of several controls, and every motion of a robot whose sensor sits at an offset, is drawn at once: x_{t-1}
-    moves, in its own axes, by a draw of the Gaussian of the whole motion, `MotionModel.accumulate`. Drawing each control
-    would cost one draw per control, for a difference of second order in the noise between two sightings, and FastSLAM
-    2.0 and the graph use the Gaussian in any case. With an offset the particles are poses of the sensor; all poses that
-    are returned are poses of the robot.
+    A motion of several controls, and every motion of a robot that slips or whose sensor sits at an offset, is drawn at
+    once: x_{t-1} moves, in its own axes, by a draw of the Gaussian of the whole motion, `MotionModel.accumulate`. Drawing
+    each control would cost one draw per control, for a difference of second order in the noise between two sightings, and
+    FastSLAM 2.0 and the graph use the Gaussian in any case. With an offset the particles are poses of the sensor; all
+    poses that are returned are poses of the robot.
 
     Weights: logarithms, with the determinant of the likelihood's covariance; Q is taken at the measured range, as in
     the graph's edges. A particle for which the sightings are impossible (likelihood 0) gets weight zero. If they are
@@ -94,6 +95,7 @@ class ParticleFilter(ABC):
             if value is not None and not isinstance(value, kind):
                 raise OptionError(f"{name} must be a {kind.__name__}, not {value!r}")
         self.options = replace(options or FilterOptions(), **keywords).for_ids(log is None or log.identified)
+        self._check_options()
         self.particles = self.options.particles
         if log is not None and log.controls is None:
             raise LogError(
@@ -120,7 +122,7 @@ class ParticleFilter(ABC):
         self._poses = _read_only(poses)
         self._uniform = _read_only(np.full(self.particles, -np.log(self.particles)))
         self._log_weights = self._uniform
-        self._best, self._resampled = 0, False
+        self._best, self._resampled, self._log_evidence = 0, False, 0.0
         self._motion: ControlMotion | GaussianMotion | None = None
         # whether this step has been observed, even if nothing was seen
         self._observed = False
@@ -147,7 +149,7 @@ class ParticleFilter(ABC):
             raise OptionError(f"dt must be 0 s or longer, not {dt!r}")
         with np.errstate(over="ignore"):
             std = np.sqrt(np.diag(self.motion.M(u, dt))) if dt > 0 else np.zeros(2)
-        if dt > 0 and not self.sensor.centred:
+        if dt > 0 and self._gaussian_motions:
             self._check_control(u, std, dt)
             motions, covariances = self.motion.accumulate(u[None], [dt], np.array([0, 1]))
             self._move_by_gaussian(*sensor_motions(self.sensor, motions, covariances))
@@ -208,7 +210,7 @@ class ParticleFilter(ABC):
         if log is None:
             raise OptionError("this filter has no log: give it one, or use move and observe")
         assert log.controls is not None and log.dt is not None  # checked by __init__
-        whole_motions = log.composite or not self.sensor.centred
+        whole_motions = log.composite or self._gaussian_motions
         # a step that overflows is refused when it is reached
         with np.errstate(over="ignore", invalid="ignore"):
             if whole_motions:
@@ -253,6 +255,7 @@ class ParticleFilter(ABC):
             landmarks={j: estimate.mean for j, estimate in best_map.items()},
             landmark_covariances={j: estimate.covariance for j, estimate in best_map.items()},
             log_weights=self._log_weights,
+            log_evidence=self._log_evidence,
             ess=np.array(self._ess_history),
             resampled=np.array(self._resampled_history),
             ancestors=ancestors,
@@ -275,6 +278,9 @@ class ParticleFilter(ABC):
         return {}
 
     # -- the filter --------------------------------------------------------------------------------------------------
+
+    def _check_options(self) -> None:  # noqa: B027
+        """Raise `OptionError` where the filter cannot use its options."""
 
     @property
     def _needs_ids(self) -> bool:
@@ -299,6 +305,11 @@ class ParticleFilter(ABC):
     @abstractmethod
     def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]:
         """Return the mixture of all maps under weights (N,), as `ParticleState.mixture_map`."""
+
+    @property
+    def _gaussian_motions(self) -> bool:
+        """Whether motions are drawn from their Gaussian even where they have one control only."""
+        return not self.sensor.centred or self.motion.slip > 0
 
     def _end_step(self) -> None:  # noqa: B027
         """Do what has to wait until an observed step is over."""
@@ -365,6 +376,7 @@ class ParticleFilter(ABC):
             )
             return
         weights, total, squares = normalize(self._threads, log_weights, highest)
+        self._log_evidence += highest + math.log(total)
         ess = min(total * total / squares, float(self.particles))
         self._log_weights, self._best = _read_only(log_weights), int(np.argmax(log_weights))
         self._ess_history[-1] = ess

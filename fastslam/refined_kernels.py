@@ -25,6 +25,7 @@ from graphslam.se2 import Array
 from .blocks import BLOCK, Nine, Three, copy_in, copy_out, gather, get_nine, get_three, padded, put_nine
 from .fast_math import OPTIONS, atan2, exp, log, sincos, wrap_angle
 from .kalman import LOG_2PI, update_landmark
+from .moment_kernels import NOTHING, add, gaussian
 
 #: three points of Gauss and Hermite, and their weights
 POINTS, WEIGHTS = (-sqrt(3.0), 0.0, sqrt(3.0)), (1 / 6, 2 / 3, 1 / 6)
@@ -129,7 +130,7 @@ def integrate(
         squared += e2 * e2 / total - n0 * n0 - n1 * n1 + log(variance)
         values[p] = -0.5 * squared + log(WEIGHTS[p // 3] * WEIGHTS[p % 3])
     top = values.max()
-    mass = x1 = y1 = h1 = xx = xy = xh = yy = yh = hh = 0.0
+    sums = NOTHING
     for p in range(9):
         n0, n1 = POINTS[p // 3], POINTS[p % 3]
         ex, ey = l00 * n0, l10 * n0 + l11 * n1
@@ -138,16 +139,8 @@ def integrate(
         h = bx * (cx + ex - mx) + by * (cy + ey - my)
         h -= k * wrap_angle(z[2] - atan2(dy, dx) + mh + h)
         w = exp(values[p] - top)
-        mass += w
-        x1, y1, h1 = x1 + w * ex, y1 + w * ey, h1 + w * h
-        xx, xy, yy = xx + w * ex * ex, xy + w * ex * ey, yy + w * ey * ey
-        xh, yh, hh = xh + w * ex * h, yh + w * ey * h, hh + w * h * h
-    x1, y1, h1 = x1 / mass, y1 / mass, h1 / mass
-    value = log(mass) + top + log(l00 * l11) - 0.5 * log(determinant * q[1] * total) - (1 + 0.5 * third) * LOG_2PI
+        sums = add(sums, w, ex, ey, h)
+    value = log(sums[0]) + top + log(l00 * l11) - 0.5 * log(determinant * q[1] * total) - (1 + 0.5 * third) * LOG_2PI
     if third == 0.0:
         value += 0.5 * log(total)
-    return value, (
-        cx + x1, cy + y1, wrap_angle(mh + h1),
-        xx / mass - x1 * x1, xy / mass - x1 * y1, xh / mass - x1 * h1,
-        yy / mass - y1 * y1, yh / mass - y1 * h1, hh / mass - h1 * h1 + (1 - k) * v,
-    )  # fmt: skip
+    return value, gaussian(sums, cx, cy, mh, (1 - k) * v)

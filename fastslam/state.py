@@ -109,6 +109,9 @@ class FilterResult:
         landmarks, landmark_covariances: the map of the best particle, {id: (n,)} and {id: (n, n)}, n = 2 or 3; with
             unknown association its confirmed landmarks.
         log_weights: (N,) at the end, normalised.
+        log_evidence: the logarithm of the estimated density of the sightings, by which noise models for one log can be
+            compared: the sum over all observations of log sum of (weight before * likelihood). A first sighting with a
+            known id has the likelihood 1.
         ess: (T+1,) effective sample size after each step, before resampling.
         resampled: (T+1,) whether the step resampled.
         ancestors: (T+1,) how many distinct particles of each step have descendants at the end (the depletion curve).
@@ -128,6 +131,7 @@ class FilterResult:
     landmarks: Mapping[int, Array]
     landmark_covariances: Mapping[int, Array]
     log_weights: Array
+    log_evidence: float
     ess: Array
     resampled: np.ndarray
     ancestors: np.ndarray

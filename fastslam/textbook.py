@@ -313,16 +313,20 @@ def resample_if_due(
     return resample(particles, rng) if due else particles
 
 
-def measurements(log: Log, sensor: SensorModel) -> Iterator[tuple[Array | None, float, list[int], Array]]:
+def measurements(
+    log: Log, motion: MotionModel, sensor: SensorModel
+) -> Iterator[tuple[Array | None, float, list[int], Array]]:
     """Yield for every step: the control that led to it (None at the first), its duration, the ids and the sightings.
 
     Raises:
-        LogError: the log has no controls, several controls in a step, or a sensor at an offset.
+        LogError: the log has no controls, several controls in a step, a sensor at an offset, or a motion model with slip.
     """
     if log.controls is None or log.dt is None:
         raise LogError(f"{log.name} has no controls, and a particle filter moves its particles by them")
     if log.composite or not sensor.centred:
         raise LogError(f"{log.name}: the lectures' filter takes one control a step, and a sensor at the robot's pose")
+    if motion.slip > 0:
+        raise LogError(f"{log.name}: the lectures' filter has no noise sideways; take a motion model with slip=0")
     for t in range(log.num_poses):
         now = log.steps == t
         u, dt = (log.controls[t - 1], log.dt[t - 1]) if t > 0 else (None, 0.0)
@@ -341,11 +345,11 @@ def fastslam1(
     """Run FastSLAM 1.0 over a log and yield the particles after every step, the first at the known first pose.
 
     Raises:
-        LogError: the log has no controls, several controls in a step, or a sensor at an offset.
+        LogError: the log has no controls, several controls in a step, a sensor at an offset, or a motion model with slip.
     """
     motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
     current = start(particles, log.initial_poses[0])
-    for u, dt, ids, sightings in measurements(log, sensor):
+    for u, dt, ids, sightings in measurements(log, motion, sensor):
         if u is not None:
             motion_update(current, u, dt, motion, rng)
         weighed = observation_update(current, ids, sightings, sensor)
@@ -366,13 +370,13 @@ def fastslam2(
     """Run FastSLAM 2.0 over a log, as `fastslam1`; proposal_weight: "exact" or "linearised", see `proposal_update`.
 
     Raises:
-        LogError: the log has no controls, several controls in a step, or a sensor at an offset.
+        LogError: the log has no controls, several controls in a step, a sensor at an offset, or a motion model with slip.
         OptionError: there is no such proposal_weight.
     """
     check_choice("proposal_weight", proposal_weight, PROPOSAL_WEIGHTS)
     motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
     current = start(particles, log.initial_poses[0])
-    for u, dt, ids, sightings in measurements(log, sensor):
+    for u, dt, ids, sightings in measurements(log, motion, sensor):
         if u is None:
             weighed = observation_update(current, ids, sightings, sensor)
         else:

@@ -16,6 +16,9 @@ from .log import Log
 from .models import MotionModel
 from .se2 import Array, between, compose, wrap
 
+#: rounding of sums of durations, as a part of an interval
+_TIE = 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class ControlPath:
@@ -65,8 +68,8 @@ def control_path(
     Motion t begins at x_t and follows its controls u_1 ... u_k, each with noise of covariance M_i, to d_k in the axes of
     x_t. It should end at y = x_t^-1 x_{t+1}. To first order the noise n_i of control i moves the later pose d_k by
     S_k B_i n_i, where S_k = [[1, 0, -d_ky], [0, 1, d_kx], [0, 0, 1]] and B_i does not depend on k. Hence the mean given y
-    is d_k + S_k C_k S_e' (S_e C_e S_e')^-1 (y - d_e), with C_k = sum over i <= k of B_i M_i B_i' and e the last control.
-    The part epsilon of the motion model is spread evenly over time.
+    is d_k + S_k C_k S_e' (S_e C_e S_e')^-1 (y - d_e), with C_k = sum over i <= k of B_i M_i B_i' and the slip of i, and e
+    the last control. The part epsilon of the motion model is spread evenly over time.
 
     Args:
         log: without controls there is nothing to follow, and the path consists of the poses.
@@ -96,13 +99,16 @@ def control_path(
     B = motion.A(before, controls, dt)
     B[:, 0, :] += driven[:, 1, None] * B[:, 2, :]
     B[:, 1, :] -= driven[:, 0, None] * B[:, 2, :]
-    C = _sums(B @ M @ np.swapaxes(B, 1, 2), first, motion_of)
+    each = B @ M @ np.swapaxes(B, 1, 2)
+    if motion.slip:
+        each += motion.sideways(before, controls, dt)
+    C = _sums(each, first, motion_of)
     elapsed = _sums(dt, first, motion_of)
     share = elapsed / elapsed[last][motion_of]
 
     kept = np.ones(len(controls), dtype=bool)
     if interval > 0:
-        kept[1:] = (motion_of[1:] != motion_of[:-1]) | np.diff(np.floor(elapsed / interval)).astype(bool)
+        kept[1:] = (motion_of[1:] != motion_of[:-1]) | np.diff(np.floor(elapsed / interval + _TIE)).astype(bool)
         kept[last] = True
     S = _moved(driven)
     end = S[last]

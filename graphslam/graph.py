@@ -121,6 +121,8 @@ class Graph:
                 the poses and a remedy.
             OptionError: an option has an impossible value.
         """
+        if not isinstance(log, Log):
+            raise OptionError(f"log must be a Log, not {log!r}; graphslam.load(path) reads one")
         check_choice("edges", edges, EDGES)
         check_choice("frame", frame, FRAMES)
         check_choice("weight", weight, WEIGHTS)

@@ -80,6 +80,7 @@ class MotionModel(NoiseModel):
     k (sigma dt)²: these two values belong to the rate at which controls are recorded. (The other four do not depend on
     it.) Where a sighting cuts a control, its pieces share the variance: a piece of d seconds of a control of D seconds
     has the variance sigma² D / d, so that the displacements of all pieces together have (sigma D)², however many there are.
+    ``slip`` moves the robot sideways, across the chord of a control, with the variance slip² |nu| dt: S = slip² |nu| dt n n'.
     ``epsilon`` is added to the diagonal of the pose covariance, because A M A' has only rank 2.
 
     Raises:
@@ -99,6 +100,7 @@ class MotionModel(NoiseModel):
     sigma_omega: float = option(
         0.0, "Standard deviation of the turn rate, the same for every recorded control. " + _REPLACES_MOTION, "rad/s"
     )
+    slip: float = option(0.0, "Noise sideways per distance driven, of a robot that slips", "m/√m")
 
     def __post_init__(self) -> None:
         check_positive(epsilon=self.epsilon)
@@ -160,10 +162,20 @@ class MotionModel(NoiseModel):
         covariance[..., 1, 1] = (self.on**2 * nu + self.oo**2 * omega) / dt + self.sigma_omega**2 * pieces
         return covariance
 
+    def sideways(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
+        """The covariance of the slip of a control, S = slip² |nu| dt n n', n across its chord; (..., 3, 3)."""
+        pose, control, dt = _broadcast(pose, control, dt)
+        across = pose[..., 2] + control[..., 1] * dt / 2 + np.pi / 2
+        n = np.stack([np.cos(across), np.sin(across), np.zeros_like(across)], axis=-1)
+        return (self.slip**2 * np.abs(control[..., 0]) * dt)[..., None, None] * n[..., :, None] * n[..., None, :]
+
     def covariance(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
-        """The covariance of the pose after one motion from a known pose, A M A' + epsilon I; (..., 3, 3)."""
+        """The covariance of the pose after one motion from a known pose, A M A' + S + epsilon I; (..., 3, 3)."""
         A = self.A(pose, control, dt)
-        return A @ self.M(control, dt) @ np.swapaxes(A, -1, -2) + self.epsilon * np.eye(3)
+        noise = A @ self.M(control, dt) @ np.swapaxes(A, -1, -2)
+        if self.slip:
+            noise += self.sideways(pose, control, dt)
+        return noise + self.epsilon * np.eye(3)
 
     def accumulate(
         self,
@@ -176,7 +188,7 @@ class MotionModel(NoiseModel):
         """Motions that consist of several controls each: relative poses and their covariances.
 
         The controls ``starts[t]`` to ``starts[t+1]`` - 1 follow one another in motion t. The motion from (0, 0, 0) ends
-        at f(... f(f(0, u_1), u_2) ..., u_k). Its covariance is propagated by P <- F P F' + A M A' from P = 0, and epsilon
+        at f(... f(f(0, u_1), u_2) ..., u_k). Its covariance is propagated by P <- F P F' + A M A' + S from P = 0, and epsilon
         I is added once. (The product of all later F is one lever arm, so the propagation is a plain sum.)
 
         Args:
@@ -195,14 +207,16 @@ class MotionModel(NoiseModel):
         if control_variances is not None:
             M[:, [0, 1], [0, 1]] += control_variances
         each = A @ M @ np.swapaxes(A, -1, -2)
+        if self.slip:
+            # a slip turns nothing, so that no lever arm moves it
+            each += self.sideways(_headings(controls, dt, starts), controls, dt)
         covariances = np.add.reduceat(each, starts[:-1], axis=0) if len(starts) > 1 else np.zeros((0, 3, 3))
         return motions, covariances + self.epsilon * np.eye(3)
 
     def accumulated_slopes(self, controls: Array, dt: Array, starts: np.ndarray) -> tuple[Array, Array]:
         """The motions (T, 3) of `accumulate`, and the derivative (S, 3, 2) of each by each of its controls."""
         first, count = starts[:-1], np.diff(starts)
-        before = np.zeros((len(controls), 3))
-        before[:, 2] = _sum_before(controls[:, 1] * dt, first, count)
+        before = _headings(controls, dt, starts)
         # with the heading it has within its motion, each control starts from the origin: f is affine in (x, y)
         steps = self.f(before, controls, dt) - before
         motions = np.add.reduceat(steps, first, axis=0) if len(first) else np.zeros((0, 3))
@@ -234,6 +248,13 @@ def _arc(heading: Array, control: Array, dt: Array) -> tuple[Array, Array, Array
     a = control[..., 1] * dt / 2
     chord, along = control[..., 0] * dt * sinc(a), heading + a
     return chord * np.cos(along), chord * np.sin(along), 2 * a
+
+
+def _headings(controls: Array, dt: Array, starts: np.ndarray) -> Array:
+    """The origin with the heading that each control has within its motion, (S, 3)."""
+    before = np.zeros((len(controls), 3))
+    before[:, 2] = _sum_before(controls[:, 1] * dt, starts[:-1], np.diff(starts))
+    return before
 
 
 def _sum_before(values: Array, first: np.ndarray, count: np.ndarray) -> Array:

@@ -220,7 +220,9 @@ def pose_derivative(x: Array, z: Array) -> Array:
 
 
 def motion_edge(x1: Array, x2: Array, u: Array, dt: float, motion: MotionModel) -> tuple[Array, Array, Array, Array]:
-    """The control u took x1 to x2: e = x2 - f(x1, u), Omega_e^-1 = A M A' + epsilon I, B_1 = -F, B_2 = I.
+    """The control u took x1 to x2: e = x2 - f(x1, u), Omega_e^-1 = A M A' + S + epsilon I, B_1 = -F, B_2 = I.
+
+    S = slip² |nu| dt n n' is our addition, the noise sideways; n is the normal of the chord.
 
     Written with the divisions of the slides, and with the book's lower limit that makes them possible: an omega below
     1e-5 counts as 1e-5 in A and F. (`MotionModel` needs neither.)
@@ -253,7 +255,9 @@ def motion_edge(x1: Array, x2: Array, u: Array, dt: float, motion: MotionModel) 
         ]
     )
     F = np.array([[1, 0, nu / omega * (ct - c)], [0, 1, nu / omega * (st - s)], [0, 0, 1]])
-    return e, np.linalg.inv(A @ M @ A.T + motion.epsilon * np.eye(3)), -F, np.eye(3)
+    n = np.array([-sin(theta + omega * dt / 2), cos(theta + omega * dt / 2), 0])
+    S = motion.slip**2 * abs(nu) * dt * np.outer(n, n)
+    return e, np.linalg.inv(A @ M @ A.T + S + motion.epsilon * np.eye(3)), -F, np.eye(3)
 
 
 def solve_map(sightings: list[tuple[Array, Array]], sensor: SensorModel) -> Array:

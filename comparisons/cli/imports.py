@@ -73,6 +73,8 @@ def source_and_out(words: list[str]) -> tuple[Path | None, Path | None]:
 
 def show(output: Output, log: LogFile = None, *, reading: ReadingOptions, drawing: FigureOptions) -> None:
     """Look at a log before it is solved: times, rates, landmarks, histograms, and what is probably wrong."""
+    from ..option import options_of
+    from ..options import ReadingOptions, hint_of_import
     from ..overview import inspect_log
     from ..saving import FIGURE_FORMATS, check_can_write
 
@@ -81,5 +83,9 @@ def show(output: Output, log: LogFile = None, *, reading: ReadingOptions, drawin
     found = inspect_log(log, **reading.keywords())
     output.show(found)
     output.draw(found, drawing.figure)
+    if advice := hint_of_import(
+        " ".join([*found.log.notes, *(finding.message for finding in found.findings)]), options_of(ReadingOptions)
+    ):
+        output.hint(f"{advice}.")
     output.hint(f"Next: {command('run', log, options=reading)}")
     output.json(found.to_json())

@@ -32,8 +32,13 @@ class Advance(Protocol):
 
 
 @contextmanager
-def sentences(verbose: bool) -> Iterator[None]:
-    """Turn user errors into one sentence and exit status 2, and Ctrl-C into 130; other errors keep their traceback."""
+def sentences(verbose: bool, advice: Callable[[str], str | None] = lambda _: None) -> Iterator[None]:
+    """Turn user errors into one sentence and exit status 2, and Ctrl-C into 130; other errors keep their traceback.
+
+    Args:
+        verbose: also the traceback of user errors.
+        advice: of the text of a user error, what to add to it.
+    """
     try:
         yield
     except KeyboardInterrupt:
@@ -49,7 +54,9 @@ def sentences(verbose: bool) -> Iterator[None]:
             raise
         if verbose:
             traceback.print_exc()
-        typer.echo(f"error: {error}" if not sys.stderr.isatty() else _wrapped(f"error: {error}"), err=True)
+        more = advice(str(error))
+        text = f"error: {error}" if more is None else f"error: {error}. {more}"
+        typer.echo(text if not sys.stderr.isatty() else _wrapped(text), err=True)
         raise typer.Exit(WRONG_INPUT) from None
 
 

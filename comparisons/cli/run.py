@@ -61,6 +61,13 @@ def run(
     named += ["trajectories (*.tum)", "maps (*-map.csv)"]
     named += ["associations (*-sightings.csv)"] * any(name.endswith("-sightings.csv") for name in files)
     named += ["graph.g2o"] * ("graph.g2o" in files)
+    from ..option import options_of
+    from ..options import RunOptions, hint_of_import
+
+    if advice := hint_of_import(
+        " ".join([*outcome.log.notes, *(finding.message for finding in outcome.findings)]), options_of(RunOptions)
+    ):
+        output.hint(f"{advice}.")
     output.hint(f"Wrote {', '.join(named)} into {folder}{os.sep}")
     if "config" in files:
         output.hint(f"Repeat this run:     {command('run', '--config', files['config'])}")
@@ -83,13 +90,18 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) ->
     from ..options import DOUBTFUL
 
     fits = outcome.noise_ratio is None or 1 / DOUBTFUL <= outcome.noise_ratio[1] <= DOUBTFUL
+    # wrong ids raise J, so that it may fit with noise models that are too wide
+    fits &= outcome.log.identified
+    auto = command("run", log, "--noise", "auto", options=options)
     if fits or options.noise is not None or outcome.findings or set(outcome.noise_source.values()) != {"book"}:
         return None
-    if not outcome.log.identified or outcome.log.controls is None:
+    if outcome.log.controls is None:
         return None
+    if not outcome.log.identified:
+        return f"Ids depend on the noise models. With noise estimated from this log: {auto}"
     if outcome.log.true_poses is not None:
         return f"Noise of this robot: {command('calibrate', log, '--out', 'noise.toml')}"
-    return f"Noise of this robot: {command('run', log, '--noise', 'auto', options=options)}"
+    return f"Noise of this robot: {auto}"
 
 
 def report(

@@ -57,7 +57,7 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
     configurable = any(issubclass(group, declared.ReadingOptions) for group in groups.values())
 
     def command(ctx: typer.Context, quiet: bool, verbose: bool, config: Path | None = None, **values: Any) -> None:
-        with sentences(verbose):
+        with sentences(verbose, lambda text: declared.hint_of_import(text, options)):
             values = _without_outranked(ctx, values, options)
             if config is not None:
                 _check_log(ctx, values.get("log"))

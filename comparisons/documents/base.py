@@ -66,7 +66,7 @@ CostPerDof = Annotated[
     about("J per degree of freedom: about 1 where the noise models fit, more where they are too small or sightings are "
           "wrong, less where they are too large; null where nothing is minimised"),
 ]  # fmt: skip
-Band = Annotated[list[float], msgspec.Meta(min_length=2, max_length=2, description="lower and upper end")]
+Band = Annotated[list[float | None], msgspec.Meta(min_length=2, max_length=2, description="lower and upper end")]
 Quartiles = Annotated[
     list[float], msgspec.Meta(min_length=3, max_length=3, description="25 %, 50 % and 75 % over the seeds")
 ]

@@ -48,7 +48,7 @@ class ConsistencyEstimatorDocument(Document):
 
     name: Annotated[str, about("estimator, or weight of the graph")]
     logs: Annotated[Count, about("number of logs that count")]
-    failed: Annotated[Count, about("number of logs on which it failed")]
+    failed: Annotated[Count, about("number of logs on which it failed, or its chains did not mix")]
     anees: Annotated[float | None, about("average NEES of the whole trajectory per degree of freedom")]
     band: Annotated[Band, about("95 % band of `anees`")]
     consistent: Annotated[bool | None, about("whether `anees` lies in `band`")]

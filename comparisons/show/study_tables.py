@@ -15,7 +15,7 @@ from .cells import NOTHING, LeanTable, number, seconds, yes_no
 if TYPE_CHECKING:
     from graphslam.calibration import Calibration
 
-    from ..consistency import ConsistencyStudy
+    from ..consistency import Consistency, ConsistencyStudy
     from ..datasets import Survey
     from ..particles import ParticleStudy
     from ..studies.bootstrap import Median
@@ -53,9 +53,12 @@ def consistency_tables(study: ConsistencyStudy) -> Tables:
     for r in study.results:
         joint = (number(r.anees), NOTHING if r.anees is None else _band(r.joint_band), yes_no(r.consistent))
         steps = number(float(np.median(r.steps))), number(float(np.max(r.steps)))
-        table.add_row(r.name, str(r.logs), *joint, *steps, _band(r.step_band), f"{r.steps_inside:.0%}")
-    failed = (r for r in study.results if r.failed)
-    remarks = [f"{r.name} failed on {r.failed} of {study.logs} logs, which are not counted." for r in failed]
+        inside = NOTHING if r.steps_inside is None else f"{r.steps_inside:.0%}"
+        table.add_row(r.name, str(r.logs), *joint, *steps, _band(r.step_band), inside)
+    failed = [r for r in study.results if r.failed]
+    remarks = [f"{r.name} {_failed(r)} on {r.failed} of {study.logs} logs, which are not counted." for r in failed]
+    if any(r.name == "particle-gibbs" for r in failed):
+        remarks.append("Longer chains mix on more logs: --gibbs-warm-up, --gibbs-iterations.")
     if any(r.name == "pairs" for r in study.results):
         remarks.append(
             "pairs counts every sighting about K/2 times, with K sightings per landmark: "
@@ -65,7 +68,11 @@ def consistency_tables(study: ConsistencyStudy) -> Tables:
 
 
 def _band(limits: tuple[float, float]) -> str:
-    return f"{limits[0]:.3f} to {limits[1]:.3f}"
+    return NOTHING if np.isnan(limits[0]) else f"{limits[0]:.3f} to {limits[1]:.3f}"
+
+
+def _failed(result: Consistency) -> str:
+    return "did not mix" if result.name == "particle-gibbs" else "failed"
 
 
 def summary_tables(summary: Summary) -> Tables:

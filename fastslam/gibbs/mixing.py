@@ -15,6 +15,8 @@ from graphslam.se2 import Array
 
 #: a larger R-hat, or fewer effective samples, and the chains have not mixed
 LARGEST_RHAT, LEAST_ESS = 1.05, 100.0
+#: from this R-hat on, chains are still on their way from where they began, and neither more samples nor more particles help
+APART = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +48,17 @@ class Mixing:
         )
         if self.mixed:
             return f"mixed: {figures}"
-        raised = "iterations and warm_up" if self.rhat[worst] > LARGEST_RHAT else "iterations"
+        if APART < self.rhat[worst] < np.inf:
+            advice = (
+                "the chains are still far apart: raise warm_up, to thousands where the sensor is far more precise than the "
+                "odometry"
+            )
+        else:
+            raised = "iterations and warm_up" if self.rhat[worst] > LARGEST_RHAT else "iterations"
+            advice = f"raise {raised}, and if that does not help, particles"
         return (
             f"not mixed: {figures}, but R-hat should be at most {LARGEST_RHAT} and the effective sample size at least "
-            f"{LEAST_ESS:.0f}; raise {raised}, and if that does not help, particles"
+            f"{LEAST_ESS:.0f}; {advice}"
         )
 
 

@@ -19,6 +19,7 @@ from .classes import Classes
 from .densities import Densities, Field
 from .geometry import differences
 from .hypotheses import log_density
+from .known import agree, id_of_each
 from .options import AssociationOptions
 from .several import Hypothesis, Pairs
 from .solved import Backbone, Solved
@@ -135,7 +136,9 @@ def accounts(
     pairs, item, other = _pairs(apart, items, older, found, densities, classes)
     ours = np.flatnonzero([found.get(int(a)) == b for a, b in zip(item, other)])
     of_group = np.isin(apart.labels[item] - fresh, back.landmarks)
-    doubted, rest = ours[of_group[ours]], ours[~of_group[ours]]
+    # what ids say is not doubted
+    doubtful = of_group[ours] & (id_of_each(apart.which, backbone.known[apart.rows], len(apart.labels))[item[ours]] < 0)
+    doubted, rest = ours[doubtful], ours[~doubtful]
     evidence = pairs.evidence(ours)
     allowed = np.ones(len(item), dtype=bool)
     allowed[doubted] = False
@@ -146,7 +149,8 @@ def accounts(
         others += [pairs.completed(rest, allowed)] if len(rest) else []
     if len(doubted) and len(rest):
         others.append(Hypothesis(np.zeros(0, dtype=np.int64), 0.0))
-    result, known = [], set()
+    # where ids leave no doubt, the best hypothesis may be the one that was found
+    result, known = [], {tuple(ours)}
     for each in sorted(others, key=lambda each: -each.evidence):
         if (key := tuple(each.pairs)) in known or (back.new and not of_group[each.pairs].any()):
             continue
@@ -155,6 +159,8 @@ def accounts(
         to[item[each.pairs]] = other[each.pairs]
         relabelled = np.full(len(labels), -1)
         relabelled[apart.rows] = apart.labels[to[apart.which]]
+        if not agree(relabelled, backbone.known):
+            continue
         instead = np.unique(apart.labels[other[each.pairs[of_group[each.pairs]]]])
         result.append(Account(back, instead, evidence - each.evidence, relabelled, apart.poses))
     return result[:most]

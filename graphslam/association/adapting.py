@@ -70,7 +70,7 @@ class Robot:
 
 
 def slipping(robot: Robot, labels: np.ndarray, poses: Array) -> Robot:
-    """The robot with the slip of its log in ``epsilon``, from labels (M,) and poses (T+1, 3)."""
+    """The robot with the slip of its log in its noise model, from labels (M,) and poses (T+1, 3)."""
     T = len(poses) - 1
     N = T // WINDOWS
     if N < SHORTEST:
@@ -100,7 +100,8 @@ def slipping(robot: Robot, labels: np.ndarray, poses: Array) -> Robot:
     allowed = float(np.mean(np.linalg.inv(usual.information)[:, 1, 1]))
     if variance <= CLEAR * allowed:
         return robot
-    return replace(robot, motion=replace(robot.motion, epsilon=robot.motion.epsilon + variance - allowed))
+    slip = np.sqrt(robot.motion.slip**2 + (variance - allowed) / float(np.mean(far)))
+    return replace(robot, motion=replace(robot.motion, slip=float(slip)))
 
 
 def fitted(

@@ -18,11 +18,12 @@ from ..precision import check_log
 from ..se2 import Array
 from .adapting import Robot, adapted, again, wanted
 from .classes import Classes
-from .climbing import climb
+from .climbing import ROUNDS, Climbed, climb
 from .densities import Densities, Field
 from .doubts import Doubt, doubts
 from .driving import drive
 from .evidence import evidence
+from .known import names as names_of
 from .options import AssociationOptions
 from .refining import Refined, refine
 
@@ -37,10 +38,11 @@ class Association:
     """Which landmark each sighting of a log is of.
 
     Attributes:
-        of: the log that was associated; its own ids were not used.
-        ids: (M,) the landmark of each sighting, numbered from 0 in the order of discovery; `UNIDENTIFIED` for clutter.
+        of: the log that was associated; its own ids were not used, unless only some sightings have one.
+        ids: (M,) the landmark of each sighting, numbered from 0 in the order of discovery; `UNIDENTIFIED` for clutter. Ids
+            of the log that were kept stay, and other landmarks have higher numbers.
         margins: (M,) the logarithm of the evidence for the landmark over that for the best other one, or for clutter;
-            infinite for clutter.
+            infinite for clutter, and where an id of the log was kept.
         poses: (T+1, 3) the trajectory of the graph in which the ids were found.
         rounds, settled: how often sightings were assigned anew, and whether the last time changed nothing.
         cost_per_dof: J of that graph per degree of freedom: about 1 where noise models and ids are right, far above it
@@ -79,7 +81,7 @@ class Association:
     @property
     def landmarks(self) -> int:
         """The number of landmarks."""
-        return int(self.ids.max(initial=-1)) + 1
+        return len(np.setdiff1d(self.ids, [UNIDENTIFIED]))
 
     @property
     def clutter(self) -> int:
@@ -87,12 +89,19 @@ class Association:
         return int(np.count_nonzero(self.ids == UNIDENTIFIED))
 
     @property
+    def kept(self) -> np.ndarray:
+        """Whether each sighting (M,) kept the id that the log gives it."""
+        if self.of.identified or not self.options.keep_ids:
+            return np.zeros(len(self.ids), dtype=bool)
+        return np.asarray(self.of.landmarks != UNIDENTIFIED)
+
+    @property
     def doubtful(self) -> np.ndarray:
         """Whether the landmark of each sighting (M,) may be another: by its margin, or because a return to it is in doubt."""
         doubtful = np.asarray(self.margins < np.log(self.options.factor))
         for doubt in self.doubts:
             doubtful |= (self.of.steps >= doubt.step) & np.isin(self.ids, doubt.landmarks)
-        return doubtful
+        return doubtful & ~self.kept
 
     @property
     def ambiguous(self) -> int:
@@ -120,7 +129,10 @@ def associate(
     estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None,
     **changes: Any,
 ) -> Association:
-    """Find out which sightings are of the same landmark, from the log alone. Ids that the log has are not used.
+    """Find out which sightings are of the same landmark, from the log alone.
+
+    Ids that the log has are not used where all sightings have one; where some have none, the others keep theirs (option
+    ``keep_ids``).
 
     The robot drives along the log once: a local Kalman filter joins sightings of neighbouring scans to tracks, and every
     ``window`` steps the graph of the drive so far is solved, and tracks are joined to landmarks that were seen before by
@@ -151,6 +163,9 @@ def associate(
     if len(log.steps) == 0:
         raise GraphError(f"{log.name} has no sightings at all, so there is nothing to associate")
     check_log(log, motion, sensor)
+    recorded = log
+    if log.identified or not options.keep_ids:
+        log = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
     names, robot = wanted(estimate), Robot(log, motion, sensor)
     backbone, field = robot.backbone, Field.of(log, sensor)
     densities = Densities.of(log, field, options.clutter)
@@ -158,7 +173,7 @@ def associate(
     firsts: list[Refined] = []
     for labels, poses in _starts(log, start):
         if labels is None or poses is None:
-            driven = drive(log, motion, backbone, densities, classes, options)
+            driven = drive(log, motion, sensor, backbone, densities, classes, options)
             labels, poses = driven.labels, driven.poses
         if (end := refine(log, backbone, labels, poses, field, densities, classes, options)) is not None:
             firsts.append(end)
@@ -175,11 +190,9 @@ def associate(
         log, backbone, field = robot.log, robot.backbone, Field.of(robot.log, robot.sensor)
         firsts = [end for first in firsts if (end := again(robot, first, classes, options)) is not None] or firsts
     ends = [climb(log, backbone, end, field, classes, options) for end in firsts]
-    densities = Densities.mean([end.densities for end, _ in ends])
-    values = [evidence(log, backbone, end.solved, field, densities) for end, _ in ends]
-    refined, accounts = ends[int(np.argmax(values))]
-    doubtful = doubts(accounts, options.factor)
-    return _report(given, robot, refined, values, doubtful, options, time.perf_counter() - begin)
+    densities = Densities.mean([end.refined.densities for end in ends])
+    values = [evidence(log, backbone, end.refined.solved, field, densities) for end in ends]
+    return _report(recorded, given, robot, ends[int(np.argmax(values))], values, options, time.perf_counter() - begin)
 
 
 def _starts(log: Log, start: Start | list[Start | None] | None) -> list[tuple[np.ndarray | None, Array | None]]:
@@ -199,33 +212,41 @@ def _starts(log: Log, start: Start | list[Start | None] | None) -> list[tuple[np
 
 
 def _report(
-    given: Robot, robot: Robot, refined: Refined, values: list[float], doubtful: tuple[Doubt, ...],
-    options: AssociationOptions, seconds: float,
-) -> Association:  # fmt: skip
+    log: Log, given: Robot, robot: Robot, end: Climbed, values: list[float], options: AssociationOptions, seconds: float
+) -> Association:
     """The association of the log as it was recorded, found with another robot."""
-    log, graph = given.log, refined.solved.graph
+    refined, graph = end.refined, end.refined.solved.graph
+    name = np.append(names_of(refined.labels, given.log.landmarks), UNIDENTIFIED)
+    doubtful = (
+        replace(each, landmarks=tuple(name[[*each.landmarks]].tolist()), others=tuple(name[[*each.others]].tolist()))
+        for each in doubts(end.accounts, options.factor)
+    )
     found = Association(
-        of=log, ids=np.where(refined.labels < 0, UNIDENTIFIED, refined.labels),
+        of=log, ids=name[refined.labels],
         margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solved.poses, rounds=refined.rounds,
         settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), motion=robot.motion,
-        parameters=robot.estimate, doubts=doubtful,
+        parameters=robot.estimate, doubts=tuple(doubtful),
         evidence=max(values), options=options, seconds=seconds, notes=(),
     )  # fmt: skip
+    kept = int(np.count_nonzero(found.kept))
+    which = "of which some have no id" if kept else "without ids"
     notes = [
-        f"found {_counted(found.landmarks, 'landmark')} in sightings without ids; {found.clutter} of "
+        f"found {_counted(found.landmarks, 'landmark')} in sightings {which}; {found.clutter} of "
         f"{_counted(len(log.steps), 'sighting')} are of no landmark (clutter), J per degree of freedom is "
         f"{found.cost_per_dof:.2f}"
     ]
-    if robot.motion.epsilon != given.motion.epsilon:
+    if kept:
+        notes.append(f"{kept} of {len(log.steps)} sightings kept the ids that they have")
+    if robot.motion.slip != given.motion.slip:
         notes.append(
-            "over long ways the robot slips sideways more than its noise model allows: for the graph epsilon is raised from "
-            f"{given.motion.epsilon:.2g} to {robot.motion.epsilon:.2g}"
+            "over long ways the robot slips sideways more than its noise model allows: for the graph slip is raised from "
+            f"{given.motion.slip:.2g} to {robot.motion.slip:.2g} m/√m"
         )
     if found.parameters is not None:
         notes.append(f"ids were found with estimated parameters: {found.parameters.sentence}")
     if found.ambiguous:
         notes.append(
-            f"the landmark of {found.ambiguous} sightings is ambiguous: the evidence for it is less than "
+            f"the landmark of {_counted(found.ambiguous, 'sighting')} is ambiguous: the evidence for it is less than "
             f"{options.factor:g} times that for another one, or for clutter"
         )
     if len(values) > 1:
@@ -243,7 +264,17 @@ def _report(
     if found.landmarks == 1:
         notes.append("one landmark alone cannot tell a wrong association from drift")
     if not found.settled:
-        notes.append(f"the association had not settled after {found.rounds} rounds")
+        notes.append(f"the association had not settled after {_counted(found.rounds, 'round')}")
+    if end.unsettled:
+        notes.append(
+            f"other accounts of the drive that had not settled when they were compared, after "
+            f"{_counted(min(options.rounds, ROUNDS), 'round')}: {end.unsettled} of {end.tried}; their evidence may be higher"
+        )
+    if end.left:
+        notes.append(
+            "other accounts of the drive that are not much less likely, but were not tried because of the limit on tries "
+            f"({options.tries}): {end.left}; with a higher limit one of them may prove better"
+        )
     return replace(found, notes=tuple(notes))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,11 +25,29 @@ MOST = 3
 WORK, LEAST_EVENTS = 75_000, 10
 
 
+@dataclass(frozen=True, eq=False)
+class Climbed:
+    """The best association that trials of other accounts lead to, and how the search went.
+
+    Attributes:
+        refined: the association.
+        accounts: the other accounts of it.
+        tried, unsettled: how many accounts were tried, and how many of them had not settled after `ROUNDS` rounds.
+        left: how many accounts of the result are promising and were not tried, because no tries were left.
+    """
+
+    refined: Refined
+    accounts: list[Account]
+    tried: int
+    unsettled: int
+    left: int
+
+
 def climb(
     log: Log, backbone: Backbone, refined: Refined, field: Field, classes: Classes, options: AssociationOptions
-) -> tuple[Refined, list[Account]]:
-    """The best association that the trials lead to, and the other accounts of it."""
-    tries, events = options.tries, max(LEAST_EVENTS, WORK // log.num_poses)
+) -> Climbed:
+    """Try other accounts of the drive while the evidence rises."""
+    events, unsettled = max(LEAST_EVENTS, WORK // log.num_poses), 0
     densities, brief = refined.densities, replace(options, rounds=min(options.rounds, ROUNDS))
     best = evidence(log, backbone, refined.solved, field, densities)
     tried: set[bytes] = set()
@@ -39,18 +57,19 @@ def climb(
         )
         promising = sorted((a for a in found if a.log_factor < PROMISING), key=lambda a: a.log_factor)
         for account in promising:
-            if tries == 0 or (key := account.labels.tobytes()) in tried:
+            if len(tried) == options.tries or (key := account.labels.tobytes()) in tried:
                 continue
             tried.add(key)
-            tries -= 1
             trials = [refine(log, backbone, account.labels, account.poses, field, densities, classes, brief)]
             if account.log_factor < 0:
                 # refining merges pairs, which may undo what all landmarks of a place together say
                 trials.append(unrefined(log, backbone, account.labels, account.poses, densities, classes, brief))
+            unsettled += any(not trial.settled for trial in trials if trial is not None)
             ends = [(evidence(log, backbone, t.solved, field, densities), t) for t in trials if t is not None]
             value, end = max(ends, key=lambda each: each[0], default=(-np.inf, refined))
             if value > best + np.log(options.factor):
                 refined, best = end, value
                 break
         else:
-            return refined, found
+            left = len({account.labels.tobytes() for account in promising} - tried)
+            return Climbed(refined, found, len(tried), unsettled, left)

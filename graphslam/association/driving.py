@@ -6,11 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..graph import Graph
 from ..log import Log
-from ..models import MotionModel
+from ..models import MotionModel, SensorModel
 from ..se2 import Array, between, compose
+from ..solvers.solve import solve
 from .classes import Classes
 from .densities import Densities
+from .known import id_of_each, may_be_one
 from .local_map import LocalMap
 from .merging import merges
 from .options import AssociationOptions
@@ -32,10 +35,19 @@ class Driven:
 
 
 def drive(
-    log: Log, motion: MotionModel, backbone: Backbone, densities: Densities, classes: Classes, options: AssociationOptions
+    log: Log, motion: MotionModel, sensor: SensorModel, backbone: Backbone, densities: Densities, classes: Classes,
+    options: AssociationOptions,
 ) -> Driven:  # fmt: skip
-    """Drive along the log once."""
+    """Drive along the log once.
+
+    Where some sightings have ids, the robot moves as the graph of these alone says: after a long way, where it is decides
+    which landmarks the others are of.
+    """
     motions, noises = log.motions(motion)
+    if np.any(kept := backbone.known >= 0):
+        graph = Graph.from_log(log.with_sightings(kept), motion=motion, sensor=sensor, edges="landmark+motion")
+        guide = solve(graph).poses
+        motions = between(guide[:-1], guide[1:])
     window = max(options.window, -(-log.num_poses // MOST_WINDOWS))
     local = LocalMap(log.initial_poses[0], backbone.places, densities, classes, window, options)
     first = np.searchsorted(log.steps, np.arange(log.num_poses + 1))
@@ -60,6 +72,7 @@ def drive(
         else:
             poses = filtered[: t + 1].copy()
         done = t + 1
+        _join_by_ids(root, tracks, backbone.known)
         for _ in range(3):
             labels = np.where(tracks >= 0, root[tracks], -1)[: first[t + 1]]
             labels[_alone(labels, log.steps[: first[t + 1]], t - OPEN * window)] = -1
@@ -67,7 +80,7 @@ def drive(
                 break
             solved = Solved.of(backbone, labels, poses)
             poses = solved.poses
-            joined, deferred = _join(log, solved, t - OPEN * window, densities, classes, options)
+            joined, deferred = _join(log, solved, t - OPEN * window, backbone.known, densities, classes, options)
             if not joined:
                 break
             for new, old in joined.items():
@@ -85,8 +98,16 @@ def _alone(labels: np.ndarray, steps: np.ndarray, since: int) -> np.ndarray:
     return (counts[which] == 1) & (steps < since)
 
 
+def _join_by_ids(root: np.ndarray, tracks: np.ndarray, known: np.ndarray) -> None:
+    """Give tracks of which most sightings have one id the ``root`` of the oldest of them."""
+    ids = id_of_each(tracks, known, len(root))
+    for j in np.unique(ids[ids >= 0]):
+        roots = np.unique(root[ids == j])
+        root[np.isin(root, roots[1:])] = roots[0]
+
+
 def _join(
-    log: Log, solved: Solved, since: int, densities: Densities, classes: Classes,
+    log: Log, solved: Solved, since: int, known: np.ndarray, densities: Densities, classes: Classes,
     options: AssociationOptions,
 ) -> tuple[dict[int, int], int]:  # fmt: skip
     """{new: old} labels of landmarks that are one, and how many decisions are left for later because they are ambiguous."""
@@ -96,7 +117,8 @@ def _join(
     found = merges(solved, items, seen, shown, densities, classes, options)
     # one landmark may lie near an old one by chance; a place that is seen again has several
     least = np.log(options.factor)
-    sure = [m for m in found if m.margin >= least and m.evidence >= 2 * least]
+    ids = id_of_each(solved.which, known[solved.rows], len(seen))
+    sure = [m for m in found if m.margin >= least and m.evidence >= 2 * least and may_be_one(ids[m.item], ids[m.into])]
     # chains, of which each member was seen with another one, are joined in several rounds
     taken: set[int] = set()
     joined = {}

@@ -30,9 +30,10 @@ class AssociationOptions:
         "A decision between two landmarks is called ambiguous where the evidence for the better one is less than this",
     )
     confusion: float = option(0.05, "Probability that the class of a sighting is wrong, where the log has classes")
+    keep_ids: bool = option(True, "Keep the ids that some sightings of a log have, where others have none")
     window: int = option(30, "Steps between two solutions of the graph along the drive; more on long logs")
     rounds: int = option(10, "The most rounds of association and solving, in turn, at the end")
-    slip: bool = option(True, "Raise the noise of motions where the robot slips sideways over long ways")
+    slip: bool = option(True, "Raise the noise sideways of motions where the robot slips over long ways")
     tries: int = option(
         40, "The most other accounts of the drive that are tried in full where some are not much less likely"
     )
@@ -45,8 +46,9 @@ class AssociationOptions:
                 raise OptionError(f"{name} must lie between 0 and 1, not {value!r}")
         if not isinstance(self.factor, Real) or not self.factor >= 1:
             raise OptionError(f"factor must be at least 1, not {self.factor!r}")
-        if not isinstance(self.slip, bool):
-            raise OptionError(f"slip must be True or False, not {self.slip!r}")
+        for name in ("slip", "keep_ids"):
+            if not isinstance(value := getattr(self, name), bool):
+                raise OptionError(f"{name} must be True or False, not {value!r}")
         check_count(window=self.window, rounds=self.rounds, tries=self.tries)
         if self.window < 1:
             raise OptionError("window must be at least 1")

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import GraphError
 from ..log import Log
 from ..se2 import Array
 from .assignment import World, assign
@@ -23,6 +24,7 @@ from .classes import Classes
 from .densities import Densities, Field
 from .geometry import differences
 from .hypotheses import gates, log_density, log_volume
+from .known import held, id_of_each, may_be_one
 from .merging import merges
 from .options import AssociationOptions
 from .solved import Backbone, Solved
@@ -56,8 +58,22 @@ def refine(
     log: Log, backbone: Backbone, labels: np.ndarray, poses: Array, field: Field, densities: Densities, classes: Classes,
     options: AssociationOptions,
 ) -> Refined | None:  # fmt: skip
-    """Association and solving in turn, from labels (M,) and poses (T+1, 3); None where no landmark is left."""
-    labels, settled = _compact(labels), False
+    """Association and solving in turn, from labels (M,) and poses (T+1, 3).
+
+    None where no landmark is left, or where the labels contradict the motions so much that solving diverges.
+    """
+    try:
+        return _in_turn(log, backbone, labels, poses, field, densities, classes, options)
+    except GraphError:
+        return None
+
+
+def _in_turn(
+    log: Log, backbone: Backbone, labels: np.ndarray, poses: Array, field: Field, densities: Densities, classes: Classes,
+    options: AssociationOptions,
+) -> Refined | None:  # fmt: skip
+    known, steps = backbone.known, log.steps
+    labels, settled = _compact(held(labels, known, steps)), False
     margins = np.full(len(labels), np.inf)
     rounds = 0
     while rounds < options.rounds and not settled:
@@ -67,9 +83,10 @@ def refine(
         solved = _merged(log, Solved.of(backbone, labels, poses), backbone, field, densities, classes, options)
         world = World.of(backbone.places, solved.poses[log.steps])
         labels, margins = _assigned(world, log, solved, densities, classes, options)
+        labels, margins = held(labels, known, steps), np.where(known < 0, margins, np.inf)
         labels = _born(world, log, labels, options)
         labels, densities = _kept(log, backbone, solved, field, labels, densities, options)
-        poses, labels = solved.poses, _compact(labels)
+        poses, labels = solved.poses, _compact(held(labels, known, steps))
         settled = int(np.count_nonzero(labels != before)) <= SETTLED * len(labels)
     if not np.any(labels >= 0):
         return None
@@ -81,11 +98,12 @@ def unrefined(
     options: AssociationOptions,
 ) -> Refined:  # fmt: skip
     """The graph of labels (M,) as they are; a sighting that another landmark explains better has no margin."""
-    labels = _compact(labels)
+    labels = _compact(held(labels, backbone.known, log.steps))
     solved = Solved.of(backbone, labels, poses)
     world = World.of(backbone.places, solved.poses[log.steps])
     better, margins = _assigned(world, log, solved, densities, classes, options)
     margins = np.where(labels < 0, np.inf, np.where(better == labels, margins, 0.0))
+    margins[backbone.known >= 0] = np.inf
     return Refined(labels, solved, 1, True, margins, densities)
 
 
@@ -110,6 +128,8 @@ def _merged(
         views = Views.of(log, backbone, solved, field).views
         found = merges(solved, everyone, solved.seen(log.steps), shown, densities, classes, options, views)
         root = np.arange(len(solved.labels))
+        ids = id_of_each(solved.which, backbone.known[solved.rows], len(root))
+        found = [m for m in found if may_be_one(ids[m.item], ids[m.into])]
         taken: set[int] = set()
         for m in sorted(found, key=lambda m: -m.margin):
             if m.item not in taken and m.into not in taken:

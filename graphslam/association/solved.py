@@ -20,6 +20,7 @@ from ..solvers.gauss_newton import gauss_newton
 from ..solvers.iteration import Run
 from ..uncertainty import Uncertainty
 from .geometry import Places
+from .known import numbered
 
 #: the most steps of Gauss-Newton; the values it starts from are nearly right
 STEPS = 8
@@ -48,6 +49,11 @@ class Backbone:
             control_variances=log.control_variances, recorded_dt=log.recorded_dt,
         )  # fmt: skip
         return cls(log, places, (information + np.swapaxes(information, 1, 2)) / 2, motions, sensor.offset)
+
+    @cached_property
+    def known(self) -> np.ndarray:
+        """The ids (M,) of the sightings, numbered from 0, -1 for none; see `association.known`."""
+        return numbered(self.log.landmarks)
 
     def graph(self, labels: np.ndarray, poses: Array) -> tuple[Graph, np.ndarray]:
         """The graph of the first poses (t, 3) and the sightings from them with labels (m,) of 0 or above, and their rows."""

@@ -129,7 +129,7 @@ def _drive(
             which = "its messages have" if collector.unstamped == len(collector) else "some of its messages have"
             notes.append(f"{kind} {choices[kind].topic.name}: {which} no stamp, the time of their recording was taken")
     named = recipe.place("map", "file")
-    landmarks = None if named is None else map_of(table_of(path.parent / named, "map"), recipe.options)
+    landmarks = None if named is None else map_of(table_of(path.parent / named, "map"), recipe.options, sightings.names)
     place = recipe.options.sensor_offset or offset
     return Drive(odometry, sightings, truth, landmarks, place, tuple(notes), recipe.options.truth_offset)
 

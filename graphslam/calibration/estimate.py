@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from ..checks import check_choice
@@ -12,6 +12,7 @@ from ..models import MotionModel, SensorModel
 from .from_residuals import CORRELATED, MAX_ROUNDS, SCALES, noise_from_residuals
 from .from_truth import Means, knows_enough, knows_poses, motion_noise, sensor_noise
 from .parts import OF_SENSOR, with_variances
+from .unidentified import with_found_ids
 from .variances import VarianceFit
 
 #: the choices of the option ``source``
@@ -119,6 +120,8 @@ def calibrate(
     Noise that is to be used on a log without ground truth is best calibrated from the ground truth of other robots of the
     same kind. Several logs give one noise for all; what differs between them is part of it.
 
+    In logs whose sightings have no ids, ids and noise are found in turn, see `with_found_ids`.
+
     Args:
         log, others: the logs; of one kind of robot, since they share all numbers.
         source: "truth", "residuals", or "auto": the truth where poses, headings and landmarks are known. Where the map is
@@ -138,6 +141,22 @@ def calibrate(
     check_choice("scale", scale, tuple(SCALES))
     logs = (log, *others)
     motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
+    if source == "truth" or all(each.identified for each in logs):
+        return _calibrated(logs, source, motion, sensor, degrees, scale)
+    _check(logs, "residuals")
+    named = [with_found_ids(each, motion, sensor) for each in logs]
+    first = _calibrated(tuple(each for each, _ in named), source, motion, sensor, degrees, scale)
+    motion, sensor = first.motion or motion, first.sensor
+    named = [with_found_ids(each, motion, sensor, first.corrections) for each in logs]
+    second = _calibrated(tuple(each for each, _ in named), source, motion, sensor, degrees, scale)
+    return replace(second, notes=(*(note for _, note in named if note), *second.notes))
+
+
+def _calibrated(
+    logs: tuple[Log, ...], source: str, motion: MotionModel, sensor: SensorModel, degrees: float | None, scale: str
+) -> Calibration:
+    """`calibrate` for logs with ids."""
+    log = logs[0]
     if auto := source == "auto":
         source = "truth" if all(map(knows_enough, logs)) else "residuals"
     _check(logs, source)
@@ -212,9 +231,10 @@ def _check(logs: tuple[Log, ...], source: str) -> None:
     for log in logs:
         if len(log.steps) == 0:
             raise LogError(f"{log.name} has no sightings at all, so the noise of the sensor cannot be estimated")
-        if not log.identified:
+        if source == "truth" and not log.identified:
             raise LogError(
-                f"{log.name} has sightings without landmark ids, so the noise of the sensor cannot be estimated"
+                f"{log.name} has sightings without landmark ids, which cannot be compared with its true map; estimate its "
+                "noise from residuals"
             )
         if source == "truth" and not knows_enough(log):
             raise LogError(

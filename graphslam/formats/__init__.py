@@ -80,7 +80,8 @@ def _recognised(path: Path) -> Format:
     raise FormatError(
         path,
         None if is_mat(head) else 1,
-        f"not a log in any known format ({', '.join(FORMATS)}); name the format if it is one",
+        f"not a log in any known format ({', '.join(FORMATS)}); name the format if it is one. Tables of your own are a "
+        "folder with odometry.csv and sightings.csv; slam-compare import --odometry FILE --sightings FILE joins others",
     )
 
 

@@ -47,7 +47,9 @@ def find_tables(folder: Path, recipe: Recipe) -> dict[str, Path]:
         if len(paths) > 1:
             names = " and ".join(path.name for path in paths[:2])
             raise FormatError(
-                folder, None, f"{names} could both hold {holds}; name one in {RECIPE}: [{table}] file = .."
+                folder,
+                None,
+                f"{names} could both hold {holds}; name one in {RECIPE}, as in [{table}] file = {paths[0].name!r}",
             )
         if paths:
             found[table] = paths[0]
@@ -56,7 +58,8 @@ def find_tables(folder: Path, recipe: Recipe) -> dict[str, Path]:
                 with packed.open("rb") as stream:
                     check_unpacked(packed, stream.read(16))
             message = (
-                f"this file is missing; it would hold {holds}. Another name can stand in {RECIPE}: [{table}] file = .."
+                f"this file is missing; it would hold {holds}. A file of another name can be named in {RECIPE}, as in "
+                f"[{table}] file = 'NAME.csv'"
             )
             raise FormatError(folder / f"{table}.csv", None, message)
     return found

@@ -34,6 +34,9 @@ def append(nodes, edges, known, fresh, ends, kinds, measured, information, rows,
         if j >= place:
             _place(i, j, k, nodes, measured, rows[k] == 2)
             place = j + 1
+        elif i >= place:
+            _place_back(i, j, k, nodes, measured)
+            place = i + 1
         far = 1 / np.sqrt(min(information[k, 0], information[k, 2]))
         turned = 1 / np.sqrt(information[k, 5]) if rows[k] == 3 else np.inf
         if kinds[k] == SIGHTING:
@@ -62,9 +65,25 @@ def _place(i, j, k, nodes, measured, point):
     nodes.x[j, 1] = nodes.x[i, 1] + s * measured[k, 0] + c * measured[k, 1]
     nodes.x[j, 2] = 0.0 if point else nodes.x[i, 2] + measured[k, 2]
     nodes.point[j] = point
-    nodes.axes[j, 0], nodes.axes[j, 1] = np.cos(nodes.x[j, 2]), np.sin(nodes.x[j, 2])
+    _begin(j, nodes)
+
+
+@njit(cache=True, error_model="numpy")
+def _place_back(i, j, k, nodes, measured):
+    """Pose i so that the k-th measurement from it leads to pose j."""
+    nodes.x[i, 2] = nodes.x[j, 2] - measured[k, 2]
+    c, s = np.cos(nodes.x[i, 2]), np.sin(nodes.x[i, 2])
+    nodes.x[i, 0] = nodes.x[j, 0] - c * measured[k, 0] + s * measured[k, 1]
+    nodes.x[i, 1] = nodes.x[j, 1] - s * measured[k, 0] - c * measured[k, 1]
+    nodes.point[i] = False
+    _begin(i, nodes)
+
+
+@njit(cache=True, error_model="numpy")
+def _begin(node, nodes):
+    nodes.axes[node, 0], nodes.axes[node, 1] = np.cos(nodes.x[node, 2]), np.sin(nodes.x[node, 2])
     for c in range(3):
-        nodes.passed[j, c] = nodes.evaluated[j, c] = nodes.x[j, c]
+        nodes.passed[node, c] = nodes.evaluated[node, c] = nodes.x[node, c]
 
 
 @njit(cache=True, error_model="numpy")

@@ -25,11 +25,14 @@ Whole = NDArray[Any]
 Nodes = NDArray[np.void]
 Edges = NDArray[np.void]
 
-#: places in ``Tree.counts``: the last stamp, the ends of ``floats`` and ``ints``, free supernodes, what is unused in both
-STAMP, FLOATS, INTS, FREE, WASTE_FLOATS, WASTE_INTS = range(6)
+#: places in ``Tree.counts``: the last stamp, the ends of ``floats`` and ``ints``, free supernodes, what is unused in both,
+#: the number of the step
+STAMP, FLOATS, INTS, FREE, WASTE_FLOATS, WASTE_INTS, STEP = range(7)
 #: places in ``memory``, which is kept from step to step: J at the last evaluation; how far an edge in the factor may be from
-#: the present one; the cost above which edges have second derivatives, and for how many steps none has
-COST, LIMIT, CURVED_FROM, HOLD = range(4)
+#: the present one; the costs from which edges have second derivatives, and exact ones; for how many passes none is exact;
+#: the work that steps have done on older edges since the last fine pass (see `advance`), how much of it is allowed, and what
+#: it costs; how slowly passes converge
+COST, LIMIT, CURVED_FROM, EXACT_FROM, HOLD, WORK, ALLOWED, RATE, SHRINKS = range(9)
 
 
 #: poses and landmarks; a landmark without heading has ``point`` set and ignores its third coordinate
@@ -42,9 +45,11 @@ NODE = np.dtype(
         ("axes", float, 2),  # cos and sin of the heading
         ("evaluated", float, 3),  # the value at which the edges of the node were evaluated last
         ("passed", float, 3),  # the value that was passed down the tree last
+        ("kept", float, 3),  # the value before the latest step that changed it
         ("scale", float, 2),  # standard deviations of the edges [m, rad], in which movements are judged
         ("scratch", float, 3),  # zeros between the calls
         ("mark", np.int64),  # stamps
+        ("changed", np.int64),  # the latest step that changed the value
         ("home", np.int32),  # the supernode in which the node is eliminated; 0: none yet
         ("edges", np.int32),  # the first edge of the node, -1 for none
         ("owned", np.int32),  # the first edge that is assembled where the node is eliminated
@@ -124,7 +129,7 @@ def new_tree(capacity: int) -> Tree:
     """A tree without supernodes but number 0, the parent of the roots."""
     groups = np.zeros(capacity, GROUP)
     groups["free"] = np.arange(capacity - 1, -1, -1)
-    counts = np.array([0, 0, 0, capacity - 1, 0, 0], np.int64)
+    counts = np.array([0, 0, 0, capacity - 1, 0, 0, 1], np.int64)
     return Tree(groups, np.zeros(1 << 12), np.zeros(1 << 10, np.int32), counts)
 
 

@@ -16,9 +16,13 @@ converges fast. `evaluate` compares them.
 
 Gauss-Newton leaves out the second derivatives of the residual. Where residuals are as large as levers, the curvature of J
 can be more than twice B' W B, and Gauss-Newton then diverges from the minimum itself. So an edge with a cost above
-`CURVED` has them in the factor. With g = W e, increments (a, phi) of the first end, b of the second and q = R(alpha) b,
+`CURVED` has them in the factor, and all edges where the passes show that many small residuals do the same. With g = W e,
+increments (a, phi) of the first end, b of the second and q = R(alpha) b,
 
     J/2 has the further terms  phi h' (q - a) + gamma phi^2 / 2,   h = (-g_y, g_x),  gamma = -g' (lever).
+
+They may make Omega indefinite. So an edge that is indefinite by itself has gamma only, and only if that is positive, unless
+its cost is above `EXACT`: next to a minimum, passes converge faster with all of them.
 """
 
 import numpy as np
@@ -33,8 +37,9 @@ from ..edges.robust import loss, weight
 #: `advance` lowers the second limit where the passes converge slowly, because the changes of many edges add up.
 REWEIGHTED, CHANGED = 0.33, 0.1
 
-#: the cost above which the second derivatives of an edge enter the factor
-CURVED = 4.0
+#: the cost from which the second derivatives of an edge enter the factor, and that from which they stay as they are, although
+#: the edge may be indefinite; `advance` changes both
+CURVED, EXACT = 4.0, 4.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -73,11 +78,19 @@ def information(e, edges, gain):
 
 
 @njit(cache=True, error_model="numpy")
-def _curvature(e, edges, u, g, cost, curved):
-    """The second derivatives (gamma, h) of the residual times W e of an edge with a large residual, otherwise zeros."""
-    if cost > curved and not edges.robust[e]:
-        return u[0] * g[1] - u[1] * g[0], -g[1], g[0]
-    return 0.0, 0.0, 0.0
+def _curvature(e, edges, u, g, cost, bent):
+    """The second derivatives (gamma, h) of the residual times W e of an edge; ``bent`` are the costs `CURVED` and `EXACT`."""
+    if cost < bent[0] or edges.robust[e]:
+        return 0.0, 0.0, 0.0
+    W, gamma = kernels.row(edges.information, e), u[0] * g[1] - u[1] * g[0]
+    a, b, c = W[0], W[1], W[2]
+    if edges.rows[e] == 3:
+        a, b, c = a - W[3] * W[3] / W[5], b - W[3] * W[4] / W[5], c - W[4] * W[4] / W[5]
+    # along the direction in which its residual does not change, the edge adds gamma + 2 h' u - h' P h, P its covariance
+    least = (a * g[0] * g[0] + 2 * b * g[0] * g[1] + c * g[1] * g[1]) / (a * c - b * b)
+    if least + gamma > 0.0 and cost < bent[1]:
+        return max(gamma, 0.0), 0.0, 0.0
+    return gamma, -g[1], g[0]
 
 
 @njit(cache=True, error_model="numpy")
@@ -110,29 +123,33 @@ def _store(e, nodes, edges, gain, u, c, s, g, cost):
 
 
 @njit(cache=True, error_model="numpy")
-def _add_diagonal(e, nodes, edges, gain, sign):
-    """Add the edge's part of the diagonal blocks of Omega, as it is in the factor, to both ends."""
-    i, j = edges.ends[e, 0], edges.ends[e, 1]
+def diagonals(e, edges, gain):
+    """The edge's part of the diagonal blocks of Omega of both ends, as it is in the factor, packed."""
     W, u, v = information(e, edges, gain), edges.linear[e, 0], edges.linear[e, 1]
     a = kernels.product(W, (u, v, 1.0))
     gamma, x, y = edges.linear[e, 4], edges.linear[e, 5], edges.linear[e, 6]
     own = (W[0], W[1], W[2], a[0] - x, a[1] - y, u * a[0] + v * a[1] + a[2] + gamma)
-    other = kernels.turned(edges.linear[e, 2], -edges.linear[e, 3], W)
+    return own, kernels.turned(edges.linear[e, 2], -edges.linear[e, 3], W)
+
+
+@njit(cache=True, error_model="numpy")
+def _add_diagonal(e, nodes, edges, gain, sign):
+    own, other = diagonals(e, edges, gain)
+    i, j = edges.ends[e, 0], edges.ends[e, 1]
     for c in range(6):
         nodes.diagonal[i, c] += sign * own[c]
         nodes.diagonal[j, c] += sign * other[c]
 
 
 @njit(cache=True, error_model="numpy")
-def relinearize(e, nodes, edges, kernel, width, gain, curved):
-    """Take lever, alpha and weight from the estimate, and the second derivatives where the cost is above ``curved``; returns
-    the change of the cost."""
+def relinearize(e, nodes, edges, kernel, width, gain, bent):
+    """Take lever, alpha, weight and second derivatives from the estimate; returns the change of the cost."""
     u, c, s, factor, g, cost = linearize(e, nodes, edges, kernel, width)
     _add_diagonal(e, nodes, edges, gain, -1.0)
     edges.weight[e] = factor
     edges.linear[e, 0], edges.linear[e, 1] = u
     edges.linear[e, 2], edges.linear[e, 3] = c, s
-    edges.linear[e, 4], edges.linear[e, 5], edges.linear[e, 6] = _curvature(e, edges, u, g, cost, curved)
+    edges.linear[e, 4], edges.linear[e, 5], edges.linear[e, 6] = _curvature(e, edges, u, g, cost, bent)
     _add_diagonal(e, nodes, edges, gain, 1.0)
     return _store(e, nodes, edges, gain, u, c, s, g, cost)
 
@@ -152,7 +169,7 @@ def between(e, edges, gain):
 
 
 @njit(cache=True, error_model="numpy")
-def evaluate(e, nodes, edges, kernel, width, gain, limit, curved):
+def evaluate(e, nodes, edges, kernel, width, gain, limit, bent):
     """Bring the right-hand side of an edge up to date.
 
     Returns the change of its cost, and whether its part of the factor is too old.
@@ -166,9 +183,7 @@ def evaluate(e, nodes, edges, kernel, width, gain, limit, curved):
     a, b = size * (u[0] - edges.linear[e, 0]), size * (u[1] - edges.linear[e, 1])
     if W[0] * a * a + 2 * W[1] * a * b + W[2] * b * b + (W[0] + W[2]) * turned * turned > limit:
         return change, True
-    if cost <= curved and edges.linear[e, 5] == 0.0 and edges.linear[e, 6] == 0.0:
-        return change, False
-    gamma, x, y = _curvature(e, edges, u, g, cost, curved)
+    gamma, x, y = _curvature(e, edges, u, g, cost, bent)
     away = abs(x - edges.linear[e, 5]) + abs(y - edges.linear[e, 6])
     bent = abs(gamma - edges.linear[e, 4]) * size + 2 * away / np.sqrt(W[0] + W[2])
     return change, (size * bent) ** 2 > limit

@@ -6,7 +6,7 @@ from numba import njit
 
 from ..linear.cholesky.kernels import dot_columns, subtract_columns
 from ..linear.cholesky.simd import clear, get, put
-from .arrays import COST, CURVED_FROM, FLOATS, LIMIT, STAMP, sizes
+from .arrays import COST, CURVED_FROM, EXACT_FROM, FLOATS, LIMIT, STAMP, STEP, sizes
 from .linearize import evaluate, linearize
 
 
@@ -121,6 +121,36 @@ def forward(homes, count, nodes, tree, work):
 
 
 @njit(cache=True, error_model="numpy")
+def _solve_one(s, nodes, tree, work):
+    """Increments and values of the nodes of a supernode, from y and the increments of its separator."""
+    w, r = np.int64(tree.groups.w[s]), np.int64(tree.groups.r[s])
+    ld, padded, _ = sizes(w, r)
+    width, at, front, step = 3 * w, tree.groups.at[s], tree.groups.nodes_at[s], tree.counts[STEP]
+    clear(work, 0, ld)
+    for q in range(w, w + r):
+        node = tree.ints[front + q]
+        for k in range(3):
+            work[3 * q + k] = nodes.d[node, k]
+    _solve_backward(tree.floats, at, ld, width, work, at + width * ld + 3 * r * padded)
+    for q in range(w):
+        node = tree.ints[front + q]
+        if nodes.changed[node] != step:
+            nodes.changed[node] = step
+            for k in range(3):
+                nodes.kept[node, k] = nodes.x[node, k]
+        a, b = work[3 * q] - nodes.d[node, 0], work[3 * q + 1] - nodes.d[node, 1]
+        if not nodes.point[node]:
+            c, t = nodes.axes[node, 0], nodes.axes[node, 1]
+            a, b = c * a - t * b, t * a + c * b
+            nodes.x[node, 2] += work[3 * q + 2] - nodes.d[node, 2]
+            nodes.axes[node, 0], nodes.axes[node, 1] = np.cos(nodes.x[node, 2]), np.sin(nodes.x[node, 2])
+        nodes.x[node, 0] += a
+        nodes.x[node, 1] += b
+        for k in range(3):
+            nodes.d[node, k] = work[3 * q + k]
+
+
+@njit(cache=True, error_model="numpy")
 def backward(nodes, tree, work, share, apart, moved, count):
     """Solve from the roots down wherever y changed or a separator moved by ``share`` standard deviations.
 
@@ -130,32 +160,14 @@ def backward(nodes, tree, work, share, apart, moved, count):
     tree.counts[STAMP] += 1
     stamp, depth = tree.counts[STAMP], 1
     tree.groups.stack[0] = 0
-    x = tree.floats
     while depth > 0:
         depth -= 1
         s = tree.groups.stack[depth]
         if s > 0:
-            w, r = np.int64(tree.groups.w[s]), np.int64(tree.groups.r[s])
-            ld, padded, _ = sizes(w, r)
-            width, at, front = 3 * w, tree.groups.at[s], tree.groups.nodes_at[s]
-            clear(work, 0, ld)
-            for q in range(w, w + r):
+            _solve_one(s, nodes, tree, work)
+            front = tree.groups.nodes_at[s]
+            for q in range(tree.groups.w[s]):
                 node = tree.ints[front + q]
-                for k in range(3):
-                    work[3 * q + k] = nodes.d[node, k]
-            _solve_backward(x, at, ld, width, work, at + width * ld + 3 * r * padded)
-            for q in range(w):
-                node = tree.ints[front + q]
-                a, b = work[3 * q] - nodes.d[node, 0], work[3 * q + 1] - nodes.d[node, 1]
-                if not nodes.point[node]:
-                    c, t = nodes.axes[node, 0], nodes.axes[node, 1]
-                    a, b = c * a - t * b, t * a + c * b
-                    nodes.x[node, 2] += work[3 * q + 2] - nodes.d[node, 2]
-                    nodes.axes[node, 0], nodes.axes[node, 1] = np.cos(nodes.x[node, 2]), np.sin(nodes.x[node, 2])
-                nodes.x[node, 0] += a
-                nodes.x[node, 1] += b
-                for k in range(3):
-                    nodes.d[node, k] = work[3 * q + k]
                 if _beyond(nodes.x, nodes.passed, nodes.scale, node, share):
                     nodes.mark[node] = stamp
                     for k in range(3):
@@ -181,6 +193,47 @@ def backward(nodes, tree, work, share, apart, moved, count):
 
 
 @njit(cache=True, error_model="numpy")
+def solve_paths(homes, count, nodes, tree, work, share):
+    """Solve on the paths from the roots down to supernodes ``homes`` only.
+
+    What hangs below is visited by the next `backward`, if a node has moved by ``share`` standard deviations.
+    """
+    path = upwards(homes, count, tree)
+    for k in range(len(path) - 1, -1, -1):
+        s = path[k]
+        _solve_one(s, nodes, tree, work)
+        for q in range(tree.groups.w[s]):
+            if tree.groups.changed[s]:
+                break
+            tree.groups.changed[s] = _beyond(
+                nodes.x, nodes.passed, nodes.scale, tree.ints[tree.groups.nodes_at[s] + q], share
+            )
+    for s in path:
+        if tree.groups.changed[s]:
+            tree.groups.changed[tree.groups.parent[s]] = 1
+
+
+@njit(cache=True, error_model="numpy")
+def homes_around(moved, count, nodes, edges, tree, homes):
+    """The supernodes of all ends of the edges of nodes that moved; returns how many ``homes`` there are."""
+    found = 0
+    for k in range(count):
+        node = moved[k]
+        e = nodes.edges[node]
+        while e >= 0:
+            side = 0 if edges.ends[e, 0] == node else 1
+            s = nodes.home[edges.ends[e, 1 - side]]
+            if not tree.groups.mark[s]:
+                tree.groups.mark[s] = 1
+                homes[found] = s
+                found += 1
+            e = edges.next[e, side]
+    for k in range(found):
+        tree.groups.mark[homes[k]] = 0
+    return found
+
+
+@njit(cache=True, error_model="numpy")
 def _beyond(x, y, scale, node, share):
     far, turned = share * scale[node, 0], share * scale[node, 1]
     if abs(x[node, 0] - y[node, 0]) > far or abs(x[node, 1] - y[node, 1]) > far:
@@ -193,7 +246,7 @@ def reevaluate(moved, count, nodes, edges, tree, robust, memory, homes, late):
     """Evaluate the edges of nodes that moved; returns how many supernodes (``homes``) and late edges there are."""
     kernel, width, gain = robust
     tree.counts[STAMP] += 1
-    stamp, changed, old = tree.counts[STAMP], 0, 0
+    stamp, changed, old, bent = tree.counts[STAMP], 0, 0, (memory[CURVED_FROM], memory[EXACT_FROM])
     for k in range(count):
         for c in range(3):
             nodes.evaluated[moved[k], c] = nodes.x[moved[k], c]
@@ -204,7 +257,7 @@ def reevaluate(moved, count, nodes, edges, tree, robust, memory, homes, late):
             side = 0 if edges.ends[e, 0] == node else 1
             if edges.mark[e] != stamp:
                 edges.mark[e] = stamp
-                change, stale = evaluate(e, nodes, edges, kernel, width, gain, memory[LIMIT], memory[CURVED_FROM])
+                change, stale = evaluate(e, nodes, edges, kernel, width, gain, memory[LIMIT], bent)
                 memory[COST] += change
                 if stale:
                     late[old] = e
@@ -277,8 +330,9 @@ def marginals(wanted, nodes, tree, work):
 
 @njit(cache=True, error_model="numpy")
 def total_cost(nodes, edges, count, kernel, width):
-    """The cost of the first ``count`` edges at the estimate."""
+    """The cost at the estimate of those among the first ``count`` edges that were not taken out."""
     total = 0.0
     for e in range(count):
-        total += linearize(np.int32(e), nodes, edges, kernel, width)[5]
+        if edges.ends[e, 0] >= 0:
+            total += linearize(np.int32(e), nodes, edges, kernel, width)[5]
     return total

@@ -7,7 +7,7 @@ from numba import njit
 from ..linear.cholesky.kernels import negative_gram
 from ..linear.cholesky.simd import clear
 from ..linear.cholesky.supernodal import _extend, _runs, factor_panel
-from .arrays import COST, CURVED_FROM, sizes
+from .arrays import COST, CURVED_FROM, EXACT_FROM, sizes
 from .linearize import between, relinearize
 from .passes import forward_one, upwards
 
@@ -24,7 +24,9 @@ def refactor(late, count, nodes, edges, tree, robust, memory, work):
     kernel, width, gain = robust
     homes = np.empty(count, np.int32)
     for k in range(count):
-        memory[COST] += relinearize(late[k], nodes, edges, kernel, width, gain, memory[CURVED_FROM])
+        memory[COST] += relinearize(
+            late[k], nodes, edges, kernel, width, gain, (memory[CURVED_FROM], memory[EXACT_FROM])
+        )
         homes[k] = nodes.home[edges.owner[late[k]]]
     path, tallest = upwards(homes, count, tree), 0
     for s in path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from numbers import Real
 from operator import index
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +20,8 @@ from ..reading import UNIDENTIFIED
 from ..se2 import Array, wrap
 from .append import MOTION, RELATION, SIGHTING
 from .system import OnlineSystem
+
+Model = TypeVar("Model", MotionModel, SensorModel)
 
 
 class OnlineSolver:
@@ -35,6 +38,9 @@ class OnlineSolver:
         motion, sensor: the noise models; default: the book's.
         motion_weight: lambda, the factor on the information of the motion edges.
         kernel: a robust kernel on the sightings, or its name.
+        lag: poses that are older than so many steps are marginalised: their edges, at their last linearisation and with
+            their last robust weights, become a dense prior on the landmarks and the pose that they are tied to. These
+            poses are final. Landmarks stay. None keeps all poses.
         tolerance: a step ends where the next pass would lower J by less than this part of it. Together with what passes
             leave out, J was at most 1.1e-6 above that of the batch solver on all steps that were compared
             (`docs/benchmarks.md`).
@@ -53,14 +59,22 @@ class OnlineSolver:
         motion_weight: float = 1.0,
         kernel: Kernel | str | None = None,
         tolerance: float = 1e-7,
+        lag: int | None = None,
     ) -> None:
         check_positive(motion_weight=motion_weight, tolerance=tolerance)
-        self.motion, self.sensor = motion or MotionModel(), sensor or SensorModel()
+        if lag is not None:
+            check_count(lag=lag)
+            check_positive(lag=lag)
+        self.motion = _model("motion", motion, MotionModel)
+        self.sensor = _model("sensor", sensor, SensorModel)
         check_model(self.motion)
         check_model(self.sensor)
-        self.motion_weight, self.kernel = motion_weight, kernel_of(kernel)
+        self.motion_weight, self.kernel, self.lag = motion_weight, kernel_of(kernel), lag
         self._system = OnlineSystem(tolerance)
+        #: the nodes of the poses that are not final, and the values of those that are
         self._poses: list[int] = [self._system.add_node()]
+        self._final = np.zeros((64, 3))
+        self._num_final = 0
         self._landmarks: dict[int, int] = {}
         self._columns: int | None = None
         self._time = -np.inf
@@ -70,7 +84,12 @@ class OnlineSolver:
     @property
     def num_poses(self) -> int:
         """The number of poses so far."""
-        return len(self._poses)
+        return self._num_final + len(self._poses)
+
+    @property
+    def num_final(self) -> int:
+        """The number of poses that are final, the first ones, because they are older than the lag."""
+        return self._num_final
 
     @property
     def passes(self) -> int:
@@ -111,7 +130,7 @@ class OnlineSolver:
                 The solver then is as it was before the step.
         """
         related = _relations(relations)
-        last, clock = len(self._poses) - 1, self._time
+        last, clock = self.num_poses - 1, self._time
         if time is not None:
             if not isinstance(time, Real) or not np.isfinite(time):
                 raise OptionError(f"time must be a finite number, not {time!r}")
@@ -121,7 +140,9 @@ class OnlineSolver:
                 dt = time - clock
             clock = time
         moves = (control is not None) + (motion is not None) + (pose is not None)
-        created = next((row for row, (i, j, *_) in enumerate(related) if j == last + 1 and 0 <= i <= last), None)
+        created = next(
+            (k for k, (i, j, *_) in enumerate(related) if max(i, j) == last + 1 and 0 <= min(i, j) <= last), None
+        )
         if moves > 1 or (moves == 0 and created is None and not (related and not np.size(ids))):
             raise OptionError(
                 "a step needs a motion: give a control and dt, a motion and its covariance, or a known pose"
@@ -131,6 +152,7 @@ class OnlineSolver:
                 "a covariance belongs to a measured motion; that of a control comes from the motion model"
             )
         edge: tuple[int, Array, Array] | None = None
+        backwards = False
         if control is not None:
             check_positive(dt=dt)  # type: ignore[arg-type]
             u, seconds = _numbers("control", control, (2,))[None], np.array([float(dt)])  # type: ignore[arg-type]
@@ -139,21 +161,26 @@ class OnlineSolver:
         elif motion is not None:
             edge = last, _numbers("motion", motion, (3,)), self.motion_weight * _information(covariance)
         elif pose is None and created is not None:
-            way = related.pop(created)
-            edge = way[0], _numbers("relation", way[2], (3,)), _information(way[3])
+            i, j, z_ij, P_ij = related.pop(created)
+            edge, backwards = (min(i, j), _numbers("relation", z_ij, (3,)), _information(P_ij)), i > j
+            self._check_kept(min(i, j), "a relation from")
         known = last + 1 + (edge is not None)
         for i, j, *_ in related:
             if not (0 <= i < known and 0 <= j < known and i != j):
                 raise GraphError(f"a relation between poses {i} and {j}: the poses so far are 0 to {known - 1}")
+            self._check_kept(min(i, j), "a relation from")
         if pose is not None:
             check_count(pose=pose)
+            self._check_kept(pose, "sightings from")
         if pose is not None and pose > last:
             raise GraphError(f"sightings from the unknown pose {pose}: the poses so far are 0 to {last}")
         ends = np.array([(i, j) for i, j, *_ in related], dtype=np.int64).reshape(-1, 2)
         loops = np.array([_numbers("relation", z, (3,)) for _, _, z, _ in related]).reshape(-1, 3)
         weights = np.array([_information(P) for *_, P in related]).reshape(-1, 3, 3)
         seen = self._checked(ids, sightings)
-        self._add(edge, seen[0], *self.edges_of(seen[1]), pose=pose, relations=(ends, loops, weights))
+        self._add(
+            edge, seen[0], *self.edges_of(seen[1]), pose=pose, relations=(ends, loops, weights), backwards=backwards
+        )
         self._time = clock
         return self.pose
 
@@ -194,8 +221,12 @@ class OnlineSolver:
         *,
         pose: int | None = None,
         relations: tuple[np.ndarray, Array, Array] | None = None,
+        backwards: bool = False,
     ) -> None:
-        """A step of checked numbers: a motion edge (from, measured, information), and landmarks in the robot's axes."""
+        """A step of checked numbers: a motion edge (from, measured, information), and landmarks in the robot's axes.
+
+        With ``backwards``, the edge is measured from the new pose instead.
+        """
         system, k, loops = self._system, len(landmarks), 0 if relations is None else len(relations[0])
         known, poses, moved, columns = system.num_nodes, len(self._poses), int(edge is not None), self._columns
         total = moved + k + loops
@@ -204,9 +235,11 @@ class OnlineSolver:
         fresh: list[int] = []
         if edge is not None:
             self._poses.append(system.add_node())
-            ends[0], kinds[0], z[0], W[0] = (self._poses[edge[0]], self._poses[-1]), MOTION, edge[1], _packed(edge[2])
+            pair = self._node(edge[0]), self._poses[-1]
+            ends[0], kinds[0] = (pair[::-1], RELATION) if backwards else (pair, MOTION)
+            z[0], W[0] = edge[1], _packed(edge[2])
         if k:
-            d, node = measured.shape[1], self._poses[-1 if pose is None else pose]
+            d, node = measured.shape[1], self._poses[-1] if pose is None else self._node(pose)
             if columns is None:
                 self._columns = d
                 system.use_kernel(self.kernel, d)
@@ -224,7 +257,7 @@ class OnlineSolver:
                 _packed(information),
             )
         if relations is not None and loops:
-            ends[moved + k :] = np.array(self._poses)[relations[0]]
+            ends[moved + k :] = np.array(self._poses)[relations[0] - self._num_final]
             kinds[moved + k :], z[moved + k :], W[moved + k :] = RELATION, relations[1], _packed(relations[2])
         try:
             system.add(known, ends, kinds, z, W, rows, self._poses[-1:])
@@ -234,6 +267,29 @@ class OnlineSolver:
             del self._poses[poses:]
             self._columns = columns
             raise GraphError("the step leaves a pose or landmark undetermined, so that it was not taken") from None
+        while self.lag is not None and len(self._poses) > self.lag + 1:
+            self._marginalize()
+
+    def _marginalize(self) -> None:
+        """Make the oldest pose final."""
+        if self._num_final == len(self._final):
+            self._final = np.concatenate([self._final, np.zeros_like(self._final)])
+        self._final[self._num_final] = self._system.marginalize(self._poses.pop(0), self._poses[-1:])
+        self._num_final += 1
+        if self._system.crowded():
+            number = self._system.renumber()
+            self._poses = number[self._poses].tolist()
+            self._landmarks = {key: int(number[node]) for key, node in self._landmarks.items()}
+
+    def _node(self, pose: int) -> int:
+        return self._poses[pose - self._num_final]
+
+    def _check_kept(self, pose: int, what: str) -> None:
+        if pose < self._num_final:
+            raise GraphError(
+                f"{what} pose {pose}, which is final: with lag={self.lag}, the poses from {self._num_final} on can be used. "
+                "Choose a longer lag"
+            )
 
     def relinearize(self) -> None:
         """Linearise all edges at the estimate and factorise all again; covariances are then those of the batch solution."""
@@ -242,28 +298,28 @@ class OnlineSolver:
     @property
     def pose(self) -> Array:
         """The newest pose (3,), heading in [-pi, pi)."""
-        x = self._system.nodes["x"][self._poses[-1]].copy()
+        x = self._system.values(self._poses[-1:])[0]
         x[2] = wrap(x[2])
         return x
 
     @property
     def poses(self) -> Array:
-        """The estimate of all poses so far, (t+1, 3), headings in [-pi, pi)."""
+        """The estimate of all poses so far, (t+1, 3), headings in [-pi, pi); of final poses, the last one they had."""
         self._system.complete()
-        x = self._system.nodes["x"][self._poses]
+        x = np.concatenate([self._final[: self._num_final], self._system.nodes["x"][self._poses]])
         x[:, 2] = wrap(x[:, 2])
         return x
 
     @property
     def landmarks(self) -> dict[int, Array]:
         """{id: (x, y) or (x, y, heading)}, by increasing id."""
-        self._system.complete()
-        x, d = self._system.nodes["x"], self._columns or 2
-        return {key: np.append(x[node, :2], wrap(x[node, 2:d])) for key, node in sorted(self._landmarks.items())}
+        known, d = sorted(self._landmarks), self._columns or 2
+        x = self._system.values([self._landmarks[key] for key in known])
+        return {key: np.append(row[:2], wrap(row[2:d])) for key, row in zip(known, x, strict=True)}
 
     @property
     def cost(self) -> float:
-        """J at the estimate, the anchor not counted."""
+        """J at the estimate, the anchor not counted; with a lag, of the edges of poses that are not final."""
         return self._system.cost()
 
     def covariance(self, pose: int | None = None, *, landmarks: Sequence[int] = ()) -> Array:
@@ -271,20 +327,21 @@ class OnlineSolver:
 
         Its order is the pose (3 numbers), then each landmark (2 or 3). It belongs to the linear system of the last pass,
         whose edges may be linearised where they were some steps ago (`graphslam.incremental.linearize`). Standard
-        deviations were then wrong by up to 7 % on real logs; `relinearize` makes them those of the batch solution. Edges
-        that cost more than `linearize.CURVED` have their second derivatives in it.
+        deviations were then wrong by up to 7 % on real logs; `relinearize` makes them those of the batch solution. Where
+        passes without them do not converge, edges have their second derivatives in it.
 
         Raises:
-            GraphError: a pose or landmark is unknown.
+            GraphError: a pose or landmark is unknown, or the pose is final.
         """
-        pose = len(self._poses) - 1 if pose is None else pose
+        pose = self.num_poses - 1 if pose is None else pose
         check_count(pose=pose)
+        self._check_kept(pose, "the covariance of")
         unknown = [key for key in landmarks if key not in self._landmarks]
-        if pose >= len(self._poses) or unknown:
+        if pose >= self.num_poses or unknown:
             raise GraphError(
                 f"there is no covariance of pose {pose} and landmarks {list(landmarks)}: not all are known"
             )
-        block = self._system.covariance([self._poses[pose], *(self._landmarks[key] for key in landmarks)])
+        block = self._system.covariance([self._node(pose), *(self._landmarks[key] for key in landmarks)])
         d = self._columns or 2
         kept = [0, 1, 2, *(3 * k + c for k in range(1, len(landmarks) + 1) for c in range(d))]
         return block[np.ix_(kept, kept)]
@@ -316,6 +373,14 @@ def _relations(
             f"relations must be a list of (first pose, second pose, measured, covariance), not {relations!r}"
         ) from None
     return related
+
+
+def _model(name: str, value: Any, kind: type[Model]) -> Model:
+    if value is None:
+        return kind()
+    if not isinstance(value, kind):
+        raise OptionError(f"{name} must be a {kind.__name__}, not {value!r}")
+    return value
 
 
 def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

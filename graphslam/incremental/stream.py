@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -34,7 +35,7 @@ class OnlineEstimate:
 
     @property
     def poses(self) -> Array:
-        """All poses so far, (step + 1, 3)."""
+        """All poses so far, (step + 1, 3); those older than a lag are final."""
         return self.solver.poses
 
     @property
@@ -43,26 +44,31 @@ class OnlineEstimate:
         return self.solver.landmarks
 
 
-def online(log: Log, *, tolerance: float = 1e-7, **options: Any) -> Iterator[OnlineEstimate]:
+def online(log: Log, *, tolerance: float = 1e-7, lag: int | None = None, **options: Any) -> Iterator[OnlineEstimate]:
     """Go through a log step by step, as a robot that drives; after every step the estimate is that of the whole graph.
 
     Args:
         log: with controls.
-        tolerance: see `OnlineSolver`.
+        tolerance, lag: see `OnlineSolver`.
         options: motion, sensor, motion_weight, kernel and dimensions, as in `Graph.from_log`.
 
     Raises:
         GraphError: the log lacks what the graph needs.
         OptionError: an option has an impossible value.
     """
-    return steps_of(Graph.from_log(log, edges="landmark+motion", **options), tolerance=tolerance)
+    return steps_of(Graph.from_log(log, edges="landmark+motion", **options), tolerance=tolerance, lag=lag)
 
 
-def solve_by_steps(graph: Graph, *, tolerance: float = 1e-7) -> Solution:
-    """The estimate after the last step of `steps_of`, which has converged if its last step has."""
+def solve_by_steps(graph: Graph, *, tolerance: float = 1e-7, lag: int | None = None) -> Solution:
+    """The estimate after the last step of `steps_of`, which has converged if its last step has.
+
+    With a lag, final poses have the last value that they had.
+    """
     begin = time.perf_counter()
-    *_, last = steps_of(graph, tolerance=tolerance)
+    (last,) = deque(steps_of(graph, tolerance=tolerance, lag=lag), maxlen=1)
     converged, reason = last.solver.converged, "went through the log once, step by step"
+    if last.solver.num_final:
+        reason += f"; the first {last.solver.num_final} poses are older than the lag of {lag} steps, and final"
     if not converged:
         reason += ", and did not converge at the last step"
     seconds, state = time.perf_counter() - begin, graph.initial.copy()
@@ -74,7 +80,7 @@ def solve_by_steps(graph: Graph, *, tolerance: float = 1e-7) -> Solution:
     )  # fmt: skip
 
 
-def steps_of(graph: Graph, *, tolerance: float = 1e-7) -> Iterator[OnlineEstimate]:
+def steps_of(graph: Graph, *, tolerance: float = 1e-7, lag: int | None = None) -> Iterator[OnlineEstimate]:
     """As `online`, for the graph of a log with landmark nodes, motion edges and Cartesian residuals in the body frame.
 
     Raises:
@@ -87,7 +93,7 @@ def steps_of(graph: Graph, *, tolerance: float = 1e-7) -> Iterator[OnlineEstimat
         raise GraphError(
             "the solver step by step needs a graph of edges='landmark+motion' with residual='cartesian' and frame='body'"
         )
-    solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=sighted.kernel, tolerance=tolerance)
+    solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=sighted.kernel, tolerance=tolerance, lag=lag)
     total = len(graph.steps)
     rows = np.argsort(sighted.first, kind="stable")
     bounds = np.searchsorted(sighted.first[rows], np.arange(total + 1))

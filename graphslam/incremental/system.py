@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,15 +10,18 @@ import numpy as np
 from ..edges.robust import Kernel, code_and_width
 from ..errors import GraphError
 from ..se2 import Array
-from .advance import APART, DONE, INDEFINITE, ROBUST_APART, SHARE, advance
+from .advance import APART, DONE, HELD, INDEFINITE, ROBUST_APART, advance
 from .append import append, detach
 from .arrays import (
     COST,
     CURVED_FROM,
+    EXACT_FROM,
     FLOATS,
     FREE,
     HOLD,
     INTS,
+    STEP,
+    WORK,
     doubled,
     new_edges,
     new_nodes,
@@ -26,8 +30,9 @@ from .arrays import (
     with_room,
 )
 from .batch import batch_state
-from .linearize import CHANGED, CURVED
-from .passes import backward, marginals, total_cost
+from .lag import Prior, edges_of, take_out, without_first
+from .linearize import CHANGED, CURVED, EXACT
+from .passes import backward, marginals, solve_paths, total_cost
 from .refactor import refactor
 from .top import BUILT, GROW, rebuild
 
@@ -35,8 +40,8 @@ from .top import BUILT, GROW, rebuild
 PASSES = 15
 #: everything is ordered again where there are so many times as many nodes as the last time
 GROWTH = 1.3
-#: for so many passes second derivatives stay out of Omega once they have made it indefinite
-PLAIN = 4
+#: no edges or nodes, and no increments
+NONE, NOWHERE = np.zeros(0, np.int32), np.zeros((0, 3))
 
 
 class OnlineSystem:
@@ -53,10 +58,10 @@ class OnlineSystem:
         self._robust = (*code_and_width(None), 1.0)
         self._buffers: tuple[np.ndarray, ...] = ()
         self._tallest = 64
-        self._priors: list[tuple[list[int], Array, Array]] = []
+        self._priors: list[Prior] = []
         self._kernel: Kernel | None = None
         self._whole = 0
-        self._memory = np.array([0.0, CHANGED, CURVED, 0.0])
+        self._memory = np.array([0.0, CHANGED, CURVED, EXACT, 0.0, 0.0, 0.0, 0.0, 0.0])
         self.passes, self.converged = 0, True
 
     def use_kernel(self, kernel: Kernel | None, dimension: int) -> None:
@@ -77,10 +82,15 @@ class OnlineSystem:
         for name in ("x", "passed", "evaluated"):
             self.nodes[name][node] = centre
         self.nodes["axes"][node] = np.cos(centre[2]), np.sin(centre[2])
-        self._priors.append(([node], centre[None], information))
-        self._hang([node], information)
+        self._add_prior(np.array([node], np.int32), information, np.zeros(3))
 
-    def _hang(self, members: list[int], information: Array) -> None:
+    def _add_prior(self, members: np.ndarray, information: Array, carry: Array) -> None:
+        rhs = carry - information @ self.nodes["d"][members].ravel()
+        group = self._hang(members, information, carry)
+        self._priors.append(Prior(members, information, rhs, self.nodes["x"][members], carry, group))
+
+    def _hang(self, members: np.ndarray, information: Array, carry: Array) -> int:
+        """Put a prior into the tree, where the next elimination of its nodes finds it; returns its supernode."""
         k = len(members)
         _, padded, count = sizes(0, k)
         self.tree = tree = with_room(self.tree, 1, count, k)
@@ -92,10 +102,11 @@ class OnlineSystem:
         block = np.zeros((3 * k, padded))
         block[:, : 3 * k] = information
         tree.floats[at : at + 3 * k * padded] = block.ravel()
-        tree.floats[at + 3 * k * padded : at + count] = 0.0
+        tree.floats[at + 3 * k * padded : at + count] = carry
         groups["sibling"][s], groups["child"][0] = groups["child"][0], s
         counts[FLOATS] += count
         counts[INTS] += k
+        return s
 
     def add(
         self, known: int, ends: np.ndarray, kinds: np.ndarray, measured: Array, information: Array, rows: np.ndarray,
@@ -133,22 +144,22 @@ class OnlineSystem:
     def _restart(self, x: Array) -> None:
         """An empty tree, and the nodes at x (n, 3)."""
         nodes, edges, n = self.nodes, self.edges, len(x)
-        for name in ("rhs", "diagonal", "d", "home", "scratch", "mark"):
+        for name in ("rhs", "diagonal", "d", "scratch", "mark", "changed"):
             nodes[name] = 0
+        nodes["home"] = np.minimum(nodes["home"], 0)
         # the stamps of the new tree begin at zero
         for name in ("linear", "weight", "rhs", "cost", "mark"):
             edges[name] = 0
         nodes["owned"], nodes["local"] = -1, -1
-        self._memory[[COST, CURVED_FROM, HOLD]] = 0.0, CURVED, 0.0
-        for members, centre, _ in self._priors:
-            # priors are around the present values, increments being zero
-            x[members] = centre
+        self._memory[[COST, WORK]] = 0.0, np.inf
         for name in ("x", "passed", "evaluated"):
             nodes[name][:n] = x
         nodes["axes"][:n, 0], nodes["axes"][:n, 1] = np.cos(x[:, 2]), np.sin(x[:, 2])
         self.tree = new_tree(64)
-        for members, _, information in self._priors:
-            self._hang(members, information)
+        for k, prior in enumerate(self._priors):
+            at = prior.members
+            carry = prior.carry_at(x[at], nodes["point"][at])
+            self._priors[k] = replace(prior, carry=carry, group=self._hang(at, prior.information, carry))
 
     def solve(self, touched: Any, fresh: Any, newest: Any) -> None:
         """Bring the solution to the optimum after edges ``fresh`` were added at nodes ``touched``; ``newest`` go last.
@@ -157,20 +168,25 @@ class OnlineSystem:
             GraphError: a node is not determined. Nothing is changed then.
         """
         if self.num_nodes > GROWTH * self._whole + 50:
-            self._whole, touched = self.num_nodes, np.arange(self.num_nodes)
+            self._whole, touched = self.num_nodes, self._all_nodes()
         touched, fresh, newest = (np.asarray(part, dtype=np.int32) for part in (touched, fresh, newest))
-        self.passes, before = 0, self.nodes["x"][: self.num_nodes].copy()
+        self.passes, before = 0, self.nodes["d"][touched]
         if not self._eliminate(touched, fresh, newest):
-            # second derivatives below the top may make it indefinite, so without them everywhere
-            every = np.arange(self.num_nodes, dtype=np.int32)
+            # exact second derivatives below the top may make it indefinite
+            every = self._all_nodes()
             if len(touched) == len(every) or not self._eliminate(every, fresh, newest):
                 raise GraphError("a node is not determined")
-        self.converged = self._iterate(newest)
+        self.tree.counts[STEP] += 1
+        self.converged = self._iterate(newest, fresh, touched, before)
         if not self.converged:
             # the correction is too large for undamped passes
-            counts = self.num_nodes, self.num_edges
-            self.nodes["x"][: counts[0]] = before
-            start = batch_state(self.nodes, self.edges, counts, self._priors, self._kernel)
+            nodes = self.nodes[: self.num_nodes]
+            changed = nodes["changed"] == self.tree.counts[STEP]
+            nodes["x"][changed] = nodes["kept"][changed]
+            before = nodes["x"].copy()
+            start = batch_state(
+                self.nodes, self.edges, self._all_nodes(), self._all_edges(), self._priors, self._kernel
+            )
             start = before if start is None else start
             self._begin_at(start, newest)
             self.converged = self._iterate(newest)
@@ -180,50 +196,116 @@ class OnlineSystem:
     def relinearize(self, newest: Any) -> None:
         """Linearise all edges where they are now and factorise again, in the order of the tree, and solve."""
         self.complete()
-        room, every = self._room(), np.arange(self.num_edges, dtype=np.int32)
+        # covariances are those of Gauss-Newton, without second derivatives
+        self._memory[[CURVED_FROM, WORK]] = np.inf
+        room, every = self._room(), self._all_edges()
         if not refactor(every, len(every), self.nodes, self.edges, self.tree, self._robust, self._memory, room[0]):
-            nodes = np.arange(self.num_nodes, dtype=np.int32)
-            self._memory[[CURVED_FROM, HOLD]] = np.inf, PLAIN
-            self._eliminate(nodes, nodes[:0], np.asarray(newest, dtype=np.int32))
+            self._eliminate(self._all_nodes(), NONE, np.asarray(newest, dtype=np.int32))
+        self._memory[CURVED_FROM] = CURVED
         self.converged = self._iterate(np.asarray(newest, dtype=np.int32))
 
     def _begin_at(self, x: Array, newest: np.ndarray) -> None:
         """Build the tree anew with all nodes at x (n, 3)."""
         self._restart(x)
-        nodes, edges = (np.arange(count, dtype=np.int32) for count in (self.num_nodes, self.num_edges))
-        self._eliminate(nodes, edges, newest)
+        self._eliminate(self._all_nodes(), self._all_edges(), newest)
 
-    def _eliminate(self, touched: np.ndarray, fresh: np.ndarray, newest: np.ndarray) -> bool:
-        """Eliminate the top of the tree again, with larger arrays where needed; returns whether all nodes are determined.
+    def _all_nodes(self) -> np.ndarray:
+        """The nodes that are not marginalised."""
+        return np.flatnonzero(self.nodes["home"][: self.num_nodes] >= 0).astype(np.int32)
 
-        Second derivatives are left out for some passes where Omega is not positive definite with them.
-        """
+    def _all_edges(self) -> np.ndarray:
+        return np.flatnonzero(self.edges["ends"][: self.num_edges, 0] >= 0).astype(np.int32)
+
+    def marginalize(self, node: int, newest: Any) -> Array:
+        """Take a node out of the graph, and put a prior on its neighbours in its place; returns its last value (3,)."""
+        nodes, edges = self.nodes, self.edges
+        mine = [prior for prior in self._priors if node in prior.members]
+        gone = edges_of(node, nodes, edges)
+        around = np.unique(np.concatenate([edges["ends"][gone].ravel(), *(prior.members for prior in mine)]))
+        members = np.concatenate([[node], around[around != node]]).astype(np.int32)
+        value = self.values(members)[0]
+        information, rhs = take_out(gone, members, nodes, edges, self._robust, self._memory)
+        order = np.argsort(members)
+        for prior in mine:
+            at = order[np.searchsorted(members, prior.members, sorter=order)]
+            at = (3 * at[:, None] + np.arange(3)).ravel()
+            information[np.ix_(at, at)] += prior.information
+            rhs[at] += prior.carry
+        removed = np.array([nodes["home"][node], *(prior.group for prior in mine)], dtype=np.int32)
+        nodes["home"][node] = -1
+        self._priors = [prior for prior in self._priors if prior not in mine]
+        self._add_prior(members[1:], *without_first(information, rhs))
+        newest = np.asarray(newest, dtype=np.int32)
+        if not self._eliminate(members[1:], NONE, newest, removed):
+            self.complete()
+            self._begin_at(nodes["x"][: self.num_nodes].copy(), newest)
+        return np.asarray(value)
+
+    def crowded(self) -> bool:
+        """Whether more than half of the numbers of nodes belong to nodes that were marginalised."""
+        return self.num_nodes > 64 and bool(
+            np.count_nonzero(self.nodes["home"][: self.num_nodes] < 0) > self.num_nodes / 2
+        )
+
+    def renumber(self) -> np.ndarray:
+        """Free what belonged to marginalised nodes; returns the new number of each node."""
+        old_nodes, old_edges, counts = self._all_nodes(), self._all_edges(), self.tree.counts
+        # the last entry is that of number -1
+        node, edge = np.full(self.num_nodes + 1, -1, np.int32), np.full(self.num_edges + 1, -1, np.int32)
+        node[old_nodes], edge[old_edges] = np.arange(len(old_nodes)), np.arange(len(old_edges))
+        self.nodes = doubled(self.nodes[old_nodes], new_nodes(2 * len(old_nodes) + 64))
+        self.edges = doubled(self.edges[old_edges], new_edges(2 * len(old_edges) + 64))
+        for name in ("edges", "owned"):
+            self.nodes[name] = edge[self.nodes[name]]
+        for name in ("next", "next_owned"):
+            self.edges[name] = edge[self.edges[name]]
+        for name in ("ends", "owner"):
+            self.edges[name] = node[self.edges[name]]
+        ints = self.tree.ints[: counts[INTS]]
+        ints[:] = node[np.minimum(ints, self.num_nodes)]
+        self._priors = [replace(prior, members=node[prior.members]) for prior in self._priors]
+        self.num_nodes, self.num_edges = len(old_nodes), len(old_edges)
+        self._whole = min(self._whole, self.num_nodes)
+        return node
+
+    def _eliminate(self, touched: np.ndarray, fresh: np.ndarray, newest: np.ndarray, gone: np.ndarray = NONE) -> bool:
+        """Eliminate the top of the tree again, with larger arrays where needed; returns whether all nodes are determined."""
         while True:
             result, count, floats, ints, tallest = rebuild(
-                self.nodes, self.edges, self.tree, touched, fresh, newest, self._robust, self._memory, self._room()[0]
+                self.nodes,
+                self.edges,
+                self.tree,
+                touched,
+                fresh,
+                gone,
+                newest,
+                self._robust,
+                self._memory,
+                self._room()[0],
             )
             if result == GROW:
                 self._tallest = max(self._tallest, tallest)
                 self.tree = with_room(self.tree, count, floats, ints)
-            elif result == BUILT or self._memory[CURVED_FROM] == np.inf:
+            elif result == BUILT or self._memory[HOLD] > 0:
                 return bool(result == BUILT)
             else:
-                self._memory[[CURVED_FROM, HOLD]] = np.inf, PLAIN
+                self._memory[[EXACT_FROM, HOLD]] = np.inf, HELD
 
-    def _iterate(self, newest: np.ndarray) -> bool:
-        """Passes until the optimum is reached; returns whether it is."""
+    def _iterate(
+        self, newest: np.ndarray, fresh: np.ndarray = NONE, touched: np.ndarray = NONE, before: Array = NOWHERE
+    ) -> bool:
+        """Passes until the optimum is reached, after new edges; see `advance`. Returns whether it is."""
         done, apart = 0, APART if self._kernel is None else ROBUST_APART
         while True:
             result, passes = advance(
-                self.nodes, self.edges, self.tree, self._robust, self._room(), self._memory, self.tolerance, apart,
-                SHARE, done, PASSES,
+                self.nodes, self.edges, self.tree, self._robust, self._room(), self._memory, self.tolerance, apart, done,
+                PASSES, fresh, touched, before,
             )  # fmt: skip
             self.passes, done = self.passes + passes - done, passes
             if result != INDEFINITE:
                 return bool(result == DONE)
-            self._memory[[CURVED_FROM, HOLD]] = np.inf, PLAIN
-            nodes = np.arange(self.num_nodes, dtype=np.int32)
-            if not self._eliminate(nodes, nodes[:0], newest):
+            self._memory[[EXACT_FROM, HOLD, WORK]] = np.inf, HELD, np.inf
+            if not self._eliminate(self._all_nodes(), NONE, newest):
                 return False
 
     def _room(self) -> tuple[np.ndarray, ...]:
@@ -236,6 +318,13 @@ class OnlineSystem:
         """Bring all nodes to the solution: steps leave out those that move by a small part of a standard deviation."""
         room = self._room()
         backward(self.nodes, self.tree, room[0], -1.0, np.inf, room[1], 0)
+
+    def values(self, members: Any) -> Array:
+        """The solution (k, 3) at some nodes."""
+        room, members = self._room(), np.asarray(members, dtype=np.int64)
+        homes = np.unique(self.nodes["home"][members])
+        solve_paths(homes, len(homes), self.nodes, self.tree, room[0], 0.0)
+        return np.asarray(self.nodes["x"][members])
 
     def cost(self) -> float:
         """The cost at the estimate, without priors."""

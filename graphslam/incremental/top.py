@@ -12,7 +12,7 @@ from ..linear.cholesky.ordering import fewest_neighbours
 from ..linear.cholesky.supernodal import factorize
 from ..linear.cholesky.symbolic import Layout, structure
 from ..linear.structure import pattern
-from .arrays import COST, CURVED_FROM, FLOATS, FREE, INTS, WASTE_FLOATS, WASTE_INTS, sizes
+from .arrays import COST, CURVED_FROM, EXACT_FROM, FLOATS, FREE, INTS, WASTE_FLOATS, WASTE_INTS, sizes
 from .linearize import between, relinearize
 from .passes import forward_one
 from .refactor import PIVOT_TOLERANCE
@@ -22,12 +22,12 @@ BUILT, GROW, UNDETERMINED = range(3)
 
 
 @njit(cache=True, error_model="numpy")
-def _collect(nodes, edges, tree, touched, fresh):
+def _collect(nodes, edges, tree, touched, fresh, gone):
     """The top: its supernodes, nodes, edges, and the supernodes that hang below it."""
     removed = np.empty(len(tree.groups), np.int32)
     count, members = 0, 0
-    for node in touched:
-        s = nodes.home[node]
+    for k in range(len(touched) + len(gone)):
+        s = nodes.home[touched[k]] if k < len(touched) else gone[k - len(touched)]
         while s > 0 and not tree.groups.mark[s]:
             tree.groups.mark[s] = 1
             removed[count] = s
@@ -39,9 +39,11 @@ def _collect(nodes, edges, tree, touched, fresh):
     size = 0
     for s in removed:
         for q in range(tree.groups.w[s]):
-            top[size] = tree.ints[tree.groups.nodes_at[s] + q]
-            nodes.local[top[size]] = size
-            size += 1
+            node = tree.ints[tree.groups.nodes_at[s] + q]
+            # a node that was taken out has no home
+            if nodes.home[node] == s:
+                top[size], nodes.local[node] = node, size
+                size += 1
     for node in touched:
         if nodes.local[node] < 0:
             nodes.local[node] = size
@@ -60,9 +62,12 @@ def _collect(nodes, edges, tree, touched, fresh):
     for node in top:
         e = nodes.owned[node]
         while e >= 0:
-            inside[number] = e
-            number += 1
+            # an edge that was taken out has no ends
+            if edges.ends[e, 0] >= 0:
+                inside[number] = e
+                number += 1
             e = edges.next_owned[e]
+    inside = inside[:number]
     number = 0
     for turn in range(2):
         if turn:
@@ -140,8 +145,8 @@ def _assemble(nodes, edges, top, inside, fresh, indptr, indices, robust, memory)
     for q in range(len(inside)):
         e = inside[q]
         # far from the minimum second derivatives mislead: new edges (the first ones) are without, unless all are new
-        curved = np.inf if q < fresh < len(inside) else memory[CURVED_FROM]
-        memory[COST] += relinearize(e, nodes, edges, kernel, width, gain, curved)
+        bent = (np.inf, np.inf) if q < fresh < len(inside) else (memory[CURVED_FROM], memory[EXACT_FROM])
+        memory[COST] += relinearize(e, nodes, edges, kernel, width, gain, bent)
         i, j = np.int64(nodes.local[edges.ends[e, 0]]), np.int64(nodes.local[edges.ends[e, 1]])
         block = values[_slot(indptr, indices, min(i, j), max(i, j))]
         for a, row in enumerate(between(e, edges, gain)):
@@ -257,13 +262,13 @@ def _copy(nodes, edges, top, inside, of_nodes, of_edges, back):
 
 
 @njit(cache=True, error_model="numpy")
-def rebuild(nodes, edges, tree, touched, fresh, newest, robust, memory, work):
-    """Eliminate the top again, with new edges and the nodes ``newest`` last.
+def rebuild(nodes, edges, tree, touched, fresh, gone, newest, robust, memory, work):
+    """Eliminate the top again, with new edges, without the supernodes ``gone``, and with the nodes ``newest`` last.
 
     Returns BUILT and zeros; or GROW, and for how many supernodes, floats, ints and rows of ``work`` there must be room; or
     UNDETERMINED and a node that is not determined. In the last two cases nothing is changed.
     """
-    removed, top, inside, below = _collect(nodes, edges, tree, touched, fresh)
+    removed, top, inside, below = _collect(nodes, edges, tree, touched, fresh, gone)
     n = len(top)
     indptr, wide = pattern(n, *_cliques(nodes, edges, tree, inside, below))
     indices = wide.astype(np.int32)

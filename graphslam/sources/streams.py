@@ -30,6 +30,9 @@ MOST_DISORDER = 1.0
 #: truth is interpolated between samples that are at most this far apart [s]
 TRUTH_GAP = 0.5
 
+#: a note tells where more than this part of the time of the odometry has no pose, because nothing was seen
+UNUSED = 0.1
+
 
 @dataclass(frozen=True)
 class Stream:
@@ -81,6 +84,11 @@ def parts_of_streams(
     if gaps:
         remarks.append(gap_note(gaps))
         warnings.warn(f"{name}: {remarks[-1]}", UserWarning, stacklevel=4)
+    before, after = times[0] - odometry.times[0], odometry.times[-1] - times[-1]
+    if before + after > UNUSED * (odometry.times[-1] - odometry.times[0]):
+        ends = ((before, "before the first sighting"), (after, "after the last sighting"))
+        unseen = " and ".join(f"{lasting:.1f} s {where}" for lasting, where in ends if lasting > 0)
+        remarks.append(f"the odometry of {unseen} is left out: poses are where something was seen")
     true_poses = None if truth is None else truth_at(times, truth)
     if truth is not None and true_poses is not None:
         covered = np.isfinite(true_poses[:, 0])

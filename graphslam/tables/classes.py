@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..reading import MOST_CLASSES, NO_CLASS, UNIDENTIFIED
+from .ids import EMPTY
 from .table import Table
-
-#: what a cell without a class holds, in small letters
-_EMPTY = (NO_CLASS, "nan", "none", "null", "<na>")
 
 
 def classes_of(table: Table, column: int, *, stated: bool) -> tuple[np.ndarray | None, tuple[str, ...]]:
@@ -25,7 +23,7 @@ def classes_of(table: Table, column: int, *, stated: bool) -> tuple[np.ndarray |
     words = table.words(column)
     if words.dtype.kind not in "iu":
         words = np.char.strip(words)
-        words = np.where(np.isin(np.char.lower(words), _EMPTY), NO_CLASS, words)
+        words = np.where(np.isin(np.char.lower(words), EMPTY), NO_CLASS, words)
     names, which = np.unique(words, return_inverse=True)
     numbers = _numbers([name for name in names.tolist() if name != NO_CLASS])
     known = np.ones(len(words), dtype=bool) if words.dtype.kind in "iu" else words != NO_CLASS

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..checks import first
-from ..errors import LogError
 from ..reading import UNIDENTIFIED
 from ..se2 import Array
 from .classes import classes_of
 from .columns import MEASURES, NAMES, Chosen, find, unit_of
+from .ids import Ids, ids_of
 from .options import ANGLES, LENGTHS, TableOptions
 from .poses import checked_heading, controls_between
 from .repeats import Doubt, repeated_sightings, repeated_times
@@ -49,6 +49,7 @@ _SIDEWAYS = 0.3
 class Timed:
     """A table that has been read: times (N,) in nanoseconds, not decreasing, and rows (N, k); of sightings ids and classes.
 
+    ``names`` are the ids of landmarks that have names, {name: id}.
     ``columns`` says which column was taken for what, and in which unit; ``notes`` and ``doubts`` are those of a `Log`.
     """
 
@@ -60,6 +61,7 @@ class Timed:
     notes: tuple[str, ...] = ()
     doubts: tuple[Doubt, ...] = ()
     classes: np.ndarray | None = None
+    names: Mapping[str, int] = field(default_factory=dict)
 
 
 class _Reader:
@@ -85,7 +87,8 @@ class _Reader:
         """The sentence about a column that is not there, with those that are."""
         have = ", ".join(self.table.names) if self.table.names else f"{self.table.width} columns without names"
         names = " or ".join(dict.fromkeys((role, *NAMES[role][:3])))
-        which = f"Say which it is: --columns {self.kind}.{role}=NAME"
+        which = "If one has them, say which" if role == "id" else "Say which it is"
+        which += f": --columns {self.kind}.{role}=NAME"
         return f"no column for {role} (named {names}, ...){consequence}; it has {have}. {which}"
 
     def described(self) -> tuple[str, ...]:
@@ -254,7 +257,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     reader = _Reader("sightings", table, options)
     ns = reader.times()
     # before range and bearing: columns in another order show first here
-    ids, notes = _ids(reader)
+    found = _ids(reader)
     if reader.has("x", "y") and not reader.has("range"):
         third = ("x", "z") if options.axes == "optical" else ("x", "y")
         rows = _polar(reader.numbers(*third), options.axes)
@@ -281,11 +284,12 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     if options.centre == "robot" and any(options.sensor_offset or ()):
         rows[:, :2] = _moved(rows[:, :2], np.array(options.sensor_offset))
     ns, order, more = _ordered(reader, ns)
-    ids, rows = ids[order], rows[order]
+    ids, rows = found.numbers[order], rows[order]
     doubts = repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
     classes, remarks = reader.classes()
     classes = None if classes is None else classes[order]
-    return Timed(table, ns, rows, reader.described(), ids, (*notes, *more, *remarks), doubts, classes)
+    notes = (*found.notes, *more, *remarks)
+    return Timed(table, ns, rows, reader.described(), ids, notes, doubts, classes, found.names)
 
 
 def _polar(places: Array, axes: str) -> Array:
@@ -305,39 +309,14 @@ def _moved(rows: Array, offset: Array) -> Array:
     return np.column_stack([np.hypot(x, y), np.arctan2(y, x)])
 
 
-def _ids(reader: _Reader) -> tuple[np.ndarray, tuple[str, ...]]:
-    """The ids (N,) as whole numbers, and notes; `UNIDENTIFIED` where there is no column of them."""
+def _ids(reader: _Reader) -> Ids:
+    """The ids of the sightings; `UNIDENTIFIED` where there is no column of them."""
     table = reader.table
     if not reader.has("id"):
         missing = reader.missing("id", ", so no landmark is identified")
-        return np.full(len(table), UNIDENTIFIED), (f"{table.source}: {missing}",)
+        return Ids(np.full(len(table), UNIDENTIFIED), notes=(f"{table.source}: {missing}",))
     reader.need("id")
-    column = reader.found["id"].column
-    try:
-        values = table.numbers([column])[:, 0]
-    except LogError:
-        return _named_ids(table, table.words(column))
-    whole = np.isfinite(values) & (values % 1 == 0)
-    if (k := first(~whole)) is not None:
-        shown = "empty" if np.isnan(values[k]) else f"{values[k]:g}"
-        raise table.error(
-            k,
-            f"the id {table.title(column)} is {shown}, but ids are whole numbers or words: is the order of the columns "
-            "t, id, range, bearing?",
-        )
-    if np.any(np.abs(values) >= 2.0**53):
-        return table.words(column).astype(np.int64), ()
-    return values.astype(np.int64), ()
-
-
-def _named_ids(table: Table, words: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Numbers of landmarks that have names: the number at the end of each name where these differ, else counted."""
-    names, which = np.unique(words, return_inverse=True)
-    ends = [name[len(name.rstrip("0123456789")) :] for name in names.tolist()]
-    if all(ends) and len({int(end) for end in ends}) == len(names):
-        return np.array([int(end) for end in ends])[which], ()
-    listed = ", ".join(f"{k} = {name}" for k, name in enumerate(names[:10].tolist()))
-    return which.astype(np.int64), (f"{table.source}: landmarks have names, ids count them: {listed}",)
+    return ids_of(table, reader.found["id"].column)
 
 
 def truth_of(table: Table, options: TableOptions) -> Timed:
@@ -364,20 +343,24 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
     return Timed(table, ns, rows, reader.described(), notes=(*notes, *more, *few), doubts=doubts)
 
 
-def map_of(table: Table, options: TableOptions) -> dict[int, Array]:
-    """The true landmarks, {id: (x, y) or (x, y, heading)}.
+def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None = None) -> dict[int, Array]:
+    """The true landmarks, {id: (x, y) or (x, y, heading)}; ``names`` are those of the sightings.
 
     Raises:
         LogError: a column is missing, a number is none, or two rows have one id.
     """
     reader = _Reader("map", table, options)
     reader.need("id")
-    ids, _ = _ids(reader)
+    column = reader.found["id"].column
+    ids = ids_of(table, column, names).numbers
+    if (k := first(ids == UNIDENTIFIED)) is not None:
+        raise table.error(k, f"the id {table.title(column)} is empty; each landmark of the map needs one")
     places = reader.numbers("x", "y", *(["theta"] if reader.has("theta") else []))
     _, firsts, counts = np.unique(ids, return_index=True, return_counts=True)
     if (k := first(counts > 1)) is not None:
         again = int(np.flatnonzero(ids == ids[firsts[k]])[1])
-        raise table.error(again, f"landmark {ids[again]} is in the map twice; each landmark has one place")
+        name = next((name for name, number in (names or {}).items() if number == ids[again]), ids[again])
+        raise table.error(again, f"landmark {name} is in the map twice; each landmark has one place")
     return {int(j): place for j, place in zip(ids, places)}
 
 

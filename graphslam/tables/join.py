@@ -99,11 +99,15 @@ def read_drive(
         LogError: a table lacks a column or has an impossible value.
     """
     options = options or TableOptions()
-    return Drive(
+    moved, seen = (
         odometry_of(table_of(odometry, "odometry"), options),
         sightings_of(table_of(sightings, "sightings"), options),
+    )
+    return Drive(
+        moved,
+        seen,
         None if truth is None else truth_of(table_of(truth, "truth"), options),
-        None if map is None else map_of(table_of(map, "map"), options),
+        None if map is None else map_of(table_of(map, "map"), options, seen.names),
         options.sensor_offset,
         truth_offset=options.truth_offset,
     )
@@ -134,8 +138,12 @@ def check_overlap(odometry: Timed, other: Timed) -> None:
     begin, end = int(odometry.times[0]), int(odometry.times[-1])
     first, last = int(other.times[0]), int(other.times[-1])
     kind = "sightings" if len(other.ids) else "truth"
+    if len(odometry.times) == 1:
+        raise odometry.table.error(None, "there is one row, but motion takes two")
     if begin == end:
-        raise odometry.table.error(None, f"all {len(odometry.times)} rows have the time {begin / 1e9:.3f} s")
+        raise odometry.table.error(
+            None, f"all {len(odometry.times)} rows have the time {begin / 1e9:.3f} s: are times in another column?"
+        )
     if first <= end and last >= begin:
         inside = int(np.sum((other.times >= begin) & (other.times <= end)))
         longer = (last - first) / (end - begin)

@@ -100,7 +100,10 @@ class Columns(Table):
                     except (TypeError, ValueError):
                         message = f"{self.title(column)} should be a number, not {str(value)!r}"
                         raise self.error(row, message) from None
-                raise self.error(None, f"{self.title(column)} should hold one number in each {self._rows}") from None
+                rows = f"; it has {len(values)}, and the first column {len(self)}" if len(values) != len(self) else ""
+                raise self.error(
+                    None, f"{self.title(column)} should hold one number in each {self._rows}{rows}"
+                ) from None
         return numbers
 
     def words(self, column: int) -> np.ndarray:

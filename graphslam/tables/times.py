@@ -38,6 +38,13 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
         values = table.numbers([column])[:, 0]
     except LogError:
         if (dates := _of_dates(table, column)) is None:
+            word = str(table.words(column)[0])
+            if not _is_number(word):
+                raise table.error(
+                    0,
+                    f"the time {table.title(column)} should be a number, or a date with the time of day as in "
+                    f"2026-11-22T10:00:00.5Z, not {word!r}",
+                ) from None
             raise
         return dates
     if (bad := np.flatnonzero(~np.isfinite(values))).size:
@@ -76,6 +83,14 @@ def _of_dates(table: Table, column: int) -> np.ndarray | None:
         ahead = 60 * int(hours) + int(hours[0] + minutes) if hours else 0
         ns[row] = moment - ahead * 60 * UNITS["s"]
     return ns
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _of_decimals(whole: np.ndarray, places: np.ndarray, unit: str | None) -> np.ndarray | None:

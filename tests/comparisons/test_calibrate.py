@@ -18,6 +18,7 @@ from comparisons.options import NoiseOptions, RunOptions
 from comparisons.reading import prepare
 from graphslam import FormatError, LogError, MotionModel, SensorModel, load, save, simulate
 from graphslam.calibration import calibrate
+from graphslam.log import UNIDENTIFIED
 
 Invoke = Callable[..., Result]
 
@@ -204,16 +205,19 @@ def test_better_noise_is_offered_where_that_of_the_book_does_not_fit(invoke: Inv
         seed=2, steps=80, clean=True, orientation=False, motion=MotionModel(nn=0.02, no=0.001, on=0.01, oo=0.02),
         sensor=SensorModel(range_rate=0.02, bearing_std=0.01),
     )  # fmt: skip
-    fits, calibrate_it, auto = "fits.npz", "calibrate.npz", "auto.npz"
-    for name, each in ((fits, log), (calibrate_it, precise), (auto, precise.replace(true_poses=None))):
+    fits, calibrate_it, auto, trees = "fits.npz", "calibrate.npz", "auto.npz", "trees.npz"
+    without_ids = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+    alone = precise.replace(true_poses=None)
+    for name, each in ((fits, log), (calibrate_it, precise), (auto, alone), (trees, without_ids)):
         save(each, tmp_path / name)
     outputs = {
         name: invoke("run", name, "--estimators", "graph", "--out", "a", "--figures", "").output
-        for name in (fits, calibrate_it, auto)
+        for name in (fits, calibrate_it, auto, trees)
     }
     assert "Noise of this robot" not in outputs[fits]
     assert "Noise of this robot: slam-compare calibrate calibrate.npz --out noise.toml" in outputs[calibrate_it]
     assert "Noise of this robot: slam-compare run auto.npz --noise auto" in outputs[auto]
+    assert "With noise estimated from this log: slam-compare run trees.npz --noise auto" in outputs[trees]
 
 
 def test_noise_auto_keeps_the_models_where_its_checks_fail(tmp_path: Path) -> None:

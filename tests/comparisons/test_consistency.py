@@ -116,3 +116,23 @@ def test_failures_are_counted_and_left_out():
 def test_impossible_options(options, message):
     with pytest.raises(OptionError, match=message):
         study_consistency(**options)
+
+
+def test_the_smoother_has_its_options_and_counts_where_its_chains_mix():
+    given = {
+        "estimators": ["particle-gibbs"],
+        "logs": 1,
+        "steps": 8,
+        "jobs": 0,
+        "gibbs_chains": 2,
+        "gibbs_particles": 10,
+    }
+    mixed = study_consistency(**given, gibbs_iterations=300, gibbs_warm_up=50).results[0]
+    assert (mixed.logs, mixed.failed) == (1, 0) and np.isfinite(mixed.steps).all()
+    study = study_consistency(**given, gibbs_iterations=4, gibbs_warm_up=0)
+    (stuck,) = study.results
+    assert (stuck.logs, stuck.failed, stuck.steps_inside) == (0, 1, None)
+    assert "did not mix on 1 of 1 logs" in str(study) and "--gibbs-warm-up" in str(study)
+    assert study.to_json()["estimators"][0]["step_band"] == [None, None]
+    with pytest.raises(OptionError, match="gibbs_chains must be at least 1"):
+        study_consistency(gibbs_chains=0)

@@ -58,6 +58,8 @@ def test_ignored_ids_are_compared_with_those_found(log, front_end):
     assert "1.000, 1.000" in str(comparison) and "13 0 0 0" in str(comparison)
     entry = json.loads(json.dumps(comparison.to_json()))["estimators"][0]["association"]
     matches, evidence = entry.pop("matches"), entry.pop("evidence")
+    options = comparison["graph"].options
+    assert (options["front_end"], options["front_particles"], options["class_confusion"]) == (front_end, 30, 0.05)
     assert entry == {
         "landmarks": 13, "clutter": 0, "precision": 1.0, "recall": 1.0, "found": 13, "missed": 0, "doubled": 0, "invented": 0,
         "classes": None, "unconfirmed": 0, "doubts": [],
@@ -129,7 +131,7 @@ def test_filters_find_the_landmarks_of_a_log_without_ids(log):
             run(hidden, estimators=name)
     with pytest.raises(OptionError, match="the association is known: leave it out"):
         run(hidden, estimators="fastslam2", association="known")
-    with pytest.raises(OptionError, match="smoothing needs the association known, so ids of all sightings"):
+    with pytest.raises(OptionError, match="smoothing 50 needs the association known, so ids of all sightings"):
         run(hidden, estimators="fastslam2", smoothing=50)
     assert run(log, particles=30, estimators="fastslam2")["fastslam2"].named
 
@@ -182,7 +184,11 @@ def test_ids_are_found_anew_with_other_options(log):
 def test_ids_that_cannot_be_used_are_told(log):
     partly = log.replace(landmarks=np.where(np.arange(len(log.steps)) == 5, UNIDENTIFIED, log.landmarks))
     comparison = run(partly, estimators=["graph", "fastslam2"], particles=30)
-    for result in comparison.results:
-        assert result.notes[0].startswith("1 of 283 sightings has no id, so the ids of the others are not used either")
+    kept = comparison["graph"].notes
+    assert "282 of 283 sightings kept the ids that they have" in kept and not any("not use" in note for note in kept)
+    assert np.sum(comparison["graph"].association != log.landmarks) <= 1
+    assert comparison.associations["graph"] is None and comparison.associations["fastslam2"] is not None
+    note = "1 of 283 sightings has no id, so filters do not use the ids of the others either"
+    assert comparison["fastslam2"].notes[0].startswith(note)
     asked = run(partly, estimators="graph", association="maximum-likelihood")
     assert not any("not used" in note for note in asked["graph"].notes)

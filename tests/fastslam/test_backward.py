@@ -103,7 +103,7 @@ def test_several_observations_of_one_step() -> None:
         ({"smoothing": 3}, "smoothing must be 0 .off. or at least 10 trajectories, not 3"),
         ({"smoothing": -1}, "smoothing must be 0"),
         ({"smoothing": 10.5}, "smoothing must be a whole number"),
-        ({"smoothing": 20, "association": "maximum-likelihood"}, "smoothing needs the association known"),
+        ({"smoothing": 20, "association": "maximum-likelihood"}, "smoothing 20 needs the association known"),
         ({"smoothing": 20, "stage": "motion"}, "smoothing needs weighted particles"),
     ],
 )

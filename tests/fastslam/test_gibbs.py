@@ -220,6 +220,9 @@ def test_mixing_of_known_chains() -> None:
     assert not mixing.mixed and mixing.statement.startswith("not mixed: R-hat at most 1.5")
     assert "(c)" in mixing.statement and "raise iterations and warm_up" in mixing.statement
     assert judge(chains[:, :, :2], ["a", "b"]).mixed
+    # more samples or particles do not bring chains together that have not yet met
+    chains[:, :, 2] += 10 * np.arange(4)[:, None]
+    assert "the chains are still far apart: raise warm_up" in judge(chains, ["a", "b", "c"]).statement
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 2), (4, 3, 2), (1, 50, 2)])

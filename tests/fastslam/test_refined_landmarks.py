@@ -7,7 +7,8 @@ import pytest
 from test_gibbs import MOTION, importance, small
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, ParticleGibbs
-from graphslam import OptionError, SensorModel, simulate
+from graphslam import OptionError, SensorModel, load, sample_log_path, simulate
+from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import wrap
 
 SENSOR = SensorModel()
@@ -164,11 +165,27 @@ def test_the_steps_of_the_lectures(cls: type) -> None:
         ({"landmark_update": "ukf"}, "landmark_update must be one of kalman, moments, joint"),
         ({"range_noise": "true"}, "range_noise must be one of measured, estimated"),
         ({"landmark_update": "moments", "association": "maximum-likelihood"}, "needs the association known"),
-        ({"landmark_update": "joint", "association": "maximum-likelihood"}, "landmark_update joint with .* needs"),
+        (
+            {"landmark_update": "joint", "association": "maximum-likelihood"},
+            "^landmark_update joint needs the .* leave out landmark_update$",
+        ),
+        (
+            {"range_noise": "estimated", "proposal_weight": "linearised"},
+            "range_noise estimated needs .* exact, not linearised",
+        ),
         ({"range_noise": "estimated", "association": "maximum-likelihood"}, "needs the association known"),
-        ({"range_noise": "estimated", "proposal_weight": "linearised"}, "needs the proposal_weight exact"),
     ],
 )
 def test_bad_options(options: dict, message: str) -> None:
     with pytest.raises(OptionError, match=message):
         FastSLAM2(**options)
+
+
+def test_what_a_filter_does_not_use_is_not_refused() -> None:
+    FastSLAM1(range_noise="estimated", proposal_weight="linearised")
+    log = load(sample_log_path())
+    hidden = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+    with pytest.raises(
+        OptionError, match="^landmark_update joint needs .* auto is where a log lacks ids, leave out landm"
+    ):
+        FastSLAM2(hidden, landmark_update="joint")

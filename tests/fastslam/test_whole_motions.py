@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, ParticleFilter, textbook
-from graphslam import Log, LogError, MotionModel, OptionError, SensorModel
+from graphslam import Log, LogError, MotionModel, OptionError, SensorModel, simulate
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import wrap
 
@@ -120,6 +120,27 @@ def test_the_lectures_filters_take_one_control_a_step() -> None:
     for version in (textbook.fastslam1, textbook.fastslam2):
         with pytest.raises(LogError, match="one control a step"):
             next(version(drive(CENTRED), rng=np.random.default_rng(0)))
+        slips = simulate(steps=3, seed=0).replace(motion=MotionModel(slip=0.1))
+        with pytest.raises(LogError, match="slip"):
+            next(version(slips, rng=np.random.default_rng(0)))
+
+
+@pytest.mark.parametrize("kind", FILTERS)
+def test_particles_slip_sideways(kind: type[ParticleFilter]) -> None:
+    """Single controls of a robot that slips have the covariance of the model, over a log and one by one."""
+    motion = MotionModel(nn=0.1, no=0.0, on=0.1, oo=0.1, epsilon=1e-6, slip=0.4)
+    expected = motion.covariance(np.zeros(3), [2.0, 0.6], 1.0)
+    log = simulate(steps=1, seed=0).replace(
+        dt=1.0, controls=[[2.0, 0.6]], motion=motion, initial_poses=np.zeros((2, 3))
+    )
+    log = log.with_sightings(np.zeros(len(log.steps), dtype=bool))
+    driven, moved = kind(log, particles=40_000, seed=1), kind(log, particles=40_000, seed=1)
+    driven.run()
+    moved.move([2.0, 0.6], 1.0)
+    for slam in (driven, moved):
+        assert slam.state.step == 1
+        spread = np.cov(slam.state.poses.T)
+        np.testing.assert_allclose(spread, expected, atol=0.03 * np.max(expected))
 
 
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
@@ -138,3 +159,26 @@ def test_particles_spread_as_far_where_sightings_cut_the_controls(kind: type[Par
     headings = slam.state.poses[:, 2]
     assert np.var(wrap(headings - np.mean(headings))) == pytest.approx(50 * 0.03**2, rel=0.05)
     np.testing.assert_allclose(np.sum(log.motions()[1][:, 2, 2]), 50 * 0.03**2, rtol=1e-4)
+
+
+def test_the_evidence_is_the_density_of_the_sightings() -> None:
+    """Without noise of the motion it is the product of the densities at the known poses, however many particles there are."""
+    still = MotionModel(nn=0, no=0, on=0, oo=0, epsilon=1e-30)
+    log = drive(CENTRED, motions=3).replace(motion=still)
+    poses, marks = log.dead_reckoning()[log.steps], np.array([PLACES[j] for j in log.landmarks.tolist()])
+    residual = log.sightings - CENTRED.h(poses, marks)
+    q = np.diagonal(CENTRED.Q(log.sightings), axis1=1, axis2=2)
+    expected = -0.5 * np.sum(wrap(residual) ** 2 / q + np.log(2 * np.pi * q))
+    result = MonteCarloLocalization(log, particles=7, seed=0).run()
+    np.testing.assert_allclose(result.log_evidence, expected, rtol=1e-6)
+
+
+def test_the_evidence_finds_the_slip() -> None:
+    slips = MotionModel(nn=0.02, no=0, on=0.01, oo=0.02, epsilon=1e-8, slip=0.15)
+    sensor = SensorModel(range_rate=0.01, bearing_std=0.01)
+    log = simulate(seed=3, steps=60, clean=True, motion=slips, sensor=sensor, orientation=False)
+    evidence = {
+        slip: FastSLAM2(log, motion=slips.changed(slip=slip), particles=200, seed=0).run().log_evidence
+        for slip in (0.0, 0.15, 1.0)
+    }
+    assert evidence[0.15] > max(evidence[0.0], evidence[1.0]) + 10

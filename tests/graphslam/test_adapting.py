@@ -49,7 +49,10 @@ def test_slip_over_long_ways_is_found_where_there_is_some(slip: float, raised: b
     # over 13 steps the variance of a slip that is kept by 0.8 counts 1 + 2 sum of (1 - k / 13) 0.8^k times
     k = np.arange(1, 13)
     expected = slip**2 * (1 + 2 * np.sum((1 - k / 13) * 0.8**k))
-    assert expected / 1.7 < found.epsilon < expected * 1.7
+    assert log.controls is not None and log.dt is not None
+    far = np.mean(np.abs(log.controls[:, 0]) * log.dt)
+    assert expected / 1.7 < found.slip**2 * far < expected * 1.7
+    assert found.changed(slip=0.0) == MOTION
     second = solve(Graph.from_log(log, motion=found, edges="landmark+motion"))
     assert ate(second.poses, log.true_poses) < 0.9 * ate(first.poses, log.true_poses)
 

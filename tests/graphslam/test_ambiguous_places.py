@@ -10,7 +10,9 @@ import pytest
 from graphslam import Log, MotionModel, SensorModel, associate
 from graphslam.association import score
 from graphslam.association.hypotheses import log_density
+from graphslam.association.known import agree, held, may_be_one
 from graphslam.association.several import Pairs
+from graphslam.log import UNIDENTIFIED
 
 #: the landmarks of a corridor along the x axis, 8 m long
 CORRIDOR = np.array([[1.0, 1.2], [2.5, -1.1], [4.0, 1.3], [5.5, -1.2], [7.0, 1.1]])
@@ -85,6 +87,18 @@ def test_a_return_that_odometry_decides_is_not_ambiguous() -> None:
     assert surely.doubts == () and score(surely.ids, log.landmarks).precision == 1.0
 
 
+def test_a_search_that_was_cut_short_says_so() -> None:
+    log = back_to_the_first(2.0)
+    limit, settled = (
+        "but were not tried because of the limit on tries ({}): {};",
+        "had not settled when they were compared",
+    )
+    for tries, left in ((0, 2), (1, 1)):
+        assert any(limit.format(tries, left) in note for note in associate(log, tries=tries).notes)
+    assert any(f"{settled}, after 1 round: 1 of 2;" in note for note in associate(log, rounds=1).notes)
+    assert not any("limit on tries" in note or settled in note for note in associate(log).notes)
+
+
 def test_two_corridors_are_one_or_two_by_evidence() -> None:
     apart, doubtful, joined = (associate(two_corridors(std)) for std in (1.0, 1.6, 1.8))
     assert (apart.landmarks, apart.doubts) == (10, ())
@@ -120,3 +134,31 @@ def test_grown_hypotheses_have_the_joint_evidence_and_the_best_is_found() -> Non
         best = pairs.several(np.arange(9), 3)
         assert best[0].evidence == pytest.approx(max(joint.values()), abs=1e-8)
         assert all(joint[tuple(each.pairs)] == pytest.approx(each.evidence, abs=1e-8) for each in best)
+
+
+def test_ids_of_some_sightings_are_kept_and_decide_for_the_others() -> None:
+    log = back_to_the_first(2.0)
+    of_one = log.landmarks == 0
+    part = log.replace(landmarks=np.where(of_one, 7, UNIDENTIFIED))
+    found = associate(part)
+    # without them the wrong corridor is chosen
+    assert score(found.ids, log.landmarks).precision == 1.0 and found.landmarks == 10 and not found.doubts
+    assert np.all(found.ids[of_one] == 7) and set(found.ids[~of_one].tolist()) == set(range(8, 17))
+    assert np.array_equal(found.kept, of_one) and np.all(np.isinf(found.margins[of_one]))
+    assert any(f"{of_one.sum()} of 158 sightings kept the ids" in note for note in found.notes)
+    asked = associate(part, keep_ids=False)
+    np.testing.assert_array_equal(asked.ids, associate(log).ids)
+    assert not asked.kept.any()
+
+
+def test_labels_that_agree_with_ids() -> None:
+    labels, steps = np.array([0, 0, 0, 1, 1, 2, -1, 1]), np.array([0, 1, 2, 0, 1, 2, 3, 3])
+    known = np.array([0, 0, -1, 0, -1, -1, 1, -1])
+    found = held(labels, known, steps)
+    # of one id, another one, and neither; a landmark goes on as that with the id that most of its sightings have
+    assert len({*found[[0, 1, 2, 3, 7]]}) == 1 and len({found[0], found[5], found[6]}) == 3
+    # the sighting of step 1 that was of another landmark cannot be of one that this scan has seen by its id
+    assert found[4] == -1
+    assert agree(found, known) and not agree(labels, known)
+    np.testing.assert_array_equal(held(labels, np.full(8, -1), steps), labels)
+    assert [may_be_one(*pair) for pair in ((-1, 3), (3, 3), (3, 4))] == [True, True, False]

@@ -174,23 +174,37 @@ def test_logs_that_tell_nothing() -> None:
     empty = replace(log, steps=log.steps[:0], landmarks=log.landmarks[:0], sightings=log.sightings[:0])
     with pytest.raises(GraphError, match="no sightings at all"):
         associate(empty)
-    rng = np.random.default_rng(0)
-    count = 40
-    noise = np.column_stack([rng.uniform(1, 6, count), rng.uniform(-3, 3, count), rng.uniform(-3, 3, count)])
-    clutter = replace(log, steps=np.arange(count) * 4, landmarks=log.landmarks[:count], sightings=noise)
-    try:
-        found = associate(clutter)
-        # chance may make a landmark of a few; then the report says so
-        assert found.clutter > count / 2
-        assert any("most sightings are of no landmark" in note for note in found.notes)
-    except GraphError as error:
-        assert "may be clutter" in str(error)
     still = Log(initial_poses=np.zeros((2, 3)), steps=[0], landmarks=[UNIDENTIFIED], sightings=[[1.0, 0.0]])
     with pytest.raises(LogError, match="no controls"):
         associate(still)
-    for name, value in {"method": "guess", "gate": "wide", "factor": "100", "slip": "no", "tries": -1}.items():
+    for name, value in {
+        "method": "guess",
+        "gate": "wide",
+        "factor": "100",
+        "slip": "no",
+        "keep_ids": 1,
+        "tries": -1,
+    }.items():
         with pytest.raises(OptionError, match=f"{name} must .*{value}"):
             associate(log, **{name: value})
+
+
+def test_clutter_alone_is_said() -> None:
+    """Random sightings agree by chance: the landmarks are few, and a note says so. Where none agree, the log is refused."""
+    log, count = hidden(load(sample_log_path())), 40
+    for seed in range(6):
+        z = np.random.default_rng(seed).uniform([1, -3, -3], [6, 3, 3], (count, 3))
+        clutter = replace(log, steps=np.arange(count) * 4, landmarks=log.landmarks[:count], sightings=z)
+        found = associate(clutter)
+        assert found.landmarks <= 5 and found.clutter > count / 2
+        assert any("most sightings are of no landmark" in note for note in found.notes)
+    # at places 10 m from each other none agree; where few do, but contradict the motions, the graph diverges
+    for apart, count, sensor in ((3, 20, SensorModel.constant(0.1, 0.01)), (10, 10, None)):
+        z = z[:count]
+        z[:, 0] = 5 + apart * np.arange(count)
+        few = replace(clutter, steps=clutter.steps[:count], landmarks=clutter.landmarks[:count], sightings=z)
+        with pytest.raises(GraphError, match=f"no landmark .* all its {count} sightings may be clutter"):
+            associate(few.without_orientation(), sensor=sensor)
 
 
 def test_one_landmark_is_said() -> None:

@@ -9,9 +9,24 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from graphslam import Graph, Log, LogError, MotionModel, OptionError, SensorModel, calibrate, simulate, solve
+from graphslam import (
+    Graph,
+    Log,
+    LogError,
+    MotionModel,
+    OptionError,
+    SensorModel,
+    associate,
+    calibrate,
+    load,
+    sample_log_path,
+    simulate,
+    solve,
+)
+from graphslam.association import score
 from graphslam.calibration.parts import motion_parts, sensor_parts, variances_of
 from graphslam.calibration.variances import fit_variances, standard_errors
+from graphslam.log import UNIDENTIFIED
 from graphslam.uncertainty import Uncertainty
 
 MOTION = MotionModel(nn=0.08, no=0.03, on=0.05, oo=0.1, epsilon=1e-6)
@@ -136,7 +151,7 @@ def test_wrong_sightings_and_slips_do_not_blow_the_noise_up() -> None:
 
 def test_the_parts_make_up_the_models() -> None:
     log = drive(0, steps=30, orientation=True)
-    motion = MotionModel(nn=0.1, no=0.2, on=0.3, oo=0.4, sigma_v=0.5, sigma_omega=0.6, epsilon=1e-3)
+    motion = MotionModel(nn=0.1, no=0.2, on=0.3, oo=0.4, sigma_v=0.5, sigma_omega=0.6, slip=0.7, epsilon=1e-3)
     parts, variances = motion_parts(log), variances_of(motion)
     whole = sum(variances[name] * part for name, part in parts.items())
     np.testing.assert_allclose(whole, log.motions(motion)[1], rtol=1e-9, atol=1e-15)
@@ -293,12 +308,35 @@ def test_truth_without_landmarks_or_headings() -> None:
             calibrate(poorer, source="truth")
 
 
-def test_landmarks_without_names() -> None:
-    from graphslam.log import UNIDENTIFIED
+def without_ids(log: Log) -> Log:
+    return log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
 
-    log = drive(0, steps=20)
+
+def test_sightings_without_ids() -> None:
+    log = load(sample_log_path())
+    known, found = calibrate(log, source="residuals"), calibrate(without_ids(log), source="residuals")
+    # all ids are found, so that only the start of the search differs
+    for name in ("range_rate", "bearing_std", "orientation_std"):
+        assert found.numbers[name] == pytest.approx(known.numbers[name], abs=0.1 * known.errors[name]), name
+    assert "13 landmarks were found" in found.notes[0] and found.counts == known.counts
+    # true poses count, but landmarks that were found have no true positions
+    assert "there is no true map" in " ".join(calibrate(without_ids(log)).notes)
     with pytest.raises(LogError, match="without landmark ids"):
-        calibrate(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)))
+        calibrate(without_ids(log), source="truth")
+
+
+def test_noise_that_is_much_too_wide_at_first_does_not_keep_wrong_ids() -> None:
+    motion = MotionModel(nn=0.02, no=0.002, on=0.02, oo=0.02)
+    sensor = SensorModel(range_rate=0.001, range_std=0.05, bearing_std=0.02)
+    log = simulate(
+        seed=0, steps=60, dt=1.0, speed=0.5, turn_rate=0.4, clean=True, orientation=False, motion=motion, sensor=sensor,
+        landmarks=20, arena=4.0, max_range=3.5, way_points=((3.0, -3.0), (3.0, 3.0), (-3.0, 3.0), (-3.0, -3.0)),
+    ).replace(motion=None, sensor=None)  # fmt: skip
+    wide = score(associate(log).ids, log.landmarks)
+    found = calibrate(without_ids(log), source="residuals")
+    right = score(associate(found.apply(log)).ids, log.landmarks)
+    assert wide.precision < 0.7 and right.precision > 0.98
+    assert found.sensor.bearing_std == pytest.approx(0.02, rel=0.2)
 
 
 def test_no_controls() -> None:

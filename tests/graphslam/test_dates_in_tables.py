@@ -45,6 +45,13 @@ def test_a_wrong_date_is_named(tmp_path):
         read(tmp_path, wrong.replace("2026-11-22T10:00:10Z", "2026-13-22T10:00:10Z"), seen("{}"))
 
 
+def test_dates_of_another_form_are_named(tmp_path):
+    with pytest.raises(
+        LogError, match=r"odometry\.csv:2: the time 't' should be a number, or a date .* not '22\.11\.2026 10:00'"
+    ):
+        read(tmp_path, odometry("22.11.2026 10:{:02}"), seen("{}"))
+
+
 def test_a_header_that_is_repeated_is_named(tmp_path):
     joined = odometry("{}") + odometry("{}", 50)
     with pytest.raises(FormatError, match=r"odometry\.csv:52: .* this line repeats the header"):

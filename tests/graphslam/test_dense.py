@@ -45,9 +45,10 @@ def test_the_poses_of_the_log_stay_and_unknown_ones_leave_gaps(log):
     np.testing.assert_array_equal(path.through(poses[:1]), poses[:1])
 
 
-def test_the_path_is_the_most_likely_one_between_its_ends(log):
+@pytest.mark.parametrize("slip", [0.0, 0.1])
+def test_the_path_is_the_most_likely_one_between_its_ends(log, slip):
     """Against the least-squares path through poses at every control, each motion edge with its own covariance."""
-    motion = MotionModel(epsilon=1e-12)
+    motion = MotionModel(epsilon=1e-12, slip=slip)
     ends = compose(log.dead_reckoning()[2:4], [[0, 0, 0], [1e-5, -2e-5, 1e-5]])
     controls, dt = log.controls[4:11], log.dt[4:11]
     A = [motion.A([0, 0, 0], u, t) for u, t in zip(controls, dt)]
@@ -55,15 +56,17 @@ def test_the_path_is_the_most_likely_one_between_its_ends(log):
 
     def reached(noise):
         poses = [ends[0]]
-        for u, t, a, r, n in zip(controls, dt, A, root, noise.reshape(-1, 2)):
-            step = motion.f([0, 0, 0], u, t) + a @ r @ n
+        for u, t, a, r, n in zip(controls, dt, A, root, noise.reshape(-1, 3)):
+            chord = u[1] * t / 2
+            aside = n[2] * slip * np.sqrt(abs(u[0]) * t) * np.array([-np.sin(chord), np.cos(chord), 0])
+            step = motion.f([0, 0, 0], u, t) + a @ r @ n[:2] + aside
             poses.append(compose(poses[-1], step))
         return np.array(poses)
 
     def cost(noise):
         return np.concatenate([noise, 1e7 * between(ends[1], reached(noise)[-1])])
 
-    best = reached(least_squares(cost, np.zeros(14), xtol=1e-15, ftol=1e-15, gtol=1e-15).x)
+    best = reached(least_squares(cost, np.zeros(21), xtol=1e-15, ftol=1e-15, gtol=1e-15).x)
     whole = log.dead_reckoning()
     whole[2:4] = ends
     np.testing.assert_allclose(control_path(log, motion).through(whole)[4:12], best, atol=1e-8)
@@ -81,6 +84,15 @@ def test_long_turns_are_divided_along_their_arc():
 def test_without_controls_the_path_is_the_poses():
     log = Log(initial_poses=np.zeros((3, 3)), steps=[0], landmarks=[0], sightings=[(1, 0)])
     np.testing.assert_array_equal(control_path(log).through(np.ones((3, 3))), np.ones((3, 3)))
+
+
+def test_rows_at_the_interval_are_all_kept():
+    # sums of 0.1 are not whole multiples of 0.1
+    log = Log(
+        dt=0.1, controls=np.ones((40, 2)), control_starts=[0, 7, 40], steps=[0], landmarks=[0], sightings=[(1, 0)],
+        initial_poses=np.zeros((3, 3)),
+    )  # fmt: skip
+    assert len(control_path(log, interval=0.1).times) == 41
 
 
 def test_an_interval_keeps_the_poses_of_the_log_and_leaves_out_other_rows(log):

@@ -28,7 +28,7 @@ seeds = st.integers(0, 2**32 - 1)
 frames = ["world", "body"]
 SEEING = [f"{name}-{d}d" for name in ("virtual", "cartesian", "polar") for d in (3, 2)]
 FAMILIES = ["anchor", "relative", "motion", *SEEING, *(f"{name}-offset" for name in SEEING), "point"]
-motion, sensor = MotionModel(), SensorModel()
+motion, sensor = MotionModel(slip=0.05), SensorModel()
 ahead = SensorModel(range_rate=0.05, range_std=0.2, offset=(0.7, -0.3))
 
 

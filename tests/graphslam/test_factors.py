@@ -14,7 +14,7 @@ from graphslam import MotionModel, OptionError, SensorModel, textbook
 from graphslam.factors import AnchorFactor, MotionFactor, RelativePoseFactor, VirtualMotionFactor
 from graphslam.se2 import wrap
 
-sensor, motion = SensorModel(), MotionModel()
+sensor, motion = SensorModel(), MotionModel(slip=0.05)
 x1, x2 = gtsam.symbol("x", 1), gtsam.symbol("x", 2)
 # all angles, also those where the heading wraps
 angle = st.one_of(st.floats(-np.pi, np.pi), st.sampled_from([-np.pi, np.pi, 0.0]))

@@ -76,6 +76,7 @@ def test_what_cannot_be_solved_is_refused_with_the_way_out(log, options, message
     ("options", "message"),
     [
         ({"edges": "motion"}, "edges must be one of virtual, virtual\\+motion"),
+        ({"log": "sample.npz"}, "log must be a Log, not 'sample.npz'; .*load"),
         ({"frame": "robot"}, "frame must be one of"),
         ({"weight": "all"}, "weight must be one of"),
         ({"motion_weight": 0.0}, "motion_weight must be a positive number"),
@@ -85,7 +86,7 @@ def test_what_cannot_be_solved_is_refused_with_the_way_out(log, options, message
 )
 def test_impossible_options(book_log, options, message):
     with pytest.raises(OptionError, match=message):
-        Graph.from_log(book_log, **options)
+        Graph.from_log(**({"log": book_log} | options))
 
 
 def test_tempered_pairs_weigh_two_over_k():

@@ -261,6 +261,117 @@ def test_the_minimum_is_found_where_gauss_newton_diverges(monkeypatch):
     np.testing.assert_allclose(solver.poses, found, atol=1e-6)
 
 
+def drive(lag, scale, steps=60):
+    """A solver after a drive in a circle among five landmarks, with noise in proportion to ``scale``."""
+    rng, move = np.random.default_rng(0), np.array([0.5, 0.0, 0.2])
+    std, sensor = (
+        scale * np.array([0.05, 0.05, 0.03]),
+        SensorModel(range_rate=0.0, range_std=0.05 * scale, bearing_std=0.02 * scale),
+    )
+    solver, marks, pose = OnlineSolver(sensor=sensor, lag=lag), rng.uniform(-4, 4, (5, 2)), np.zeros(3)
+    for _ in range(steps):
+        pose = compose(pose, move)
+        way = marks - pose[:2]
+        exact = np.column_stack([np.hypot(*way.T), np.arctan2(way[:, 1], way[:, 0]) - pose[2]])
+        solver.step(
+            motion=move + rng.normal(0, std), covariance=np.diag(std**2), ids=np.arange(5),
+            sightings=exact + rng.normal(0, scale * np.array([0.05, 0.02]), (5, 2)),
+        )  # fmt: skip
+    solver.relinearize()
+    return solver
+
+
+@pytest.mark.parametrize("lag", [1, 5, 20, 50])
+def test_a_lag_is_exact_where_the_problem_is_linear(lag):
+    whole, short = drive(None, 0.01), drive(lag, 0.01)
+    joint = whole.covariance(landmarks=[0, 3])
+    std = np.sqrt(np.diag(joint))
+    np.testing.assert_allclose(
+        short.covariance(landmarks=[0, 3]) / np.outer(std, std), joint / np.outer(std, std), atol=2e-3
+    )
+    assert np.abs((short.pose - whole.pose) / std[:3]).max() < 0.02
+    for key, mark in whole.landmarks.items():
+        np.testing.assert_allclose(short.landmarks[key], mark, atol=0.02 * std[3:].max())
+    assert (short.num_final, short.num_poses, short.poses.shape) == (60 - lag, 61, (61, 3))
+    np.testing.assert_allclose(short.poses[-lag:], whole.poses[-lag:], atol=0.1 * std[:3].min())
+
+
+def test_memory_is_that_of_the_lag():
+    system = drive(10, 1.0, steps=400)._system
+    assert len(system.nodes) <= 200
+    assert len(system.edges) <= 1200
+    assert len(system.tree.floats) < 40_000
+    assert len(system._priors) == 1
+    assert system.num_nodes < 100
+
+
+@pytest.mark.parametrize("kernel", [None, "cauchy"])
+def test_a_lag_on_a_noisy_log(kernel):
+    """Final poses keep their linearisation, so that the estimate is near the batch solution, but not the same."""
+    log = small_log(3, orientation=False)
+    *_, whole = online(log, kernel=kernel)
+    *_, last = online(log, kernel=kernel, lag=30)
+    std = np.sqrt(np.diag(whole.solver.covariance()))
+    assert np.abs((last.pose - whole.pose) / std).max() < 0.5
+    assert last.solver.converged
+    assert last.poses.shape == whole.poses.shape
+    found = solve_by_steps(Graph.from_log(log, edges="landmark+motion", kernel=kernel), lag=30)
+    np.testing.assert_array_equal(found.poses, last.poses)
+    assert "the first 40 poses" in found.reason
+
+
+def test_a_step_with_a_lag_that_only_the_batch_solver_can_take():
+    rng = np.random.default_rng(2)
+    covariance, truth, solver = np.diag([0.14, 0.14, 0.1]) ** 2, [np.zeros(3)], OnlineSolver(lag=299)
+    for k in range(1, 301):
+        move = np.array([1.0, 0.0, np.pi / 2 if k % 75 == 0 else 0.0])
+        truth.append(compose(truth[-1], move))
+        solver.step(motion=move + rng.normal(0, (0.14, 0.14, 0.1)), covariance=covariance)
+    with pytest.raises(GraphError, match="pose 0, which is final: with lag=299, the poses from 1 on"):
+        solver.step(relations=[(0, 300, between(truth[0], truth[300]), covariance)])
+    solver.step(relations=[(1, 300, between(truth[1], truth[300]), covariance)])
+    assert np.abs(between(between(truth[1], truth[300]), between(solver.poses[1], solver.pose))).max() < 0.5
+    tied = solver.poses
+    solver.relinearize()
+    np.testing.assert_allclose(wrap(solver.poses - tied), 0, atol=1e-3)
+
+
+def test_final_poses_are_refused():
+    solver = OnlineSolver(lag=2)
+    for _ in range(5):
+        solver.step((1.0, 0.1), 1.0, ids=[1], sightings=[[2.0, 0.3]])
+    before = everything(solver)
+    for call in (
+        lambda: solver.step(pose=1, ids=[1], sightings=[[1.0, 0.0]]),
+        lambda: solver.step((1.0, 0.0), 1.0, relations=[(2, 4, (1, 0, 0), np.eye(3))]),
+        lambda: solver.step(relations=[(2, 6, (1, 0, 0), np.eye(3))]),
+        lambda: solver.covariance(0),
+    ):
+        with pytest.raises(GraphError, match="final: with lag=2, the poses from 3 on can be used. Choose a longer lag"):
+            call()
+    assert everything(solver) == before
+    for lag in (0, -1, 1.5, True):
+        with pytest.raises(OptionError, match="lag must"):
+            OnlineSolver(lag=lag)
+
+
+def test_a_relation_from_the_new_pose():
+    """Measured from the new pose to an old one, the edge is the same as if the new pose had been known."""
+    z, covariance = np.array([0.7, -0.4, 2.0]), np.diag([0.1, 0.2, 0.05]) ** 2
+    solver = OnlineSolver((1.0, 2.0, 0.5))
+    solver.step(relations=[(1, 0, z, covariance)])
+    np.testing.assert_allclose(between(solver.poses[1], solver.poses[0]), z, atol=1e-9)
+    solver.step(relations=[(2, 1, z, covariance), (2, 0, compose(z, z), covariance)])
+    assert solver.num_poses == 3
+    assert solver.cost < 1e-9
+
+
+@pytest.mark.parametrize("name", ["motion", "sensor"])
+def test_models_are_checked(name):
+    with pytest.raises(OptionError, match=f"{name} must be a .*Model, not 3"):
+        OnlineSolver(**{name: 3})
+
+
 def test_the_example_goes_on_after_lines_that_are_refused(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -158,19 +158,22 @@ def test_impossible_noise_is_refused_with_its_name(make):
 
 
 def propagated(model, controls, dt, extra):
-    """The pose and covariance after controls, one by one: P <- F P F' + A M A'."""
+    """The pose and covariance after controls, one by one: P <- F P F' + A M A' + slip² |nu| dt n n'."""
     x, P = np.zeros(3), np.zeros((3, 3))
     for u, step, more in zip(controls, dt, extra):
         F, A = model.F(x, u, step), model.A(x, u, step)
         P = F @ P @ F.T + A @ (model.M(u, step) + np.diag(more)) @ A.T
-        x = model.f(x, u, step)
+        start, x = x, model.f(x, u, step)
+        chord = np.append(x[:2] - start[:2], 0.0)
+        n = np.array([-chord[1], chord[0], 0.0]) / np.hypot(*chord[:2])
+        P += model.slip**2 * abs(u[0]) * step * np.outer(n, n)
     return x, P + model.epsilon * np.eye(3)
 
 
 @given(st.integers(0, 2**32 - 1))
 def test_accumulated_motions_are_the_propagation_control_by_control(seed):
     rng = np.random.default_rng(seed)
-    model = MotionModel(nn=0.2, no=0.1, on=0.1, oo=0.3, epsilon=1e-6, sigma_v=0.1, sigma_omega=0.2)
+    model = MotionModel(nn=0.2, no=0.1, on=0.1, oo=0.3, epsilon=1e-6, sigma_v=0.1, sigma_omega=0.2, slip=0.3)
     starts = np.concatenate([[0], np.cumsum(rng.integers(1, 6, size=5))])
     controls, dt = rng.normal(size=(starts[-1], 2)), rng.uniform(0.01, 1, starts[-1])
     extra = rng.uniform(0, 0.1, controls.shape)
@@ -184,10 +187,11 @@ def test_accumulated_motions_are_the_propagation_control_by_control(seed):
 def test_a_motion_of_one_control_is_f_and_its_covariance_bit_for_bit():
     rng = np.random.default_rng(3)
     controls, dt = rng.normal(size=(50, 2)), rng.uniform(0.1, 1, 50)
-    motions, covariances = motion.accumulate(controls, dt, np.arange(51))
     origin = np.zeros((50, 3))
-    assert np.array_equal(motions, motion.f(origin, controls, dt))
-    assert np.array_equal(covariances, motion.covariance(origin, controls, dt))
+    for model in (motion, motion.changed(slip=0.1)):
+        motions, covariances = model.accumulate(controls, dt, np.arange(51))
+        assert np.array_equal(motions, model.f(origin, controls, dt))
+        assert np.array_equal(covariances, model.covariance(origin, controls, dt))
 
 
 def test_accumulated_covariance_against_samples():

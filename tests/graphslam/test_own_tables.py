@@ -15,6 +15,10 @@ T = np.arange(0, 20.01, 0.1)
 NU, OMEGA = 0.5 + 0.1 * np.sin(T), 0.3 * np.cos(T / 3)
 SEEN = [(0.2, 3, 2.0, 0.1), (0.2, 4, 3.0, -0.5), (1.0, 3, 1.7, 0.2), (5.0, 4, 2.5, 0.7), (9.0, 5, 1.0, -1.0)]
 SEEN += [(9.5, 3, 4.0, 1.2), (12.0, 5, 2.2, 0.3)]
+UNSEEN = (
+    "the odometry of 0.2 s before the first sighting and 8.0 s after the last sighting is left out: poses are where "
+    "something was seen"
+)
 
 
 def text(header, rows, separator=","):
@@ -48,7 +52,7 @@ def test_the_numbers_are_those_of_the_tables(expected):
     np.testing.assert_array_equal(expected.sightings, [row[2:] for row in SEEN])
     assert expected.landmarks.tolist() == [3, 4, 3, 4, 5, 3, 5]
     np.testing.assert_array_equal(expected.controls[0], [NU[2], OMEGA[2]])
-    assert expected.notes == ()
+    assert expected.notes == (UNSEEN,)
     assert expected.name == "drive"
 
 
@@ -187,7 +191,7 @@ def test_rows_are_sorted_with_a_note(drive, expected):
     lines[40], lines[41] = lines[41], lines[40]
     log = load(drive(odometry="\n".join(lines)))
     assert log.equals(expected)
-    (note,) = log.notes
+    note, _ = log.notes
     assert "odometry.csv:42: time runs backwards (3.900 s comes after 4.000 s); the rows were sorted" in note
 
 
@@ -254,6 +258,33 @@ def test_landmarks_with_names(drive):
 
 
 COLOURS = ["blue", "yellow", "blue, large", "", "yellow", "nan", "blue"]
+
+
+def test_landmarks_with_names_in_the_map(drive):
+    """Names count once for both tables, whichever landmarks each of them has."""
+    seen = text("t,id,range,bearing", [(t, {3: "door", 4: "lamp", 5: "tree"}[j], r, b) for t, j, r, b in SEEN])
+    log = load(drive(sightings=seen, map="id,x,y\ntree,5,5\nbox,1,1\nlamp,4,4\n"))
+    of_names = dict(zip(("door", "lamp", "tree"), log.landmarks[[0, 1, 4]].tolist()))
+    assert {j: place[0] for j, place in log.true_landmarks.items()} == {of_names["tree"]: 5, of_names["lamp"]: 4, 3: 1}
+    with pytest.raises(FormatError, match=r"map.csv:4: landmark tree is in the map twice"):
+        load(drive(sightings=seen, map="id,x,y\ntree,5,5\nbox,1,1\ntree,4,4\n"))
+    with pytest.raises(FormatError, match=r"map.csv:3: the id 'id' is empty; each landmark of the map needs one"):
+        load(drive(sightings=seen, map="id,x,y\ntree,5,5\n,1,1\n"))
+
+
+@pytest.mark.parametrize("names", [{3: 3, 4: "", 5: 5}, {3: "door", 4: "", 5: "tree"}, {3: 2**60 + 1, 4: "", 5: 5}])
+def test_sightings_that_have_ids_in_part(drive, names):
+    log = load(drive(sightings=text("t,id,range,bearing", [(t, names[j], r, b) for t, j, r, b in SEEN])))
+    np.testing.assert_array_equal(log.landmarks == UNIDENTIFIED, [j == 4 for _, j, *_ in SEEN])
+    assert log.notes[0].endswith("sightings.csv: 2 of 7 rows have no id")
+    assert log.landmarks[0] == (0 if names[3] == "door" else names[3])
+
+
+def test_an_id_that_may_mean_none_is_told(drive):
+    log = load(drive(sightings=text("t,id,range,bearing", [(t, -1 if j == 4 else j, r, b) for t, j, r, b in SEEN])))
+    assert log.notes[0].endswith(
+        "sightings.csv: the id -1 is a landmark like others; leave it empty where none was identified"
+    )
 
 
 def with_column(name, values):
@@ -483,10 +514,10 @@ def test_what_is_stated_is_not_refused(drive):
 def test_sightings_without_ids_are_remarked(drive):
     log = load(drive(sightings=text("t,range,bearing", [(t, r, b) for t, _, r, b in SEEN])))
     assert not log.identified
-    (note,) = log.notes
+    note, _ = log.notes
     assert note.endswith(
         "sightings.csv: no column for id (named id or landmark or landmark_id, ...), so no landmark is identified; it has "
-        "t, range, bearing. Say which it is: --columns sightings.id=NAME"
+        "t, range, bearing. If one has them, say which: --columns sightings.id=NAME"
     )
 
 

@@ -159,10 +159,14 @@ def test_rows_that_run_backwards_a_little_are_sorted_and_said():
     expected = synchronize(straight, seen(1.0, 2.0, 2.5), np.array([7, 8, 9]))
     log = synchronize(mixed, seen(1.0, 2.5, 2.0), np.array([7, 9, 8]))
     assert log.equals(expected)
-    assert expected.notes == ()
+    (unseen,) = expected.notes
+    assert unseen.startswith(
+        "the odometry of 1.0 s before the first sighting and 7.5 s after the last sighting is left out"
+    )
     assert log.notes == (
         "1 row of the odometry runs backwards, by at most 0.1 s: sorted by time",
         "1 row of the sightings runs backwards, by at most 0.5 s: sorted by time",
+        unseen,
     )
 
 

@@ -1,0 +1,90 @@
+"""The column of ids: whole numbers, words, or nothing where a landmark was not identified."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..checks import first
+from ..errors import LogError
+from ..reading import UNIDENTIFIED
+from .grid import MISSING
+from .table import Table
+
+#: cells without an id or a class, in small letters
+EMPTY = (*(cell.decode() for cell in MISSING), "nan", "<na>")
+
+
+@dataclass(frozen=True)
+class Ids:
+    """The ids of the rows of a table.
+
+    Attributes:
+        numbers: (N,) of the landmarks; `UNIDENTIFIED` where the cell is empty.
+        names: {name: number} where landmarks have names that do not tell their number.
+        notes: one sentence each.
+    """
+
+    numbers: np.ndarray
+    names: dict[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def ids_of(table: Table, column: int, known: Mapping[str, int] | None = None) -> Ids:
+    """The ids in a column of a table.
+
+    Args:
+        table: of sightings, or of the true map.
+        column: its number.
+        known: numbers of landmarks that have names in another table, which stay.
+
+    Raises:
+        LogError: an id is a number, but not a whole one.
+    """
+    try:
+        values = table.numbers([column])[:, 0]
+    except LogError:
+        words = table.words(column)
+        empty = np.isin(np.char.lower(words), EMPTY)
+        numbers, names = _of_names(words[~empty], known or {})
+    else:
+        names, empty = {}, np.isnan(values)
+        if (k := first(~empty & (values % 1 != 0))) is not None:
+            order = "" if table.names else ": is the order of the columns t, id, range, bearing?"
+            shown = f"{values[k]:g}"
+            raise table.error(k, f"the id {table.title(column)} is {shown}, but ids are whole numbers or words{order}")
+        large = np.any(np.abs(values[~empty]) >= 2.0**53)
+        numbers = (table.words(column) if large else values)[~empty].astype(np.int64)
+    ids = np.full(len(table), UNIDENTIFIED)
+    ids[~empty] = numbers
+    notes: tuple[str, ...] = ()
+    if empty.any():
+        notes = (f"{table.source}: {empty.sum()} of {len(table)} rows have no id",)
+    if np.any(numbers == -1) and numbers.min(initial=0) == -1:
+        notes = (
+            *notes,
+            f"{table.source}: the id -1 is a landmark like others; leave it empty where none was identified",
+        )
+    if names:
+        listed = ", ".join(f"{number} = {name}" for name, number in list(names.items())[:10])
+        notes = (*notes, f"{table.source}: landmarks have names, ids count them: {listed}")
+    return Ids(ids, names, notes)
+
+
+def _of_names(words: np.ndarray, known: Mapping[str, int]) -> tuple[np.ndarray, dict[str, int]]:
+    """Numbers (N,) of landmarks that have names, and what they stand for where the names do not tell them.
+
+    They are the number at the end of each name where these differ, and else count the names. Names that are known keep
+    their number, and others get the next ones.
+    """
+    unique, which = np.unique(words, return_inverse=True)
+    listed = [str(name) for name in unique]
+    ends = [name[len(name.rstrip("0123456789")) :] for name in listed]
+    if not known and all(ends) and len({int(end) for end in ends}) == len(listed):
+        return np.array([int(end) for end in ends], dtype=np.int64)[which], {}
+    begin = max(known.values(), default=-1) + 1
+    new = {name: begin + k for k, name in enumerate(name for name in listed if name not in known)}
+    names = {**known, **new}
+    return np.array([names[name] for name in listed], dtype=np.int64)[which], names
