@@ -132,8 +132,6 @@ def test_a_noise_file_counts_by_its_content(folder: Path) -> None:
 def test_noise_auto_is_executed(folder: Path) -> None:
     text = 'estimators = ["graph"]\n[simulate]\nsteps = 40\nclean = true\n[options]\nnoise = "auto"\n'
     (folder / "auto.toml").write_text(text)
-        'estimators = ["graph"]\n[simulate]\nsteps = 40\nclean = true\n[options]\nnoise = "auto"\n'
-    )
     outcome = comparisons.sweep(folder / "auto.toml", jobs=0)
     assert (outcome.ran, outcome.failed) == (1, 0)
 
