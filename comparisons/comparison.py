@@ -121,7 +121,7 @@ class Comparison(Displayed):
 
     @property
     def noise_source(self) -> dict[str, str]:
-        """Where each noise model comes from: "book" for the defaults, "log" for one published with the log, or "given"."""
+        """Where each noise model comes from: "book" for the defaults, "log" for one of the log or its reader, or "given"."""
         return {
             name: "book"
             if _noise(used) == _noise(MODELS[name]())

@@ -18,6 +18,7 @@ from graphslam import (
     Log,
     LogError,
     OptionError,
+    SensorModel,
     calibrate,
     load,
     sample_log_path,
@@ -55,7 +56,8 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
     motion, sensor = data.motion, data.sensor
     values: dict[str, Any] = dict(CORRECTIONS)
     if options.noise == AUTO:
-        data, found = _calibrated(data)
+        # the sensor of the options has the place of the sensor
+        data, found = _calibrated(data, options.models(motion, sensor)[1])
         if found is not None:
             motion, sensor = found.motion, found.sensor
             values |= found.corrections
@@ -77,12 +79,12 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
     return data, source, replace(options, motion=motion, sensor=sensor, noise=None, numbers=others, **corrected)
 
 
-def _calibrated(log: Log) -> tuple[Log, Calibration | None]:
+def _calibrated(log: Log, sensor: SensorModel) -> tuple[Log, Calibration | None]:
     """The noise of a log from its own residuals, None where its checks fail; and the log with a note that says so."""
     kept = "kept the noise models of the log" if log.motion or log.sensor else "kept the book's noise models"
     found = None
     try:
-        found = calibrate(log, source="residuals")
+        found = calibrate(log, source="residuals", sensor=sensor)
         reason = "; ".join(found.doubts)
         if found.range_scale != 1 and not reason:
             reason = (

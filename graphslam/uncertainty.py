@@ -32,8 +32,8 @@ class Uncertainty:
     def _factor(self) -> Factor:
         system = self._graph.information(self._state)
         try:
-            # a separate factor, because the next solve overwrites that of the system
-            return system.symbolic.factorize(system.values.copy())
+            # the next solve would overwrite that of the system
+            return system.own_factor()
         except FactorizationError as error:
             raise undetermined(self._graph, self._state, error) from None
 

@@ -142,7 +142,7 @@ class NoiseDocument(Document):
 
     source: Annotated[
         Literal["book", "log", "given"],
-        about("book: the defaults, those of the book; log: published with the log; given: by options or a noise file"),
+        about("book: the defaults; log: those of the log or its reader; given: by options or a noise file"),
     ]
     model: Annotated[dict[str, Any], about("fields of `graphslam.MotionModel` or `graphslam.SensorModel`")]
 

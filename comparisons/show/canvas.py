@@ -61,7 +61,9 @@ def save_figure(figure: Figure, paths: Sequence[str | PathLike[str]]) -> None:
     Raises:
         FormatError: a file cannot be written.
     """
-    with paper_style():
+    with paper_style(), matplotlib.rc_context({"figure.constrained_layout.use": False}):
+        # the figure is laid out already: with a layout engine, each file would be laid out and drawn once more
+        figure.set_layout_engine(None)
         for path in map(Path, paths):
             metadata = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(path.suffix.lower(), {})
             with write_whole(path) as temporary:

@@ -209,7 +209,7 @@ def _exchanged(comparison: Comparison) -> list[str]:
 
 def _noise_remarks(comparison: Comparison) -> list[str]:
     """Which noise models were used, and what J per degree of freedom says about them."""
-    names = {"book": "the book's", "log": "published with the log", "given": "as given"}
+    names = {"book": "the book's", "log": "those of the log or its reader", "given": "as given"}
     if any(note.startswith(AUTO_TOOK) for note in comparison.log.notes):
         names["given"] = "calibrated from the residuals of this log"
     sources = {name: names[source] for name, source in comparison.noise_source.items()}

@@ -82,6 +82,16 @@ class BlockSystem:
         """
         return self._factor.refactorize(self.values, damping=damping)
 
+    def own_factor(self) -> Factor:
+        """Omega = L L' in memory of its own: it becomes the caller's, and the next call of `factorize` takes other memory.
+
+        Raises:
+            SingularPivot: the edges leave a direction free.
+        """
+        factor = self.factorize()
+        del vars(self)["_factor"]
+        return factor
+
     def hold(self, nodes: np.ndarray) -> None:
         """Take nodes out of the system: their rows and columns become those of the identity, their xi zero."""
         key = tuple(nodes.tolist())

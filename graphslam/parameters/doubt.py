@@ -38,5 +38,5 @@ def doubt_of_turns(graph: Graph, state: Array, uncertainty: Uncertainty) -> str:
         "the motions vary much less than the motion model allows: J of their edges is "
         f"{cost / expected:.2f} of its expected value. Noise of the sightings may then appear as turns of the robot, "
         f"so do not rely on {', '.join(names)}. Give the motion model the noise of the robot, "
-        "for example with slam-compare calibrate"
+        "for example with slam-compare calibrate, which needs to know the place of the sensor (--sensor-offset)"
     )

@@ -12,7 +12,6 @@ from ..reading import UNIDENTIFIED
 from ..se2 import Array
 from .distances import Distances
 from .finding import Finding
-from .readings import moves
 
 #: a landmark is compared with those seen within this way before, [rad] turned plus [ranges] driven, among so many sightings
 _WAY, _BACK = 0.6, 40
@@ -77,22 +76,28 @@ def _change(keys: np.ndarray, steps: np.ndarray, values: Array, scale: Array) ->
     order = np.lexsort((steps, *keys.T))
     keys, steps, values, scale = keys[order], steps[order], values[order], scale[order]
     first = np.flatnonzero(np.append(True, np.any(np.diff(keys, axis=0) != 0, axis=1)))
+    count = np.diff(np.append(first, len(keys)))
+    # about the mean of each, because squares are subtracted from each other
+    values = values - np.repeat(np.add.reduceat(values, first) / count[:, None], count, axis=0)
+    sums = np.column_stack([np.ones(len(values)), values, values**2])
+    total, size = np.add.reduceat(sums, first), np.add.reduceat(scale, first) / count
     best = (0, 0, 0)
     for k in np.unique(np.quantile(steps, np.linspace(0.02, 0.98, _TRIED), method="nearest")).tolist():
-        sides = []
-        for side in (steps < k, steps >= k):
-            n = np.add.reduceat(side.astype(float), first)
-            mean = np.add.reduceat(values * side[:, None], first) / np.maximum(n, 1)[:, None]
-            square = np.add.reduceat(values**2 * side[:, None], first) / np.maximum(n, 1)[:, None]
-            sides.append((n, mean, n * np.sum(square - mean**2, axis=1)))
-        (n, before, spread), (m, after, spread_after) = sides
+        until = np.add.reduceat(sums * (steps < k)[:, None], first)
+        (n, before, spread), (m, after, spread_after) = _moments(until), _moments(total - until)
         both = (n > 0) & (m > 0)
-        noise = np.sqrt(np.maximum((spread + spread_after) / (n + m), 0))
-        size = np.add.reduceat(scale, first) / (n + m)
+        noise = np.sqrt(np.maximum((spread + spread_after) / count, 0))
         changed = both & (np.linalg.norm(before - after, axis=1) > np.maximum(_CHANGE * size, _SPREAD * noise))
         if 2 * np.sum(changed) - np.sum(both) > 2 * best[1] - best[2]:
             best = k, int(np.sum(changed)), int(np.sum(both))
     return best if best[1] > _FEWEST else None
+
+
+def _moments(sums: Array) -> tuple[Array, Array, Array]:
+    """Number (n,), mean (n, c) and sum of squares about the mean (n,), from the sums (n, 1 + 2 c) of 1, x and x²."""
+    n, c = sums[:, 0], sums.shape[1] // 2
+    mean, square = (part / np.maximum(n, 1)[:, None] for part in (sums[:, 1 : c + 1], sums[:, c + 1 :]))
+    return n, mean, n * np.sum(square - mean**2, axis=1)
 
 
 def _in_one_place(log: Log) -> tuple[int, str] | None:
@@ -103,11 +108,11 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
     steps, ids, sightings = log.steps[known], log.landmarks[known], log.sightings[known, :2]
     driven = np.abs(log.controls) @ [1 / float(np.median(sightings[:, 0])), 1.0] * log.dt
     way = np.concatenate([[0.0], np.cumsum(driven)])[log.control_starts][steps]
-    poses, sensor = log.dead_reckoning()[steps], log.sensor or SensorModel()
+    places = (log.sensor or SensorModel()).h_inverse(log.dead_reckoning()[steps], sightings)[:, :2]
 
     def apart(a: np.ndarray, b: np.ndarray) -> Array:
-        both = np.stack([a, b])
-        return np.where(way[b] - way[a] <= _WAY, moves(sensor, poses[both], sightings[both]), np.inf)
+        distance = np.linalg.norm(places[a] - places[b], axis=1)
+        return np.where(way[b] - way[a] <= _WAY, distance / np.maximum(sightings[a, 0], sightings[b, 0]), np.inf)
 
     own = _previous(ids)
     error = np.where(own >= 0, apart(np.maximum(own, 0), np.arange(len(ids))), np.inf)
@@ -136,8 +141,9 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
         after = np.arange(k, np.searchsorted(way, way[k] + _WAY / 2, side="right"))
         after = after[(partner[after] < k) & (partner[after] >= 0)]
         changed = after[new[after]]
-        changed = changed[np.unique(ids[changed], return_index=True)[1]]
-        changed = changed[np.unique(partner[changed], return_index=True)[1]]
+        if len(changed) > 1:
+            changed = changed[np.unique(ids[changed], return_index=True)[1]]
+            changed = changed[np.unique(partner[changed], return_index=True)[1]]
         times.append((len(changed), int(np.sum(stays[after])), np.sort(changed)))
     if not times:
         return None

@@ -29,8 +29,40 @@ def rotation_first(graph: Graph) -> Array:
     Raises:
         GraphError: the edges do not connect all headings (no psi and no motion edges, for instance).
     """
-    state = graph.initial.copy()
+    state, system = graph.initial.copy(), graph.system
     held = _held(graph, state)
+    headings = _followed(graph, state, held)
+    if headings is None:
+        _solve_headings(graph, state, held)
+    else:
+        state[:, 2] = headings
+
+    system.clear()
+    position = np.zeros((graph.num_nodes, 2))
+    position[held] = state[held, :2]
+    for family in graph.families:
+        offset = family.positions(state)
+        if offset is not None:
+            _add_positions(*_ends(system, offset), position, system.values, system.xi)
+    state[:, :2] = position + _solved(graph, system, held)[:, :2]
+    return state
+
+
+def _followed(graph: Graph, state: Array, held: np.ndarray) -> Array | None:
+    """The headings (n,) where each edge leads to one more node, in the order of the edges: without loops all can be met."""
+    headings, known = state[:, 2].copy(), np.zeros(graph.num_nodes, dtype=bool)
+    known[held] = True
+    for family in graph.families:
+        edges = family.headings()
+        if edges is not None and not _follow(
+            edges.first, edges.second, edges.value, edges.information, headings, known
+        ):
+            return None
+    return headings if known[: len(graph.steps)].all() else None
+
+
+def _solve_headings(graph: Graph, state: Array, held: np.ndarray) -> None:
+    """Write the headings by linear least squares on unit vectors into a state (n, 3)."""
     system = graph.system
     system.clear()
     tied = np.zeros(graph.num_nodes, dtype=bool)
@@ -51,16 +83,6 @@ def rotation_first(graph: Graph) -> Array:
     # a held heading keeps its own value, with its full turns
     tied[held] = False
     _turn(state, tied, unit, correction)
-
-    system.clear()
-    position = np.zeros((graph.num_nodes, 2))
-    position[held] = state[held, :2]
-    for family in graph.families:
-        offset = family.positions(state)
-        if offset is not None:
-            _add_positions(*_ends(system, offset), position, system.values, system.xi)
-    state[:, :2] = position + _solved(graph, system, held)[:, :2]
-    return state
 
 
 def dead_reckoning(graph: Graph) -> Array:
@@ -147,6 +169,21 @@ def _solved(graph: Graph, system: BlockSystem, held: np.ndarray) -> Array:
         raise GraphError(
             f"initialize='rotation-first' needs edges that tie all nodes; nothing holds {graph.names(np.array([error.node]))}"
         ) from None
+
+
+@njit(cache=True, error_model="numpy")
+def _follow(first, second, turn, information, headings, known):  # type: ignore[no-untyped-def]
+    """Write the headings along edges between a known node and another one, which is known then; False at any other edge."""
+    for k in range(len(first)):
+        i, j = first[k], second[k]
+        if known[i] == known[j] or not information[k] > 0:
+            return False
+        if known[i]:
+            headings[j] = kernels.wrap(headings[i] + turn[k])
+        else:
+            headings[i] = kernels.wrap(headings[j] - turn[k])
+        known[i] = known[j] = True
+    return True
 
 
 @njit(cache=True, error_model="numpy")

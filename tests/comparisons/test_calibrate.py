@@ -199,6 +199,24 @@ def test_noise_auto_says_what_it_took(invoke: Invoke, tmp_path: Path) -> None:
     assert "Noise models: calibrated from the residuals of this log." in text
 
 
+def test_noise_auto_heeds_the_place_of_the_sensor() -> None:
+    ahead = SensorModel(range_rate=0.02, bearing_std=0.01, offset=(0.5, 0.2))
+    log = simulate(
+        seed=2,
+        steps=80,
+        clean=True,
+        orientation=False,
+        motion=MotionModel(nn=0.02, no=0.001, on=0.01, oo=0.02),
+        sensor=ahead,
+    )
+    found = comparisons.run(
+        log.replace(motion=None, sensor=None), noise="auto", sensor_offset=(0.5, 0.2), estimators="dead-reckoning"
+    ).options
+    known = calibrate(log.replace(motion=None, sensor=None), source="residuals", sensor=SensorModel(offset=(0.5, 0.2)))
+    assert found.sensor == known.sensor and found.sensor.offset == (0.5, 0.2)
+    assert found.sensor.bearing_std == pytest.approx(0.01, rel=0.2)
+
+
 def test_better_noise_is_offered_where_that_of_the_book_does_not_fit(invoke: Invoke, tmp_path: Path) -> None:
     log = simulate(seed=2, steps=80, clean=True, orientation=False)
     precise = simulate(

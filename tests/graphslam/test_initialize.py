@@ -22,7 +22,7 @@ from graphslam import (
 from graphslam.se2 import wrap
 from graphslam.solvers.growing import grown
 from graphslam.solvers.solve import starting_state
-from graphslam.solvers.start import dead_reckoning, rotation_first
+from graphslam.solvers.start import _followed, _held, _solve_headings, dead_reckoning, rotation_first
 from graphslam.solvers.turns import turned
 from graphslam.transform import first_poses
 
@@ -287,6 +287,34 @@ def test_cartesian_landmark_nodes_have_no_singular_place(dimensions):
     ours = solve(graph.with_initial(start), initialize="given")
     assert ours.converged
     assert ours.cost == pytest.approx(best.cost, rel=1e-9)
+
+
+def chain(tmp_path, loop=""):
+    """Ten poses in a chain, of whose edges every third points backwards; node 4 is fixed at a heading beyond half a turn."""
+    rng = np.random.default_rng(0)
+    lines = [f"VERTEX_SE2 {k} {k} 0 0" for k in range(10)] + ["FIX 4"]
+    for k in [4, 5, 6, 7, 8, 3, 2, 1, 0]:
+        i, j = (k + 1, k) if k % 3 == 0 else (k, k + 1)
+        x, y, theta = rng.uniform(-2, 2, 3)
+        lines.append(f"EDGE_SE2 {i} {j} {x} {y} {theta} 2 0.1 0.2 3 0.3 {k + 1}")
+    path = tmp_path / "chain.g2o"
+    path.write_text("\n".join(lines) + "\n" + loop, encoding="utf-8")
+    graph = Graph.from_g2o(path)
+    return graph.with_initial(graph.initial + [0, 0, 9.0])
+
+
+def test_headings_without_loops_are_followed_along_the_edges(tmp_path):
+    """They are those of least squares, which can meet every edge."""
+    graph = chain(tmp_path)
+    state, held = graph.initial.copy(), _held(graph, graph.initial.copy())
+    headings = _followed(graph, state, held)
+    _solve_headings(graph, state, held)
+    assert headings is not None
+    assert headings[4] == 9.0
+    np.testing.assert_allclose(wrap(headings - state[:, 2]), 0, atol=1e-12)
+    assert graph.cost(rotation_first(graph)) < 1e-20
+    looped = chain(tmp_path, "EDGE_SE2 0 9 1 2 3 1 0 0 1 0 1\n")
+    assert _followed(looped, looped.initial.copy(), held) is None
 
 
 def test_other_turns_lead_out_of_a_wrong_minimum():
