@@ -17,12 +17,13 @@ from graphslam import OnlineSolver, SlamError
 
 def main() -> None:
     """Read lines until the end; what is refused is reported with its line, and the run goes on."""
-    solver, began, control, seen = OnlineSolver(), 1, None, []
+    solver, began, seen = OnlineSolver(), 1, []
+    # what is seen before the first motion is seen from the first pose
+    moved: dict = {"pose": 0}
 
     def take() -> None:
-        if control is None and not seen:
+        if "control" not in moved and not seen:
             return
-        moved = {"pose": 0} if control is None else {"control": control[:2], "dt": control[2]}
         ids, sightings = [landmark for landmark, _ in seen], [z for _, z in seen]
         try:
             pose = solver.step(**moved, ids=ids, sightings=sightings)
@@ -36,16 +37,21 @@ def main() -> None:
         match line.split():
             case ["u", *words] if len(words) == 3 and all(map(is_number, words)):
                 take()
-                began, control, seen = number, [float(word) for word in words], []
+                nu, omega, dt = map(float, words)
+                began, moved, seen = number, {"control": (nu, omega), "dt": dt}, []
             case ["z", landmark, *words] if (
                 landmark.removeprefix("-").isdecimal() and len(words) in (2, 3) and all(map(is_number, words))
             ):
                 seen.append((int(landmark), [float(word) for word in words]))
             case []:
                 pass
-            case _:
+            case [kind, *_]:
                 wanted = "u nu omega dt, or z id range bearing [psi]"
                 print(f"line {number}: expected {wanted}, not {line.strip()!r}; left out", file=sys.stderr)
+                if kind == "u":
+                    # what is seen after an unknown motion is not seen from the pose before it, and is refused, too
+                    take()
+                    began, moved, seen = number, {}, []
     take()
     for landmark, mark in solver.landmarks.items():
         print("landmark", landmark, *(f"{value:.4f}" for value in mark))

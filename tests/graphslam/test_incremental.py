@@ -414,6 +414,8 @@ def test_the_example_goes_on_after_lines_that_are_refused(
         "",
         "u 1 0.1 1",
         "z 7 1 0.9",
+        "u 1 0.1",
+        "z 8 1 0.9",
     ]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(lines)))
     runpy.run_path(str(Path(__file__).parents[2] / "examples" / "online.py"), run_name="__main__")
@@ -423,5 +425,7 @@ def test_the_example_goes_on_after_lines_that_are_refused(
     assert poses[2][0] > poses[1][0] > poses[0][0] > 0
     assert printed.out.splitlines()[-1].startswith("landmark 7 ")
     refused = printed.err.splitlines()
-    assert [line.split(":")[0] for line in refused] == ["line 6", "line 7", "line 5"]
+    assert [line.split(":")[0] for line in refused] == ["line 6", "line 7", "line 5", "line 11", "line 11"]
     assert "dt must be a positive number, not -1.0" in refused[2]
+    # what is seen after a motion that cannot be read has no pose
+    assert "a step needs a motion" in refused[4]
