@@ -88,7 +88,8 @@ def simulate(
         world: the course, the landmarks and the camera; default: the book's.
         motion_faults, sensor_faults: faults of wheels and camera; default: the book's noise and biases.
         motion, sensor: the noise models of a clean world, x_t ~ N(f(x, u), A M A' + S + epsilon I), S the slip, and
-            z ~ N(h, Q) with Q at the true range (the estimators know only the measured one); default: the estimators' defaults.
+            z ~ N(h, Q) with Q at the true range (the estimators know only the measured one); default: the estimators'
+            defaults.
         seed: random seed, or a generator.
         name: the name of the log.
         options: fields of `World` that differ from ``world``, such as ``steps=60`` or ``clean=True``.
