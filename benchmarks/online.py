@@ -19,6 +19,7 @@ import numpy as np
 from graphslam import Graph, GraphError, Log, MotionModel, OnlineSolver, SensorModel, load, solve
 from graphslam.edges import AnchorEdges, CartesianObservationEdges, RelativePoseEdges
 from graphslam.incremental.stream import OnlineEstimate, steps_of
+from graphslam.se2 import compose, wrap
 from graphslam.transform import first_poses
 
 #: the noise of benchmarks/real_logs.py for MR.CLAM, set by hand
@@ -158,6 +159,51 @@ def pose_graph(path: Path, steps: int, sample: float) -> None:
     report(path.stem, seconds, gaps)
 
 
+def endless(steps: int, lag: int | None) -> None:
+    """Time and memory of a robot that drives in a circle among twenty landmarks, and sees those up to 5 m away."""
+    rng, sensor, pose, move = np.random.default_rng(0), SensorModel(), np.zeros(3), np.array([0.3, 0.0, 0.05])
+    marks, std = rng.uniform((-10, -4), (10, 16), (20, 2)), np.array([0.03, 0.02, 0.02])
+    solver, seconds = OnlineSolver(sensor=sensor, lag=lag), []
+    for step in range(1, steps + 1):
+        pose = compose(pose, move)
+        ranges = np.hypot(*(marks - pose[:2]).T)
+        ids = np.flatnonzero((ranges > 0.3) & (ranges < 5.0))
+        bearings = np.arctan2(*(marks[ids] - pose[:2]).T[::-1]) - pose[2]
+        z = np.column_stack([ranges[ids], bearings])
+        z *= 1 + np.outer(rng.normal(0, 0.14, len(ids)), (1, 0))
+        z[:, 1] += rng.normal(0, 0.05, len(ids))
+        z[:, 0] = np.maximum(z[:, 0], 0.1)
+        begin = time.process_time()
+        solver.step(motion=move + rng.normal(0, std), covariance=np.diag(std**2), ids=ids, sightings=z)
+        seconds.append(time.process_time() - begin)
+        if step in (1000, 10_000, 30_000, steps):
+            system, recent = solver._system, 1e3 * np.array(seconds[-1000:])
+            size = sum(part.nbytes for part in (system.nodes, system.edges, *system.tree)) / 2**20
+            print(
+                f"lag {lag}: step {step:6}, {np.median(recent):.2f} ms median, {np.quantile(recent, 0.99):.1f} ms 99 %",
+                end=", ",
+            )
+            print(f"nodes, edges and tree {size:.1f} MiB, {np.hypot(*(solver.pose - pose)[:2]):.3f} m off", flush=True)
+
+
+def lags(name: str, graph: Graph, steps: int) -> None:
+    """The last pose with a lag, against the one without."""
+    poses = {}
+    for lag in (None, 200, 50):
+        seconds, iterator = [], steps_of(graph, lag=lag)
+        newest = []
+        for _ in range(steps):
+            begin = time.process_time()
+            newest.append(next(iterator).pose)
+            seconds.append(time.process_time() - begin)
+        poses[lag] = np.array(newest)
+        ms, off = 1e3 * np.array(seconds[1:]), poses[lag] - poses[None]
+        far, turned = np.hypot(off[:, 0], off[:, 1]), np.abs(wrap(off[:, 2]))
+        print(f"{name}, lag {lag}: {np.median(ms):.2f} ms median, newest pose off by", end=" ")
+        print(f"{np.median(far):.4f} m median, {far.max():.3f} m most,", end=" ")
+        print(f"{np.median(turned):.4f} rad median, {turned.max():.3f} rad most", flush=True)
+
+
 def main() -> None:
     """All logs, or one."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -167,7 +213,13 @@ def main() -> None:
     parser.add_argument("--sample", type=float, default=0.1)
     parser.add_argument("--kernel")
     parser.add_argument("--isam2", action="store_true")
+    parser.add_argument("--endless", type=int, metavar="STEPS", help="only: time and memory on a known map")
+    parser.add_argument("--lag", type=int, help="of --endless")
+    parser.add_argument("--lags", action="store_true", help="only: what lags of 50 and 200 steps do")
     options = parser.parse_args()
+    if options.endless:
+        endless(options.endless, options.lag)
+        return
     for name, read in logs(options.data).items():
         if options.only not in (None, name):
             continue
@@ -175,6 +227,9 @@ def main() -> None:
         graph = Graph.from_log(log, edges="landmark+motion", kernel=options.kernel, **models)
         steps = min(options.steps, log.num_poses)
         sampled = set(np.random.default_rng(0).choice(steps, int(options.sample * steps), replace=False).tolist())
+        if options.lags:
+            lags(name, graph, steps)
+            continue
         assert any(isinstance(family, CartesianObservationEdges) for family in graph.families)
         try:
             ours(name, graph, steps, sampled)
@@ -182,7 +237,7 @@ def main() -> None:
             print(f"{name:28} fails: {error}")
         if options.isam2:
             isam2(name, graph, steps)
-    if options.only in (None, "city10000"):
+    if options.only in (None, "city10000") and not options.lags:
         pose_graph(options.data / "posegraph" / "city10000.g2o", options.steps, options.sample)
 
 

@@ -189,13 +189,13 @@ def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 
 def online(log: Log, options: RunOptions) -> EstimatorResult:
     """The hand-written solver step by step through the log, at the optimum of the graph with landmark nodes after each."""
-    solution = graphslam.solve_by_steps(_online_graph(log, options))
+    solution = graphslam.solve_by_steps(_online_graph(log, options), lag=options.lag)
     return replace(_of_solution("online", log, options, solution), converged=None)
 
 
 def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineEstimate]:
     """The estimates of `online` after every step."""
-    return graphslam.steps_of(_online_graph(log, options))
+    return graphslam.steps_of(_online_graph(log, options), lag=options.lag)
 
 
 def _online_graph(log: Log, options: RunOptions) -> Graph:
@@ -398,7 +398,7 @@ ESTIMATORS: dict[str, Estimator] = {
     ),
     "graph-no-kernel": Estimator(graph_no_kernel, tuple(name for name in _SOLVED if name != "kernel"), on_request=True),
     "gtsam": Estimator(gtsam_estimator, _SOLVED, _gtsam_seconds),
-    "online": Estimator(online, ("motion_weight", "kernel"), on_request=True),
+    "online": Estimator(online, ("motion_weight", "kernel", "lag"), on_request=True),
     "isam2": Estimator(
         isam2, tuple(name for name in _SOLVED if name not in ("initialize", "estimate")), _isam2_seconds
     ),

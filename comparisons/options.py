@@ -150,6 +150,16 @@ class GraphOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class OnlineOptions(Options):
+    """The estimator ``online``."""
+
+    panel = "Graph"
+    lag: int | None = option(
+        None, "Steps after which online marginalises a pose, which is then final.", minimum=1, default_text="never",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
 class FrontEndOptions(Options):
     """What finds the ids of sightings for estimators that solve graphs, where the log has none or they are ignored."""
 
@@ -179,7 +189,7 @@ class SmootherOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions(FrontEndOptions, GraphOptions, LogOptions, SmootherOptions):
+class RunOptions(OnlineOptions, FrontEndOptions, GraphOptions, LogOptions, SmootherOptions):
     """All options of a run: reading, noise, graph, filters and smoother; ``comparisons.run(log, kernel="huber")``."""
 
     components = LogOptions.components | {"filter": (FilterOptions, FILTER)} | SmootherOptions.components

@@ -10,12 +10,13 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from graphslam.checks import suggestion
 from graphslam.errors import LogError, OptionError
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
@@ -94,6 +95,10 @@ class ParticleFilter(ABC):
         for name, value, kind in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
             if value is not None and not isinstance(value, kind):
                 raise OptionError(f"{name} must be a {kind.__name__}, not {value!r}")
+        known = [field.name for field in fields(FilterOptions)]
+        for name in keywords:
+            if name not in known:
+                raise OptionError(f"there is no option {name!r} of a particle filter{suggestion(name, known)}")
         self.options = replace(options or FilterOptions(), **keywords).for_ids(log is None or log.identified)
         self._check_options()
         self.particles = self.options.particles

@@ -323,6 +323,13 @@ class Graph:
         return poses, estimated
 
 
+def check_graph(graph: object, name: str = "graph") -> None:
+    """Raise `OptionError` unless the argument ``name`` is a graph; a log, for example, is none."""
+    if not isinstance(graph, Graph):
+        given = type(graph).__name__
+        raise OptionError(f"{name} must be a Graph, not a {given}; Graph.from_log and Graph.from_g2o make graphs")
+
+
 def _expected_cost(family: EdgeFamily) -> float:
     """The mean cost of the edges at the true state; a robust kernel lowers it even where the noise is Gaussian."""
     mean, kernel = family.numbers[1], getattr(family, "kernel", None)

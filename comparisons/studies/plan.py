@@ -207,7 +207,10 @@ def _methods(file: TomlFile, names: tuple[str, ...]) -> Iterator[tuple[str, str,
             if method not in methods:
                 methods.add(method)
                 options = {key: value for key, value in (fixed | varied).items() if key in used}
-                if "noise" in options and Path(options["noise"]) != AUTO:
+                if "noise" in options and Path(options["noise"]) == AUTO:
+                    # text, as the key and the database need it
+                    options["noise"] = str(AUTO)
+                elif "noise" in options:
                     numbers, ranges = read_noise(file.path.parent / options["noise"])
                     options["noise"] = numbers | ranges
                 yield name, method, options

@@ -202,6 +202,8 @@ def _starts(log: Log, start: Start | list[Start | None] | None) -> list[tuple[np
         if each is None:
             found.append((None, None))
             continue
+        if not isinstance(each, tuple) or len(each) != 2:
+            raise OptionError(f"a start must be a pair (ids, poses), not {each!r}")
         labels, poses = np.asarray(each[0]), np.asarray(each[1], dtype=float)
         if labels.shape != log.steps.shape or poses.shape != log.initial_poses.shape:
             raise OptionError(f"start must be {len(log.steps)} ids and poses of shape {log.initial_poses.shape}")

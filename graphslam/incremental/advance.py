@@ -15,10 +15,10 @@ from .linearize import CHANGED, EXACT, linearize
 from .passes import backward, forward, homes_around, reevaluate, solve_paths
 from .refactor import refactor
 
-#: in standard deviations of the edges of a node: edges are evaluated again where a node has moved by `APART`, and the
-#: tree is solved downwards where a separator has moved by `SHARE`, where J is `SMALL`. Both grow with its square root, in
-#: fine passes up to there, in coarse passes by no more than `COARSE`
-APART, SHARE, SMALL, COARSE = 0.005, 0.001, 600.0, 10.0
+#: in standard deviations of the edges of a node: edges are evaluated again where a node has moved by `APART`, where J
+#: is `SMALL`. It grows with the square root of J, in fine passes up to there, in coarse passes by no more than `COARSE`;
+#: these also solve the tree downwards only where a separator has moved as far
+APART, SMALL, COARSE = 0.005, 600.0, 10.0
 #: `APART` with a robust kernel, whose weights change faster with a node than its Jacobians do
 ROBUST_APART = 0.0015
 #: where a pass predicts more than `SLOW` times the decrease of the pass before, the limit beyond which an edge is linearised
@@ -29,7 +29,7 @@ SLOW, STRICTER, EASIER = 0.2, 0.1, 1.1
 #: passes slow along directions that are hardly determined, so that they are not in the factor otherwise
 DIVERGING, GROWS, NEAR, STRICT = 0.5, 1.5, 1e-6, 1e-4
 #: for so many passes second derivatives are convex once exact ones have made Omega indefinite
-HELD = 20
+HELD = 3
 #: the part of the tolerance that coarse passes may cost, and the most work that is allowed, as a part of J
 PRICE, MOST = 0.1, 1e-3
 #: by so much the largest ratio of what coarse passes cost to the square of their work falls with each fine pass, and that of
@@ -50,7 +50,7 @@ def advance(nodes, edges, tree, robust, buffers, memory, tolerance, apart, done,
     """
     work, moved, homes, late = buffers
     size = min(max(np.sqrt(memory[COST] / SMALL), 0.01), COARSE)
-    share, far, apart = SHARE * size, apart * size, apart * min(size, 1.0)
+    far, apart = apart * size, apart * min(size, 1.0)
     last, none, fine = np.inf, np.int64(0), memory[WORK] > memory[ALLOWED]
     first, renewed = fine, False
     memory[SHRINKS] *= FORGET
@@ -59,11 +59,11 @@ def advance(nodes, edges, tree, robust, buffers, memory, tolerance, apart, done,
             memory[HOLD] -= 1
             if memory[HOLD] == 0:
                 memory[EXACT_FROM] = EXACT
-        count = backward(nodes, tree, work, -1.0 if fine else share, apart if fine else far, moved, none)
+        count = backward(nodes, tree, work, -1.0 if fine else far, apart if fine else far, moved, none)
         if not fine and count > 0:
             # edges are evaluated where both ends are exact
             around = homes_around(moved, count, nodes, edges, tree, homes)
-            solve_paths(homes, around, nodes, tree, work, share)
+            solve_paths(homes, around, nodes, tree, work, far)
         changed, old = reevaluate(moved, count, nodes, edges, tree, robust, memory, homes, late)
         predicted = forward(homes, changed, nodes, tree, work)
         # J cannot fall by more than itself: far from any minimum, undamped passes lead nowhere
@@ -73,10 +73,10 @@ def advance(nodes, edges, tree, robust, buffers, memory, tolerance, apart, done,
             _allow(memory, predicted, PRICE * tolerance * memory[COST], MOST * memory[COST])
             first = False
         # what is left after this pass, if the predictions of further ones shrink as slowly as lately
-        memory[SHRINKS] = max(memory[SHRINKS], min(predicted / last, 0.9))
+        memory[SHRINKS] = max(memory[SHRINKS], min(predicted / last, 0.9), 0.75 if memory[CURVED_FROM] == 0.0 else 0.0)
         if predicted * max(1.0, memory[SHRINKS] / (1 - memory[SHRINKS])) <= tolerance * memory[COST]:
             if count > 0:
-                backward(nodes, tree, work, share, np.inf, moved, none)
+                backward(nodes, tree, work, far, np.inf, moved, none)
             else:
                 memory[LIMIT] = min(CHANGED, EASIER * memory[LIMIT])
             if not fine:
@@ -88,7 +88,7 @@ def advance(nodes, edges, tree, robust, buffers, memory, tolerance, apart, done,
             return DONE, k
         if predicted > (DIVERGING if renewed else SLOW) * last:
             near = GROWS * last < predicted < NEAR * memory[COST]
-            if near and renewed and memory[LIMIT] < STRICT and memory[CURVED_FROM] > 0.0:
+            if near and renewed and memory[HOLD] == 0 and memory[LIMIT] < STRICT and memory[CURVED_FROM] > 0.0:
                 memory[CURVED_FROM] = 0.0
             else:
                 # slow passes: more of the edges have to be linearised where they are

@@ -77,7 +77,8 @@ class OnlineSolver:
         self._num_final = 0
         self._landmarks: dict[int, int] = {}
         self._columns: int | None = None
-        self._time = -np.inf
+        #: the times of the latest step and of the newest pose, not a number where it is unknown
+        self._time, self._arrived = -np.inf, np.nan
         self._system.add_prior(0, _numbers("start", start, (3,)), ANCHOR_INFORMATION)
         self._system.solve(self._poses, [], self._poses)
 
@@ -123,26 +124,29 @@ class OnlineSolver:
             pose: the number of the known pose from which the landmarks are seen, instead of a motion.
             relations: loop closures (first, second, measured (3,), covariance (3, 3)) between poses. Without a motion the
                 first relation may lead to the next pose number, which is then new.
-            time: of the step [s]; with a control, dt may be left out, and time may not run backwards.
+            time: of the step [s]; it may not run backwards. With a control, dt may be left out where the time of the pose
+                before is known.
 
         Raises:
             OptionError: a value is impossible. GraphError: a pose is unknown or not determined.
                 The solver then is as it was before the step.
         """
         related = _relations(relations)
-        last, clock = self.num_poses - 1, self._time
-        if time is not None:
-            if not isinstance(time, Real) or not np.isfinite(time):
-                raise OptionError(f"time must be a finite number, not {time!r}")
-            if time <= clock:
-                raise OptionError(f"time runs backwards: {time!r} s after {clock!r} s")
-            if dt is None and np.isfinite(clock):
-                dt = time - clock
-            clock = time
+        last = self.num_poses - 1
         moves = (control is not None) + (motion is not None) + (pose is not None)
         created = next(
             (k for k, (i, j, *_) in enumerate(related) if max(i, j) == last + 1 and 0 <= min(i, j) <= last), None
         )
+        clock, arrived = self._time, self._arrived
+        travels = pose is None and (moves > 0 or created is not None)
+        if time is not None:
+            if not isinstance(time, Real) or not np.isfinite(time):
+                raise OptionError(f"time must be a finite number, not {time!r}")
+            if time < clock or (time == clock and travels):
+                raise OptionError(f"time runs backwards: {time!r} s after {clock!r} s")
+            if dt is None and np.isfinite(arrived):
+                dt = time - arrived
+            clock = time
         if moves > 1 or (moves == 0 and created is None and not (related and not np.size(ids))):
             raise OptionError(
                 "a step needs a motion: give a control and dt, a motion and its covariance, or a known pose"
@@ -181,7 +185,11 @@ class OnlineSolver:
         self._add(
             edge, seen[0], *self.edges_of(seen[1]), pose=pose, relations=(ends, loops, weights), backwards=backwards
         )
-        self._time = clock
+        if time is not None and (travels or (pose == last and np.isnan(arrived))):
+            self._arrived = float(time)
+        elif travels:
+            self._arrived = arrived + float(dt) if control is not None else np.nan  # type: ignore[arg-type]
+        self._time = float(np.fmax(clock, self._arrived))
         return self.pose
 
     def edges_of(self, sightings: Array) -> tuple[Array, Array]:

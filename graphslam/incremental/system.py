@@ -126,7 +126,7 @@ class OnlineSystem:
             self.edges = doubled(self.edges, new_edges(2 * len(self.edges)))
         self.num_edges += count
         fresh, whole, memory = np.arange(before, before + count, dtype=np.int32), self._whole, self._memory.copy()
-        old = np.unique(ends[ends < known])
+        old, last = np.unique(ends[ends < known]), (self.passes, self.converged)
         scales = self.nodes["scale"][old]
         touched = append(
             self.nodes, self.edges, known, fresh, ends, kinds, measured, information, rows, self._kernel is not None
@@ -139,6 +139,7 @@ class OnlineSystem:
             self.nodes[known : self.num_nodes] = new_nodes(self.num_nodes - known)
             self.edges[before : self.num_edges] = new_edges(count)
             self.num_nodes, self.num_edges, self._whole, self._memory = known, before, whole, memory
+            self.passes, self.converged = last
             raise
 
     def _restart(self, x: Array) -> None:

@@ -26,7 +26,7 @@ from scipy.special import gammaincinv
 from ..edges import EdgeFamily, MarginalEdges, ObservationEdges, VirtualMotionEdges
 from ..edges.robust import Cauchy
 from ..errors import GraphError, OptionError
-from ..graph import Graph
+from ..graph import Graph, check_graph
 from ..parameters.corrected import corrected, sighted_edges
 from ..se2 import Array
 from ..solution import Solution
@@ -75,6 +75,7 @@ def solve_gnc(
         GraphError: the graph has no edges from sightings, or does not determine its nodes.
         OptionError: an option has an impossible value.
     """
+    check_graph(graph)
     if not 0 < probability < 1:
         raise OptionError(f"probability must lie between 0 and 1, not {probability!r}")
     if max_rounds < 1:

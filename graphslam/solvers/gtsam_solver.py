@@ -15,7 +15,7 @@ import numpy as np
 from .. import factors as factor_types
 from ..checks import check_count, check_positive
 from ..errors import GraphError
-from ..graph import Graph
+from ..graph import Graph, check_graph
 from ..se2 import Array, wrap
 from ..solution import Solution, make_solution
 from .auto import DAMPED, best_end
@@ -60,6 +60,7 @@ def solve_with_gtsam(
         GraphError: GTSAM finds the system indeterminate, or the edges do not allow the start.
         OptionError: an option has an impossible value.
     """
+    check_graph(graph)
     check_positive(tolerance=tolerance)
     check_count(max_iterations=max_iterations)
     if graph.parameters is not None:

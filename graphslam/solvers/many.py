@@ -17,7 +17,7 @@ from pebble import ProcessExpired
 
 from ..checks import check_count, suggestion
 from ..errors import GraphError, OptionError, SlamError
-from ..graph import Graph
+from ..graph import Graph, check_graph
 from ..linear.structure import Structures, sharing
 from ..processes import default_jobs, how_it_ended, processes
 from ..solution import Solution
@@ -71,11 +71,7 @@ def solve_many(graphs: Iterable[Graph], *, jobs: int | None = None, **options: A
 
 def _checked(graphs: Iterable[Graph]) -> Iterator[Graph]:
     for number, graph in enumerate(graphs):
-        if not isinstance(graph, Graph):
-            given = type(graph).__name__
-            raise OptionError(
-                f"graphs[{number}] must be a Graph, not a {given}; Graph.from_log and Graph.from_g2o make graphs"
-            )
+        check_graph(graph, f"graphs[{number}]")
         yield graph
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..checks import check_choice, check_count, check_positive
 from ..errors import OptionError
-from ..graph import Graph
+from ..graph import Graph, check_graph
 from ..se2 import Array
 from ..solution import Solution, make_solution
 from .auto import best_end
@@ -72,6 +72,7 @@ def solve(
 
     Not reaching the tolerance is no error: `Solution.converged` and `Solution.reason` report it.
     """
+    check_graph(graph)
     check_options(method, tolerance, max_iterations, initialize, cost_tolerance)
     begin, cost = time.perf_counter(), None
 

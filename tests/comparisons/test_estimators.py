@@ -286,3 +286,11 @@ def test_parameters_are_estimated_and_told(log: Log) -> None:
     assert ESTIMATORS["isam2"].run(log, options).parameters is None
     with pytest.raises(OptionError, match="no parameter 'turn'"):
         replace(OPTIONS, estimate=("turn",))
+
+
+def test_online_with_a_lag(log: Log) -> None:
+    whole, lagged = (ESTIMATORS["online"].run(log, replace(OPTIONS, lag=lag)) for lag in (None, 12))
+    assert lagged.poses.shape == whole.poses.shape
+    assert 0 < np.abs(lagged.poses - whole.poses).max() < 0.5
+    with pytest.raises(OptionError, match="lag"):
+        replace(OPTIONS, lag=0)

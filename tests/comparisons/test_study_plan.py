@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import comparisons
 from comparisons.option import options_of
 from comparisons.options import MODELS, RunOptions
 from comparisons.studies.plan import Run, read_study
@@ -126,6 +127,13 @@ def test_a_noise_file_counts_by_its_content(folder: Path) -> None:
     (folder / "noise.toml").write_text("[sensor]\nbearing_std = 0.2\n")
     (changed,) = study_of(folder, text)
     assert changed.key != run.key
+
+
+def test_noise_auto_is_executed(folder: Path) -> None:
+    text = 'estimators = ["graph"]\n[simulate]\nsteps = 40\nclean = true\n[options]\nnoise = "auto"\n'
+    (folder / "auto.toml").write_text(text)
+    outcome = comparisons.sweep(folder / "auto.toml", jobs=0)
+    assert (outcome.ran, outcome.failed) == (1, 0)
 
 
 def test_options_of_files_do_not_count_for_simulated_worlds(folder: Path) -> None:

@@ -26,7 +26,7 @@ def test_an_options_object_is_the_same_as_keywords() -> None:
     assert by_object.options == by_keywords.options == options.for_ids(True)
     # a keyword replaces the option of the object
     assert FastSLAM1(log, options=options, seed=5).options.seed == 5
-    with pytest.raises(TypeError, match="particle"):
+    with pytest.raises(OptionError, match="no option 'particle' of a particle filter; did you mean 'particles'"):
         FastSLAM1(log, particle=30)
 
 

@@ -149,7 +149,8 @@ def everything(solver):
     )
     parts = (nodes, edges, system.tree.groups, system.tree.floats[:floats], system.tree.counts, system._memory)
     kept = {key: value for key, value in vars(solver).items() if key != "_system"}
-    return [part.tobytes() for part in parts], repr(kept), system._whole, len(system._priors)
+    kept |= {name: getattr(system, name) for name in ("passes", "converged", "_whole")}
+    return [part.tobytes() for part in parts], repr(kept), len(system._priors)
 
 
 @pytest.mark.parametrize(("arguments", "error", "message"), BAD_STEPS)
@@ -162,6 +163,33 @@ def test_a_bad_step_changes_nothing(arguments, error, message):
     assert everything(solver) == before
     solver.step((1.0, 0.0), time=2.0, ids=[2], sightings=[[1.0, -0.8]])
     assert solver.num_poses == 3
+
+
+def test_dt_is_the_time_since_the_newest_pose():
+    solver, seen = OnlineSolver(), {"ids": [1], "sightings": [[2.0, 0.3]]}
+    solver.step(pose=0, **seen, time=0.0)
+    solver.step((1.0, 0.0), time=1.0)
+    # sightings from the newest pose at its time, then from an older one
+    solver.step(pose=1, ids=[1], sightings=[[1.1, 0.5]], time=1.0)
+    solver.step(pose=0, **seen, time=1.5)
+    solver.step((1.0, 0.0), time=2.0)
+    solver.step((1.0, 0.0), 1.0)
+    solver.step((1.0, 0.0), time=4.0)
+    other = OnlineSolver()
+    other.step(pose=0, **seen)
+    other.step((1.0, 0.0), 1.0)
+    other.step(pose=1, ids=[1], sightings=[[1.1, 0.5]])
+    other.step(pose=0, **seen)
+    for _ in range(3):
+        other.step((1.0, 0.0), 1.0)
+    np.testing.assert_array_equal(solver.poses, other.poses)
+    with pytest.raises(OptionError, match="time runs backwards"):
+        solver.step((1.0, 0.0), time=4.0)
+    with pytest.raises(OptionError, match="time runs backwards"):
+        solver.step(pose=2, **seen, time=3.9)
+    solver.step(motion=(1.0, 0.0, 0.0), covariance=np.eye(3))
+    with pytest.raises(OptionError, match="dt must be a positive number"):
+        solver.step((1.0, 0.0), time=6.0)
 
 
 @pytest.mark.parametrize("relations", [[], [(0, 2, (1.0, 0.0, 0.0), np.eye(3))]])

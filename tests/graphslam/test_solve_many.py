@@ -10,7 +10,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphslam import Graph, GraphError, OptionError, SlamError, Solution, load, sample_log_path, solve, solve_many
+from graphslam import (
+    Graph,
+    GraphError,
+    OptionError,
+    SlamError,
+    Solution,
+    load,
+    sample_log_path,
+    solve,
+    solve_gnc,
+    solve_many,
+    solve_with_gtsam,
+)  # fmt: skip
 from graphslam.edges import AnchorEdges
 from graphslam.linear.structure import Structures, sharing
 from graphslam.solvers import many
@@ -148,6 +160,9 @@ def test_what_is_no_graph_is_refused_in_its_turn(graph: Graph) -> None:
         with pytest.raises(OptionError, match=r"graphs\[1\] must be a Graph, not a Log"):
             next(results)
     assert list(solve_many([])) == []
+    for one in (solve, solve_gnc, solve_with_gtsam):
+        with pytest.raises(OptionError, match=r"graph must be a Graph, not a Log; Graph.from_log"):
+            one(load(sample_log_path()))
 
 
 def test_only_equal_structures_are_shared_and_few_are_kept(graph: Graph) -> None:
