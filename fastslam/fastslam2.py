@@ -23,9 +23,10 @@ class FastSLAM2(FastSLAM1):
     """FastSLAM 2.0, for sightings with or without psi; arguments and unknown association as in `FastSLAM1`.
 
     At a step with sightings of known landmarks each particle takes the motion as a Gaussian with mean f(x_{t-1}, u_t)
-    and covariance P = A M A' + epsilon I, and corrects it by one sighting after the other as a Kalman filter:
-    V = H_x P H_x' + H_m S H_m' + Q, K = P H_x' V^-1. The pose is drawn from the result q, and the landmarks are updated
-    from that pose as in 1.0. Steps without sightings of known landmarks move as in 1.0, without linearisation.
+    and covariance P = A M A' + epsilon I (plus that of a slip), and corrects it by one sighting after the other as a
+    Kalman filter: V = H_x P H_x' + H_m S H_m' + Q, K = P H_x' V^-1. The pose is drawn from the result q, and the
+    landmarks are updated from that pose as in 1.0. Steps without sightings of known landmarks move as in 1.0, without
+    linearisation.
 
     With the proposal_weight "exact" the weight is multiplied by p(x) / q(x) and by the likelihoods of 1.0 at the drawn
     pose x, so 1.0 and 2.0 have the same posterior (`proposal`). With "linearised", as in the lectures and the original, it

@@ -66,7 +66,8 @@ def sample_motion(pose: Array, control: ArrayLike, dt: float, motion: MotionMode
     """Sample x_t ~ p(x_t | x_{t-1}, u_t): u' ~ N(u_t, M), x_t = f(x_{t-1}, u') + e with e ~ N(0, epsilon I).
 
     The lectures have no e. The framework's motion edges add epsilon I to the covariance A M A', and with e both
-    estimate the same posterior. The noise is five standard normal numbers (nu, omega, x, y, theta).
+    estimate the same posterior. A slip of the motion model is not drawn; `fastslam1` and `fastslam2` refuse one. The
+    noise is five standard normal numbers (nu, omega, x, y, theta).
     """
     noisy_control = np.asarray(control) + np.sqrt(np.diag(motion.M(control, dt))) * noise[:2]
     return wrap_heading(motion.f(pose, noisy_control, dt) + np.sqrt(motion.epsilon) * noise[2:])

@@ -151,6 +151,7 @@ def comparison_tables(comparison: Comparison) -> Tables:
         remarks.append(
             "Precision and recall: of the ids that an estimator gave the sightings itself, against the true ones. Landmarks: "
             "found, missed, doubled, invented."
+            + ("" if log.identified else " Sightings without a true id count as clutter.")
         )
     if (difference := comparison.difference("graph", "gtsam")) is not None:
         remarks.append(f"graph and gtsam differ by at most {difference:.1e} in any x, y [m] or heading [rad].")

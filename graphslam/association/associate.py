@@ -252,7 +252,7 @@ def _report(
             f"{options.factor:g} times that for another one, or for clutter"
         )
     if len(values) > 1:
-        ends = ", ".join(f"{value - max(values):.0f}" for value in values)
+        ends = ", ".join(str(round(value - max(values))) for value in values)
         notes.append(
             f"of {len(values)} starts the best by evidence was taken; all of them, relative to it [nats]: {ends}"
         )

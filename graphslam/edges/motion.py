@@ -1,7 +1,7 @@
-"""Motion edges: e = x_t - f(x_{t-1}, u_t) with Omega^-1 = A M A' + epsilon I.
+"""Motion edges: e = x_t - f(x_{t-1}, u_t) with Omega^-1 = A M A' + S + epsilon I.
 
 Where odometry is finer than the poses, f is the composition f(... f(x_{t-1}, u_1) ..., u_k), and A M A' the covariance
-propagated through it (`MotionModel.accumulate`).
+propagated through it (`MotionModel.accumulate`). S is the slip, zero by default (`MotionModel.sideways`).
 
 f rotates with the pose from which it starts, so the whole edge is a relative-pose edge whose measurement is f(0, u) and whose
 covariance is that of a motion that starts at 0: no new equations. ``frame`` says whether the residual is the lectures'
@@ -36,7 +36,7 @@ def motion_edges(
         nodes: the node of each pose, x_0 to x_T.
         controls: u = (nu, omega) [m/s, rad/s].
         dt: [s].
-        motion: gives f, F, A, M and epsilon.
+        motion: gives f, F, A, M, S and epsilon.
         starts: (T+1,) the first control of each motion, as `Log.control_starts`; default: one control a motion.
         control_variances: (S, 2) more noise of single controls, as `Log.control_variances`.
         recorded_dt: (S,) [s] the durations of the recorded controls, as `Log.recorded_dt`.

@@ -103,7 +103,7 @@ class MotionFactor(RelativePoseFactor):
         key_1, key_2: of two `gtsam.Pose2`.
         control: (nu, omega) [m/s, rad/s], held for ``dt`` seconds.
         dt: [s].
-        motion: gives f, A, M and epsilon; default: the book's.
+        motion: gives f, A, M, S and epsilon; default: the book's.
         frame: "body" or "world".
         at: the pose x_1, (3,) or a `gtsam.Pose2`, at which the world frame freezes the information.
         scale: lambda, the factor on the information.

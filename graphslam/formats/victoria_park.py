@@ -46,7 +46,7 @@ START = (-67.6493, -41.7142, math.radians(35.5))
 ANTENNA = LASER
 
 #: no noise is published. That of motions has nearly the highest evidence of the log (`docs/results.md`); that of sightings
-#: was chosen by hand, wider than their scatter of 0.17 m and 0.43 degrees, because successive ones err alike
+#: was chosen by hand, wider than their root mean square, 0.17 m and 0.43 degrees, because successive ones err alike
 MOTION = MotionModel(nn=0.02, no=0.0, on=0.0025, oo=0.025, slip=0.05, epsilon=1e-6)
 SENSOR = SensorModel.constant(0.5, math.radians(1.5), offset=LASER)
 

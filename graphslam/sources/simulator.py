@@ -87,8 +87,9 @@ def simulate(
     Args:
         world: the course, the landmarks and the camera; default: the book's.
         motion_faults, sensor_faults: faults of wheels and camera; default: the book's noise and biases.
-        motion, sensor: the noise models of a clean world, x_t ~ N(f(x, u), A M A' + epsilon I) and z ~ N(h, Q) with Q at
-            the true range (the estimators know only the measured one); default: the estimators' defaults.
+        motion, sensor: the noise models of a clean world, x_t ~ N(f(x, u), A M A' + S + epsilon I), S the slip, and
+            z ~ N(h, Q) with Q at the true range (the estimators know only the measured one); default: the estimators'
+            defaults.
         seed: random seed, or a generator.
         name: the name of the log.
         options: fields of `World` that differ from ``world``, such as ``steps=60`` or ``clean=True``.
@@ -187,7 +188,7 @@ class _Driver:
 
 
 def _drive_clean(world: World, motion: MotionModel, rng: np.random.Generator) -> tuple[Array, Array]:
-    """True poses x_t ~ N(f(x_{t-1}, u_t), A M A' + epsilon I) and the controls."""
+    """True poses x_t ~ N(f(x_{t-1}, u_t), A M A' + S + epsilon I) and the controls."""
     driver, steps = _Driver(world), world.steps
     poses, controls = np.empty((steps + 1, 3)), np.empty((steps, 2))
     poses[0] = world.start

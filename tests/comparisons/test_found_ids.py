@@ -84,6 +84,8 @@ def test_classes_and_matches_are_in_tables_files_and_film(log):
     column = association_table(comparison, comparison["graph"]).columns[-4]
     assert "class" in str(column.header) and names[0] in [each.plain for each in column.cells]
     assert landmark_table(comparison).columns[1].header.plain == "class"
+    # the last sighting has no true id
+    assert "Sightings without a true id count as clutter." in str(comparison)
     for name, text in texts(comparison):
         if name == "graph-sightings.csv":
             rows = list(csv.reader(text().splitlines()))

@@ -47,6 +47,15 @@ for edges in ("virtual", "virtual+motion"):
     error = ate(log.true_poses[steps], solution.poses[steps])
     print(f"{edges:15} {solution.iterations} iterations, trajectory error {error:.3f} m")
 
+# %% slip
+slipping = MotionModel(slip=0.1)
+for name, model in (("without slip", motion), ("with slip", slipping)):
+    C = model.covariance(x1, np.array([0.5, 0.0]), dt)  # 1.5 m straight on along x
+    x, y, theta = np.sqrt(np.diag(C))
+    print(f"{name:13} standard deviations: x {x:.3f} m, y {y:.3f} m, theta {theta:.3f} rad")
+S = slipping.sideways(x1, u, dt)
+print("F S F' = S:", np.allclose(motion.F(x1, u, dt) @ S @ motion.F(x1, u, dt).T, S))
+
 # %% epsilon
 for epsilon in (1e-2, 1e-4, 1e-6):
     solution = textbook.solve(log, edges="virtual+motion", motion=MotionModel(epsilon=epsilon))
