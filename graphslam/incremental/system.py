@@ -196,14 +196,17 @@ class OnlineSystem:
 
     def relinearize(self, newest: Any) -> None:
         """Linearise all edges where they are now and factorise again, in the order of the tree, and solve."""
+        self._factorize_again(newest)
+        self.converged = self._iterate(np.asarray(newest, dtype=np.int32))
+
+    def _factorize_again(self, newest: Any) -> None:
+        """The factor of Gauss-Newton at the estimate, without second derivatives."""
         self.complete()
-        # covariances are those of Gauss-Newton, without second derivatives
         self._memory[[CURVED_FROM, WORK]] = np.inf
         room, every = self._room(), self._all_edges()
         if not refactor(every, len(every), self.nodes, self.edges, self.tree, self._robust, self._memory, room[0]):
             self._eliminate(self._all_nodes(), NONE, np.asarray(newest, dtype=np.int32))
         self._memory[CURVED_FROM] = CURVED
-        self.converged = self._iterate(np.asarray(newest, dtype=np.int32))
 
     def _begin_at(self, x: Array, newest: np.ndarray) -> None:
         """Build the tree anew with all nodes at x (n, 3)."""
@@ -332,8 +335,11 @@ class OnlineSystem:
         self.complete()
         return float(total_cost(self.nodes, self.edges, self.num_edges, *self._robust[:2]))
 
-    def covariance(self, members: list[int]) -> Array:
+    def covariance(self, members: list[int], newest: Any) -> Array:
         """The joint covariance (3k, 3k) of k nodes, in world axes."""
+        if self._memory[CURVED_FROM] == 0.0:
+            # second derivatives of all edges, made convex, are information that the graph does not have
+            self._factorize_again(newest)
         room = self._room()[0]
         self.tree = with_room(self.tree, 0, len(room), 0)
         return np.asarray(marginals(np.array(members, dtype=np.int32), self.nodes, self.tree, room))

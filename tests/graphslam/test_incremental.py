@@ -429,3 +429,19 @@ def test_the_example_goes_on_after_lines_that_are_refused(
     assert "dt must be a positive number, not -1.0" in refused[2]
     # what is seen after a motion that cannot be read has no pose
     assert "a step needs a motion" in refused[4]
+
+
+def test_second_derivatives_of_all_edges_are_no_information() -> None:
+    """Along a corridor whose passes need them, the covariance is that of Gauss-Newton."""
+    rng, solver = np.random.default_rng(1), OnlineSolver(sensor=SensorModel.constant(0.05, 0.02))
+    marks = np.column_stack([np.repeat(np.arange(100.0), 2), np.tile([-2.0, 2.0], 100)])
+    for k in range(1, 76):
+        near = np.flatnonzero(np.abs(marks[:, 0] - k) < 2.1)
+        away = marks[near] - (k, 0.0)
+        sightings = np.column_stack([np.hypot(*away.T), np.arctan2(away[:, 1], away[:, 0])])
+        sightings += rng.normal(0, 1, sightings.shape) * (0.05, 0.02)
+        motion = (1.0, 0.0, 0.0) + rng.normal(0, 1, 3) * (0.05, 0.05, 0.03)
+        solver.step(motion=motion, covariance=np.diag([0.05, 0.05, 0.03]) ** 2, ids=near, sightings=sightings)
+    before = np.sqrt(np.diag(solver.covariance()))
+    solver.relinearize()
+    np.testing.assert_allclose(before, np.sqrt(np.diag(solver.covariance())), rtol=0.25)
