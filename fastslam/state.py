@@ -111,7 +111,7 @@ class FilterResult:
         log_weights: (N,) at the end, normalised.
         log_evidence: the logarithm of the estimated density of the sightings, by which noise models for one log can be
             compared: the sum over all observations of log sum of (weight before * likelihood). A first sighting with a
-            known id has the likelihood 1.
+            known id has the likelihood 1. Steps whose sightings are impossible for all particles do not count.
         ess: (T+1,) effective sample size after each step, before resampling.
         resampled: (T+1,) whether the step resampled.
         ancestors: (T+1,) how many distinct particles of each step have descendants at the end (the depletion curve).

@@ -104,6 +104,7 @@ def test_simulated_logs_are_those_of_the_simulator() -> None:
 
 def test_a_study_knows_every_option_of_a_run(folder: Path) -> None:
     values: dict[type, object] = {str: None, int: 2, float: 0.5}
+    estimators = ["graph", "fastslam1", "particle-gibbs", "online"]
     for name, each in options_of(RunOptions).items():
         if name in ("seed", "noise", "sensor_offset", "truth_offset", "threads", "estimate") or each.only == "python":
             continue
@@ -112,7 +113,7 @@ def test_a_study_knows_every_option_of_a_run(folder: Path) -> None:
         line = f"{each.model}.{each.field}" if each.model in MODELS else name
         for table in ("options", "options.vary"):
             shown = f"[{value!r}]" if table.endswith("vary") else repr(value)
-            text = f"logs = ['a.npz']\nestimators = ['graph', 'fastslam1', 'particle-gibbs']\n[{table}]\n{line} = {shown}\n"
+            text = f"logs = ['a.npz']\nestimators = {estimators}\n[{table}]\n{line} = {shown}\n"
             assert {run.options.get(name) for run in study_of(folder, text)} - {None} == {value}, name
 
 
