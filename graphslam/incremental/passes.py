@@ -222,15 +222,26 @@ def homes_around(moved, count, nodes, edges, tree, homes):
         e = nodes.edges[node]
         while e >= 0:
             side = 0 if edges.ends[e, 0] == node else 1
-            s = nodes.home[edges.ends[e, 1 - side]]
-            if not tree.groups.mark[s]:
-                tree.groups.mark[s] = 1
-                homes[found] = s
-                found += 1
+            found = _with_home(nodes.home[edges.ends[e, 1 - side]], homes, found, tree)
             e = edges.next[e, side]
-    for k in range(found):
-        tree.groups.mark[homes[k]] = 0
+    _unmark(homes, found, tree)
     return found
+
+
+@njit(cache=True, error_model="numpy")
+def _with_home(s, homes, count, tree):
+    """Add a supernode to the ``count`` ones in ``homes`` unless it is there; returns how many there are then."""
+    if tree.groups.mark[s]:
+        return count
+    tree.groups.mark[s] = 1
+    homes[count] = s
+    return count + 1
+
+
+@njit(cache=True, error_model="numpy")
+def _unmark(homes, count, tree):
+    for k in range(count):
+        tree.groups.mark[homes[k]] = 0
 
 
 @njit(cache=True, error_model="numpy")
@@ -263,14 +274,9 @@ def reevaluate(moved, count, nodes, edges, tree, robust, memory, homes, late):
                     late[old] = e
                     old += 1
                 for end in range(2):
-                    s = nodes.home[edges.ends[e, end]]
-                    if not tree.groups.mark[s]:
-                        tree.groups.mark[s] = 1
-                        homes[changed] = s
-                        changed += 1
+                    changed = _with_home(nodes.home[edges.ends[e, end]], homes, changed, tree)
             e = edges.next[e, side]
-    for k in range(changed):
-        tree.groups.mark[homes[k]] = 0
+    _unmark(homes, changed, tree)
     return changed, old
 
 
