@@ -37,11 +37,11 @@ NONEXISTENT = 0.03
 #: the distance from the line between way points, drawn for each line [m]
 WANDER = 0.15
 
-#: how widely `Drive.random` draws each bias: prior standard deviations for whoever knows that much and no more. Nothing tells
-#: a common factor on all distances but the priors, so that ranges are wrong by much less than wheels.
+#: how widely `Drive.random` draws each bias: prior standard deviations for whoever knows that much and no more. The scale of
+#: ranges is always right: a log does not tell a common factor on all distances, so that no estimate could be better.
 SPREADS = {
-    "wheel_scale": 0.025, "turn_scale": 0.02, "turn_rate_bias": 0.005, "curvature_bias": 0.005, "range_scale": 0.003,
-    "range_bias": 0.03, "bearing_bias": 0.02, "sensor_ahead": 0.1, "sensor_left": 0.05, "sensor_delay": 0.04,
+    "wheel_scale": 0.025, "turn_scale": 0.02, "turn_rate_bias": 0.005, "curvature_bias": 0.005, "range_bias": 0.03,
+    "bearing_bias": 0.02, "sensor_ahead": 0.1, "sensor_left": 0.05, "sensor_delay": 0.04,
 }  # fmt: skip
 
 #: the sensors by name, with typical noise
@@ -69,7 +69,7 @@ class DriveTruth:
         misread: (M,) whether the log has another id of a landmark that was seen.
         clutter: (M,) whether no landmark was there.
         correlated: the part of the variance whose errors are correlated in time.
-        correlation: the number of scans over which they are; the correlation falls as exp(-scans / correlation).
+        correlation_time: over which they are [s]: the correlation falls as exp(-lapse / correlation_time).
     """
 
     motion: MotionModel
@@ -79,7 +79,7 @@ class DriveTruth:
     misread: np.ndarray
     clutter: np.ndarray
     correlated: float
-    correlation: float
+    correlation_time: float
 
     @property
     def misread_share(self) -> float:
@@ -202,7 +202,7 @@ class Drive:
         )  # fmt: skip
         return log, DriveTruth(
             self.motion, self.sensor, self.parameters, true[kept], misread[kept], clutter[kept], self.correlated,
-            self.correlation,
+            self.correlation / self.sensor_rate,
         )  # fmt: skip
 
     def _odometry(self, path: Path, rng: np.random.Generator) -> Stream:
@@ -324,9 +324,8 @@ def _biases(rng: np.random.Generator, precise: bool, gyroscope: bool) -> dict[st
     else:
         p["curvature_bias"] = fine * rng.uniform(-0.008, 0.008)
     p["sensor_delay"] = rng.uniform(0.0, 0.06) if rng.random() < 0.7 else 0.0
-    wrong = rng.random(4) < [0.3, 0.4, 0.5, 0.5]
-    p["range_scale"] = 1 + wrong[0] * rng.uniform(-0.005, 0.005)
-    p["range_bias"] = wrong[1] * rng.uniform(-0.05, 0.05)
-    p["bearing_bias"] = wrong[2] * rng.uniform(-0.03, 0.03)
-    p["sensor_ahead"], p["sensor_left"] = wrong[3] * rng.uniform(-0.15, 0.15), wrong[3] * rng.uniform(-0.06, 0.06)
+    wrong = rng.random(3) < [0.4, 0.5, 0.5]
+    p["range_bias"] = wrong[0] * rng.uniform(-0.05, 0.05)
+    p["bearing_bias"] = wrong[1] * rng.uniform(-0.03, 0.03)
+    p["sensor_ahead"], p["sensor_left"] = wrong[2] * rng.uniform(-0.15, 0.15), wrong[2] * rng.uniform(-0.06, 0.06)
     return {name: float(value) for name, value in p.items()}
