@@ -1,0 +1,237 @@
+"""`estimate_robot`: noise, biases and misread ids of a robot that nobody has calibrated, from one log without ground truth.
+
+It starts locally. Over some seconds the odometry is nearly exact, so the sightings of one landmark without a longer pause are
+taken for a landmark of their own (an episode): such a problem has no loop closures and therefore no wrong minima, and a single
+misread id stands alone in its episode, where it says nothing. Its solution gives the first noise and biases, and the
+sightings that contradict their episode. Then:
+
+1. the landmarks by their ids, from the trajectory of the first problem;
+2. ids that contradict their place get the id of the landmark that fits, or count as clutter (`sighting_errors`);
+3. the noise again from few sightings of each landmark, so far apart that their errors are hardly correlated; from all other
+   sightings the correlation of the errors, and from this how much a sighting counts;
+4. the noise once more from as many sightings as are nearly independent.
+
+The second-order theory is that of `calibration.unknowns` and `calibration.restricted_likelihood`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import LogError
+from ..log import Log
+from ..models import MotionModel, SensorModel
+from ..parameters.corrections import corrected_log
+from ..parameters.declared import ParameterEstimate
+from ..se2 import Array
+from .restricted_likelihood import improve_variances
+from .sighting_errors import LAGS, checked_ids, correlations, inflation, smoothed
+from .unknowns import PRIORS, Unknowns
+
+#: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second one where sightings are rare
+PAUSES = (2.0, 10.0)
+#: where more than this part of the sightings stands alone in its episode, single ones are normal
+RARE = 0.3
+#: a squared Mahalanobis distance beyond which a sighting contradicts its episode
+CONTRADICTS = 30.0
+#: times between the sightings of a landmark [s] that are tried first, and the fewest sightings that are enough
+INTERVALS, ENOUGH = (5.0, 2.0, 1.0, 0.5, 0.2), 200
+#: rounds of solving and improving the variances, and the gain of the log likelihood below which they end
+ROUNDS, GAIN = (5, 3, 6, 6), 0.3
+#: sightings correlated by more than this are thinned for the last round, and by less than that are all kept
+DEPENDENT, HARDLY = 0.35, 0.15
+#: the fewest sightings and motions from which noise and biases are estimated
+FEWEST = 50
+#: logs with more sightings are thinned to about so many for the search
+MOST = 6000
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RobotEstimate:
+    """What `estimate_robot` finds.
+
+    Attributes:
+        log: the log with the ids corrected, clutter left out, scales and biases taken out, and these noise models as its own.
+        motion, sensor: the noise models. That of the sensor counts correlated sightings as `inflation` says.
+        parameters: scales, biases, delay and place of the sensor, with their covariance.
+        errors: {name of a noise value: its standard error as a part of the value}.
+        changed, dropped: (M,) bool, rows of the given log whose id was replaced, and that fit no landmark.
+        correlations: (B,) of the errors of one landmark over the lags between `LAGS`.
+        inflation: the factor on the variances of the sensor with which its errors count as independent; 1: they are.
+        poses: (T+1, 3) the trajectory of the search.
+    """
+
+    log: Log
+    motion: MotionModel
+    sensor: SensorModel
+    parameters: ParameterEstimate
+    errors: dict[str, float]
+    changed: np.ndarray
+    dropped: np.ndarray
+    correlations: Array
+    inflation: float
+    poses: Array
+
+    def __repr__(self) -> str:
+        return f"<RobotEstimate: {'; '.join(self.sentences)}>"
+
+    @property
+    def misread(self) -> float:
+        """The part of the sightings whose id is wrong, or that show no landmark."""
+        return float(np.mean(self.changed | self.dropped))
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What was found, for the notes of a table."""
+        values = vars(self.motion) | {n: v for n, v in vars(self.sensor).items() if n not in SensorModel.GEOMETRY}
+        noise = ", ".join(
+            f"{name} {values[name]:.2g} +- {100 * error:.0f} %" for name, error in self.errors.items() if error < 1
+        )
+        lines = [f"noise estimated from this log: {noise}", f"biases estimated from this log: {self.parameters.sentence}"]
+        wrong, dropped = int(self.changed.sum()), int(self.dropped.sum())
+        if wrong or dropped:
+            lines.append(
+                f"{wrong + dropped} of {len(self.changed)} sightings ({self.misread:.1%}) contradict their id: {wrong} got "
+                f"the id of the landmark that fits, {dropped} fit none and were left out"
+            )
+        if self.inflation > 1:
+            span = LAGS[int(np.count_nonzero(self.correlations))]
+            lines.append(
+                f"errors of successive sightings of a landmark are correlated over up to {span:g} s, so {self.inflation:.1f} "
+                "sightings count as one"
+            )
+        return tuple(lines)
+
+
+def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0) -> RobotEstimate:
+    """Estimate noise, biases and misread ids of a log from nothing but its odometry and its sightings.
+
+    Args:
+        log: with controls and ids.
+        sensor: where the sensor is believed to be, and what it can see; default: that of the log, else at the robot's pose.
+        seed: of the random signs with which traces are estimated.
+
+    Raises:
+        LogError: the log has too few sightings, no controls, or sightings without ids.
+        GraphError: the sightings do not determine noise and biases.
+    """
+    sensor = sensor or log.sensor or SensorModel()
+    _check(log)
+    rng = np.random.default_rng(seed)
+    local, doubtful = _local(log, sensor, rng)
+    kept = log.with_sightings(~doubtful)
+    first = _fitted(Unknowns(kept, kept.landmarks, sensor, local), ROUNDS[1], rng)[0]
+    ids = checked_ids(log, first, rng)
+    named = log.with_sightings(~ids.dropped, landmarks=ids.landmarks[~ids.dropped])
+    sparse, used = _sparse(named)
+    second = _fitted(Unknowns(sparse, sparse.landmarks, sensor, first), ROUNDS[2], rng)[0]
+    rho = smoothed(correlations(named, second, used, rng))
+    factor = inflation(named, rho) if rho[:3].max() >= HARDLY else 1.0
+    chosen = named
+    if factor > 1:
+        below = np.flatnonzero(rho < DEPENDENT)
+        chosen = _thinned(named, LAGS[below[0]] if len(below) else LAGS[-2])[0]
+    else:
+        rho = np.zeros_like(rho)
+    last, errors = _fitted(Unknowns(chosen, chosen.landmarks, sensor, first if factor == 1 else second), ROUNDS[3], rng)
+    motion, seen = last.models
+    seen = replace(
+        seen, range_rate=seen.range_rate * factor**0.5, range_std=seen.range_std * factor**0.5,
+        bearing_std=seen.bearing_std * factor**0.5, orientation_std=seen.orientation_std * factor**0.5,
+    )  # fmt: skip
+    parameters = replace(last.parameters, recorded=named)
+    corrected = corrected_log(parameters).replace(motion=motion, sensor=seen)
+    corrected = corrected.replace(initial_poses=corrected.dead_reckoning())
+    linear = last.linearized()
+    estimate = ParameterEstimate(
+        parameters.names, parameters.values, linear.parameter_covariance,
+        {name: (float(m), float(s)) for name, m, s in zip(parameters.names, parameters.means, parameters.deviations)},
+    )  # fmt: skip
+    return RobotEstimate(
+        log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, changed=ids.changed,
+        dropped=ids.dropped, correlations=rho, inflation=factor, poses=last.trajectory.copy(),
+    )  # fmt: skip
+
+
+def _check(log: Log) -> None:
+    """Raise `LogError` where a log cannot tell noise and biases."""
+    if log.controls is None:
+        raise LogError(f"{log.name} has no odometry, without which sightings do not tell the noise; give it by hand")
+    if not log.identified:
+        raise LogError(f"{log.name} has sightings without ids; find them first, for example with graphslam.associate")
+    if len(log.steps) < FEWEST or log.num_poses < FEWEST:
+        raise LogError(
+            f"{log.name} has {len(log.steps)} sightings from {log.num_poses} poses; noise and biases are estimated from at "
+            f"least {FEWEST} of both"
+        )
+
+
+def _local(log: Log, sensor: SensorModel, rng: np.random.Generator) -> tuple[Unknowns, np.ndarray]:
+    """The problem of episodes, solved; and the sightings (M,) bool that stand alone in time, or contradict their episode."""
+    for pause in PAUSES:
+        episodes = _episodes(log, pause)
+        alone = np.bincount(episodes)[episodes] == 1
+        if np.mean(alone) <= RARE:
+            break
+    else:
+        # single sightings are normal
+        alone = np.zeros(len(log.steps), dtype=bool)
+    local = _fitted(Unknowns(log, episodes, sensor), ROUNDS[0], rng)[0]
+    doubtful = alone.copy()
+    doubtful[np.flatnonzero(local.used)] |= local.linearized().edges[1].squares > CONTRADICTS
+    return local, doubtful
+
+
+def _episodes(log: Log, pause: float) -> np.ndarray:
+    """The number (M,) of the episode of each sighting."""
+    times = log.times
+    assert times is not None
+    t = times[log.steps]
+    order = np.lexsort((np.arange(len(t)), log.landmarks))
+    new = np.ones(len(t), dtype=bool)
+    new[1:] = (np.diff(log.landmarks[order]) != 0) | (np.diff(t[order]) > pause)
+    episodes = np.empty(len(t), dtype=np.int64)
+    episodes[order] = np.cumsum(new) - 1
+    return episodes
+
+
+def _fitted(unknowns: Unknowns, rounds: int, rng: np.random.Generator) -> tuple[Unknowns, dict[str, float]]:
+    """Solve and improve the variances in turn; and the standard errors of the standard deviations, as parts of them."""
+    errors = np.zeros(0)
+    for k in range(rounds):
+        unknowns.iterate(2 if k else 4)
+        gain, errors = improve_variances(unknowns, rng)
+        if gain < GAIN:
+            break
+    unknowns.iterate(1)
+    names = [*unknowns.motion_parts, *unknowns.sensor_parts]
+    return unknowns, {name: float(error) / 2 for name, error in zip(names, errors)}
+
+
+def _thinned(log: Log, interval: float) -> tuple[Log, np.ndarray]:
+    """The log with one sighting of each landmark in each interval [s], and which those are, (M,) bool."""
+    times = log.times
+    assert times is not None
+    slots = np.column_stack([log.landmarks, np.floor(times[log.steps] / max(interval, 1e-9))])
+    _, groups, count = np.unique(slots, axis=0, return_inverse=True, return_counts=True)
+    groups = groups.ravel()
+    order = np.argsort(groups, kind="stable")
+    starts = np.concatenate([[0], np.cumsum(count)[:-1]])
+    used = np.zeros(len(log.steps), dtype=bool)
+    # the middle one of each interval
+    used[order[starts + count // 2]] = True
+    return log.with_sightings(used), used
+
+
+def _sparse(log: Log) -> tuple[Log, np.ndarray]:
+    """`_thinned` by the longest of `INTERVALS` that leaves enough sightings."""
+    for interval in INTERVALS:
+        sparse, used = _thinned(log, interval)
+        if len(sparse.steps) >= min(ENOUGH, len(log.steps) / 3):
+            break
+    return sparse, used
+
+
+__all__ = ["PRIORS", "RobotEstimate", "estimate_robot"]

@@ -1,0 +1,169 @@
+"""What is wrong with single sightings, judged from a solved drive: misread ids, clutter, and errors that last.
+
+Both judgements compare a sighting with what the solution predicts for it, e, whose covariance is that of the sensor plus that of
+the prediction. The latter comes from samples of the solution's covariance (`unknowns.Linear.samples`).
+
+Errors that last: with the correlation rho(lag) of errors of one landmark, the mean of K sightings has the variance
+sigma²/K (1 + the mean over sightings of the sum of rho to all others). Sightings count as independent if each has the
+variance sigma² times this factor. rho is the mean of e_i e_j minus the covariance of both predictions, over pairs of sightings
+that the solution has not used: what it has used, it follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..log import Log
+from ..se2 import Array
+from .unknowns import Edges, Unknowns
+
+#: samples of the covariance of the solution
+SAMPLES = 24
+#: a squared Mahalanobis distance beyond which a sighting contradicts its landmark, and below which it fits another one ...
+CONTRADICTS, FITS = 25.0, 9.0
+#: ... that is better than all others by this
+BETTER = 9.0
+#: a landmark with fewer sightings than this part of the median may be made of misread ids
+WEAK = 0.33
+#: limits of the lags [s] over which correlations are averaged
+LAGS = np.array([0.0, 0.15, 0.4, 1.0, 2.5, 6.0, 15.0, 40.0])
+#: errors correlated by less than this count as independent, and fewer pairs than this tell no correlation
+INDEPENDENT, FEWEST = 0.1, 20
+#: residuals beyond so many standard deviations count as so many
+FAR = 3.0
+
+
+class Predictions:
+    """What a solved drive predicts for sightings of its landmarks."""
+
+    def __init__(self, unknowns: Unknowns, rng: np.random.Generator) -> None:
+        self._unknowns = unknowns
+        linear = unknowns.linearized()
+        self._nodes, self._values = linear.samples(SAMPLES, rng)
+
+    def compare(self, log: Log, rows: np.ndarray, landmarks: np.ndarray) -> tuple[Edges, Array]:
+        """The edges of sightings in rows (M,) with landmarks (M,), and samples (M, d, k) of the errors of the predictions."""
+        edges = self._unknowns.sighted(
+            log.steps[rows].astype(np.int64), landmarks + self._unknowns.poses, log.sightings[rows]
+        )
+        return edges, edges.moved(self._nodes, self._values)
+
+    def distances(self, log: Log, rows: np.ndarray, landmarks: np.ndarray) -> Array:
+        """The squared Mahalanobis distances (M,) of sightings in rows (M,) from landmarks (M,), numbers of nodes."""
+        edges, errors = self.compare(log, rows, landmarks)
+        covariances = self._unknowns.covariances(edges) + errors @ np.swapaxes(errors, 1, 2) / SAMPLES
+        weighted = np.linalg.solve(covariances, edges.residuals[:, :, None])[:, :, 0]
+        return np.einsum("ei,ei->e", edges.residuals, weighted)
+
+
+@dataclass(frozen=True)
+class Ids:
+    """The ids of the sightings of a log, checked.
+
+    Attributes:
+        landmarks: (M,) ids, where another landmark fits clearly better that of the other one.
+        changed, dropped: (M,) bool: those, and the sightings that fit no landmark.
+    """
+
+    landmarks: np.ndarray
+    changed: np.ndarray
+    dropped: np.ndarray
+
+
+def checked_ids(log: Log, unknowns: Unknowns, rng: np.random.Generator) -> Ids:
+    """Compare every sighting with its landmark, and those that contradict it with all others.
+
+    A landmark that was seen much less often than others may be made of misread ids alone, so its sightings are compared with
+    the others as well. Where these do not fit, they keep their ids, as those of landmarks do that the solution does not have.
+    """
+    predictions, ids = Predictions(unknowns, rng), unknowns.ids
+    landmarks = log.landmarks.copy()
+    changed, dropped = np.zeros(len(landmarks), dtype=bool), np.zeros(len(landmarks), dtype=bool)
+    seen = np.bincount(np.searchsorted(ids, landmarks[np.isin(landmarks, ids)]), minlength=len(ids))
+    strong = np.flatnonzero(seen >= WEAK * np.median(seen))
+    own = np.full(len(landmarks), np.inf)
+    known = np.flatnonzero(np.isin(landmarks, ids))
+    own[known] = predictions.distances(log, known, np.searchsorted(ids, landmarks[known]))
+    supported = np.isin(landmarks, ids[strong])
+    tried = np.flatnonzero((own > CONTRADICTS) | ~supported)
+    if len(tried) == 0:
+        return Ids(landmarks, changed, dropped)
+    others = np.stack([predictions.distances(log, tried, np.full(len(tried), j)) for j in strong.tolist()])
+    best = others.argmin(axis=0)
+    nearest = np.sort(others, axis=0)
+    fits = nearest[0] < FITS
+    if len(strong) > 1:
+        fits &= nearest[1] > nearest[0] + BETTER
+    landmarks[tried[fits]] = ids[strong[best[fits]]]
+    changed[tried[fits]] = True
+    dropped[tried[~fits]] = np.isfinite(own[tried[~fits]]) & (own[tried[~fits]] > CONTRADICTS)
+    return Ids(landmarks, changed, dropped)
+
+
+def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.Generator) -> Array:
+    """rho of the errors of one landmark for the lags between `LAGS`, NaN where too few pairs tell it.
+
+    The numbers of a sighting count together, each by how much of its residuals is the sensor's own noise.
+
+    Args:
+        used: (M,) bool: the sightings that the solution has used.
+    """
+    times = log.times
+    assert times is not None
+    rows = np.flatnonzero(np.isin(log.landmarks, unknowns.ids) & ~used)
+    order = np.lexsort((rows, log.landmarks[rows]))
+    rows = rows[order]
+    edges, errors = Predictions(unknowns, rng).compare(log, rows, np.searchsorted(unknowns.ids, log.landmarks[rows]))
+    noise = np.sqrt(np.diagonal(unknowns.covariances(edges), axis1=1, axis2=2))
+    e, errors = edges.residuals / noise, errors / noise[:, :, None]
+    far = np.minimum(1.0, FAR / np.maximum(np.abs(e), 1e-9))
+    e, errors = e * far, errors * far[:, :, None]
+    t, landmarks, d = times[log.steps[rows]], log.landmarks[rows], e.shape[1]
+    if len(rows) < FEWEST:
+        return np.full(len(LAGS) - 1, np.nan)
+    whole, predicted = np.mean(e**2, axis=0), np.mean(errors**2, axis=(0, 2))
+    own = np.maximum(whole - predicted, 1e-3 * whole)
+    share = np.clip(own / whole, 0.02, 1.0) ** 2
+    total, count, lag = np.zeros((len(LAGS) - 1, d)), np.zeros(len(LAGS) - 1), 1
+    while lag < len(rows):
+        lapse = t[lag:] - t[:-lag]
+        first = np.flatnonzero((landmarks[lag:] == landmarks[:-lag]) & (lapse < LAGS[-1]))
+        if len(first) == 0:
+            break
+        second, at = first + lag, np.searchsorted(LAGS, lapse[first], side="right") - 1
+        products = e[first] * e[second] - np.mean(errors[first] * errors[second], axis=2)
+        for k in range(d):
+            total[:, k] += np.bincount(at, products[:, k], minlength=len(count))
+        count += np.bincount(at, minlength=len(count))
+        # neighbours one by one, and then a part of the many that are far apart
+        lag += 1 if lag < 8 else lag // 4
+    rho = (total @ share) / np.maximum(count, 1) / float(own @ share)
+    return np.where(count < FEWEST, np.nan, rho)
+
+
+def smoothed(rho: Array) -> Array:
+    """Correlations (B,) without gaps, between 0 and 0.95, falling with the lag, and zero from where they are small."""
+    filled = np.zeros(len(rho))
+    last = 0.0
+    for b in range(len(rho) - 1, -1, -1):
+        last = last if np.isnan(rho[b]) else float(np.clip(rho[b], 0.0, 0.95))
+        filled[b] = last
+    filled = np.minimum.accumulate(filled)
+    small = np.flatnonzero(filled < INDEPENDENT)
+    if len(small):
+        filled[small[0] :] = 0.0
+    return filled
+
+
+def inflation(log: Log, rho: Array) -> float:
+    """The factor on the variances with which correlated sightings count as independent, for `smoothed` correlations."""
+    times = log.times
+    assert times is not None
+    t, neighbours = times[log.steps], np.zeros(len(LAGS) - 1)
+    for j in log.landmark_ids.tolist():
+        own = t[log.landmarks == j]
+        within = np.array([np.searchsorted(own, own + lag, side="right") for lag in LAGS])
+        neighbours += 2 * np.diff(within, axis=0).sum(axis=1)
+    return 1.0 + float(rho @ neighbours) / max(len(t), 1)

@@ -1,0 +1,416 @@
+"""A drive whose noise and biases are unknown: nodes, parameters and variances of one least-squares problem.
+
+The nodes are the poses x_t and the places m of the landmarks (with headings where psi was measured); the parameters p are those
+of `graphslam.parameters` (scales, biases, delay and place of the sensor), each with a prior about its ideal value. The residuals are
+
+    motions:    e = (R(theta_t)' (t_{t+1} - t_t), theta_{t+1} - theta_t) - the motion of the corrected controls,
+    sightings:  e = (range_scale r + range_bias, direction - theta + bearing_bias, direction - heading of m) - z,
+
+where r and direction lead from the sensor to the landmark. A sighting that is late by tau was made from x_t moved back by tau
+times the control. The covariances are sums of variances times known parts (`calibration.parts`), and every edge has the weight
+u = (nu + d) / (nu + e' W e) of Student's t, so that slipping wheels and wrong sightings count little.
+
+Nodes and parameters are solved together: with C = sum B' W J, D = sum J' W J + P and J = de/dp,
+
+    delta = (D - C' Omega^-1 C)^-1 (g - C' Omega^-1 xi),   Delta = Omega^-1 (xi - C delta).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..errors import GraphError
+from ..linear.cholesky import Factor, FactorizationError
+from ..linear.information import BlockSystem
+from ..log import Log
+from ..models import MotionModel, SensorModel
+from ..parameters.corrections import controls_at_steps, corrected_controls, corrected_sensor, motion_slopes
+from ..parameters.declared import PARAMETERS, Parameters, ideal_values
+from ..se2 import Array, mounted, perpendicular, rotation, wrap
+from .parts import motion_parts, sensor_parts, with_variances
+
+#: the parameters of an unknown robot, with the standard deviations of their priors. The scale of ranges is not among them: only
+#: its quotient with that of the wheels can be told.
+PRIORS = {
+    "wheel_scale": 0.03, "turn_scale": 0.03, "turn_rate_bias": 0.01, "curvature_bias": 0.01, "range_bias": 0.05,
+    "bearing_bias": 0.03, "sensor_ahead": 0.1, "sensor_left": 0.1, "sensor_delay": 0.1,
+}  # fmt: skip
+#: typical standard deviations of the noise, the centres of priors on the logarithms of the variances; those of the models'
+#: fields per recorded control are for one second of controls
+TYPICAL = {
+    "nn": 0.01, "on": 0.01, "oo": 0.02, "slip": 0.004, "sigma_omega": 0.001,
+    "range_rate": 0.01, "range_std": 0.03, "bearing_std": 0.01, "orientation_std": 0.02,
+}  # fmt: skip
+#: the standard deviation of the logarithm of a variance about its typical value
+SPREAD = 2.5
+#: the variance of a motion in every direction [m², rad²], because A M A' has rank 2
+LEAST_MOTION = 1e-8
+#: degrees of freedom of Student's t: of sightings, among which some are wrong, and of motions
+DEGREES_SIGHTINGS, DEGREES_MOTIONS = 4.0, 8.0
+#: the least distance between sensor and landmark [m], where the bearing is undefined
+NEAREST = 1e-3
+#: what Omega's diagonal is raised by, where rounding makes it singular
+DAMPING = (0.0, 1e-10, 1e-7)
+
+
+@dataclass
+class Edges:
+    """Edges of one kind at one state.
+
+    Attributes:
+        first, second: (E,) nodes.
+        residuals: (E, d).
+        by_first, by_second: (E, d, 3) Jacobians.
+        by_parameters: (E, d, K).
+        parts: {name of a variance: C (E, d, d)}.
+        information: W (E, d, d), the inverse covariance times the weights.
+        weights: u (E,) of Student's t.
+        squares: (E,) e' W e without the weights.
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    residuals: Array
+    by_first: Array
+    by_second: Array
+    by_parameters: Array
+    parts: Mapping[str, Array]
+    information: Array = field(default_factory=lambda: np.empty(0))
+    weights: Array = field(default_factory=lambda: np.empty(0))
+    squares: Array = field(default_factory=lambda: np.empty(0))
+
+    def weigh(self, covariances: Array, degrees: float) -> None:
+        """Set the information and the weights."""
+        inverse, d = np.linalg.inv(covariances), self.residuals.shape[1]
+        self.squares = np.einsum("ei,eij,ej->e", self.residuals, inverse, self.residuals)
+        self.weights = (degrees + d) / (degrees + self.squares)
+        self.information = self.weights[:, None, None] * inverse
+
+    def pull(self, forces: Array, nodes: Array) -> Array:
+        """Add B' f for forces f (E, d, k) to right-hand sides (n, 3, k), and return J' f (K, k)."""
+        np.add.at(nodes, self.first, np.swapaxes(self.by_first, 1, 2) @ forces)
+        np.add.at(nodes, self.second, np.swapaxes(self.by_second, 1, 2) @ forces)
+        return np.einsum("edp,edk->pk", self.by_parameters, forces)
+
+    def moved(self, nodes: Array, parameters: Array) -> Array:
+        """How residuals change, (E, d, k), when nodes (n, 3, k) and parameters (K, k) do."""
+        return self.by_first @ nodes[self.first] + self.by_second @ nodes[self.second] + self.by_parameters @ parameters
+
+
+class Unknowns:
+    """Nodes, parameters and variances of a drive, at their current values.
+
+    Args:
+        log: with controls and sightings.
+        groups: (M,) the landmark of each sighting, in any numbers. Sightings of landmarks seen once are left out.
+        sensor: where the sensor is believed to be.
+        start: what is known from an earlier problem of the same log: poses, parameters and variances.
+    """
+
+    def __init__(
+        self, log: Log, groups: np.ndarray, sensor: SensorModel, start: Unknowns | None = None
+    ) -> None:
+        assert log.controls is not None and log.dt is not None
+        self.log, self.sensor = log, sensor
+        ids, group, count = np.unique(groups, return_inverse=True, return_counts=True)
+        self.used = count[group] > 1
+        #: the numbers of the landmarks that are nodes
+        self.ids, group = np.unique(groups[self.used], return_inverse=True)
+        self.poses = log.num_poses
+        self.seen_from, self.seen = log.steps[self.used].astype(np.int64), group.astype(np.int64) + self.poses
+        self.sightings = log.sightings[self.used]
+        # sightings are in the order of time
+        self._first_sightings = np.unique(group, return_index=True)[1]
+        self.before, self.after = np.arange(self.poses - 1), np.arange(1, self.poses)
+        self.motion_parts = {name: C for name, C in motion_parts(log).items() if name in TYPICAL}
+        self.sensor_parts = sensor_parts(self.sightings)
+        self.centres = self._centres()
+        if start is None:
+            names = tuple(PRIORS)
+            ideal = np.array([ideal_values(sensor)[name] for name in names])
+            deviations = np.array([PRIORS[name] for name in names])
+            self.parameters = Parameters(names, ideal, ideal, deviations, log, MotionModel(), sensor, 1.0)
+            self.logarithms = dict(self.centres)
+            poses = self.dead_reckoning()
+        else:
+            self.parameters = replace(start.parameters, recorded=log)
+            self.logarithms = {name: start.logarithms[name] for name in self.centres}
+            poses = start.state[: start.poses]
+        self.state = np.concatenate([poses, self._places(poses, group)])
+        self.system = BlockSystem.from_cliques(
+            len(self.state), [_pairs(self.before, self.after), _pairs(self.seen_from, self.seen)]
+        )
+
+    def _centres(self) -> dict[str, float]:
+        """The centres of the priors on the logarithms of the variances."""
+        log = self.log
+        assert log.dt is not None
+        interval = float(np.median(log.dt if log.recorded_dt is None else log.recorded_dt))
+        typical = TYPICAL | {"sigma_omega": TYPICAL["sigma_omega"] / interval**0.5}
+        return {name: 2 * np.log(typical[name]) for name in (*self.motion_parts, *self.sensor_parts)}
+
+    @property
+    def variances(self) -> dict[str, float]:
+        """The variances by the names of the models' fields."""
+        return {name: float(np.exp(value)) for name, value in self.logarithms.items()}
+
+    @property
+    def models(self) -> tuple[MotionModel, SensorModel]:
+        """The noise models with the variances, and the estimated place of the sensor."""
+        variances = self.variances
+        motion = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0, epsilon=LEAST_MOTION)
+        sensor = replace(corrected_sensor(self.parameters), range_rate=0.0, range_std=1.0)
+        return (
+            with_variances(motion, {name: variances[name] for name in self.motion_parts}),
+            with_variances(sensor, {name: variances[name] for name in self.sensor_parts}),
+        )
+
+    @property
+    def trajectory(self) -> Array:
+        """The poses (T+1, 3)."""
+        return self.state[: self.poses]
+
+    def dead_reckoning(self) -> Array:
+        """The poses (T+1, 3) of the corrected controls."""
+        log = self.log
+        controls = corrected_controls(self.parameters)
+        return MotionModel().dead_reckoning(log.initial_poses[0], controls, log.dt)[log.control_starts]  # type: ignore[arg-type]
+
+    def _places(self, poses: Array, group: np.ndarray) -> Array:
+        """The medians (L, 3) of the places at which sightings put their landmarks."""
+        places = np.zeros((len(self.ids), 3))
+        d = self.sightings.shape[1]
+        each = corrected_sensor(self.parameters).h_inverse(poses[self.seen_from], self.sightings)
+        order = np.argsort(group, kind="stable")
+        starts = np.searchsorted(group[order], np.arange(len(self.ids)))
+        for j, rows in enumerate(np.split(order, starts[1:])):
+            places[j, :2] = np.median(each[rows, :2], axis=0)
+            if d == 3:
+                places[j, 2] = each[rows[len(rows) // 2], 2]
+        return places
+
+    def motions(self) -> Edges:
+        """The edges of all motions."""
+        measured, slopes = motion_slopes(self.parameters, corrected_controls(self.parameters))
+        a, b = self.trajectory[:-1], self.trajectory[1:]
+        turn = np.swapaxes(rotation(a[:, 2]), 1, 2)
+        moved = np.einsum("eij,ej->ei", turn, b[:, :2] - a[:, :2])
+        residuals = np.column_stack([moved - measured[:, :2], wrap(b[:, 2] - a[:, 2] - measured[:, 2])])
+        by_first, by_second = np.zeros((len(a), 3, 3)), np.zeros((len(a), 3, 3))
+        by_first[:, :2, :2], by_second[:, :2, :2] = -turn, turn
+        by_first[:, 0, 2], by_first[:, 1, 2] = moved[:, 1], -moved[:, 0]
+        by_first[:, 2, 2], by_second[:, 2, 2] = -1.0, 1.0
+        return Edges(self.before, self.after, residuals, by_first, by_second, -slopes, self.motion_parts)
+
+    def sighted(
+        self, steps: np.ndarray | None = None, seen: np.ndarray | None = None, sightings: Array | None = None
+    ) -> Edges:
+        """The edges of the sightings, or of others: their steps (M,), nodes of landmarks (M,) and values (M, d)."""
+        steps = self.seen_from if steps is None else steps
+        seen = self.seen if seen is None else seen
+        parts = self.sensor_parts if sightings is None else sensor_parts(sightings)
+        z = self.sightings if sightings is None else sightings
+        p, d = self.parameters.by_name(), z.shape[1]
+        x, m = self.state[steps], self.state[seen]
+        back = -p["sensor_delay"] * controls_at_steps(self.parameters)[steps]
+        speed = controls_at_steps(self.parameters)[steps]
+        c, s = np.cos(x[:, 2]), np.sin(x[:, 2])
+        at = x.copy()
+        at[:, 0] += back[:, 0] * c
+        at[:, 1] += back[:, 0] * s
+        at[:, 2] += back[:, 1]
+        arm = mounted(at, (p["sensor_ahead"], p["sensor_left"]))[:, :2] - at[:, :2]
+        offset = m[:, :2] - at[:, :2] - arm
+        r = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), NEAREST)
+        direction = np.arctan2(offset[:, 1], offset[:, 0])
+        predicted = [p["range_scale"] * r + p["range_bias"], direction - at[:, 2] + p["bearing_bias"]]
+        predicted += [direction - m[:, 2]] if d == 3 else []
+        residuals = np.column_stack(predicted) - z
+        residuals[:, 1:] = wrap(residuals[:, 1:])
+        # by the position of the sensor, and from it by everything that moves the sensor
+        of_place = np.zeros((len(z), d, 2))
+        of_place[:, 0] = -p["range_scale"] * offset / r[:, None]
+        of_place[:, 1] = np.column_stack([offset[:, 1], -offset[:, 0]]) / (r * r)[:, None]
+        if d == 3:
+            of_place[:, 2] = of_place[:, 1]
+
+        def by(shift: Array, turn: Array | float = 0.0) -> Array:
+            """The derivative (M, d) of the residuals, when the sensor's position and heading have these."""
+            slope = np.einsum("edi,ei->ed", of_place, shift)
+            slope[:, 1] -= turn
+            return slope
+
+        across_arm = np.column_stack([-arm[:, 1], arm[:, 0]])
+        by_pose, by_landmark = np.zeros((len(z), d, 3)), np.zeros((len(z), d, 3))
+        by_pose[:, :, :2], by_landmark[:, :, :2] = of_place, -of_place
+        by_pose[:, :, 2] = by(np.column_stack([-back[:, 0] * s, back[:, 0] * c]) + across_arm, 1.0)
+        if d == 3:
+            by_landmark[:, 2, 2] = -1.0
+        heading = np.column_stack([np.cos(at[:, 2]), np.sin(at[:, 2])])
+        slopes = np.zeros((len(z), d, len(self.parameters)))
+        for k, name in enumerate(self.parameters.names):
+            if name == "range_scale":
+                slopes[:, 0, k] = r
+            elif name == "range_bias":
+                slopes[:, 0, k] = 1.0
+            elif name == "bearing_bias":
+                slopes[:, 1, k] = 1.0
+            elif name == "sensor_ahead":
+                slopes[:, :, k] = by(heading)
+            elif name == "sensor_left":
+                slopes[:, :, k] = by(np.column_stack([-heading[:, 1], heading[:, 0]]))
+            elif name == "sensor_delay":
+                driven = -speed[:, :1] * np.column_stack([c, s])
+                slopes[:, :, k] = by(driven - speed[:, 1:] * across_arm, -speed[:, 1])
+        return Edges(steps, seen, residuals, by_pose, by_landmark, slopes, parts)
+
+    def covariances(self, edges: Edges) -> Array:
+        """C (E, d, d) of edges."""
+        total = sum(np.exp(self.logarithms[name]) * C for name, C in edges.parts.items())
+        if edges.parts is self.motion_parts:
+            total = total + LEAST_MOTION * np.eye(3)
+        return np.asarray(total)
+
+    def linearized(self) -> Linear:
+        """The linear problem at the current values.
+
+        Raises:
+            GraphError: it determines no solution.
+        """
+        motions, sightings = self.motions(), self.sighted()
+        motions.weigh(self.covariances(motions), DEGREES_MOTIONS)
+        sightings.weigh(self.covariances(sightings), DEGREES_SIGHTINGS)
+        return Linear(self, (motions, sightings))
+
+    def iterate(self, steps: int) -> None:
+        """Gauss-Newton steps.
+
+        Raises:
+            GraphError: the values became infinite, or the problem determines no solution.
+        """
+        for _ in range(steps):
+            linear = self.linearized()
+            nodes, values = linear.step()
+            self.state = self._moved(linear.edges[0], nodes)
+            self.parameters = self.parameters.at(self.parameters.values + values)
+            if not np.isfinite(self.state).all():
+                raise GraphError(f"{self.log.name}: the search for noise and biases diverged")
+
+
+    def _moved(self, motions: Edges, step: Array) -> Array:
+        """The state after a step (n, 3) of the nodes: each pose moves against the one before, and is added to it.
+
+        A correction of the first headings turns all later poses, which a step in world axes approximates by a straight line.
+        Landmarks move with the pose that saw them first.
+        """
+        x, new = self.trajectory, np.empty_like(self.state)
+        turn = np.swapaxes(rotation(x[:-1, 2]), 1, 2)
+        moves = np.empty((self.poses - 1, 3))
+        moves[:, :2] = np.einsum("eij,ej->ei", turn, x[1:, :2] - x[:-1, :2])
+        moves[:, 2] = x[1:, 2] - x[:-1, 2]
+        moves += (motions.by_first @ step[self.before, :, None] + motions.by_second @ step[self.after, :, None])[:, :, 0]
+        new[: self.poses, 2] = x[0, 2] + np.concatenate([[0.0], np.cumsum(moves[:, 2])])
+        along = np.einsum("eij,ej->ei", rotation(new[: self.poses - 1, 2]), moves[:, :2])
+        new[: self.poses, :2] = x[0, :2] + np.concatenate([np.zeros((1, 2)), np.cumsum(along, axis=0)])
+        rows = self._first_sightings
+        at, nodes = self.seen_from[rows], self.seen[rows]
+        offset = self.state[nodes] - x[at]
+        changed = step[nodes] - step[at]
+        changed[:, :2] -= perpendicular(offset[:, :2]) * step[at, 2, None]
+        offset[:, :2] = np.einsum("eij,ej->ei", rotation(new[at, 2] - x[at, 2]), offset[:, :2] + changed[:, :2])
+        offset[:, 2] += changed[:, 2]
+        new[nodes] = new[at] + offset
+        return new
+
+
+class Linear:
+    """The normal equations of `Unknowns` at one state, and their factors."""
+
+    def __init__(self, unknowns: Unknowns, edges: Sequence[Edges]) -> None:
+        self.edges, system, K = tuple(edges), unknowns.system, len(unknowns.parameters)
+        parameters = unknowns.parameters
+        self.poses, self.flat = unknowns.poses, unknowns.sightings.shape[1] == 2
+        self.prior = parameters.weights
+        self.gradient = -self.prior * (parameters.values - parameters.means)
+        own = np.diag(self.prior).astype(float)
+        system.clear()
+        self.mixed = np.zeros((system.num_nodes, 3, K))
+        xi = np.zeros((system.num_nodes, 3, 1))
+        for each in self.edges:
+            W, (at_first, at_second, at_pair) = each.information, system.slots_of(each.first, each.second)
+            WA, WB, WJ = W @ each.by_first, W @ each.by_second, W @ each.by_parameters
+            np.add.at(system.values, at_first, np.swapaxes(each.by_first, 1, 2) @ WA)
+            np.add.at(system.values, at_second, np.swapaxes(each.by_second, 1, 2) @ WB)
+            np.add.at(system.values, at_pair, np.swapaxes(each.by_first, 1, 2) @ WB)
+            own += each.pull(WJ, self.mixed)
+            self.gradient -= each.pull(W @ each.residuals[:, :, None], xi)[:, 0]
+        if self.flat:
+            system.rest(np.arange(self.poses, system.num_nodes), 2)
+        system.xi[:] = -xi[:, :, 0]
+        system.hold(np.zeros(1, dtype=np.int64))
+        self.xi = system.xi.copy()
+        self._free(self.mixed)
+        self.factor = _factorized(system, unknowns.log.name)
+        self.reach = self.factor.solve(self.mixed)
+        self.schur = own - np.einsum("nik,nil->kl", self.mixed, self.reach)
+
+    def _free(self, nodes: Array) -> None:
+        """Set to zero what belongs to no free coordinate, in right-hand sides (n, 3, k)."""
+        nodes[0] = 0.0
+        if self.flat:
+            nodes[self.poses :, 2] = 0.0
+
+    def solve(self, nodes: Array, parameters: Array) -> tuple[Array, Array]:
+        """The solution (n, 3, k), (K, k) for right-hand sides of these shapes; ``nodes`` is changed."""
+        self._free(nodes)
+        found = self.factor.solve(nodes)
+        values = np.linalg.solve(self.schur, parameters - np.einsum("nik,nij->kj", self.mixed, found))
+        return found - self.reach @ values, values
+
+    def step(self) -> tuple[Array, Array]:
+        """The Gauss-Newton step of the nodes (n, 3) and the parameters (K,)."""
+        nodes, values = self.solve(self.xi[:, :, None].copy(), self.gradient[:, None])
+        return nodes[:, :, 0], values[:, 0]
+
+    def samples(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Errors of nodes (n, 3, count) and parameters (K, count), drawn from the covariance of the solution.
+
+        The solution of sum B' W^(1/2) w with random signs w has the covariance Omega^-1.
+        """
+        nodes = np.zeros((*self.xi.shape, count))
+        values = self.prior[:, None] ** 0.5 * rng.choice([-1.0, 1.0], size=(len(self.prior), count))
+        for each in self.edges:
+            signs = rng.choice([-1.0, 1.0], size=(*each.residuals.shape, count))
+            values += each.pull(np.linalg.cholesky(each.information) @ signs, nodes)
+        return self.solve(nodes, values)
+
+    @property
+    def parameter_covariance(self) -> Array:
+        """The covariance (K, K) of the parameters."""
+        return np.linalg.inv(self.schur)
+
+
+def _factorized(system: BlockSystem, name: str) -> Factor:
+    for damping in DAMPING:
+        try:
+            return system.factorize(damping)
+        except FactorizationError:
+            continue
+    raise GraphError(f"{name}: the sightings do not determine noise and biases together with the poses")
+
+
+def _pairs(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The cliques of edges between nodes first < second."""
+    return np.arange(0, 2 * len(first) + 1, 2), np.column_stack([first, second]).ravel()
+
+
+def names_of(unknowns: Unknowns) -> Iterator[str]:
+    """The names of the variances, those of motions first."""
+    yield from unknowns.motion_parts
+    yield from unknowns.sensor_parts
+
+
+__all__ = ["PARAMETERS", "PRIORS", "Edges", "Linear", "Unknowns"]
