@@ -7,11 +7,11 @@ from typing import Any
 
 from ..checks import check_choice
 from ..errors import LogError
+from ..identification.parts import OF_SENSOR, with_variances
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from .from_residuals import CORRELATED, MAX_ROUNDS, SCALES, noise_from_residuals
 from .from_truth import Means, knows_enough, knows_poses, motion_noise, sensor_noise
-from .parts import OF_SENSOR, with_variances
 from .unidentified import with_found_ids
 from .variances import VarianceFit
 

@@ -43,13 +43,13 @@ from ..edges import ObservationEdges, RelativePoseEdges
 from ..edges.base import Linearization
 from ..errors import GraphError, LogError
 from ..graph import Graph
+from ..identification.parts import LEAST, motion_parts, ordinary, sensor_parts, stacked, variances_of, with_variances
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from ..solvers.solve import solve
 from ..uncertainty import Uncertainty
 from .from_truth import SIGNIFICANT, STEP, inverse_information
-from .parts import LEAST, motion_parts, ordinary, sensor_parts, stacked, variances_of, with_variances
 from .variances import FEWEST, MOST, VarianceFit, fit_of_solution, slope_by_nu
 
 #: converged when no variance, made e times larger or smaller, would change the log likelihood by more than this

@@ -11,7 +11,7 @@ sightings that contradict their episode. Then:
    sightings the correlation of the errors, and from this how much a sighting counts;
 4. the noise once more from as many sightings as are nearly independent.
 
-The second-order theory is that of `calibration.unknowns` and `calibration.restricted_likelihood`.
+The second-order theory is that of `identification.unknowns` and `identification.restricted_likelihood`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ INTERVALS, ENOUGH = (5.0, 2.0, 1.0, 0.5, 0.2), 200
 #: rounds of solving and improving the variances, and the gain of the log likelihood below which they end
 ROUNDS, GAIN = (5, 3, 6, 6), 0.3
 #: sightings correlated by more than this are thinned for the last round, and by less than that are all kept
-DEPENDENT, HARDLY = 0.35, 0.15
+DEPENDENT, HARDLY = 0.2, 0.15
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = 50
 #: logs with more sightings are thinned to about so many for the search
@@ -89,7 +89,10 @@ class RobotEstimate:
         noise = ", ".join(
             f"{name} {values[name]:.2g} +- {100 * error:.0f} %" for name, error in self.errors.items() if error < 1
         )
-        lines = [f"noise estimated from this log: {noise}", f"biases estimated from this log: {self.parameters.sentence}"]
+        lines = [
+            f"noise estimated from this log: {noise}",
+            f"biases estimated from this log: {self.parameters.sentence}",
+        ]
         wrong, dropped = int(self.changed.sum()), int(self.dropped.sum())
         if wrong or dropped:
             lines.append(

@@ -7,7 +7,7 @@ of `graphslam.parameters` (scales, biases, delay and place of the sensor), each 
     sightings:  e = (range_scale r + range_bias, direction - theta + bearing_bias, direction - heading of m) - z,
 
 where r and direction lead from the sensor to the landmark. A sighting that is late by tau was made from x_t moved back by tau
-times the control. The covariances are sums of variances times known parts (`calibration.parts`), and every edge has the weight
+times the control. The covariances are sums of variances times known parts (`identification.parts`), and every edge has the weight
 u = (nu + d) / (nu + e' W e) of Student's t, so that slipping wheels and wrong sightings count little.
 
 Nodes and parameters are solved together: with C = sum B' W J, D = sum J' W J + P and J = de/dp,
@@ -110,9 +110,7 @@ class Unknowns:
         start: what is known from an earlier problem of the same log: poses, parameters and variances.
     """
 
-    def __init__(
-        self, log: Log, groups: np.ndarray, sensor: SensorModel, start: Unknowns | None = None
-    ) -> None:
+    def __init__(self, log: Log, groups: np.ndarray, sensor: SensorModel, start: Unknowns | None = None) -> None:
         assert log.controls is not None and log.dt is not None
         self.log, self.sensor = log, sensor
         ids, group, count = np.unique(groups, return_inverse=True, return_counts=True)
@@ -299,7 +297,6 @@ class Unknowns:
             if not np.isfinite(self.state).all():
                 raise GraphError(f"{self.log.name}: the search for noise and biases diverged")
 
-
     def _moved(self, motions: Edges, step: Array) -> Array:
         """The state after a step (n, 3) of the nodes: each pose moves against the one before, and is added to it.
 
@@ -311,7 +308,9 @@ class Unknowns:
         moves = np.empty((self.poses - 1, 3))
         moves[:, :2] = np.einsum("eij,ej->ei", turn, x[1:, :2] - x[:-1, :2])
         moves[:, 2] = x[1:, 2] - x[:-1, 2]
-        moves += (motions.by_first @ step[self.before, :, None] + motions.by_second @ step[self.after, :, None])[:, :, 0]
+        moves += (motions.by_first @ step[self.before, :, None] + motions.by_second @ step[self.after, :, None])[
+            :, :, 0
+        ]
         new[: self.poses, 2] = x[0, 2] + np.concatenate([[0.0], np.cumsum(moves[:, 2])])
         along = np.einsum("eij,ej->ei", rotation(new[: self.poses - 1, 2]), moves[:, :2])
         new[: self.poses, :2] = x[0, :2] + np.concatenate([np.zeros((1, 2)), np.cumsum(along, axis=0)])
