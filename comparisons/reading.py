@@ -32,7 +32,7 @@ from .options import AUTO, AUTO_TOOK, CORRECTIONS, LogOptions, NoiseOptions, Rea
 Given = TypeVar("Given", bound=LogOptions)
 
 #: options that only a file or folder has; a `Log` has been read already
-OF_FILES = ("format", "robot")
+OF_FILES = ("format", "robot", "strict")
 
 
 def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log, Path | None, Given]:
@@ -110,7 +110,7 @@ def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> 
     if isinstance(log, Log):
         data = log
         for name in OF_FILES:
-            if getattr(options, name) is not None:
+            if (value := getattr(options, name)) is not None and value is not False:
                 raise OptionError(f"{name} applies when a file is read, and {log.name!r} is a Log that has been read")
         if options.keep_every is not None:
             data = with_poses_every(data, options.keep_every)

@@ -21,7 +21,7 @@ from ..factors.landmark import WEIGHTS
 from ..graph import Graph
 from ..log import Log
 from ..models import RESIDUALS, MotionModel, SensorModel
-from ..reading import UNIDENTIFIED
+from ..reading import NO_ID, UNIDENTIFIED
 from ..se2 import Array, between, compose
 from ..solution import Solution, make_solution
 
@@ -159,7 +159,7 @@ class IncrementalSmoother:
             return []
         if landmarks.dtype.kind not in "iu" or landmarks.ndim != 1:
             raise OptionError(f"ids must be whole numbers, not {ids!r}")
-        if np.any(landmarks == UNIDENTIFIED):
+        if np.any((landmarks == UNIDENTIFIED) | (landmarks == NO_ID)):
             raise OptionError("isam2 takes identified landmarks only: leave out what nobody has identified")
         z = numbers("sightings", sightings, (2, 3), rows=len(landmarks))
         if np.any(z[:, 0] <= 0):
