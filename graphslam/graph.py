@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from .build import file_of_parts, node_names, parts_of_file, parts_of_log
-from .checks import check_choice, check_positive
+from .checks import check_choice, check_positive, make_read_only
 from .defaults import pairs_overweight, suitable_edges, suitable_kernel
 from .edges import AnchorEdges, EdgeFamily, LandmarkSightings, MarginalEdges, SightingEdges
 from .edges.robust import Kernel, kernel_of
@@ -38,7 +38,7 @@ def _none() -> np.ndarray:
 class Graph:
     """Nodes 0 to n-1 with initial values, and edges. Build one with `from_log` or `from_g2o`.
 
-    The first P nodes are poses, the other L landmarks.
+    The first P nodes are poses, the other L landmarks. The arrays are read-only; `with_initial` makes another graph.
 
     Attributes:
         initial: (n, 3) initial values of the nodes; a landmark without heading uses the first two columns.
@@ -69,6 +69,9 @@ class Graph:
     notes: tuple[str, ...] = ()
     sighting_rows: np.ndarray = field(default_factory=_none)
     parameters: Parameters | None = None
+
+    def __post_init__(self) -> None:
+        make_read_only(self, "initial", "steps", "trajectory", "pose_ids", "landmark_ids", "fixed", "sighting_rows")
 
     def __repr__(self) -> str:
         nodes = f"{len(self.steps)} poses, {len(self.landmark_ids)} landmarks"

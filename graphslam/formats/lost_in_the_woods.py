@@ -75,7 +75,7 @@ def _read(path: Path, _: ReadOptions) -> Log:
         if gaps:
             notes.append(gap_note(gaps))
             warnings.warn(f"{path}: {notes[-1]}", UserWarning, stacklevel=3)
-        driven, lasting, _, starts, variances = bridge(controls, dt, dt, np.arange(len(times)), controls)
+        driven, lasting, _recorded, starts, variances = bridge(controls, dt, dt, np.arange(len(times)), controls)
         return Log(
             dt=lasting,
             controls=driven,

@@ -99,9 +99,7 @@ def _read(folder: Path, options: ReadOptions) -> Log:
             Stream(seen.times[kept], seen.rows[kept, 1:]),
             subject[kept],
             options=options,
-            truth=None
-            if truth_path is None
-            else _stream(truth_path, "x", "y", "heading", notes=notes, strict=options.strict),
+            truth=truth,
             true_landmarks=None if landmarks_path is None else {int(row[0]): row[1:3] for row in landmarks},
             name=f"{folder.resolve().name}-robot{robot}",
             notes=tuple(notes),

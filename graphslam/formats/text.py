@@ -85,7 +85,7 @@ def read_columns(
     numbers = np.arange(len(rows))
     if notes is not None:
         finite = [finite_fault(rows[:, k], name) for k, name in enumerate(columns) if k or not times]
-        wrong = [*(time_faults(rows[:, 0], "the time", "s") if times else ()), *finite, *faults(rows)]
+        wrong = [*(time_faults(rows[:, 0], "the time", "s", MOST_DISORDER) if times else ()), *finite, *faults(rows)]
         kept, about = sound_rows(
             len(rows), noun, wrong, lambda k, text: FormatError(path, line_of(path, k), text), strict=strict,
             source=path.name,

@@ -230,19 +230,24 @@ def bridge(
 
 def gap_note(gaps: list[float]) -> str:
     """The note about bridged gaps [s]."""
+    held = [gap for gap in gaps if gap <= LONGEST_HELD]
+    unknown = [gap for gap in gaps if gap > LONGEST_HELD]
     notes = []
-    for some, how in (
-        ([gap for gap in gaps if gap <= LONGEST_HELD], "by the last control, with noise as large as the spread of all controls"),
-        (
-            [gap for gap in gaps if gap > LONGEST_HELD],
-            "the robot may have moved and turned at will meanwhile, at its usual speeds, and the motion has that much noise",
-        ),
-    ):  # fmt: skip
-        if some:
-            lengths = f"{some[0]:.1f} s" if len(some) == 1 else f"{min(some):.1f} to {max(some):.1f} s"
-            gap = "1 gap" if len(some) == 1 else f"{len(some)} gaps"
-            notes.append(f"{gap} of {lengths} in the odometry: bridged{' ' if how.startswith('by') else '; '}{how}")
+    if held:
+        notes.append(
+            f"{_lengths(held)}: bridged by the last control, with noise as large as the spread of all controls"
+        )
+    if unknown:
+        notes.append(
+            f"{_lengths(unknown)}: bridged, with the noise of a robot that moved and turned at will at its usual speeds"
+        )
     return "; ".join(notes)
+
+
+def _lengths(gaps: list[float]) -> str:
+    if len(gaps) == 1:
+        return f"1 gap of {gaps[0]:.1f} s in the odometry"
+    return f"{len(gaps)} gaps of {min(gaps):.1f} to {max(gaps):.1f} s in the odometry"
 
 
 def truth_at(times: Array, truth: Stream) -> Array:

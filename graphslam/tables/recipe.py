@@ -85,6 +85,8 @@ def _value(file: TomlFile, name: str) -> Any:
         if len(value) != 2 or not all(type(number) in (int, float) for number in value):
             raise file.error(name, f"{name} should be a list of two numbers, [forward, left]")
         return tuple(map(float, value))
+    if name == "strict":
+        return file.value(file.table, name, bool)
     if name == "sensor_yaw":
         return file.value(file.table, name, float)
     if name in (*_UNITS, "columns", "clocks"):

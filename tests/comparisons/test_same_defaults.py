@@ -81,7 +81,9 @@ def test_python_and_the_command_line_solve_the_same_problem(kind, tmp_path):
     assert np.array_equal(named.poses, solution.poses)
 
 
-@pytest.mark.parametrize(("folder", "robot"), [("lnpr/log2_for_book.txt", None), ("mrclam6", 1), ("simulated_535", None)])
+@pytest.mark.parametrize(
+    ("folder", "robot"), [("lnpr/log2_for_book.txt", None), ("mrclam6", 1), ("simulated_535", None)]
+)
 def test_logs_of_others(folder, robot, shared_data, tmp_path):
     path = shared_data(folder)
     solution = solve(Graph.from_log(load(path, robot=robot)))
