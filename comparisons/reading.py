@@ -23,6 +23,7 @@ from graphslam import (
     load,
     sample_log_path,
 )
+from graphslam.calibration.from_truth import knows_enough
 from graphslam.keyframes import with_poses_every
 
 from .noise_files import read_noise
@@ -93,7 +94,7 @@ def _calibrated(log: Log, sensor: SensorModel) -> tuple[Log, Calibration | None]
             )
             reason += (
                 "the true poses do: slam-compare calibrate this log, and run with that noise file"
-                if log.true_poses is not None
+                if knows_enough(log)
                 else "calibrate with --scale odometry or ranges, and run with that noise file"
             )
     except (GraphError, LogError) as error:

@@ -170,3 +170,11 @@ def test_minus_one_is_no_id(drive, tmp_path):
         LOG.replace(true_landmarks={-1: (0.0, 0.0)})
     with pytest.raises(OptionError, match="identified landmarks only"):
         OnlineSolver().step(control=(1.0, 0.0), dt=1.0, ids=[-1], sightings=[[1.0, 0.0]])
+
+
+def test_range_and_bearing_swapped_are_not_taken_for_degrees(drive):
+    swapped = {(row, 2): repr(z[1]) for row, z in enumerate(LOG.sightings.tolist())}
+    swapped |= {(row, 3): repr(z[0] + 3) for row, z in enumerate(LOG.sightings.tolist())}
+    with pytest.raises(FormatError, match="a range is above zero: are range and bearing swapped") as caught:
+        load(drive(swapped))
+    assert "degrees" not in str(caught.value)

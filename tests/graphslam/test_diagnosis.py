@@ -65,6 +65,9 @@ def test_a_hinge_of_two_dimensional_sightings():
     )
     with pytest.raises(GraphError, match="poses 2 and 3: nothing holds the whole piece, which can turn"):
         solve(Graph.from_log(log, edges="virtual"))
+    # a log has rows, and no edges that somebody could add
+    with pytest.raises(GraphError, match=r"The log has no odometry to hold them: add it, or remove the sightings"):
+        solve(Graph.from_log(log))
 
 
 def test_levenberg_marquardt_and_edges_without_information(tmp_path):
