@@ -42,7 +42,7 @@ def _remedy(graph: Graph) -> str:
     if graph.log.controls is None:
         return "The log has no odometry to hold them: add it, or remove the sightings from there"
     if not any(isinstance(family, RelativePoseEdges) for family in graph.families):
-        return "Use motion edges, which hold every pose: edges='virtual+motion' or 'landmark+motion' (--edges landmark+motion)"
+        return "Use motion edges, which hold every pose: edges='landmark+motion' (--edges landmark+motion)"
     return (
         "The odometry and the sightings there count for nothing beside the others: look for extreme noise models, units, or "
         "motions (slam-compare show)"

@@ -25,7 +25,8 @@ from .uncertainty import Uncertainty
 class Solution:
     """The result of a solver on a graph, converged or not.
 
-    The arrays are read-only. Methods name a pose by its id: the step for the graph of a log, the number in the file for a pose graph.
+    The arrays are read-only. Methods name a pose by its id: the step for the graph of a log, the number in the file for a
+    pose graph.
 
     Attributes:
         poses: (T+1, 3) [m, m, rad], headings in [-pi, pi); for a pose graph one row per pose id, by increasing id.
