@@ -84,7 +84,7 @@ def book(data: Path) -> None:
     for log in map(load, paths):
         for edges in ("virtual", "virtual+motion") if log.controls is not None else ("virtual",):
             for weight in ("pairs", "tempered", "marginal"):
-                show(f"{log.name} {edges} {weight}", Graph.from_log(log, edges=edges, weight=weight))
+                show(f"{log.name} {edges} {weight}", Graph.from_log(log, edges=edges, weight=weight, kernel="none"))
 
 
 def noisy(seed: int) -> Log:
@@ -129,10 +129,10 @@ def landmarks(data: Path, count: int) -> None:
     for robot in (1, 3):
         for epsilon in (1e-4, 1e-8):
             log = load(data / "mrclam6", robot=robot)
-            graph = Graph.from_log(log, edges="landmark+motion", motion=MotionModel(epsilon=epsilon))
+            graph = Graph.from_log(log, edges="landmark+motion", motion=MotionModel(epsilon=epsilon), kernel="none")
             show(f"MR.CLAM 6 robot {robot}, epsilon {epsilon:g}", graph)
     for folder in ("simulated_535", "simulated_8240", "lost_in_the_woods"):
-        show(folder, Graph.from_log(load(data / folder), edges="landmark+motion"))
+        show(folder, Graph.from_log(load(data / folder), edges="landmark+motion", kernel="none"))
 
 
 def auto(count: int) -> None:
@@ -140,7 +140,7 @@ def auto(count: int) -> None:
     outcome: Counter[str] = Counter()
     for seed in range(count):
         log = noisy(seed)
-        graph = Graph.from_log(log, edges="landmark+motion", dimensions=2)
+        graph = Graph.from_log(log, edges="landmark+motion", dimensions=2, kernel="none")
         assert log.true_poses is not None and log.true_landmarks is not None
         places = [np.append(log.true_landmarks[j][:2], 0.0) for j in graph.landmark_ids.tolist()]
         truth = np.concatenate([log.true_poses[graph.steps], places])

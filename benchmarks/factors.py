@@ -37,7 +37,7 @@ def main() -> None:
 
 def speed(path: Path, runs: int) -> None:
     """Time to convergence by kind of factor."""
-    graph = Graph.from_log(load(path))
+    graph = Graph.from_log(load(path), edges="virtual+motion", kernel="none")
     per_edge = to_gtsam(graph, factors="per-edge")
     native = gtsam.NonlinearFactorGraph()
     for k in range(per_edge.size()):

@@ -250,7 +250,7 @@ def real(seeds: int) -> Iterator[str]:
         assert truth is not None
         graph, plain = (
             ate(truth, solve(Graph.from_log(log, edges="landmark+motion", kernel=kernel), initialize="auto").poses)
-            for kernel in ("huber", None)
+            for kernel in ("huber", "none")
         )
         yield f"robot {robot}, {log.num_poses} poses: graph with Huber's kernel {graph:.3f} m, without kernel {plain:.3f} m"
         found: dict[str, list[float]] = {"histories": [], "drawn backwards": []}

@@ -64,7 +64,9 @@ def one_log(case: float | str, dimensions: int, seed: int) -> Array:
     for row, residual in zip(rows, RESIDUALS):
         try:
             solution = solve(
-                Graph.from_log(log, edges="landmark+motion", motion=motion, sensor=sensor, residual=residual),
+                Graph.from_log(
+                    log, edges="landmark+motion", motion=motion, sensor=sensor, residual=residual, kernel="none"
+                ),
                 max_iterations=500,
             )
             if solution.converged:

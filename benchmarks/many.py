@@ -39,7 +39,7 @@ def of_sample_log(edges: str) -> Callable[[np.random.Generator], Graph]:
 
     def make(random: np.random.Generator) -> Graph:
         drawn = 0.01 * random.standard_normal(log.sightings.shape)
-        return Graph.from_log(replace(log, sightings=log.sightings + drawn), edges=edges)
+        return Graph.from_log(replace(log, sightings=log.sightings + drawn), edges=edges, kernel="none")
 
     return make
 

@@ -57,7 +57,7 @@ def main() -> None:
         found = associate(log, start=start, estimate=given.estimate)
         middle = time.process_time()
         print(f"  {found.landmarks} landmarks, slip {found.motion.slip:.2g} m/√m, {middle - begin:.1f} s")
-        for kernel in (None, "cauchy"):
+        for kernel in ("none", "cauchy"):
             begin = time.process_time()
             solution = solve(Graph.from_log(found.log, edges="landmark+motion", kernel=kernel, estimate=given.estimate))
             seconds = time.process_time() - begin

@@ -17,6 +17,7 @@ import graphslam
 from fastslam.samples import Samples
 from graphslam import Graph, GraphError, Log, OptionError, SensorModel, SlamError, Solution
 from graphslam.checks import suggestion
+from graphslam.defaults import suitable_edges, suitable_for_isam2, suitable_kernel
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import wrap
 
@@ -28,8 +29,6 @@ from .results import EstimatorResult
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
 PATIENCE = 0.5
-#: the robust kernel on real data unless the options name one
-DEFAULT_KERNEL = "cauchy"
 #: a sighting to which the kernel gives less weight than this counts as weighed down
 WEIGHED_DOWN = 0.5
 
@@ -76,15 +75,15 @@ def make_graph(log: Log, options: RunOptions) -> Graph:
         GraphError: the log does not determine it.
     """
     known, found = identified(log, options)
-    keywords = graph_keywords(log, options)
+    keywords = graph_keywords(options)
     return Graph.from_log(known, **(keywords if found is None else keywords | {"motion": found.motion}))
 
 
-def graph_keywords(log: Log, options: RunOptions) -> dict[str, Any]:
-    """The keywords of `Graph.from_log` that the options ask for."""
-    options = chosen(log, options)
+def graph_keywords(options: RunOptions) -> dict[str, Any]:
+    """The keywords of `Graph.from_log` that the options ask for; it chooses what they leave open."""
     given = {name: getattr(options, name) for name in _GRAPH if name != "initialize"}
-    kernel = None if options.kernel in ("none", "gnc") else options.kernel
+    # graduated non-convexity determines which sightings are wrong by itself
+    kernel = "none" if options.kernel == "gnc" else options.kernel
     models = {"motion": options.motion, "sensor": options.sensor}
     return given | models | {"kernel": kernel}
 
@@ -92,21 +91,9 @@ def graph_keywords(log: Log, options: RunOptions) -> dict[str, Any]:
 def chosen(log: Log, options: RunOptions) -> RunOptions:
     """The options with the edges and the kernel that suit the log, where they name none.
 
-    Real data have wrong sightings, and a kernel costs next to nothing (docs/decisions.md). All logs count as real data, but
-    those that `graphslam.simulate` made.
+    The choice is that of `Graph.from_log`.
     """
-    kernel = options.kernel or ("none" if log.simulated else DEFAULT_KERNEL)
-    return replace(options, edges=options.edges or default_edges(log), kernel=kernel)
-
-
-def default_edges(log: Log) -> str:
-    """The edges of the graph unless the options name them: with motion edges wherever the log has controls.
-
-    Without psi a virtual-motion edge has no constant information, and landmarks as nodes serve better.
-    """
-    if log.controls is None:
-        return "virtual"
-    return "virtual+motion" if log.has_orientation else "landmark+motion"
+    return replace(options, edges=options.edges or suitable_edges(log), kernel=options.kernel or suitable_kernel(log))
 
 
 def dead_reckoning(log: Log, options: RunOptions) -> EstimatorResult:
@@ -130,7 +117,7 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     result = graphslam.textbook.solve(log, edges=edges, **models)
     seconds = time.perf_counter() - begin
     # J by the graph's own evaluator
-    graph = Graph.from_log(log, edges=edges, frame="world", **models)
+    graph = Graph.from_log(log, edges=edges, frame="world", kernel="none", **models)
     state = np.asarray(result.poses, dtype=float)[graph.steps]
     return _with_map(
         log,
@@ -200,24 +187,32 @@ def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineEsti
 
 def _online_graph(log: Log, options: RunOptions) -> Graph:
     fixed = {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
-    return Graph.from_log(log, **(online_keywords(log, options) | fixed))
+    return Graph.from_log(log, **(online_keywords(options) | fixed))
 
 
 def isam2(log: Log, options: RunOptions) -> EstimatorResult:
     """ISAM2 on our factor types, step by step through the log, as a robot that drives could."""
-    keywords = online_keywords(log, options)
+    options = isam2_options(log, options)
+    keywords = online_keywords(options)
     result = _of_solution("isam2", log, options, graphslam.solve_online(log, **keywords))
     return replace(result, converged=None)
 
 
-def online_keywords(log: Log, options: RunOptions) -> dict[str, Any]:
+def isam2_options(log: Log, options: RunOptions) -> RunOptions:
+    """The options with the edges and the kernel that `graphslam.solve_online` takes where they name none."""
+    edges, kernel = suitable_for_isam2(log, options.edges, options.kernel)
+    assert isinstance(kernel, str)
+    return replace(options, edges=edges, kernel=kernel)
+
+
+def online_keywords(options: RunOptions) -> dict[str, Any]:
     """The keywords of graphs that are solved step by step, without the frame.
 
     Raises:
         GraphError: the options ask for what that cannot do.
     """
     _no_gnc(options)
-    keywords = graph_keywords(log, options)
+    keywords = graph_keywords(options)
     del keywords["estimate"]
     if keywords.pop("frame") != "body":
         raise GraphError("online and isam2 have no world frame, whose information is re-evaluated; use --frame body")
@@ -377,7 +372,8 @@ def _isam2_seconds(log: Log, options: RunOptions) -> float:
         return 0.0
     # some ten milliseconds a step, and the landmarks' factors made anew as they grow; "per iteration" is per step here.
     # It estimates no parameters, and uses the ids of the log
-    return 1e-3 * log.num_poses + _factor_seconds(log, replace(options, estimate=None), lambda: log)
+    options = replace(isam2_options(log, options), estimate=None)
+    return 1e-3 * log.num_poses + _factor_seconds(log, options, lambda: log)
 
 
 _GRAPH = tuple(options_of(GraphOptions))

@@ -50,6 +50,10 @@ class ReadingOptions(Options):
         None, "Point of the robot that the ground truth is of, such as a GPS antenna: forward, left.", unit="m",
         default_text="as the reader says",
     )  # fmt: skip
+    strict: bool = option(
+        False,
+        "Refuse a log at the first row that cannot be, such as a negative range, instead of leaving such rows out.",
+    )
     stride: int = option(1, "Keep every N-th pose and the sightings from it.", minimum=1, metavar="N")
     max_range: float | None = option(None, "Leave out sightings from farther away.", unit="m", positive=True)
     dimensions: int | None = option(

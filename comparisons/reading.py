@@ -23,6 +23,7 @@ from graphslam import (
     load,
     sample_log_path,
 )
+from graphslam.calibration.from_truth import knows_enough
 from graphslam.keyframes import with_poses_every
 
 from .noise_files import read_noise
@@ -32,7 +33,7 @@ from .options import AUTO, AUTO_TOOK, CORRECTIONS, LogOptions, NoiseOptions, Rea
 Given = TypeVar("Given", bound=LogOptions)
 
 #: options that only a file or folder has; a `Log` has been read already
-OF_FILES = ("format", "robot")
+OF_FILES = ("format", "robot", "strict")
 
 
 def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log, Path | None, Given]:
@@ -93,7 +94,7 @@ def _calibrated(log: Log, sensor: SensorModel) -> tuple[Log, Calibration | None]
             )
             reason += (
                 "the true poses do: slam-compare calibrate this log, and run with that noise file"
-                if log.true_poses is not None
+                if knows_enough(log)
                 else "calibrate with --scale odometry or ranges, and run with that noise file"
             )
     except (GraphError, LogError) as error:
@@ -110,7 +111,7 @@ def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> 
     if isinstance(log, Log):
         data = log
         for name in OF_FILES:
-            if getattr(options, name) is not None:
+            if (value := getattr(options, name)) is not None and value is not False:
                 raise OptionError(f"{name} applies when a file is read, and {log.name!r} is a Log that has been read")
         if options.keep_every is not None:
             data = with_poses_every(data, options.keep_every)

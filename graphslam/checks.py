@@ -95,3 +95,12 @@ def suggestion(word: object, known: Collection[str]) -> str:
     """The end of a message about an unknown word: the known word that is spelled like it, if there is one."""
     matches = difflib.get_close_matches(str(word), list(known), n=1)
     return f"; did you mean {matches[0]!r}?" if matches else ""
+
+
+def make_read_only(owner: object, *names: str) -> None:
+    """Replace arrays that are attributes of a frozen dataclass by views that cannot be written to."""
+    for name in names:
+        if isinstance(array := getattr(owner, name), np.ndarray):
+            view = array.view()
+            view.flags.writeable = False
+            object.__setattr__(owner, name, view)

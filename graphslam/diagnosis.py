@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .edges import RelativePoseEdges
 from .errors import GraphError
 from .graph import Graph
 from .linear.cholesky import FactorizationError, SingularPivot
@@ -31,9 +32,20 @@ def undetermined(graph: Graph, state: Array, error: FactorizationError) -> Graph
     edges = "; ".join(touching[:MOST]) + (f"; and {len(touching) - MOST} more" if len(touching) > MOST else "")
     held = f"the edges there are {edges}" if touching else "no edge is there"
     names = graph.names(moving)
-    return GraphError(
-        f"the edges do not determine {names}: nothing holds {what}; {held}. "
-        "Add edges (edges='virtual+motion', a sensor with psi, a loop closure) or an anchor there"
+    return GraphError(f"the edges do not determine {names}: nothing holds {what}; {held}. {_remedy(graph)}")
+
+
+def _remedy(graph: Graph) -> str:
+    """What whoever made the graph can do: of a log, they have rows and options, and not edges."""
+    if graph.log is None:
+        return "Add edges (a relative pose, a sighting, a loop closure) or an anchor there"
+    if graph.log.controls is None:
+        return "The log has no odometry to hold them: add it, or remove the sightings from there"
+    if not any(isinstance(family, RelativePoseEdges) for family in graph.families):
+        return "Use motion edges, which hold every pose: edges='landmark+motion' (--edges landmark+motion)"
+    return (
+        "The odometry and the sightings there count for nothing beside the others: look for extreme noise models, units, or "
+        "motions (slam-compare show)"
     )
 
 

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from .build import file_of_parts, node_names, parts_of_file, parts_of_log
-from .checks import check_choice, check_positive
+from .checks import check_choice, check_positive, make_read_only
+from .defaults import pairs_overweight, suitable_edges, suitable_kernel
 from .edges import AnchorEdges, EdgeFamily, LandmarkSightings, MarginalEdges, SightingEdges
 from .edges.robust import Kernel, kernel_of
 from .errors import GraphError, OptionError
@@ -37,7 +38,7 @@ def _none() -> np.ndarray:
 class Graph:
     """Nodes 0 to n-1 with initial values, and edges. Build one with `from_log` or `from_g2o`.
 
-    The first P nodes are poses, the other L landmarks.
+    The first P nodes are poses, the other L landmarks. The arrays are read-only; `with_initial` makes another graph.
 
     Attributes:
         initial: (n, 3) initial values of the nodes; a landmark without heading uses the first two columns.
@@ -69,6 +70,9 @@ class Graph:
     sighting_rows: np.ndarray = field(default_factory=_none)
     parameters: Parameters | None = None
 
+    def __post_init__(self) -> None:
+        make_read_only(self, "initial", "steps", "trajectory", "pose_ids", "landmark_ids", "fixed", "sighting_rows")
+
     def __repr__(self) -> str:
         nodes = f"{len(self.steps)} poses, {len(self.landmark_ids)} landmarks"
         return f"Graph({nodes}; {', '.join(f'{family.count} {type(family).__name__}' for family in self.families)})"
@@ -85,7 +89,7 @@ class Graph:
         *,
         motion: MotionModel | None = None,
         sensor: SensorModel | None = None,
-        edges: str = "virtual+motion",
+        edges: str | None = None,
         frame: str = "body",
         weight: str = "pairs",
         motion_weight: float = 1.0,
@@ -100,15 +104,17 @@ class Graph:
             log: the controls and sightings of the robot.
             motion, sensor: the noise models; default: those of the log, else the book's.
             edges: "virtual" (poses that saw nothing are left out), "virtual+motion", or "landmark+motion", in which
-                landmarks are nodes and every sighting is one edge.
+                landmarks are nodes and every sighting is one edge. Default: what suits the log, which is "virtual" without
+                controls, "virtual+motion" with psi, and "landmark+motion" otherwise.
             frame: "world" (the lectures: information re-evaluated at every step) or "body" (constant information).
             weight: of virtual edges: "pairs" (the book: each of K sightings enters K-1 edges, so a landmark weighs up
                 to K/2 times what it should), "tempered" (each pair times 2/K: exact where sightings are alike) or
                 "marginal" (the landmark eliminated: each sighting counts once, exactly).
             motion_weight: lambda, the factor on the motion edges.
-            kernel: against wrong sightings: `Huber`, `Cauchy`, `GemanMcClure` or their names, or None. It acts on every pair
-                of "pairs" and "tempered", and on every sighting otherwise. The default width has 95 % of the efficiency of
-                least squares. See also `solve_gnc`.
+            kernel: against wrong sightings: `Huber`, `Cauchy`, `GemanMcClure` or their names, or "none". Default: what suits
+                the log, "none" where `simulate` made it and "cauchy" otherwise. It acts on every pair of "pairs" and
+                "tempered", and on every sighting otherwise. The default width has 95 % of the efficiency of least squares.
+                See also `solve_gnc`.
             dimensions: 3: require orientation psi; 2: ignore it; default: use psi where the log has it.
             residual: of landmark nodes: "cartesian" (the sighting as a position in the robot's axes, the landmark's heading
                 with it) or "polar" (range and bearing, h(x, m) - z, whose cost has false minima).
@@ -123,19 +129,27 @@ class Graph:
         """
         if not isinstance(log, Log):
             raise OptionError(f"log must be a Log, not {log!r}; graphslam.load(path) reads one")
-        check_choice("edges", edges, EDGES)
+        if edges is not None:
+            check_choice("edges", edges, EDGES)
         check_choice("frame", frame, FRAMES)
         check_choice("weight", weight, WEIGHTS)
         check_choice("residual", residual, RESIDUALS)
         check_positive(motion_weight=motion_weight)
         recorded = log = _with_dimensions(log, dimensions)
+        edges = suitable_edges(log) if edges is None else edges
+        kernel = suitable_kernel(log) if kernel is None else kernel
         motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
         parts = parts_of_log(
             log, motion=motion, sensor=sensor, edges=edges, frame=frame, weight=weight, scale=motion_weight,
             kernel=kernel_of(kernel), residual=residual,
         )  # fmt: skip
-        if edges.startswith("landmark") and weight != WEIGHTS[0]:
-            note = f"weight={weight!r} has no effect: with landmark nodes each sighting counts once"
+        note = None
+        if edges.startswith("landmark"):
+            if weight != WEIGHTS[0]:
+                note = f"weight={weight!r} has no effect: with landmark nodes each sighting counts once"
+        elif weight == "pairs":
+            note = pairs_overweight(log)
+        if note:
             parts["notes"] = (*parts.get("notes", ()), note)
         parameters = declared(estimate, recorded, motion, sensor, edges, residual, motion_weight)
         return cls(**parts, parameters=parameters)

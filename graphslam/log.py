@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from .checks import check_positive, checked_offset, first
 from .errors import LogError, OptionError, printable
 from .models import MotionModel, SensorModel
-from .reading import NO_CLASS, UNIDENTIFIED
+from .reading import NO_CLASS, NO_ID, UNIDENTIFIED
 from .se2 import Array, mounted, wrap
 from .tables import TableOptions, parts_of_tables
 
@@ -33,7 +33,8 @@ class Log:
         recorded_dt: (S,) the duration [s] of the recorded control of which each control is a piece, where sightings cut
             controls; its pieces share the variance that the motion model gives it (`MotionModel.M`). Default: ``dt``.
         steps: the step of each sighting, (M,), not decreasing.
-        landmarks: the id of the landmark of each sighting, (M,) integers; `UNIDENTIFIED` where the sensor gives none.
+        landmarks: the id of the landmark of each sighting, (M,) integers; `UNIDENTIFIED` where the sensor gives none. -1
+            is taken for that, with a note.
         sightings: (l, phi) or (l, phi, psi) [m, rad, rad], (M, 2) or (M, 3); angles are wrapped to [-pi, pi).
         classes: what each sighting looks like, such as the colour of a cone: (M,) words, or integers; None where the sensor
             tells none. Where the class of a sighting is not known it is "", or `UNIDENTIFIED`. `graphslam.associate` and
@@ -105,6 +106,8 @@ class Log:
             values["true_path"] = _checked_truth(self.true_path, (starts[-1] + 1, 3), "true_path")
         values["truth_offset"] = checked_offset("truth_offset", self.truth_offset)
         if self.true_landmarks is not None:
+            if NO_ID in self.true_landmarks:
+                raise LogError("true_landmarks has the id -1, which stands for no id: give this landmark another one")
             values["true_landmarks"] = {int(j): _landmark(int(j), m) for j, m in self.true_landmarks.items()}
         if not np.isfinite(self.start_time):
             raise LogError(f"start_time is {self.start_time}; it must be a finite number of seconds")
@@ -199,6 +202,11 @@ class Log:
             raise LogError(
                 f"sighting {k + 1} runs backwards, from step {steps[k]} to {steps[k + 1]}: sort sightings by step"
             )
+        if np.any(none := landmarks == NO_ID):
+            landmarks[none] = UNIDENTIFIED
+            have = "sighting has" if none.sum() == 1 else "sightings have"
+            notes = (*self.notes, f"{none.sum():,} of {len(none):,} {have} the id -1, taken as no id")
+            object.__setattr__(self, "notes", notes)
         classes = None if self.classes is None else _checked_classes(self.classes, len(sightings))
         return {"steps": steps, "landmarks": landmarks, "sightings": sightings, "classes": classes}
 

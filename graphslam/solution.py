@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .certificate import Certificate, prove
+from .checks import make_read_only
 from .errors import OptionError
 from .graph import Graph
 from .mapping import LandmarkMap
@@ -24,7 +25,8 @@ from .uncertainty import Uncertainty
 class Solution:
     """The result of a solver on a graph, converged or not.
 
-    Methods name a pose by its id: the step for the graph of a log, the number in the file for a pose graph.
+    The arrays are read-only. Methods name a pose by its id: the step for the graph of a log, the number in the file for a
+    pose graph.
 
     Attributes:
         poses: (T+1, 3) [m, m, rad], headings in [-pi, pi); for a pose graph one row per pose id, by increasing id.
@@ -62,6 +64,11 @@ class Solution:
     notes: tuple[str, ...] = ()
     trust: Array | None = None
     graph: Graph | None = None
+
+    def __post_init__(self) -> None:
+        make_read_only(self, "poses", "estimated", "costs", "step_norms", "state", "trust")
+        for place in self.landmarks.values():
+            place.flags.writeable = False
 
     def __repr__(self) -> str:
         """One line: solver, outcome, cost and sizes."""

@@ -87,7 +87,8 @@ def run(
 
 def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) -> str | None:
     """The command that finds better noise models, where those of the book do not fit a log in which nothing is suspicious."""
-    from ..options import DOUBTFUL
+    from ..option import options_of
+    from ..options import DOUBTFUL, ReadingOptions
 
     fits = outcome.noise_ratio is None or 1 / DOUBTFUL <= outcome.noise_ratio[1] <= DOUBTFUL
     # wrong ids raise J, so that it may fit with noise models that are too wide
@@ -100,7 +101,9 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) ->
     if not outcome.log.identified:
         return f"Ids depend on the noise models. With noise estimated from this log: {auto}"
     if outcome.log.true_poses is not None:
-        return f"Noise of this robot: {command('calibrate', log, '--out', 'noise.toml')}"
+        # of a data set of several robots it needs to know which one
+        reading = ReadingOptions.of(**{name: getattr(options, name) for name in options_of(ReadingOptions)})
+        return f"Noise of this robot: {command('calibrate', log, '--out', 'noise.toml', options=reading)}"
     return f"Noise of this robot: {auto}"
 
 

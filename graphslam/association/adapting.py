@@ -121,7 +121,9 @@ def fitted(
     """
     kept = labels >= 0
     log = recorded.with_sightings(kept, landmarks=labels[kept], initial_poses=poses)
-    graph = Graph.from_log(log, motion=robot.motion, sensor=sensor, edges="landmark+motion", estimate=estimate)
+    graph = Graph.from_log(
+        log, motion=robot.motion, sensor=sensor, edges="landmark+motion", kernel="none", estimate=estimate
+    )
     solution = solve(graph, initialize="given", tolerance=ROUGH * len(poses) ** 0.5)
     assert solution.graph is not None and solution.graph.parameters is not None
     whole = replace(solution.graph.parameters, recorded=recorded)

@@ -45,7 +45,9 @@ def drive(
     """
     motions, noises = log.motions(motion)
     if np.any(kept := backbone.known >= 0):
-        graph = Graph.from_log(log.with_sightings(kept), motion=motion, sensor=sensor, edges="landmark+motion")
+        graph = Graph.from_log(
+            log.with_sightings(kept), motion=motion, sensor=sensor, edges="landmark+motion", kernel="none"
+        )
         guide = solve(graph).poses
         motions = between(guide[:-1], guide[1:])
     window = max(options.window, -(-log.num_poses // MOST_WINDOWS))

@@ -98,8 +98,10 @@ def motion_of(motion: Any) -> MotionModel:
     return motion
 
 
-def frozen_at(at: Any, needed: bool, rows: int | None = None) -> Array | None:
+def frozen_at(at: Any, needed: bool, rows: int | None = None, *, frame: str = "world") -> Array | None:
     """The pose (3,), or poses (rows, 3), at which state-dependent information is evaluated; None if it is constant.
+
+    In the body frame it depends on the poses only where the sightings have no psi.
 
     Raises:
         OptionError: the poses are needed and missing, or have another shape.
@@ -107,8 +109,15 @@ def frozen_at(at: Any, needed: bool, rows: int | None = None) -> Array | None:
     if not needed:
         return None
     if at is None:
-        poses = "the pose; give it" if rows is None else "the poses; give them"
-        raise OptionError(f"the information depends on {poses} as 'at', or take frame='body' where that is constant")
+        poses, given = ("the pose", "at=pose") if rows is None else ("the poses", "at=poses")
+        if frame == "body":
+            raise OptionError(
+                f"without psi the information depends on {poses}, in frame='body', too: pass {given}, or use landmark nodes "
+                "or weight='marginal', whose information is constant"
+            )
+        raise OptionError(
+            f"the information depends on {poses}: pass {given}, or take frame='body' where that is constant"
+        )
     return numbers("at", at, (3,), rows)
 
 

@@ -78,7 +78,7 @@ class LandmarkFactor(Factor):
         trusted = np.ones(len(z)) if trust is None else numbers("trust", trust, (len(z),))
         if np.any(trusted <= 0):
             raise OptionError(f"trust must be above zero for every sighting, not {trust!r}")
-        frozen = frozen_at(at, needed=world or (weight != "marginal" and z.shape[1] == 2), rows=len(z))
+        frozen = frozen_at(at, needed=world or (weight != "marginal" and z.shape[1] == 2), rows=len(z), frame=frame)
         if weight == "marginal":
             rows, residual, error = _marginal(z, node, sensor, world, trusted, frozen)
         else:

@@ -56,7 +56,7 @@ class VirtualMotionFactor(Factor):
             raise OptionError("z_1 and z_2 must both have psi, or both lack it")
         oriented = len(z_1) == 3
         (_, phi1, psi1), (_, phi2, psi2) = ((*z, 0.0)[:3] for z in (z_1.tolist(), z_2.tolist()))
-        frozen = frozen_at(at, needed=not (body and oriented), rows=2)
+        frozen = frozen_at(at, needed=not (body and oriented), rows=2, frame=frame)
         # poses that see the landmark in the axes of the first sighting, if the information does not depend on the poses
         x_1, x_2 = [[0.0, 0.0, -phi1], [0.0, 0.0, psi2 - psi1 - phi2]] if frozen is None else frozen.tolist()
         covariance = sensor.landmark_covariance(x_1, z_1) + sensor.landmark_covariance(x_2, z_2)

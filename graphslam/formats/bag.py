@@ -26,7 +26,7 @@ def recipe_beside(path: Path) -> Recipe:
 
 
 def _read(path: Path, options: ReadOptions) -> Log:
-    return Log(**drive_of_bag(path, recipe_beside(path)).parts(options, path.resolve().stem))
+    return Log(**drive_of_bag(path, recipe_beside(path).strictly(options.strict)).parts(options, path.resolve().stem))
 
 
 FORMAT = Format("bag", is_bag, _read, separate_times=True)

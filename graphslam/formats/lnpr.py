@@ -22,11 +22,13 @@ import numpy as np
 from ..errors import FormatError
 from ..files import read_text, write_whole
 from ..log import Log
-from ..reading import ReadOptions
+from ..reading import Fault, ReadOptions, sound_rows
 from .base import Format, errors_name
 from .text import number, whole
 
 #: the columns of each kind of line; the last one of z may be missing
+#: numbers that nothing was measured with
+_NO_NUMBERS = ("nan", "inf", "infinity")
 _COLUMNS = {"delta": "DT", "u": "t NU OMEGA", "x": "t X Y THETA", "z": "t ID RANGE BEARING PSI"}
 
 
@@ -39,14 +41,16 @@ def _recognises(_: Path, head: bytes) -> bool:
 class _Reader:
     """Collects the lines of one file."""
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.line = path, 0
+    def __init__(self, path: Path, strict: bool = False) -> None:
+        self.path, self.line, self.strict = path, 0, strict
         self.delta: float | None = None
         self.controls: list[list[float]] = []
         self.poses: list[list[float]] = []
         self.sightings: list[list[float]] = []
         #: the line of each sighting, by step and landmark
         self.lines: dict[tuple[int, int], int] = {}
+        #: sightings that cannot be: line, what they have, and the sentence
+        self.wrong: list[tuple[int, str, str]] = []
 
     def error(self, message: str) -> FormatError:
         return FormatError(self.path, self.line or None, message)
@@ -61,7 +65,13 @@ class _Reader:
             raise self.error(f"expected {form!r}, found {1 + len(words)} columns in {' '.join([tag, *words])!r}")
         names = {"t": "the step number"}
         integers = [whole(self.path, line, names.get(c, c), w) for c, w in zip(columns, words) if c in ("t", "ID")]
-        values = [number(self.path, line, c, w) for c, w in zip(columns, words) if c not in ("t", "ID")]
+        numbers = [(c, w) for c, w in zip(columns, words) if c not in ("t", "ID")]
+        unknown = [(c, w) for c, w in numbers if tag == "z" and w.lower().lstrip("+-") in _NO_NUMBERS]
+        if unknown:
+            name, word = unknown[0]
+            self.wrong.append((line, f"{name} {word}", f"{name} is {word}; only finite numbers are allowed"))
+            return
+        values = [number(self.path, line, c, w) for c, w in numbers]
         if tag == "delta":
             if self.delta is not None:
                 raise self.error("a second delta line; a log has one step time")
@@ -86,7 +96,9 @@ class _Reader:
             latest = f"'x {current}'" if current >= 0 else "missing"
             raise self.error(f"step number {how}: a sighting of step {step}, but the latest pose line is {latest}")
         if values[0] <= 0:
-            raise self.error(f"range {values[0]:g} m; a range must be above zero")
+            what = "a negative range" if values[0] < 0 else "a range of 0"
+            self.wrong.append((self.line, what, f"range {values[0]:g} m; a range must be above zero"))
+            return
         if self.sightings and len(values) != len(self.sightings[0]):
             have, other = "has no PSI" if len(values) == 2 else "has PSI", next(iter(self.lines.values()))
             raise self.error(f"this sighting {have}, unlike line {other}; all must be alike")
@@ -94,6 +106,16 @@ class _Reader:
         if earlier != self.line:
             raise self.error(f"landmark {landmark} is seen twice in step {step} (first in line {earlier}); remove one")
         self.sightings.append(values)
+
+    def left_out(self) -> tuple[str, ...]:
+        """Notes on the sightings that cannot be."""
+        # those that can be follow as rows without a fault
+        has = np.array([what for _, what, _ in self.wrong] + [""] * len(self.sightings))
+        faults = [Fault(has == what, what, lambda k: self.wrong[k][2]) for what in dict.fromkeys(has.tolist()) if what]
+        return sound_rows(
+            len(has), "sightings", faults, lambda k, text: FormatError(self.path, self.wrong[k][0], text),
+            strict=self.strict,
+        )[1]  # fmt: skip
 
     def log(self) -> Log:
         motions, notes, controlled = len(self.poses) - 1, [], self.delta is not None
@@ -103,6 +125,7 @@ class _Reader:
             raise self.error(f"{len(self.poses)} poses need {motions} controls, found {len(self.controls)}")
         if controlled and len(self.controls) > motions:
             notes.append(f"the control of line 'u {motions}' leaves the last pose and moves nothing: dropped")
+        notes += self.left_out()
         steps, landmarks = np.array(list(self.lines), dtype=np.int64).reshape(-1, 2).T
         return Log(
             dt=np.full(motions, self.delta) if controlled else None,
@@ -116,8 +139,8 @@ class _Reader:
         )
 
 
-def _read(path: Path, _: ReadOptions) -> Log:
-    reader = _Reader(path)
+def _read(path: Path, options: ReadOptions) -> Log:
+    reader = _Reader(path, options.strict)
     for line, content in enumerate(read_text(path).splitlines(), start=1):
         if words := content.split():
             reader.take(line, words[0], words[1:])

@@ -23,13 +23,14 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..checks import first
 from ..errors import FormatError, OptionError
 from ..log import Log
-from ..reading import ReadOptions
+from ..reading import Fault, ReadOptions, range_faults
 from ..se2 import Array
 from ..sources.streams import Stream
 from ..sources.synchronize import synchronize
@@ -71,17 +72,13 @@ def _read(folder: Path, options: ReadOptions) -> Log:
     robot = _robot(folder, options.robot)
     barcodes = _subjects(member(folder, "Barcodes.dat", "which barcode each robot and landmark has"))
     odometry_path = member(folder, f"Robot{robot}_Odometry.dat", "the velocities of the robot")
-    odometry = _stream(odometry_path, "velocity", "angular velocity")
-    path = member(folder, f"Robot{robot}_Measurement.dat", "the ranges and bearings that the robot measured")
-    seen = _stream(path, "barcode", "range", "bearing")
-    for column, rule, wrong in (
-        (0, "the barcode should be a whole number", seen.rows[:, 0] % 1 != 0),
-        (1, "the range should be above zero", seen.rows[:, 1] <= 0),
-    ):
-        if (k := first(wrong)) is not None:
-            raise FormatError(path, line_of(path, k), f"{rule}, not {seen.rows[k, column]:g}")
-    subject = np.array([barcodes.get(int(code), 0) for code in seen.rows[:, 0].tolist()], dtype=np.int64)
     notes: list[str] = []
+    odometry = _stream(odometry_path, "velocity", "angular velocity", notes=notes, strict=options.strict)
+    path = member(folder, f"Robot{robot}_Measurement.dat", "the ranges and bearings that the robot measured")
+    seen = _stream(
+        path, "barcode", "range", "bearing", notes=notes, noun="sightings", faults=_faults, strict=options.strict
+    )
+    subject = np.array([barcodes.get(int(code), 0) for code in seen.rows[:, 0].tolist()], dtype=np.int64)
     for what, rows in (
         ("of other robots", (subject > 0) & (subject <= ROBOTS)), ("of unknown barcodes", subject == 0),
     ):  # fmt: skip
@@ -92,6 +89,9 @@ def _read(folder: Path, options: ReadOptions) -> Log:
         raise FormatError(path, None, NO_SIGHTING)
     landmarks_path = optional_member(folder, "Landmark_Groundtruth.dat", "the true landmarks", notes)
     truth_path = optional_member(folder, f"Robot{robot}_Groundtruth.dat", "the true poses", notes)
+    truth = None
+    if truth_path is not None:
+        truth = _stream(truth_path, "x", "y", "heading", notes=notes, strict=options.strict)
     landmarks = () if landmarks_path is None else read_columns(landmarks_path, _LANDMARKS)
     with errors_name(odometry_path):
         return synchronize(
@@ -99,15 +99,24 @@ def _read(folder: Path, options: ReadOptions) -> Log:
             Stream(seen.times[kept], seen.rows[kept, 1:]),
             subject[kept],
             options=options,
-            truth=None if truth_path is None else _stream(truth_path, "x", "y", "heading"),
+            truth=truth,
             true_landmarks=None if landmarks_path is None else {int(row[0]): row[1:3] for row in landmarks},
             name=f"{folder.resolve().name}-robot{robot}",
             notes=tuple(notes),
         )
 
 
-def _stream(path: Path, *columns: str) -> Stream:
-    rows = read_columns(path, ("time", *columns), times=True)
+def _faults(rows: Array) -> list[Fault]:
+    """The sightings (N, 4) whose barcode or range cannot be."""
+    wrong = Fault(
+        rows[:, 1] % 1 != 0, "a barcode that is no whole number",
+        lambda k: f"the barcode should be a whole number, not {rows[k, 1]:g}",
+    )  # fmt: skip
+    return [wrong, *range_faults(rows[:, 2])]
+
+
+def _stream(path: Path, *columns: str, **ways: Any) -> Stream:
+    rows = read_columns(path, ("time", *columns), times=True, **ways)
     return Stream(rows[:, 0], rows[:, 1:])
 
 

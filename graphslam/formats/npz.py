@@ -23,7 +23,7 @@ from ..errors import FormatError, SlamError
 from ..files import check_file, write_whole
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..reading import ReadOptions
+from ..reading import ReadOptions, finite_fault, range_faults, sound_rows
 from .base import Format
 
 VERSION = "graphslam-log-1"
@@ -35,7 +35,7 @@ _OPTIONAL = (
 )  # fmt: skip
 
 
-def _read(path: Path, _: ReadOptions) -> Log:
+def _read(path: Path, options: ReadOptions) -> Log:
     check_file(path)
     try:
         # from memory: np.load leaves a file open that turns out not to be an archive
@@ -53,6 +53,7 @@ def _read(path: Path, _: ReadOptions) -> Log:
         rows = zip(content["true_landmark_ids"].tolist(), content.get("true_landmark_poses", ()))
         truth = {j: pose[:2] if np.isnan(pose[2]) else pose for j, pose in rows}
     try:
+        notes = (*map(str, content.get("notes", ())), *_left_out(content, path, options.strict))
         models: dict[str, Any] = {}
         for name, model in _MODELS.items():
             if name in content:
@@ -69,13 +70,31 @@ def _read(path: Path, _: ReadOptions) -> Log:
             **{name: content[name] for name in _OPTIONAL if name in content},
             true_landmarks=truth,
             start_time=float(content.get("start_time", 0.0)),
-            notes=tuple(map(str, content.get("notes", ()))),
+            notes=notes,
             doubts=tuple((str(check), str(message)) for check, message in content.get("doubts", ())),
             simulated=bool(content.get("simulated", False)),
             name=path.stem,
         )
     except (SlamError, TypeError, ValueError) as error:
         raise FormatError(path, None, str(error)) from None
+
+
+def _left_out(content: dict[str, np.ndarray], path: Path, strict: bool) -> tuple[str, ...]:
+    """Leave out the sightings of an archive that cannot be, and say so; arrays of a wrong shape are refused elsewhere."""
+    sightings = content["sightings"]
+    if sightings.ndim != 2 or sightings.shape[1] not in (2, 3) or sightings.dtype.kind != "f":
+        return ()
+    names = ("range", "bearing", "orientation")
+    faults = [finite_fault(column, name, "") for column, name in zip(sightings.T, names)] + range_faults(
+        sightings[:, 0]
+    )
+    kept, notes = sound_rows(
+        len(sightings), "sightings", faults, lambda k, text: FormatError(f"{path}: sighting {k}", None, text), strict=strict,
+    )  # fmt: skip
+    for name in ("steps", "landmarks", "sightings", "classes"):
+        if name in content and content[name].shape[:1] == kept.shape:
+            content[name] = content[name][kept]
+    return notes
 
 
 def _write(log: Log, path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ import numpy as np
 from ..checks import first
 from ..errors import FormatError
 from ..files import read_text
+from ..reading import Fault, finite_fault, sound_rows
 from ..se2 import Array
 from ..sources.streams import MOST_DISORDER, disorder
+from ..tables.times import time_faults
 
 
 def number(path: Path, line: int, what: str, word: str) -> float:
@@ -48,13 +51,25 @@ def whole(path: Path, line: int, what: str, word: str) -> int:
     return value
 
 
-def read_columns(path: Path, columns: tuple[str, ...], *, times: bool = False) -> Array:
+def read_columns(
+    path: Path,
+    columns: tuple[str, ...],
+    *,
+    times: bool = False,
+    notes: list[str] | None = None,
+    noun: str = "rows",
+    faults: Callable[[Array], Sequence[Fault]] = lambda _: (),
+    strict: bool = False,
+) -> Array:
     """The numbers of a file, one row per line, (N, len(columns)). ``#`` begins a comment.
 
     Args:
         path: the file.
         columns: the names of the columns, for messages.
         times: whether the first column is times, which may be out of order by at most `streams.MOST_DISORDER`.
+        notes: where it is given, rows that cannot be are left out, and counted in it (`reading.sound_rows`).
+        noun, strict: what the rows are, and whether the first one that cannot be is refused.
+        faults: what cannot be beside numbers that are not finite.
 
     Raises:
         FormatError: the file is not text, a line has other columns, or times run backwards by more; with the line.
@@ -65,12 +80,22 @@ def read_columns(path: Path, columns: tuple[str, ...], *, times: bool = False) -
         rows = np.loadtxt(lines, comments="#", ndmin=2) if lines else np.empty((0, len(columns)))
     except ValueError:
         rows = np.empty((0, 0))
-    if rows.shape[1] != len(columns) or not np.all(np.isfinite(rows)):
+    if rows.shape[1] != len(columns) or (notes is None and not np.all(np.isfinite(rows))):
         _refuse(path, columns)
+    numbers = np.arange(len(rows))
+    if notes is not None:
+        finite = [finite_fault(rows[:, k], name) for k, name in enumerate(columns) if k or not times]
+        wrong = [*(time_faults(rows[:, 0], "the time", "s", MOST_DISORDER) if times else ()), *finite, *faults(rows)]
+        kept, about = sound_rows(
+            len(rows), noun, wrong, lambda k, text: FormatError(path, line_of(path, k), text), strict=strict,
+            source=path.name,
+        )  # fmt: skip
+        notes += about
+        rows, numbers = rows[kept], numbers[kept]
     if times and (k := first(disorder(rows[:, 0]) > MOST_DISORDER)) is not None:
         before = rows[:k, 0].max()
         message = f"time runs backwards: {rows[k, 0]:.3f} s comes after {before:.3f} s; sort the lines by time"
-        raise FormatError(path, line_of(path, k), message)
+        raise FormatError(path, line_of(path, int(numbers[k])), message)
     return rows
 
 

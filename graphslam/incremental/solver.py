@@ -16,7 +16,7 @@ from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError
 from ..models import MotionModel, SensorModel
 from ..precision import check_model, inverses
-from ..reading import UNIDENTIFIED
+from ..reading import NO_ID, UNIDENTIFIED
 from ..se2 import Array, wrap
 from .append import MOTION, RELATION, SIGHTING
 from .system import OnlineSystem
@@ -208,7 +208,7 @@ class OnlineSolver:
             return [], np.zeros((0, self._columns or 2))
         if landmarks.size and (landmarks.dtype.kind not in "iu" or landmarks.ndim != 1):
             raise OptionError(f"ids must be whole numbers, not {ids!r}")
-        if np.any(landmarks == UNIDENTIFIED):
+        if np.any((landmarks == UNIDENTIFIED) | (landmarks == NO_ID)):
             raise OptionError("a step takes identified landmarks only: leave out what nobody has identified")
         if z is None or z.ndim != 2 or z.shape[1] not in (2, 3) or not np.isfinite(z).all() or np.any(z[:, 0] <= 0):
             raise OptionError(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import check_choice
+from ..defaults import suitable_for_isam2
 from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError
 from ..factors import AnchorFactor, LandmarkFactor, MotionFactor, ObservationFactor, RelativePoseFactor
@@ -20,7 +21,7 @@ from ..factors.landmark import WEIGHTS
 from ..graph import Graph
 from ..log import Log
 from ..models import RESIDUALS, MotionModel, SensorModel
-from ..reading import UNIDENTIFIED
+from ..reading import NO_ID, UNIDENTIFIED
 from ..se2 import Array, between, compose
 from ..solution import Solution, make_solution
 
@@ -158,7 +159,7 @@ class IncrementalSmoother:
             return []
         if landmarks.dtype.kind not in "iu" or landmarks.ndim != 1:
             raise OptionError(f"ids must be whole numbers, not {ids!r}")
-        if np.any(landmarks == UNIDENTIFIED):
+        if np.any((landmarks == UNIDENTIFIED) | (landmarks == NO_ID)):
             raise OptionError("isam2 takes identified landmarks only: leave out what nobody has identified")
         z = numbers("sightings", sightings, (2, 3), rows=len(landmarks))
         if np.any(z[:, 0] <= 0):
@@ -247,7 +248,8 @@ def solve_online(
         settle: relinearise everything at the end, which gives the batch solution.
         callback: called after each step.
         threshold, skip, factorization: of ISAM2; see `isam2_parameters`.
-        options: those of `Graph.from_log`, with its defaults; see `IncrementalSmoother` for what ISAM2 can do.
+        options: those of `Graph.from_log`; see `IncrementalSmoother` for what ISAM2 can do. Edges and kernel that are not
+            named are those of `suitable_for_isam2`.
 
     Raises:
         GraphError: the log has no controls, or ISAM2 cannot do what an option asks for.
@@ -257,6 +259,9 @@ def solve_online(
     and ``converged`` is true.
     """
     params = isam2_parameters(threshold, skip, factorization)
+    if isinstance(log, Log):
+        names = options.get("edges"), options.get("kernel")
+        options["edges"], options["kernel"] = suitable_for_isam2(log, *names)
     if options.get("edges", EDGES[0]) not in EDGES:
         raise GraphError(f"isam2 needs motion edges: edges must be {' or '.join(EDGES)}, not {options['edges']!r}")
     if options.get("frame", "body") == "world":

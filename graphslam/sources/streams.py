@@ -21,8 +21,8 @@ from ..models import MotionModel
 from ..reading import ReadOptions
 from ..se2 import Array, interpolate, mounted
 
-#: odometry that is silent for longer [s] is bridged with additional noise, or refused
-BRIDGED_GAP, LONGEST_GAP = 2.0, 30.0
+#: odometry that is silent for longer [s] is bridged: by its last control, which is a guess up to the second time only
+BRIDGED_GAP, LONGEST_HELD = 2.0, 10.0
 
 #: rows that are out of order by at most this time [s] are sorted; more is another drive, or another clock
 MOST_DISORDER = 1.0
@@ -156,9 +156,6 @@ def divide(odometry: Stream, times: Array) -> tuple[Array, Array, Array, np.ndar
     Returns:
         controls (S, 2), dt (S,), recorded_dt (S,), control_starts (T+1,), control_variances (S, 2) or None, and the
         bridged gaps [s].
-
-    Raises:
-        LogError: a gap is longer than `LONGEST_GAP`.
     """
     within = (odometry.times > times[0]) & (odometry.times < times[-1])
     # two sorted runs are merged, which np.union1d does not know
@@ -167,12 +164,11 @@ def divide(odometry: Stream, times: Array) -> tuple[Array, Array, Array, np.ndar
     row = np.searchsorted(odometry.times, cuts[:-1], side="right") - 1
     following = np.minimum(row + 1, len(odometry) - 1)
     silence = odometry.times[following] - odometry.times[row]
-    check_gaps(silence, odometry.times[row])
     lasting = np.diff(cuts)
     bridged = silence > BRIDGED_GAP
     gaps = silence[bridged][np.unique(row[bridged], return_index=True)[1]].tolist()
-    variances = bridging(odometry.rows, silence, lasting) if gaps else None
-    return odometry.rows[row], lasting, silence, np.searchsorted(cuts, times), variances, gaps
+    pieces = bridge(odometry.rows[row], lasting, silence, np.searchsorted(cuts, times), odometry.rows)
+    return *pieces, gaps
 
 
 def _distinct(times: Array) -> Array:
@@ -180,33 +176,78 @@ def _distinct(times: Array) -> Array:
     return times[np.append(True, np.diff(times) > 0)]
 
 
-def check_gaps(silence: Array, after: Array) -> None:
-    """Raise `LogError` where the odometry is silent for too long; ``silence`` (N,) follows the times ``after`` (N,) [s]."""
-    if (k := first(silence > LONGEST_GAP)) is not None:
-        raise LogError(
-            f"the odometry is silent for {silence[k]:.1f} s after t = {after[k]:.3f} s, longer than {LONGEST_GAP:g} s: "
-            "cut the log there"
-        )
+def bridge(
+    controls: Array, lasting: Array, silence: Array, starts: np.ndarray, recorded: Array
+) -> tuple[Array, Array, Array, np.ndarray, Array | None]:
+    """Control pieces, some of them within silences of the odometry, with honest noise.
 
+    Up to `LONGEST_HELD` the last control holds throughout the silence. One unknown control has then an error of variance
+    V silence² in the motion, where V is the variance of all controls.
 
-def bridging(controls: Array, silence: Array, lasting: Array) -> Array:
-    """The variances (S, 2) of control pieces that last ``lasting`` (S,) within a silence of ``silence`` (S,) seconds.
+    In a longer silence the robot may have gone anywhere and turned at will, and the last control says nothing. The robot
+    stays where it was, with a standard deviation of v silence along x and along y and of w silence, at most pi, in its
+    heading, where v and w are the root mean squares of all speeds and turn rates. As a control has no sideways part, four
+    stand for the piece: one with noise along x, a quarter turn, one with noise along y, and the turn back with the
+    noise of the heading.
 
-    One unknown control holds throughout a silence, so the motion has an error of variance V silence², where V is the
-    variance of all controls. Pieces are independent in a log, and each adds V_piece lasting². With V_piece = V silence /
-    lasting their sum is the same, however many poses are in the gap. Zero where there is no gap.
+    Pieces are independent in a log. With variances of one times silence / lasting their sum is the same, however many poses
+    are in the silence.
+
+    Args:
+        controls, lasting, silence: (S, 2), (S,) and (S,): what the pieces are of, how long they last, and the time from
+            their odometry row to the next one [s].
+        starts: (T+1,) as in `Log.control_starts`.
+        recorded: (N, 2) all controls of the odometry.
+
+    Returns:
+        controls, dt, recorded_dt, control_starts and control_variances of the `Log`, these None where there is no silence.
     """
-    grown = np.where(silence > BRIDGED_GAP, silence / lasting, 0.0)
-    return grown[:, None] * np.var(controls, axis=0)
+    if not np.any(silence > BRIDGED_GAP):
+        return controls, lasting, silence, starts, None
+    share = np.where(silence > BRIDGED_GAP, silence / lasting, 0.0)
+    variances = share[:, None] * np.var(recorded, axis=0)
+    long = np.flatnonzero(silence > LONGEST_HELD)
+    count = np.ones(len(controls), dtype=np.int64)
+    count[long] = 4
+    starts = np.concatenate([[0], np.cumsum(count)])[starts]
+    at = (np.cumsum(count) - count)[long]
+    controls, variances = np.repeat(controls, count, axis=0), np.repeat(variances, count, axis=0)
+    dt, whole = np.repeat(lasting / count, count), np.repeat(silence, count)
+    usual = np.sqrt(np.mean(recorded**2, axis=0))
+    turning = np.minimum(usual[1], np.pi / silence[long])
+    # the motion of each piece has these variances, which one of its four controls brings about in a quarter of the time
+    moved, turned = (rate**2 * silence[long] * lasting[long] / (lasting[long] / 4) ** 2 for rate in (usual[0], turning))
+    quarter = np.pi / 2 / (lasting[long] / 4)
+    zero = np.zeros(len(long))
+    for k, (turn, speed, rate) in enumerate(
+        ((zero, moved, zero), (quarter, zero, zero), (zero, moved, zero), (-quarter, zero, turned))
+    ):
+        controls[at + k] = np.column_stack([zero, turn])
+        variances[at + k] = np.column_stack([speed, rate])
+        whole[at + k] = dt[at + k]
+    return controls, dt, whole, starts, variances
 
 
 def gap_note(gaps: list[float]) -> str:
     """The note about bridged gaps [s]."""
+    held = [gap for gap in gaps if gap <= LONGEST_HELD]
+    unknown = [gap for gap in gaps if gap > LONGEST_HELD]
+    notes = []
+    if held:
+        notes.append(
+            f"{_lengths(held)}: bridged by the last control, with noise as large as the spread of all controls"
+        )
+    if unknown:
+        notes.append(
+            f"{_lengths(unknown)}: bridged, with the noise of a robot that moved and turned at will at its usual speeds"
+        )
+    return "; ".join(notes)
+
+
+def _lengths(gaps: list[float]) -> str:
     if len(gaps) == 1:
-        what = f"1 gap of {gaps[0]:.1f} s"
-    else:
-        what = f"{len(gaps)} gaps of {min(gaps):.1f} to {max(gaps):.1f} s"
-    return f"{what} in the odometry: bridged by the last control, with noise as large as the spread of all controls"
+        return f"1 gap of {gaps[0]:.1f} s in the odometry"
+    return f"{len(gaps)} gaps of {min(gaps):.1f} to {max(gaps):.1f} s in the odometry"
 
 
 def truth_at(times: Array, truth: Stream) -> Array:

@@ -45,12 +45,11 @@ def synchronize(
         origin: the time from which the times of the streams count [s]; it is added to ``start_time`` of the log only.
         name, notes, models: of the `Log`.
 
-    Odometry that is silent for longer than `BRIDGED_GAP` is bridged by its last control, with noise as large as the
-    spread of all controls of the log, and a warning. The truth is unknown between samples farther apart than `TRUTH_GAP`.
+    Odometry that is silent for longer than `BRIDGED_GAP` is bridged by `bridge`, with noise and a warning. The truth is
+    unknown between samples farther apart than `TRUTH_GAP`.
 
     Raises:
-        LogError: nothing is seen while there is odometry, times run backwards by more than `MOST_DISORDER`, or the odometry
-            is silent for longer than `LONGEST_GAP`.
+        LogError: nothing is seen while there is odometry, or times run backwards by more than `MOST_DISORDER`.
     """
     parts = parts_of_streams(
         odometry, sightings, landmarks, options=options, truth=truth, truth_offset=truth_offset,

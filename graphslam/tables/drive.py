@@ -7,21 +7,23 @@ the unit silences the check of it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..checks import first
-from ..reading import UNIDENTIFIED
+from ..errors import LogError
+from ..reading import UNIDENTIFIED, Fault, finite_fault, range_faults, sound_rows
 from ..se2 import Array
 from .classes import classes_of
 from .columns import MEASURES, NAMES, Chosen, find, unit_of
-from .ids import Ids, ids_of
+from .ids import Ids, id_fault, ids_of
 from .options import ANGLES, LENGTHS, TableOptions
 from .poses import checked_heading, controls_between
 from .repeats import Doubt, repeated_sightings, repeated_times
-from .table import Table
-from .times import nanoseconds
+from .table import Kept, Table
+from .times import nanoseconds, time_faults
 
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
@@ -111,6 +113,40 @@ class _Reader:
         kinds = {"time": "time", "angle": "angles", "length": "lengths"}
         return unit_of(role, self.found[role], self.options.unit(kinds[MEASURES[role]], self.kind))
 
+    def leave_out(self, *roles: str) -> Table:
+        """The table without the rows in which a number of these columns, a time, an id or a range cannot be.
+
+        A column of words stays as it is: whoever reads it says what is wrong with it.
+
+        Raises:
+            LogError: there are more of them than may be left out, or the options are strict.
+        """
+        columns: dict[str, Array] = {}
+        for role in ("t", *roles):
+            if role in self.found:
+                with suppress(LogError):
+                    columns[role] = self.table.numbers([self.found[role].column])[:, 0]
+        faults: list[Fault] = []
+        for role, values in columns.items():
+            title = self.table.title(self.found[role].column)
+            if role == "t":
+                faults += time_faults(values, f"the time {title}", self._unit("t"))
+            elif role == "id":
+                faults.append(id_fault(self.table, self.found[role].column, values))
+            else:
+                faults.append(finite_fault(values, title))
+                faults += range_faults(values) if role == "range" else []
+        if "x" in columns and self.kind == "sightings":
+            other = "z" if self.options.axes == "optical" else "y"
+            faults += range_faults(np.hypot(columns["x"], columns.get(other, np.ones(len(self.table)))))
+        kept, notes = sound_rows(
+            len(self.table), "sightings" if self.kind == "sightings" else "rows", faults, self.table.error,
+            strict=self.options.strict, source=self.table.source,
+        )  # fmt: skip
+        if not kept.all():
+            self.table = Kept(self.table, np.flatnonzero(kept), notes)
+        return self.table
+
     def times(self) -> np.ndarray:
         self.need("t")
         ns = nanoseconds(self.table, self.found["t"].column, self._unit("t"))
@@ -185,8 +221,11 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
         LogError: a column is missing, a number is none, or the unit is almost certainly another one.
     """
     reader = _Reader("odometry", table, options)
+    reader.need("t")
+    driven = reader.has("nu", "omega") or not reader.has("x", "y")
+    table = reader.leave_out(*(("nu", "omega") if driven else _POSE))
     ns = reader.times()
-    if reader.has("nu", "omega") or not reader.has("x", "y"):
+    if driven:
         reader.need("nu", "omega", instead=", and none for x, y and theta instead of nu and omega")
         rows = reader.numbers("nu", "omega")
     else:
@@ -255,11 +294,15 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
         LogError: a column is missing, a number is none, or the unit is almost certainly another one.
     """
     reader = _Reader("sightings", table, options)
+    reader.need("t")
+    third = ("x", "z") if options.axes == "optical" else ("x", "y")
+    cartesian = reader.has("x", "y") and not reader.has("range")
+    measured = third if cartesian else ("range", "bearing")
+    # ids before range and bearing: columns in another order show first there
+    table = reader.leave_out("id", *measured, "orientation")
     ns = reader.times()
-    # before range and bearing: columns in another order show first here
     found = _ids(reader)
-    if reader.has("x", "y") and not reader.has("range"):
-        third = ("x", "z") if options.axes == "optical" else ("x", "y")
+    if cartesian:
         rows = _polar(reader.numbers(*third), options.axes)
     else:
         reader.need("range", "bearing", instead=", and none for x and y instead of range and bearing")
@@ -268,9 +311,6 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
             "bearing", rows[:, 1], np.abs(rows[:, 1]) > 2 * np.pi + 1e-6,
             "the bearing is {:g} rad, beyond 2 pi: is it in degrees?", "degrees/radians",
         )  # fmt: skip
-    if (k := first(rows[:, 0] <= 0)) is not None:
-        cause = "are range and bearing swapped?" if rows[k, 0] < 0 else "remove rows in which nothing was seen"
-        raise table.error(k, f"the range is {rows[k, 0]:g} m, but a range is above zero: {cause}")
     if np.median(rows[:, 0]) > FARTHEST:
         role = "range" if reader.has("range") else "x"
         reader.refuse(role, rows[:, 0], rows[:, 0] > FARTHEST, "the range is {:g} m: is it in mm?", "mm/m")
@@ -326,6 +366,8 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
         LogError: a column is missing, or a number is none.
     """
     reader = _Reader("truth", table, options)
+    reader.need("t")
+    table = reader.leave_out()
     ns, rows = reader.times(), reader.poses(finite=False)
     known = np.asarray(np.isfinite(rows).all(axis=1))
     notes: tuple[str, ...] = ()

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..checks import first
 from ..errors import LogError
-from ..reading import UNIDENTIFIED
+from ..reading import NO_ID, UNIDENTIFIED, Fault
 from .grid import MISSING
 from .table import Table
 
@@ -51,10 +51,9 @@ def ids_of(table: Table, column: int, known: Mapping[str, int] | None = None) ->
         numbers, names = _of_names(words[~empty], known or {})
     else:
         names, empty = {}, np.isnan(values)
-        if (k := first(~empty & (values % 1 != 0))) is not None:
-            order = "" if table.names else ": is the order of the columns t, id, range, bearing?"
-            shown = f"{values[k]:g}"
-            raise table.error(k, f"the id {table.title(column)} is {shown}, but ids are whole numbers or words{order}")
+        fault = id_fault(table, column, values)
+        if (k := first(fault.rows)) is not None:
+            raise table.error(k, fault.message(k))
         large = np.any(np.abs(values[~empty]) >= 2.0**53)
         numbers = (table.words(column) if large else values)[~empty].astype(np.int64)
     ids = np.full(len(table), UNIDENTIFIED)
@@ -62,15 +61,24 @@ def ids_of(table: Table, column: int, known: Mapping[str, int] | None = None) ->
     notes: tuple[str, ...] = ()
     if empty.any():
         notes = (f"{table.source}: {empty.sum()} of {len(table)} rows have no id",)
-    if np.any(numbers == -1) and numbers.min(initial=0) == -1:
-        notes = (
-            *notes,
-            f"{table.source}: the id -1 is a landmark like others; leave it empty where none was identified",
-        )
+    if np.any(none := ids == NO_ID):
+        ids[none] = UNIDENTIFIED
+        have = "row has" if none.sum() == 1 else "rows have"
+        notes = (*notes, f"{table.source}: {none.sum():,} of {len(table):,} {have} the id -1, taken as no id")
     if names:
         listed = ", ".join(f"{number} = {name}" for name, number in list(names.items())[:10])
         notes = (*notes, f"{table.source}: landmarks have names, ids count them: {listed}")
     return Ids(ids, names, notes)
+
+
+def id_fault(table: Table, column: int, values: np.ndarray) -> Fault:
+    """The rows whose id (N,), NaN where it is empty, is no whole number of 64 bits."""
+    order = "" if table.names else ": is the order of the columns t, id, range, bearing?"
+    wrong = ~np.isnan(values) & ((values % 1 != 0) | (np.abs(values) >= 2.0**63))
+    return Fault(
+        wrong, "an id that is no whole number of 64 bits",
+        lambda k: f"the id {table.title(column)} is {values[k]:g}, but ids are whole numbers or words{order}",
+    )  # fmt: skip
 
 
 def _of_names(words: np.ndarray, known: Mapping[str, int]) -> tuple[np.ndarray, dict[str, int]]:

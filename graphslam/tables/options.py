@@ -74,6 +74,10 @@ class TableOptions:
         None, "Direction in which the sensor looks, 0 is forward, positive to the left", "rad",
         default_text="0, or as the bag says",
     )  # fmt: skip
+    strict: bool = option(
+        False,
+        "Refuse a table at the first row that cannot be, such as a negative range, instead of leaving such rows out",
+    )
 
     def __post_init__(self) -> None:
         for name, choices in _CHOICES.items():

@@ -11,7 +11,7 @@ range = "dist"                  # which column is what, by name or by number fro
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,10 @@ class Recipe:
     def place(self, table: str, what: str) -> str | None:
         """What the recipe says about where a table is: its file, topic, frames; None where it does not."""
         return self.places.get(table, {}).get(what)
+
+    def strictly(self, strict: bool) -> Recipe:
+        """The same, with tables that are read strictly where ``strict`` is set."""
+        return replace(self, options=replace(self.options, strict=True)) if strict else self
 
 
 def read_recipe(path: Path) -> Recipe:
@@ -81,6 +85,8 @@ def _value(file: TomlFile, name: str) -> Any:
         if len(value) != 2 or not all(type(number) in (int, float) for number in value):
             raise file.error(name, f"{name} should be a list of two numbers, [forward, left]")
         return tuple(map(float, value))
+    if name == "strict":
+        return file.value(file.table, name, bool)
     if name == "sensor_yaw":
         return file.value(file.table, name, float)
     if name in (*_UNITS, "columns", "clocks"):

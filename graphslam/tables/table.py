@@ -114,3 +114,37 @@ class Columns(Table):
         if row is None:
             return FormatError(self.source, None, message)
         return FormatError(f"{self.source}, {self._rows} {row + 1}", None, message)
+
+
+class Kept(Table):
+    """Some rows of a table; errors name the rows of the whole.
+
+    Args:
+        table: the whole.
+        rows: (N,) numbers of the rows that are kept.
+        notes: about what is left out.
+    """
+
+    def __init__(self, table: Table, rows: np.ndarray, notes: tuple[str, ...]) -> None:
+        self.source, self.names, self.width = table.source, table.names, table.width
+        self.notes = (*table.notes, *notes)
+        self._table, self._rows = table, rows
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def numbers(self, columns: Sequence[int]) -> Array:
+        return self._table.numbers(columns)[self._rows]
+
+    def words(self, column: int) -> np.ndarray:
+        return self._table.words(column)[self._rows]
+
+    def texts(self, column: int) -> np.ndarray:
+        return self._table.texts(column)[self._rows]
+
+    def decimals(self, column: int) -> tuple[np.ndarray, np.ndarray] | None:
+        parts = self._table.decimals(column)
+        return None if parts is None else (parts[0][self._rows], parts[1][self._rows])
+
+    def error(self, row: int | None, message: str) -> LogError:
+        return self._table.error(None if row is None else int(self._rows[row]), message)

@@ -7,6 +7,7 @@ import re
 import numpy as np
 
 from ..errors import LogError
+from ..reading import Fault
 from .table import Table
 
 #: nanoseconds of each unit
@@ -15,6 +16,8 @@ UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
 _EXACT = 2.0**53
 #: date and time of day as in ISO 8601, with the hours and minutes by which it is ahead of UTC
 _DATE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d(?:[.,]\d{1,9})?) ?(?:Z|UTC|([+-]\d\d):?(\d\d))?")
+#: a single time this far [s] outside those of both neighbours is wrong
+STRAY = 10
 #: 64 bits hold powers of ten up to here
 _LARGEST_POWER = 18
 
@@ -63,6 +66,34 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
     except (ValueError, OverflowError):
         # with exponents or beyond 64 bits
         return np.rint(values * factor).astype(np.int64)
+
+
+def time_faults(values: np.ndarray, title: str, unit: str | None, stray: float = STRAY) -> list[Fault]:
+    """The rows whose time (N,) is no number, or lies more than ``stray`` [s] outside the times of both its neighbours.
+
+    A clock that goes on from a wrong time is another matter: see `drive`.
+    """
+    finite = np.isfinite(values)
+    known = np.flatnonzero(finite)
+    alone = np.zeros(len(values), dtype=bool)
+    t = values[known]
+    if len(t) > 2:
+        far = stray * UNITS["s"] / UNITS[unit or by_size(t)]
+        before, after = np.append(t[1], t[:-1]), np.append(t[1:], t[-2])
+        # without the row its neighbours are in order
+        ordered = after >= before
+        ordered[0], ordered[-1] = t[2] >= t[1], t[-2] >= t[-3]
+        late, early = t > np.maximum(before, after) + far, t < np.minimum(before, after) - far
+        # the first row may be far before, and the last far after the others: a pause
+        late[-1], early[0] = False, False
+        alone[known] = (late | early) & ordered
+    return [
+        Fault(~finite, "no time", lambda k: f"{title} is {values[k]}; every row needs a time"),
+        Fault(
+            alone, "a time that is far from those of the rows before and after",
+            lambda k: f"{title} is {values[k]:.3f}, far from those of the rows before and after it; repair or remove the row",
+        ),
+    ]  # fmt: skip
 
 
 def _of_dates(table: Table, column: int) -> np.ndarray | None:

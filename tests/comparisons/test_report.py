@@ -184,7 +184,7 @@ def test_dead_reckoning_is_as_uncertain_as_a_graph_of_its_motions_alone() -> Non
     # one landmark, seen once, tells nothing of the poses: what is left are the motion edges and the anchor, 1e-6
     motions = {"dt": 0.5, "controls": [[1.0, 0.3], [0.8, -0.5], [1.2, 0.1], [0.0, 0.4]]}
     log = Log(**motions, steps=[2], landmarks=[0], sightings=[[2.0, 0.1, 0.2]])
-    graph = Graph.from_log(log, edges="landmark+motion")
+    graph = Graph.from_log(log, edges="landmark+motion", kernel="none")
     expected = solve(graph).covariances()
     found = dead_reckoning_covariances(log, MotionModel())
     start = np.zeros((3, 3))
@@ -216,7 +216,7 @@ def test_ellipses_of_the_page_lie_at_three_standard_deviations(comparison: Compa
 
 
 def test_the_textbook_iterations_are_those_of_the_textbook(log: Log) -> None:
-    world = Graph.from_log(log, edges="virtual+motion", frame="world")
+    world = Graph.from_log(log, edges="virtual+motion", frame="world", kernel="none")
     drifting = plain_steps("", world, anchored=False)
     lectures = textbook.solve(log, edges="virtual+motion", threshold=1e-30, max_iterations=len(drifting.costs))
     np.testing.assert_allclose(drifting.costs, lectures.costs, rtol=1e-7)

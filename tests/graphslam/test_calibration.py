@@ -182,7 +182,7 @@ def test_options_freedom_are_found() -> None:
 def test_what_the_solution_leaves_to_residuals() -> None:
     """The trace of the hat matrix: all edges together, tr(Omega_e B_e Omega^-1 B_e') sums to the number of unknowns."""
     log = drive(0, steps=40)
-    graph = Graph.from_log(log, edges="landmark+motion", motion=MOTION, sensor=SENSOR)
+    graph = Graph.from_log(log, edges="landmark+motion", motion=MOTION, sensor=SENSOR, kernel="none")
     state = solve(graph).state
     uncertainty = Uncertainty(graph, state)
     anchor, *binary = graph.families

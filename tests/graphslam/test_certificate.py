@@ -36,7 +36,7 @@ def sample():
 @pytest.mark.parametrize("edges", ["virtual", "virtual+motion"])
 @pytest.mark.parametrize("weight", ["pairs", "tempered", "marginal"])
 def test_the_sample_log_is_proven(sample, edges, weight):
-    solution = solve(Graph.from_log(sample, edges=edges, weight=weight))
+    solution = solve(Graph.from_log(sample, edges=edges, weight=weight, kernel="none"))
     proof = solution.certificate
     assert proof.status == "global"
     assert 0 <= proof.relative_gap < 1e-9
@@ -47,7 +47,12 @@ def test_the_sample_log_is_proven(sample, edges, weight):
 
 
 def test_marginal_edges_without_psi_are_proven(sample):
-    assert solve(Graph.from_log(sample, weight="marginal", dimensions=2)).certificate.status == "global"
+    assert (
+        solve(
+            Graph.from_log(sample, weight="marginal", dimensions=2, edges="virtual+motion", kernel="none")
+        ).certificate.status
+        == "global"
+    )
 
 
 def test_a_wrong_winding_is_not_proven():
@@ -65,7 +70,10 @@ def test_a_wrong_winding_is_not_proven():
 
 def test_the_function_stays_below_the_cost_and_touches_it(sample):
     rng = np.random.default_rng(4)
-    for graph in (Graph.from_log(sample, edges="virtual+motion"), Graph.from_log(sample, weight="marginal")):
+    for graph in (
+        Graph.from_log(sample, edges="virtual+motion", kernel="none"),
+        Graph.from_log(sample, weight="marginal", edges="virtual+motion", kernel="none"),
+    ):
         state = solve(graph).state
         problem = _Problem.of(graph, state)
         n = graph.num_nodes
@@ -127,7 +135,9 @@ def hermitian(problem, values):
     ("body", "pairs", 3, "huber", "robust kernel huber"),
 ])  # fmt: skip
 def test_what_stands_outside_is_named(sample, frame, weight, dimensions, kernel, words):
-    graph = Graph.from_log(sample, frame=frame, weight=weight, dimensions=dimensions, kernel=kernel)
+    graph = Graph.from_log(
+        sample, frame=frame, weight=weight, dimensions=dimensions, kernel=kernel, edges="virtual+motion"
+    )
     proof = certify(graph, graph.initial)
     assert proof.status == "not applicable"
     assert words in proof.reason
@@ -136,26 +146,30 @@ def test_what_stands_outside_is_named(sample, frame, weight, dimensions, kernel,
 
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_landmark_nodes_are_proven_like_the_marginal_edges(sample, dimensions):
-    nodes = solve(Graph.from_log(sample, edges="landmark+motion", dimensions=dimensions))
-    eliminated = solve(Graph.from_log(sample, edges="virtual+motion", weight="marginal", dimensions=dimensions))
+    nodes = solve(Graph.from_log(sample, edges="landmark+motion", dimensions=dimensions, kernel="none"))
+    eliminated = solve(
+        Graph.from_log(sample, edges="virtual+motion", weight="marginal", dimensions=dimensions, kernel="none")
+    )
     assert nodes.certificate.status == eliminated.certificate.status == "global"
     assert nodes.certificate.lower_bound == pytest.approx(eliminated.certificate.lower_bound, rel=1e-9)
 
 
 def test_range_and_bearing_of_landmark_nodes_stand_outside(sample):
-    graph = Graph.from_log(sample, edges="landmark+motion", residual="polar")
+    graph = Graph.from_log(sample, edges="landmark+motion", residual="polar", kernel="none")
     proof = certify(graph, graph.initial)
     assert proof.status == "not applicable" and "h(x, m) - z" in proof.reason
 
 
 def test_a_solution_that_has_not_converged_is_not_proven(sample):
-    solution = solve(Graph.from_log(sample), initialize="dead-reckoning", max_iterations=2)
+    solution = solve(
+        Graph.from_log(sample, edges="virtual+motion", kernel="none"), initialize="dead-reckoning", max_iterations=2
+    )
     assert not solution.converged
     assert solution.certificate.status == "not proven"
 
 
 def test_a_state_that_is_not_stationary_has_a_bound_below_the_optimum(sample):
-    graph = Graph.from_log(sample)
+    graph = Graph.from_log(sample, edges="virtual+motion", kernel="none")
     best = solve(graph)
     moved = best.state + 1e-3 * np.random.default_rng(0).standard_normal(best.state.shape)
     proof = certify(graph, moved)
@@ -244,12 +258,12 @@ def test_landmarks_without_heading():
 
 def test_small_epsilon_of_motion_edges():
     log = simulate(seed=1)
-    graph = Graph.from_log(log, edges="virtual+motion", motion=MotionModel(epsilon=1e-8))
+    graph = Graph.from_log(log, edges="virtual+motion", motion=MotionModel(epsilon=1e-8), kernel="none")
     assert solve(graph).certificate.status == "global"
 
 
 def test_poses_of_a_trajectory_and_wrong_shapes(sample):
-    graph = Graph.from_log(sample)
+    graph = Graph.from_log(sample, edges="virtual+motion", kernel="none")
     solution = solve(graph)
     assert certify(graph, solution.poses).status == "global"
     assert certify(graph, solution) is solution.certificate
@@ -310,7 +324,7 @@ def test_edges_choose_their_splits():
     folder = data_folder() / "mrclam6"
     if not folder.exists():
         pytest.skip(f"needs {folder}")
-    graph = Graph.from_log(load(folder, robot=3), edges="landmark+motion")
+    graph = Graph.from_log(load(folder, robot=3), edges="landmark+motion", kernel="none")
     solution = solve(graph)
     quick = prove(graph, solution.state, thorough=False)
     assert quick.status == "not proven" and quick.direction is not None
@@ -319,6 +333,6 @@ def test_edges_choose_their_splits():
 
 def test_a_robust_fit_with_fixed_weights_is_proven():
     log = simulate(seed=2, sensor_faults=SensorFaults(phantom=0.05))
-    solution = solve_gnc(Graph.from_log(log, edges="virtual+motion", weight="marginal"))
+    solution = solve_gnc(Graph.from_log(log, edges="virtual+motion", weight="marginal", kernel="none"))
     assert solution.converged
     assert solution.certificate.status == "global"

@@ -64,6 +64,9 @@ def test_a_hinge_of_two_dimensional_sightings():
         sightings=[z for _, _, z in seen],
     )
     with pytest.raises(GraphError, match="poses 2 and 3: nothing holds the whole piece, which can turn"):
+        solve(Graph.from_log(log, edges="virtual", kernel="none"))
+    # a log has rows, and no edges that somebody could add
+    with pytest.raises(GraphError, match=r"The log has no odometry to hold them: add it, or remove the sightings"):
         solve(Graph.from_log(log, edges="virtual"))
 
 

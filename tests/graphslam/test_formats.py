@@ -39,7 +39,7 @@ def logs(draw, extended=True):
             arguments["true_poses"] = draw(hnp.arrays(float, (motions + 1, 3), elements=number))
             arguments["true_landmarks"] = {
                 3: draw(hnp.arrays(float, 2, elements=number)),
-                -1: np.array([1.0, 2.0, 3.0]),
+                -7: np.array([1.0, 2.0, 3.0]),
             }
     return Log(**arguments)
 

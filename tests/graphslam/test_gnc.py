@@ -57,7 +57,10 @@ def test_a_wrong_sighting_loses_all_its_pairs_at_once(book_log):
     without = book_log.replace(
         steps=book_log.steps[keep], landmarks=book_log.landmarks[keep], sightings=sightings[keep]
     )
-    robust, expected = solve_gnc(Graph.from_log(bad), probability=0.9999), solve(Graph.from_log(without))
+    robust, expected = (
+        solve_gnc(Graph.from_log(bad, edges="virtual+motion", kernel="none"), probability=0.9999),
+        solve(Graph.from_log(without, edges="virtual+motion", kernel="none")),
+    )
     assert np.flatnonzero(robust.trust < 0.5).tolist() == [40]
     difference = robust.poses - expected.poses
     difference[:, 2] = wrap(difference[:, 2])
@@ -65,7 +68,10 @@ def test_a_wrong_sighting_loses_all_its_pairs_at_once(book_log):
 
 
 def test_nothing_wrong_nothing_changed(book_log):
-    plain, robust = solve(Graph.from_log(book_log)), solve_gnc(Graph.from_log(book_log), probability=1 - 1e-9)
+    plain, robust = (
+        solve(Graph.from_log(book_log, edges="virtual+motion", kernel="none")),
+        solve_gnc(Graph.from_log(book_log, edges="virtual+motion", kernel="none"), probability=1 - 1e-9),
+    )
     assert robust.converged and np.all(robust.trust == 1)
     np.testing.assert_allclose(robust.poses, plain.poses, atol=1e-7)
 
@@ -74,8 +80,12 @@ def test_nothing_wrong_nothing_changed(book_log):
 @pytest.mark.parametrize("weight", ["pairs", "marginal"])
 def test_with_landmark_nodes_the_cost_is_that_of_marginal_edges(book_log, weight, dimensions):
     """The sequence is computed on them, because their number of blocks is linear in the number of sightings."""
-    marginal = solve(Graph.from_log(book_log, weight="marginal", dimensions=dimensions))
-    nodes = with_landmark_nodes(Graph.from_log(book_log, weight=weight, dimensions=dimensions))
+    marginal = solve(
+        Graph.from_log(book_log, weight="marginal", dimensions=dimensions, edges="virtual+motion", kernel="none")
+    )
+    nodes = with_landmark_nodes(
+        Graph.from_log(book_log, weight=weight, dimensions=dimensions, edges="virtual+motion", kernel="none")
+    )
     assert nodes.num_edges == len(book_log.steps) + book_log.num_poses - 1
     assert solve(nodes).cost == pytest.approx(marginal.cost, rel=1e-9)
 
@@ -84,7 +94,7 @@ def test_with_landmark_nodes_the_cost_is_that_of_marginal_edges(book_log, weight
 def test_all_good_sightings_need_no_round(seed):
     """Where no residual is beyond the limit, plain squares are the truncated squares already."""
     graph = Graph.from_log(
-        simulate(WORLDS["garden"], seed=seed, clean=True, orientation=False), edges="landmark+motion"
+        simulate(WORLDS["garden"], seed=seed, clean=True, orientation=False), edges="landmark+motion", kernel="none"
     )
     solution = solve_gnc(graph, probability=1 - 1e-9)
     assert "rejected 0 of" in solution.notes[-1] and "in 0 rounds" in solution.notes[-1]
@@ -102,7 +112,7 @@ def test_trust_goes_from_squares_to_all_or_nothing():
 
 
 def test_what_cannot_be(book_log):
-    graph = Graph.from_log(book_log)
+    graph = Graph.from_log(book_log, edges="virtual+motion", kernel="none")
     for options, message in [({"probability": 1.0}, "probability"), ({"max_rounds": 0}, "max_rounds")]:
         with pytest.raises(OptionError, match=message):
             solve_gnc(graph, **options)
@@ -110,7 +120,7 @@ def test_what_cannot_be(book_log):
     with pytest.raises(GraphError, match="needs edges from sightings"):
         solve_gnc(unseen)
     bad, _ = with_phantoms(book_log, 0.2, 1)
-    early = solve_gnc(Graph.from_log(bad), max_rounds=2)
+    early = solve_gnc(Graph.from_log(bad, edges="virtual+motion", kernel="none"), max_rounds=2)
     assert not early.converged and "trusted in part" in early.reason
 
 

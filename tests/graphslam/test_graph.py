@@ -19,32 +19,42 @@ def log_of(sightings, poses=4, psi=True, controls=True):
 
 
 def test_the_books_numbers_of_edges(book_log, shared_data):
-    graph = Graph.from_log(book_log, edges="virtual+motion")
+    graph = Graph.from_log(book_log, edges="virtual+motion", kernel="none")
     assert [family.count for family in graph.families] == [1, 807, 61]
     assert graph.num_edges == 868
-    assert Graph.from_log(load(shared_data("lnpr/log_for_book.txt")), edges="virtual").num_edges == 700
+    assert Graph.from_log(load(shared_data("lnpr/log_for_book.txt")), edges="virtual", kernel="none").num_edges == 700
 
 
 def test_repr_is_one_line_with_the_counts(book_log):
     edges = "1 AnchorEdges, 807 VirtualMotionEdges, 61 RelativePoseEdges"
-    assert repr(Graph.from_log(book_log)) == f"Graph(62 poses, 0 landmarks; {edges})"
+    assert (
+        repr(Graph.from_log(book_log, edges="virtual+motion", kernel="none"))
+        == f"Graph(62 poses, 0 landmarks; {edges})"
+    )
 
 
 def test_poses_without_sightings_leave_the_graph_but_keep_their_numbers():
-    graph = Graph.from_log(log_of([(0, 1), (1, 1), (3, 1)]), edges="virtual")
+    graph = Graph.from_log(log_of([(0, 1), (1, 1), (3, 1)]), edges="virtual", kernel="none")
     assert graph.steps.tolist() == [0, 1, 3]
     assert graph.notes == ("pose 2 shared no sighting with any other and stayed out of the graph",)
-    assert Graph.from_log(log_of([(0, 1), (1, 1), (3, 1)])).steps.tolist() == [0, 1, 2, 3]
+    assert Graph.from_log(log_of([(0, 1), (1, 1), (3, 1)]), edges="virtual+motion", kernel="none").steps.tolist() == [
+        0,
+        1,
+        2,
+        3,
+    ]
 
 
 def test_a_landmark_seen_once_is_named():
-    graph = Graph.from_log(log_of([(0, 1), (1, 1), (1, 5), (2, 9), (2, 9)]))
+    graph = Graph.from_log(log_of([(0, 1), (1, 1), (1, 5), (2, 9), (2, 9)]), edges="virtual+motion", kernel="none")
     assert graph.notes == ("no edge comes from landmarks 5 and 9, seen in one step only",)
     assert graph.families[1].count == 1
 
 
 def test_no_pair_within_one_step():
-    assert Graph.from_log(log_of([(0, 1), (0, 1), (1, 1)])).families[1].count == 2
+    assert (
+        Graph.from_log(log_of([(0, 1), (0, 1), (1, 1)]), edges="virtual+motion", kernel="none").families[1].count == 2
+    )
 
 
 @pytest.mark.parametrize(
@@ -53,7 +63,11 @@ def test_no_pair_within_one_step():
         (log_of([]), {}, "no sightings at all"),
         (log_of([]), {"edges": "virtual"}, "no sightings at all"),
         (log_of([(0, 1), (1, 2)]), {"edges": "virtual"}, "no landmark that was seen twice"),
-        (log_of([(0, 1), (1, 1)], controls=False), {}, "no controls for motion edges; use edges='virtual'"),
+        (
+            log_of([(0, 1), (1, 1)], controls=False),
+            {"edges": "virtual+motion"},
+            "no controls for motion edges; use edges='virtual'",
+        ),
         (
             log_of([(0, 1), (1, 1), (2, 2), (3, 2)]),
             {"edges": "virtual"},
@@ -91,7 +105,9 @@ def test_impossible_options(book_log, options, message):
 
 def test_tempered_pairs_weigh_two_over_k():
     log = log_of([(0, 1), (0, 2), (1, 1), (2, 1), (3, 1), (3, 2)])
-    pairs, tempered = (Graph.from_log(log, weight=weight) for weight in ("pairs", "tempered"))
+    pairs, tempered = (
+        Graph.from_log(log, weight=weight, edges="virtual+motion", kernel="none") for weight in ("pairs", "tempered")
+    )
     np.testing.assert_allclose(tempered.families[1].group_weights, [0.5, 1.0])
     state = np.random.default_rng(1).normal(size=(4, 3))
     group = pairs.families[1].pairs()[2]
@@ -102,7 +118,7 @@ def test_tempered_pairs_weigh_two_over_k():
 @pytest.mark.parametrize("psi", [True, False])
 def test_body_frame_costs_do_not_change_with_the_world(psi):
     log = simulate(seed=2, orientation=psi)
-    graph = Graph.from_log(log)
+    graph = Graph.from_log(log, edges="virtual+motion", kernel="none")
     rng = np.random.default_rng(3)
     state = graph.initial + rng.normal(size=graph.initial.shape) * 0.3
     turn = 2.0
@@ -114,6 +130,6 @@ def test_body_frame_costs_do_not_change_with_the_world(psi):
 
 def test_a_weight_without_effect_is_a_note():
     log = simulate(steps=10)
-    graph = Graph.from_log(log, edges="landmark+motion", weight="marginal")
+    graph = Graph.from_log(log, edges="landmark+motion", weight="marginal", kernel="none")
     assert any("'marginal' has no effect" in note for note in graph.notes)
-    assert not any("no effect" in note for note in Graph.from_log(log, edges="landmark+motion").notes)
+    assert not any("no effect" in note for note in Graph.from_log(log, edges="landmark+motion", kernel="none").notes)

@@ -41,7 +41,7 @@ def batch_of(graph, estimate):
     return piece.cost(state[nodes]), solve(piece.with_initial(state[nodes]), initialize="given"), state[nodes]
 
 
-@pytest.mark.parametrize("kernel", [None, "huber", "cauchy"])
+@pytest.mark.parametrize("kernel", ["none", "huber", "cauchy"])
 @pytest.mark.parametrize("orientation", [False, True])
 def test_every_step_ends_at_the_batch_optimum(orientation, kernel):
     log = small_log(3, orientation)
@@ -225,7 +225,7 @@ def test_a_robot_that_sees_nothing_at_first():
     log = replace(log, steps=log.steps[later], landmarks=log.landmarks[later], sightings=log.sightings[later])
     *_, last = online(log)
     assert last.step == log.num_poses - 1
-    batch = solve(Graph.from_log(log, edges="landmark+motion"), initialize="auto")
+    batch = solve(Graph.from_log(log, edges="landmark+motion", kernel="none"), initialize="auto")
     assert last.solver.cost <= batch.cost * (1 + 1e-6) + 1e-9
     # nothing seen from a known pose
     before = last.poses
@@ -261,7 +261,7 @@ def test_a_correction_too_large_for_undamped_passes():
 
 def test_a_step_that_does_not_end_says_so(monkeypatch):
     log = simulate(seed=2, steps=8, orientation=False)
-    graph = Graph.from_log(log, edges="landmark+motion")
+    graph = Graph.from_log(log, edges="landmark+motion", kernel="none")
     assert solve_by_steps(graph).converged
     monkeypatch.setattr(graphslam.incremental.system, "PASSES", 0)
     found = solve_by_steps(graph)
@@ -333,7 +333,7 @@ def test_memory_is_that_of_the_lag():
     assert system.num_nodes < 100
 
 
-@pytest.mark.parametrize("kernel", [None, "cauchy"])
+@pytest.mark.parametrize("kernel", ["none", "cauchy"])
 def test_a_lag_on_a_noisy_log(kernel):
     """Final poses keep their linearisation, so that the estimate is near the batch solution, but not the same."""
     log = small_log(3, orientation=False)

@@ -48,7 +48,7 @@ PERFECT = {
 )
 def test_noise_free_logs_are_solved_by_the_start_alone(edges, dimensions):
     log = simulate(WORLDS["garden"], **PERFECT, seed=0)
-    graph = Graph.from_log(log, edges=edges, dimensions=dimensions)
+    graph = Graph.from_log(log, edges=edges, dimensions=dimensions, kernel="none")
     lost = graph.initial + np.random.default_rng(0).normal(size=graph.initial.shape) * 3
     lost[0] = graph.initial[0]
     state = rotation_first(graph.with_initial(lost))
@@ -60,13 +60,13 @@ def test_noise_free_logs_are_solved_by_the_start_alone(edges, dimensions):
 
 def test_dead_reckoning_follows_the_motion_edges():
     log = load(sample_log_path())
-    graph = Graph.from_log(log)
+    graph = Graph.from_log(log, edges="virtual+motion", kernel="none")
     lost = np.zeros_like(graph.initial)
     lost[0] = graph.initial[0]
     state = dead_reckoning(graph.with_initial(lost))
     np.testing.assert_allclose(state[:, :2], log.initial_poses[:, :2], atol=1e-9)
     with pytest.raises(GraphError, match="needs motion edges"):
-        dead_reckoning(Graph.from_log(log, edges="virtual"))
+        dead_reckoning(Graph.from_log(log, edges="virtual", kernel="none"))
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,9 @@ def test_the_graph_of_the_first_poses_is_that_of_the_first_part_of_the_log(optio
 def test_growing_corrects_drift_on_the_way(edges, dimensions, poses):
     """Dead reckoning turns 3 % too fast; the start is close to the optimum although nobody has looked at all poses yet."""
     log = simulate(WORLDS["garden"], **PERFECT, seed=0)
-    graph = Graph.from_log(log.replace(controls=log.controls * [1.0, 1.03]), edges=edges, dimensions=dimensions)
+    graph = Graph.from_log(
+        log.replace(controls=log.controls * [1.0, 1.03]), edges=edges, dimensions=dimensions, kernel="none"
+    )
     state, optimum = grown(graph, poses), solve(graph)
     assert np.abs(dead_reckoning(graph) - optimum.state)[: len(graph.steps), :2].max() > 0.5
     assert np.abs(state - optimum.state)[: len(graph.steps), :2].max() < 0.05
@@ -104,12 +106,12 @@ def test_growing_corrects_drift_on_the_way(edges, dimensions, poses):
 
 def test_growing_needs_motion_edges():
     with pytest.raises(GraphError, match="initialize='grow' needs motion edges"):
-        solve(Graph.from_log(load(sample_log_path()), edges="virtual"), initialize="grow")
+        solve(Graph.from_log(load(sample_log_path()), edges="virtual", kernel="none"), initialize="grow")
 
 
 @pytest.mark.parametrize("edges", ["virtual", "virtual+motion", "landmark+motion"])
 def test_auto_is_never_above_the_given_start(edges):
-    graph = Graph.from_log(load(sample_log_path()), edges=edges)
+    graph = Graph.from_log(load(sample_log_path()), edges=edges, kernel="none")
     given, auto = solve(graph, initialize="given"), solve(graph, initialize="auto")
     assert auto.converged
     assert auto.cost <= given.cost * (1 + 1e-9)
@@ -118,7 +120,7 @@ def test_auto_is_never_above_the_given_start(edges):
 def test_auto_does_without_headings_where_it_must(book_log):
     # 2-D virtual edges alone measure no heading: auto then starts from the given values
     log = simulate(WORLDS["garden"], max_range=12.0, field_of_view=6.28, **PERFECT, seed=0, orientation=False)
-    solution = solve(Graph.from_log(log, edges="virtual"), initialize="auto")
+    solution = solve(Graph.from_log(log, edges="virtual", kernel="none"), initialize="auto")
     assert solution.converged
     assert "started given" in solution.reason
 
@@ -156,7 +158,7 @@ def test_landmark_nodes_of_the_sample_reach_the_optimum_by_default(solver):
     """From dead reckoning, both residuals end in other minima or nowhere (J above 5,000 with the polar one)."""
     log = load(sample_log_path())
     for residual, optimum in (("cartesian", 373.78356), ("polar", 373.17431)):
-        solution = solver(Graph.from_log(log, edges="landmark+motion", residual=residual))
+        solution = solver(Graph.from_log(log, edges="landmark+motion", residual=residual, kernel="none"))
         assert solution.converged
         assert solution.cost == pytest.approx(optimum, rel=1e-7)
 
@@ -172,7 +174,7 @@ def hard_logs():
 @pytest.mark.parametrize("number", [0, 1, 2, 3, 12, 63, 97])
 def test_auto_reaches_the_optimum_that_is_reached_from_the_truth(hard_logs, number):
     """Every noise level but the highest; at numbers 3, 12, 48 and 97 the first start ends 4 to 48 % higher."""
-    graph = Graph.from_log(hard_logs.hard_log(number), edges="landmark+motion")
+    graph = Graph.from_log(hard_logs.hard_log(number), edges="landmark+motion", kernel="none")
     solution = solve(graph)
     assert solution.converged
     assert solution.cost <= hard_logs.optimum(graph) * (1 + 1e-6)
@@ -180,7 +182,7 @@ def test_auto_reaches_the_optimum_that_is_reached_from_the_truth(hard_logs, numb
 
 def test_gauss_newton_converges_where_residuals_are_large(hard_logs):
     """Plain steps go back and forth there (300 steps are not enough), and damped ones take hundreds."""
-    graph = Graph.from_log(hard_logs.hard_log(19), edges="landmark+motion")
+    graph = Graph.from_log(hard_logs.hard_log(19), edges="landmark+motion", kernel="none")
     solution = solve(graph.with_initial(hard_logs.true_state(graph)), initialize="given")
     assert solution.converged
     system, cost = graph.linearize(solution.state)
@@ -265,7 +267,7 @@ def test_short_damped_steps_alone_are_no_proof():
 def test_polar_landmark_nodes_start_from_the_cartesian_optimum(dimensions):
     log = simulate(WORLDS["garden"], seed=5, clean=True)
     graphs = [
-        Graph.from_log(log, edges="landmark+motion", dimensions=dimensions, residual=residual)
+        Graph.from_log(log, edges="landmark+motion", dimensions=dimensions, residual=residual, kernel="none")
         for residual in ("cartesian", "polar")
     ]
     cartesian, polar = (solve(graph) for graph in graphs)
@@ -280,7 +282,7 @@ def test_polar_landmark_nodes_start_from_the_cartesian_optimum(dimensions):
 def test_cartesian_landmark_nodes_have_no_singular_place(dimensions):
     """From all poses on one landmark, where no bearing is defined, the Cartesian residual leads to the optimum."""
     log = simulate(seed=3, clean=True)
-    graph = Graph.from_log(log, edges="landmark+motion", dimensions=dimensions)
+    graph = Graph.from_log(log, edges="landmark+motion", dimensions=dimensions, kernel="none")
     best = solve(graph)
     start = best.state.copy()
     start[: log.num_poses, :2] = start[log.num_poses, :2]
@@ -328,7 +330,7 @@ def test_other_turns_lead_out_of_a_wrong_minimum():
     seen = np.tile([0, 1, 2], 4)
     sightings = SensorModel().h(poses[at], places[seen])
     log = Log(dt=1.0, controls=controls, steps=at, landmarks=seen, sightings=sightings)
-    graph = Graph.from_log(log, motion=motion, edges="landmark+motion")
+    graph = Graph.from_log(log, motion=motion, edges="landmark+motion", kernel="none")
     best = solve(graph)
     start = best.state.copy()
     # from pose 1 on the headings turn to the other side, so that the last ones are what they were, less a full turn
@@ -343,7 +345,7 @@ def test_other_turns_lead_out_of_a_wrong_minimum():
 
 def test_auto_tries_other_turns_where_an_end_is_doubtful(hard_logs):
     """At number 48, with twice the book's noise, the start from virtual-motion edges leads to a minimum 4 % too high."""
-    graph = Graph.from_log(hard_logs.hard_log(48), edges="landmark+motion")
+    graph = Graph.from_log(hard_logs.hard_log(48), edges="landmark+motion", kernel="none")
     solution = solve(graph)
     assert solution.converged
     assert "other turns" in solution.reason

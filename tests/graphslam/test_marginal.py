@@ -142,8 +142,16 @@ def test_tempered_equals_marginal_where_all_sightings_are_alike():
 @pytest.mark.parametrize("dimensions", [3, 2])
 def test_marginal_and_landmark_nodes_agree_up_to_curvature(dimensions):
     log = simulate(seed=4, clean=True, sensor=FINE)
-    marginal = solve(Graph.from_log(log, weight="marginal", sensor=FINE, dimensions=dimensions), initialize="auto")
-    nodes = solve(Graph.from_log(log, edges="landmark+motion", sensor=FINE, dimensions=dimensions), initialize="auto")
+    marginal = solve(
+        Graph.from_log(
+            log, weight="marginal", sensor=FINE, dimensions=dimensions, edges="virtual+motion", kernel="none"
+        ),
+        initialize="auto",
+    )
+    nodes = solve(
+        Graph.from_log(log, edges="landmark+motion", sensor=FINE, dimensions=dimensions, kernel="none"),
+        initialize="auto",
+    )
     assert marginal.converged and nodes.converged
     std = np.sqrt(np.diagonal(nodes.covariances()[1:], axis1=1, axis2=2))
     off = marginal.poses[1:] - nodes.poses[1:]
@@ -155,7 +163,10 @@ def test_marginal_and_landmark_nodes_agree_up_to_curvature(dimensions):
 
 def test_pairs_are_too_sure_by_about_half_the_sightings():
     log = simulate(seed=4)
-    pairs, marginal = (solve(Graph.from_log(log, weight=weight)) for weight in ("pairs", "marginal"))
+    pairs, marginal = (
+        solve(Graph.from_log(log, weight=weight, edges="virtual+motion", kernel="none"))
+        for weight in ("pairs", "marginal")
+    )
     _, count = np.unique(log.landmarks, return_counts=True)
     ratio = np.trace(marginal.covariances()[-1]) / np.trace(pairs.covariances()[-1])
     assert ratio > 0.2 * count.mean() / 2
@@ -169,7 +180,7 @@ def test_a_landmark_seen_once_costs_nothing():
 
 
 def test_the_books_log_without_and_with_trust(book_log):
-    graph = Graph.from_log(book_log, weight="marginal")
+    graph = Graph.from_log(book_log, weight="marginal", edges="virtual+motion", kernel="none")
     family = next(f for f in graph.families if isinstance(f, MarginalEdges))
     untouched = family.with_trust(np.ones(family.count))
     state = graph.initial

@@ -127,7 +127,6 @@ def test_lost_in_the_woods(tmp_path):
         ({"r": np.zeros((4, 2))}, "no sighting of any landmark"),
         ({"b": np.zeros((4, 3))}, "'b' should be 4 x 2, but is 4 x 3"),
         ({"d": [[0.1, 0.2]]}, "'d' should be 1 x 1"),
-        ({"t": np.array([[0.0], [0.1], [60.1], [60.2]])}, r"silent for 60\.0 s after t = 0\.100 s"),
     ],
 )
 def test_lost_in_the_woods_with_another_content(tmp_path, changes, message):

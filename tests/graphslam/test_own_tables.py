@@ -282,9 +282,8 @@ def test_sightings_that_have_ids_in_part(drive, names):
 
 def test_an_id_that_may_mean_none_is_told(drive):
     log = load(drive(sightings=text("t,id,range,bearing", [(t, -1 if j == 4 else j, r, b) for t, j, r, b in SEEN])))
-    assert log.notes[0].endswith(
-        "sightings.csv: the id -1 is a landmark like others; leave it empty where none was identified"
-    )
+    assert log.notes[0].endswith("sightings.csv: 2 of 7 rows have the id -1, taken as no id")
+    np.testing.assert_array_equal(log.landmarks == UNIDENTIFIED, [j == 4 for _, j, *_ in SEEN])
 
 
 def with_column(name, values):
@@ -438,12 +437,12 @@ MISTAKES = {
         r"odometry.csv \(0.000 to 20.000 s\) and .*truth.csv \(500.000 to 520.000 s\) do not overlap: .*--clocks truth=-500",
     ),
     "NaN": (
-        {"odometry": text("t,nu,omega", changed(ODOMETRY, 6, 1, float("nan")))},
-        "odometry.csv:8: 'nu' is empty or NaN; remove the row, or repair it",
+        {"odometry": text("t,nu,omega", ((t, "nan" if k % 9 == 6 else v, w) for k, (t, v, w) in enumerate(ODOMETRY)))},
+        "odometry.csv:8: 'nu' is empty or NaN; remove the row, or repair it; 22 of 201 rows have 'nu' empty, NaN or infinite",
     ),
     "an empty cell": (
-        {"odometry": text("t,nu,omega", ODOMETRY).replace(repr(NU[6].item()), "", 1)},
-        "odometry.csv:8: 'nu' is empty or NaN",
+        {"sightings": text("t,id,range,bearing", SEEN).replace(",1.7,", ",,", 1)},
+        "sightings.csv:4: 'range' is empty or NaN",
     ),
     "a time that is missing": (
         {"sightings": text("t,id,range,bearing", SEEN) + ",3,1.0,0.1\n"},

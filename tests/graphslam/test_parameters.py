@@ -66,7 +66,7 @@ ALL = list(PARAMETERS)
 
 def test_derivatives_are_those_of_the_corrections(biased: Log) -> None:
     """At values far from the ideal ones, with motions of several controls."""
-    graph = Graph.from_log(biased.at_steps(np.arange(0, 41, 4)), edges="landmark+motion", estimate=ALL)
+    graph = Graph.from_log(biased.at_steps(np.arange(0, 41, 4)), edges="landmark+motion", estimate=ALL, kernel="none")
     assert graph.parameters is not None
     values = np.array([1.1, 0.9, 0.01, 0.02, 1.2, 0.1, 0.1, 0.3, -0.2, 0.0])
     p = graph.parameters.at(values)
@@ -115,8 +115,10 @@ def test_both_solvers_end_at_the_same_optimum(options: dict) -> None:
 
 
 def test_landmarks_as_nodes_and_eliminated_are_the_same(biased: Log) -> None:
-    nodes = solve(Graph.from_log(biased, edges="landmark+motion", estimate=list(BIASES)))
-    marginal = solve(Graph.from_log(biased, weight="marginal", estimate=list(BIASES)))
+    nodes = solve(Graph.from_log(biased, edges="landmark+motion", estimate=list(BIASES), kernel="none"))
+    marginal = solve(
+        Graph.from_log(biased, weight="marginal", estimate=list(BIASES), edges="virtual+motion", kernel="none")
+    )
     np.testing.assert_allclose(nodes.parameters.values, marginal.parameters.values, atol=1e-8)
     np.testing.assert_allclose(nodes.parameters.covariance, marginal.parameters.covariance, rtol=1e-6)
     np.testing.assert_allclose(nodes.covariance(20), marginal.covariance(20), rtol=1e-5)
@@ -127,7 +129,9 @@ def test_known_biases_are_found_with_their_covariance() -> None:
     """e' P^-1 e over the number of parameters is 1 on average; 12 logs with 5 parameters leave it between 0.6 and 1.5."""
     truth, squares = np.array(list(BIASES.values())), []
     for seed in range(12):
-        found = solve(Graph.from_log(drive(seed, **BIASES), edges="landmark+motion", estimate=list(BIASES))).parameters
+        found = solve(
+            Graph.from_log(drive(seed, **BIASES), edges="landmark+motion", estimate=list(BIASES), kernel="none")
+        ).parameters
         error = found.values - truth
         squares.append(error @ np.linalg.solve(found.covariance, error) / len(error))
     assert 0.6 < np.mean(squares) < 1.5
@@ -141,7 +145,13 @@ def test_range_scale_is_found_beside_noise_in_proportion_to_the_range() -> None:
         z = log.sightings * [0.95, 1, 1]
         found.append(
             solve(
-                Graph.from_log(log.replace(sightings=z), motion=MOTION, edges="landmark+motion", estimate="range_scale")
+                Graph.from_log(
+                    log.replace(sightings=z),
+                    motion=MOTION,
+                    edges="landmark+motion",
+                    estimate="range_scale",
+                    kernel="none",
+                )
             )
         )
     values = [solution.parameters["range_scale"] for solution in found]
@@ -150,7 +160,9 @@ def test_range_scale_is_found_beside_noise_in_proportion_to_the_range() -> None:
 
 
 def test_covariances_are_the_inverse_of_the_whole_system(biased: Log) -> None:
-    solution = solve(Graph.from_log(biased, edges="landmark+motion", estimate=["wheel_scale", "bearing_bias:0.1"]))
+    solution = solve(
+        Graph.from_log(biased, edges="landmark+motion", estimate=["wheel_scale", "bearing_bias:0.1"], kernel="none")
+    )
     graph = solution.graph
     joint = JointGraph(graph)
     border = joint.border(graph, solution.state, solution.state)
@@ -168,10 +180,13 @@ def test_covariances_are_the_inverse_of_the_whole_system(biased: Log) -> None:
 
 def test_the_deviation_is_the_curvature_of_the_cost(biased: Log) -> None:
     """J of logs that are corrected by hand, minimised over the nodes, is J* + (p - p*)² / sigma²."""
-    solution = solve(Graph.from_log(biased, edges="landmark+motion", estimate="turn_rate_bias"))
+    solution = solve(Graph.from_log(biased, edges="landmark+motion", estimate="turn_rate_bias", kernel="none"))
     found, sigma = solution.parameters["turn_rate_bias"], solution.parameters.deviations["turn_rate_bias"]
     at = [found - 3 * sigma, found, found + 3 * sigma]
-    costs = [solve(Graph.from_log(biased.corrected(turn_rate_bias=b), edges="landmark+motion")).cost for b in at]
+    costs = [
+        solve(Graph.from_log(biased.corrected(turn_rate_bias=b), edges="landmark+motion", kernel="none")).cost
+        for b in at
+    ]
     # the noise at measured ranges, not at predicted ones, shifts the minimum a little
     assert costs[0] - 2 * costs[1] + costs[2] == pytest.approx(2 * 9, rel=0.03)
 
@@ -179,7 +194,9 @@ def test_the_deviation_is_the_curvature_of_the_cost(biased: Log) -> None:
 def test_the_sample_log_shows_its_biases() -> None:
     """Its notes: turn rate x 1.082, bearing -0.044 rad; speed x 1.035 and range x 0.977 only as a ratio."""
     log = load(sample_log_path())
-    graph = Graph.from_log(log, edges="landmark+motion", estimate=["range_scale", "turn_scale", "bearing_bias"])
+    graph = Graph.from_log(
+        log, edges="landmark+motion", estimate=["range_scale", "turn_scale", "bearing_bias"], kernel="none"
+    )
     found = solve(graph).parameters
     for name, truth in {"range_scale": 0.977 * 1.035, "turn_scale": 1 / 1.082, "bearing_bias": -0.044}.items():
         assert abs(found[name] - truth) < 2 * found.deviations[name], name
@@ -213,7 +230,13 @@ def test_what_a_log_does_not_tell_is_refused(biased: Log, log: str, estimate: li
         "noisy": lambda: simulate(**world, **(straight | {"turn_rate": 1e-4})),
     }
     graph = Graph.from_log(
-        logs[log](), motion=MOTION, sensor=SENSOR, edges="landmark+motion", dimensions=2, estimate=estimate
+        logs[log](),
+        motion=MOTION,
+        sensor=SENSOR,
+        edges="landmark+motion",
+        dimensions=2,
+        estimate=estimate,
+        kernel="none",
     )
     with pytest.raises(GraphError, match=words):
         solve(graph)
@@ -230,13 +253,19 @@ def test_a_known_lever_tells_the_size_of_the_world() -> None:
         way_points=((3, -3), (3, 3), (-3, 3), (-3, -3)),
     )  # fmt: skip
     log = log.replace(sightings=log.sightings * [1.1, 1, 1], motion=MOTION, sensor=far)
-    found = solve(Graph.from_log(log, edges="landmark+motion", estimate=["wheel_scale", "range_scale"])).parameters
+    found = solve(
+        Graph.from_log(log, edges="landmark+motion", estimate=["wheel_scale", "range_scale"], kernel="none")
+    ).parameters
     assert abs(found["range_scale"] - 1.1) < 3 * found.deviations["range_scale"] < 0.3
 
 
 def test_priors_hold_parameters(biased: Log) -> None:
     free, weak, tight = (
-        solve(Graph.from_log(biased, weight="marginal", estimate={"turn_scale": deviation})).parameters
+        solve(
+            Graph.from_log(
+                biased, weight="marginal", estimate={"turn_scale": deviation}, edges="virtual+motion", kernel="none"
+            )
+        ).parameters
         for deviation in (None, 10.0, 1e-6)
     )
     assert weak["turn_scale"] == pytest.approx(free["turn_scale"], abs=1e-5) and free.priors == {}
@@ -245,12 +274,14 @@ def test_priors_hold_parameters(biased: Log) -> None:
 
 
 def test_the_solution_is_that_of_the_corrected_log(biased: Log) -> None:
-    solution = solve(Graph.from_log(biased, weight="marginal", estimate=list(BIASES)))
+    solution = solve(
+        Graph.from_log(biased, weight="marginal", estimate=list(BIASES), edges="virtual+motion", kernel="none")
+    )
     log = solution.graph.log
     np.testing.assert_allclose(log.sightings[:, 1], biased.sightings[:, 1] - solution.parameters["bearing_bias"])
-    again = solve(Graph.from_log(log, weight="marginal"))
+    again = solve(Graph.from_log(log, weight="marginal", edges="virtual+motion", kernel="none"))
     # only the ranges at which the noise is evaluated differ
-    plain = solve(Graph.from_log(biased, weight="marginal"))
+    plain = solve(Graph.from_log(biased, weight="marginal", edges="virtual+motion", kernel="none"))
     change = np.abs(plain.poses - solution.poses).max()
     assert np.abs(again.poses - solution.poses).max() < 0.05 * change
     assert solution.certificate.applicable
@@ -291,7 +322,7 @@ def test_names_may_have_hyphens_and_priors() -> None:
 
 
 def test_solvers_without_parameters_refuse(biased: Log) -> None:
-    graph = Graph.from_log(biased, edges="landmark+motion", estimate="bearing_bias")
+    graph = Graph.from_log(biased, edges="landmark+motion", estimate="bearing_bias", kernel="none")
     with pytest.raises(GraphError, match="cannot estimate parameters"):
         solve_by_steps(graph)
     with pytest.raises(GraphError, match="cannot estimate parameters"):
@@ -301,8 +332,10 @@ def test_solvers_without_parameters_refuse(biased: Log) -> None:
 def test_a_landmark_seen_twice_from_a_pose_needs_its_sightings_counted_once(biased: Log) -> None:
     twice = biased.with_sightings(np.sort(np.append(np.arange(len(biased.steps)), 5)))
     with pytest.raises(GraphError, match="seen twice from one pose.*weight='marginal'"):
-        solve(Graph.from_log(twice, estimate="bearing_bias"))
-    assert solve(Graph.from_log(twice, weight="marginal", estimate="bearing_bias")).converged
+        solve(Graph.from_log(twice, estimate="bearing_bias", edges="virtual+motion", kernel="none"))
+    assert solve(
+        Graph.from_log(twice, weight="marginal", estimate="bearing_bias", edges="virtual+motion", kernel="none")
+    ).converged
 
 
 @pytest.mark.parametrize(("wider", "doubted"), [(1, False), (10, True)])
@@ -310,7 +343,12 @@ def test_turns_that_may_be_noise_of_sightings_are_doubted(wider: int, doubted: b
     robot = MotionModel.constant(0.05 / wider, 0.05 / wider)
     log = simulate(seed=0, steps=100, clean=True, motion=robot, sensor=SENSOR)
     graph = Graph.from_log(
-        log, motion=MotionModel.constant(0.05, 0.05), sensor=SENSOR, edges="landmark+motion", estimate="sensor_delay"
+        log,
+        motion=MotionModel.constant(0.05, 0.05),
+        sensor=SENSOR,
+        edges="landmark+motion",
+        estimate="sensor_delay",
+        kernel="none",
     )
     doubt = solve(graph).parameters.doubt
     assert ("do not rely on sensor_delay" in doubt) == doubted
@@ -318,6 +356,11 @@ def test_turns_that_may_be_noise_of_sightings_are_doubted(wider: int, doubted: b
 
 def test_scales_need_no_turns(biased: Log) -> None:
     graph = Graph.from_log(
-        biased, motion=MotionModel.constant(5, 5), sensor=SENSOR, edges="landmark+motion", estimate="bearing_bias"
+        biased,
+        motion=MotionModel.constant(5, 5),
+        sensor=SENSOR,
+        edges="landmark+motion",
+        estimate="bearing_bias",
+        kernel="none",
     )
     assert solve(graph).parameters.doubt == ""

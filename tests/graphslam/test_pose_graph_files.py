@@ -117,7 +117,7 @@ def test_round_trip(tmp_path):
 def test_motion_graphs_can_be_written_and_virtual_ones_cannot(tmp_path, book_log):
     from dataclasses import replace
 
-    graph = Graph.from_log(book_log)
+    graph = Graph.from_log(book_log, edges="virtual+motion", kernel="none")
     with pytest.raises(GraphError, match="g2o has no line for VirtualMotionEdges"):
         graph.save_g2o(tmp_path / "no.g2o")
     assert list(tmp_path.iterdir()) == []

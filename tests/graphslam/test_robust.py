@@ -82,7 +82,7 @@ def test_the_covariance_of_a_trajectory(kernel, options):
     nees = []
     for seed in range(96):
         log = simulate(World(clean=True), seed=seed, motion=motion, sensor=sensor)
-        graphs = (Graph.from_log(log, motion=motion, sensor=sensor, kernel=k, **options) for k in (None, kernel))
+        graphs = (Graph.from_log(log, motion=motion, sensor=sensor, kernel=k, **options) for k in ("none", kernel))
         nees.append([solve(graph, max_iterations=300).joint_nees(log.true_poses) for graph in graphs])
     plain, robust = np.mean(nees, axis=0)
     low, high = band(3 * 62 * 96)
@@ -94,7 +94,9 @@ def test_the_default_width_follows_the_sightings(dimensions, book_log):
     graph = Graph.from_log(book_log, kernel="cauchy", edges="virtual+motion", dimensions=dimensions)
     assert graph.verdict[0] == Cauchy().of_dimension(dimensions) != Cauchy().of_dimension(5 - dimensions)
     # a width that is given stays
-    assert Graph.from_log(book_log, kernel=Huber(2.0), dimensions=dimensions).verdict[0] == Huber(2.0)
+    assert Graph.from_log(book_log, kernel=Huber(2.0), dimensions=dimensions, edges="virtual+motion").verdict[
+        0
+    ] == Huber(2.0)
 
 
 def test_the_width_of_a_factor_follows_its_rows():
@@ -114,7 +116,9 @@ def test_a_kernel_acts_before_tempering(kernel, book_log):
     """A tempered pair costs 2/K of what it costs among plain pairs, so wrong sightings are told apart as well."""
     plain, tempered = (
         next(f for f in graph.families if isinstance(f, VirtualMotionEdges))
-        for graph in (Graph.from_log(book_log, weight=w, kernel=kernel) for w in ("pairs", "tempered"))
+        for graph in (
+            Graph.from_log(book_log, weight=w, kernel=kernel, edges="virtual+motion") for w in ("pairs", "tempered")
+        )
     )
     state = np.random.default_rng(0).normal(size=(book_log.num_poses, 3))
     squares = plain.linearize(state, state).mahalanobis

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from graphslam import Log, LogError, MotionModel, OptionError, load, save
+from graphslam import Graph, Log, LogError, MotionModel, OptionError, load, save, simulate, solve
 from graphslam.formats import ReadOptions
+from graphslam.metrics import ate
 from graphslam.sources.streams import Stream, divide, truth_at
 from graphslam.sources.synchronize import synchronize
 
@@ -127,11 +128,46 @@ def test_the_noise_of_a_gap_does_not_depend_on_the_poses_in_it(poses):
     assert covariance[:, 2, 2].sum() == pytest.approx(25 * np.var(odometry.rows[:, 1]), rel=1e-4)
 
 
-def test_too_long_a_gap_is_refused():
-    with pytest.raises(LogError, match=r"silent for 40\.0 s after t = 1\.000 s"):
-        synchronize(gapped(40.0), seen(0.5, 41.2), np.zeros(2))
-    # a gap that no motion of the log crosses does not matter
-    assert synchronize(gapped(40.0), seen(0.5, 0.9), np.zeros(2)).num_poses == 2
+@pytest.mark.parametrize("poses", [0, 1, 7])
+def test_in_a_long_silence_the_robot_may_have_gone_anywhere(poses):
+    odometry = gapped(40.0)
+    times = [0.5, 1.0, *np.linspace(1.0, 41.0, poses + 2)[1:-1], 41.0, 41.2]
+    with pytest.warns(
+        UserWarning, match="1 gap of 40.0 s in the odometry: bridged, with the noise of a robot that moved"
+    ):
+        log = synchronize(odometry, seen(*times), np.zeros(len(times)))
+    motions, covariances = log.motions(MotionModel.constant(0.0, 0.0, epsilon=1e-10))
+    # it stays where it was, give or take the way that it drives in this time at its usual speed, in every direction
+    within = slice(1, poses + 2)
+    np.testing.assert_allclose(motions[within], 0, atol=1e-12)
+    speed, turn = np.sqrt(np.mean(odometry.rows**2, axis=0))
+    expected = np.diag([(40 * speed) ** 2, (40 * speed) ** 2, min(40 * turn, np.pi) ** 2])
+    np.testing.assert_allclose(covariances[within].sum(axis=0), expected, rtol=1e-6, atol=1e-6)
+    # the other motions are as without the silence
+    np.testing.assert_allclose(motions[[0, -1]], [[0.5, 0, 0.25], [0.2, 0, 0]], atol=0.07)
+    assert log.dt.sum() == pytest.approx(40.7) and log.times[-1] == pytest.approx(41.2)
+    # a silence that no motion of the log crosses does not matter
+    assert synchronize(odometry, seen(0.5, 0.9), np.zeros(2)).control_variances is None
+
+
+def test_a_drive_with_a_long_silence_is_solved():
+    """Half a minute of odometry is lost; the landmarks are seen again, so that the trajectory is known nevertheless."""
+    away = []
+    for seed in range(6):
+        log = simulate(seed=seed, steps=120, clean=True, motion=MotionModel(nn=0.05, no=0.001, on=0.03, oo=0.05))
+        times, silent = log.times, (log.times[:-1] > 40) & (log.times[:-1] < 75)
+        assert silent.sum() >= 10
+        rows = Stream(np.append(times[:-1][~silent], times[-1]), np.vstack([log.controls[~silent], log.controls[-1]]))
+        kept = (times[log.steps] <= 40) | (times[log.steps] >= 76)
+        with pytest.warns(UserWarning, match="bridged"):
+            found = synchronize(
+                rows, Stream(times[log.steps[kept]], log.sightings[kept]), log.landmarks[kept],
+                truth=Stream(times, log.true_poses), true_landmarks=log.true_landmarks, motion=log.motion, sensor=log.sensor,
+            )  # fmt: skip
+        solution = solve(Graph.from_log(found, edges="landmark+motion", kernel="none"))
+        assert solution.converged
+        away.append(ate(found.true_poses, solution.poses))
+    assert max(away) < 0.3
 
 
 @pytest.mark.parametrize(

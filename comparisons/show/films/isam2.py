@@ -14,7 +14,7 @@ from graphslam import Log, estimate_map, solve_online
 from graphslam.se2 import Array
 from graphslam.solvers.online import IncrementalSmoother
 
-from ...estimators import online_keywords
+from ...estimators import isam2_options, online_keywords
 from ...options import AnimationOptions, RunOptions
 from ..placement import placement_of
 from .film import Film, Frame, Show, kept
@@ -42,7 +42,8 @@ def isam2_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
     Raises:
         GraphError, OptionError: ISAM2 cannot do what is asked for on this log.
     """
-    keywords = online_keywords(log, options)
+    options = isam2_options(log, options)
+    keywords = online_keywords(options)
     wanted = set(kept(log.num_poses, animation.max_frames).tolist())
     frames: list[OnlineFrame] = []
 

@@ -67,7 +67,7 @@ def iterations(log: Log, options: RunOptions) -> list[Iterations]:
 
 def _graphs(log: Log, options: RunOptions, edges: str) -> list[Graph]:
     models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
-    return [Graph.from_log(log, edges=edges, frame=frame, **models) for frame in ("world", "body")]
+    return [Graph.from_log(log, edges=edges, frame=frame, kernel="none", **models) for frame in ("world", "body")]
 
 
 def remarks(variants: Sequence[Iterations]) -> list[str]:

@@ -50,5 +50,5 @@ print("norm of steps 10, 20, 30:", [float(f"{long.step_norms[k]:.3g}") for k in 
 from graphslam import Graph, solve
 
 for frame in ("world", "body"):
-    fast = solve(Graph.from_log(log, edges="virtual+motion", frame=frame), initialize="given")
+    fast = solve(Graph.from_log(log, edges="virtual+motion", kernel="none", frame=frame), initialize="given")
     print(f"{frame}: {fast.iterations} iterations, last step {fast.step_norms[-1]:.1e}, converged: {fast.converged}")

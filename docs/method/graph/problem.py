@@ -5,7 +5,7 @@ import numpy as np
 from graphslam import Graph, load, sample_log_path, solve
 
 log = load(sample_log_path())
-graph = Graph.from_log(log, edges="virtual+motion")
+graph = Graph.from_log(log, edges="virtual+motion", weight="pairs", kernel="none")
 best = solve(graph)
 
 # %% trajectories

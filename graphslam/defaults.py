@@ -1,0 +1,54 @@
+"""What suits a log where options of its graph are not named: one choice for Python and the command line."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .edges.robust import Kernel
+from .log import Log
+
+
+def suitable_edges(log: Log) -> str:
+    """The edges that suit a log: with motion edges wherever it has controls.
+
+    Without psi the information of a virtual-motion edge depends on the poses, and landmarks as nodes serve better.
+    """
+    if log.controls is None:
+        return "virtual"
+    return "virtual+motion" if log.has_orientation else "landmark+motion"
+
+
+def suitable_kernel(log: Log) -> str:
+    """The name of the robust kernel that suits a log, "none" where `simulate` made it.
+
+    All other logs count as real data, which have wrong sightings. A kernel costs next to nothing there (docs/decisions.md).
+    """
+    return "none" if log.simulated else "cauchy"
+
+
+def suitable_for_isam2(
+    log: Log, edges: str | None = None, kernel: Kernel | str | None = None
+) -> tuple[str, Kernel | str]:
+    """The edges and the kernel of `Graph.from_log` where they are None, as far as ISAM2 can have both.
+
+    It takes a kernel on the sightings of landmark nodes only: a kernel decides for these, and named virtual-motion edges
+    decide against a kernel.
+    """
+    if kernel is None:
+        kernel = "none" if edges is not None and edges.startswith("virtual") else suitable_kernel(log)
+    if edges is None:
+        robust = kernel != "none" and log.controls is not None
+        edges = "landmark+motion" if robust else suitable_edges(log)
+    return edges, kernel
+
+
+def pairs_overweight(log: Log) -> str | None:
+    """What weight="pairs" does to the covariances, or None where it does nothing: no landmark is seen more than twice."""
+    ids, counts = np.unique(log.landmarks, return_counts=True)
+    most = int(np.argmax(counts))
+    if counts[most] <= 2:
+        return None
+    return (
+        f"weight pairs counts the {counts[most]} sightings of landmark {ids[most]} up to {counts[most] / 2:g} times each, so "
+        "that covariances are up to this factor too small; weight marginal counts each sighting once"
+    )
