@@ -12,8 +12,8 @@ oracle          the same log with the right ids and without clutter, the true no
 dead reckoning  the odometry alone
 
 A drive is silently bad where the ATE of the default is above `BAD` times that of the oracle and above `HARMLESS`, and nothing
-is said. The seeds `REPORTING` are for figures that are published; whatever is tuned is tuned on `TUNING`. With ``--plain`` the
-graph with the noise of the book is timed, too. Times are those of the processor.
+is said. The seeds `REPORTING` are for figures that are published; whatever is tuned is tuned on `TUNING`. With ``--plain``
+the graph with the noise of the book is timed, too. Times are those of the processor.
 """
 
 from __future__ import annotations

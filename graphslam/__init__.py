@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .solvers.many import solve_many
     from .solvers.online import IncrementalSmoother, isam2_parameters, solve_online
     from .solvers.solve import Iteration, solve
+    from .sources.drives import Drive, DriveTruth
     from .sources.simulator import MotionFaults, SensorFaults, simulate
     from .sources.streams import Stream
     from .sources.synchronize import synchronize
@@ -64,6 +65,7 @@ _PUBLIC = {
     "solvers.many": "solve_many",
     "solvers.online": "IncrementalSmoother isam2_parameters solve_online",
     "solvers.solve": "Iteration solve",
+    "sources.drives": "Drive DriveTruth",
     "sources.simulator": "MotionFaults SensorFaults simulate",
     "sources.streams": "Stream",
     "sources.synchronize": "synchronize",

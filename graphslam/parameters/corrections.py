@@ -17,6 +17,9 @@ from ..models import SensorModel
 from ..se2 import Array
 from .declared import PARAMETERS, Parameters
 
+#: the control at a pose is the mean over this time before and after it [s]
+SMOOTHED = 0.3
+
 
 def corrected_controls(parameters: Parameters) -> Array:
     """The controls (S, 2) without what the parameters say is wrong."""
@@ -113,11 +116,20 @@ def moves(parameters: Parameters, predicted: Array, steps: np.ndarray) -> Array:
 
 
 def controls_at_steps(parameters: Parameters) -> Array:
-    """The control (T+1, 2) at the time of each pose: the mean of the corrected ones before and after it."""
-    controls, starts = corrected_controls(parameters), parameters.recorded.control_starts
-    after = controls[np.minimum(starts, len(controls) - 1)]
-    before = controls[np.maximum(starts - 1, 0)]
-    return (before + after) / 2
+    """The control (T+1, 2) at the time of each pose: the mean of the corrected ones within `SMOOTHED` of it.
+
+    A single control is noisy where odometry is frequent, and a delay that multiplies noise is estimated too small, as in
+    every regression on noisy values. Where controls last longer, it is the mean of the one before and the one after the pose.
+    """
+    log = parameters.recorded
+    assert log.dt is not None
+    ends = np.concatenate([[0.0], np.cumsum(log.dt)])
+    travelled = np.zeros((len(ends), 2))
+    np.cumsum(corrected_controls(parameters) * log.dt[:, None], axis=0, out=travelled[1:])
+    # as long before as after, but at the ends of the log
+    since, until = (np.clip(ends[log.control_starts] + w, 0.0, ends[-1]) for w in (-SMOOTHED, SMOOTHED))
+    first, last = (np.column_stack([np.interp(at, ends, part) for part in travelled.T]) for at in (since, until))
+    return (last - first) / (until - since)[:, None]
 
 
 def corrected_log(parameters: Parameters) -> Log:

@@ -234,7 +234,9 @@ class Drive:
         at, seen = at[inside], seen[inside]
         exact = ideal.h(eyes[at], place.landmarks[seen])
         deviations = np.sqrt(np.diagonal(ideal.Q(exact), axis1=1, axis2=2))
-        z = exact + deviations * self._errors(scans[at], seen, rng)
+        z = exact + deviations * correlated_errors(
+            scans[at], seen, self.correlated, self.correlation / self.sensor_rate, rng
+        )
         z[:, 0] = p["range_scale"] * z[:, 0] + p["range_bias"]
         z[:, 1] += p["bearing_bias"]
         # clutter anywhere in view, even in area
@@ -250,24 +252,6 @@ class Drive:
         clutter = np.arange(len(at)) >= len(z)
         return scans[at[order]], seen[order], np.concatenate([z, places])[order], clutter[order]
 
-    def _errors(self, times: Array, seen: np.ndarray, rng: np.random.Generator) -> Array:
-        """Standard normal errors (M, 3), of which a part is an Ornstein-Uhlenbeck process in time for each landmark.
-
-        c_k = a c_{k-1} + sqrt(1 - a²) w_k with a = exp(-lapse / tau); the error is sqrt(1 - s) v_k + sqrt(s) c_k.
-        """
-        white = rng.standard_normal((len(times), 3))
-        if self.correlated == 0:
-            return white
-        fresh = rng.standard_normal((len(times), 3))
-        tau = self.correlation / self.sensor_rate
-        slow = fresh.copy()
-        for j in np.unique(seen):
-            rows = np.flatnonzero(seen == j)
-            decay = np.exp(-np.diff(times[rows]) / tau)
-            for row, before, a in zip(rows[1:].tolist(), rows[:-1].tolist(), decay.tolist()):
-                slow[row] = a * slow[before] + (1 - a * a) ** 0.5 * fresh[row]
-        return (1 - self.correlated) ** 0.5 * white + self.correlated**0.5 * slow
-
     def _read(self, seen: np.ndarray, clutter: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """The ids (M,) as they are read, and whether they are misread."""
         misread = (rng.random(len(seen)) < self.misread) & ~clutter
@@ -275,6 +259,30 @@ class Drive:
         read = np.where(misread, (seen + rng.integers(1, self.landmarks, len(seen))) % self.landmarks, seen)
         unknown = misread & (rng.random(len(seen)) < NONEXISTENT)
         return np.where(unknown, self.landmarks + rng.integers(0, SPARE_IDS, len(seen)), read), misread
+
+
+def correlated_errors(times: Array, seen: np.ndarray, part: float, tau: float, rng: np.random.Generator) -> Array:
+    """Standard normal errors (M, 3) of which a part s of the variance is an Ornstein-Uhlenbeck process for each landmark.
+
+    c_k = a c_{k-1} + sqrt(1 - a²) w_k with a = exp(-lapse / tau); the error is sqrt(1 - s) v_k + sqrt(s) c_k.
+
+    Args:
+        times: (M,) not decreasing [s].
+        seen: (M,) the landmarks.
+        part: s.
+        tau: the correlation time [s].
+        rng: of v and w.
+    """
+    white = rng.standard_normal((len(times), 3))
+    if part == 0:
+        return white
+    slow = rng.standard_normal((len(times), 3))
+    for j in np.unique(seen):
+        rows = np.flatnonzero(seen == j)
+        decay = np.exp(-np.diff(times[rows]) / tau)
+        for row, before, a in zip(rows[1:].tolist(), rows[:-1].tolist(), decay.tolist()):
+            slow[row] = a * slow[before] + (1 - a * a) ** 0.5 * slow[row]
+    return (1 - part) ** 0.5 * white + part**0.5 * slow
 
 
 def _between(rng: np.random.Generator, low: float, high: float) -> float:
