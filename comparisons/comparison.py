@@ -34,7 +34,7 @@ from .estimators import ESTIMATORS, check_estimators, default_estimators, make_g
 from .exchange import texts, write_pose_graph
 from .failures import noted
 from .memory import Announce, announce_memory
-from .options import MODELS, LimitOptions, OutputOptions, RunOptions
+from .options import AUTO, MODELS, LimitOptions, OutputOptions, RunOptions
 from .reading import prepare
 from .results import EstimatorResult
 from .saving import SavedFiles, fill_results, new_directory, write_json
@@ -121,7 +121,9 @@ class Comparison(Displayed):
 
     @property
     def noise_source(self) -> dict[str, str]:
-        """Where each noise model comes from: "book" for the defaults, "log" for one of the log or its reader, or "given"."""
+        """Where each noise model comes from: "book", "log" (or its reader), "estimated" from this log, or "given"."""
+        if self.options.noise == AUTO:
+            return dict.fromkeys(self.models, "estimated")
         return {
             name: "book"
             if _noise(used) == _noise(MODELS[name]())

@@ -21,7 +21,7 @@ from graphslam.sources.worlds import sample_log_path
 
 from .estimators import check_estimators
 from .option import options_of
-from .options import AUTO, MODELS, LimitOptions, RunOptions
+from .options import AUTO, BOOK, MODELS, LimitOptions, RunOptions
 from .reading import sha256_of
 from .toml_files import TomlFile, to_toml
 
@@ -62,7 +62,7 @@ def read_config(path: Path) -> dict[str, Any]:
         file.attempt(lambda: check_estimators(values["estimators"]))
     file.attempt(lambda: LimitOptions.of(time_limit=values.get("time_limit")))
     for key in ("log", "noise"):
-        if key in values and (key, Path(values[key])) != ("noise", AUTO):
+        if key in values and (key == "log" or Path(values[key]) not in (AUTO, BOOK)):
             values[key] = path.parent / _path_of(values[key])
     return values
 

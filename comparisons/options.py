@@ -61,12 +61,10 @@ class ReadingOptions(Options):
     )  # fmt: skip
 
 
-#: the value of ``noise`` that calibrates first
-AUTO = Path("auto")
+#: the values of ``noise`` that are no files: estimated from the log, and the lectures' values
+AUTO, BOOK = Path("auto"), Path("book")
 #: J per degree of freedom above this, or below its inverse, says that the noise models do not fit
 DOUBTFUL = 2.0
-#: how the note of ``--noise auto`` begins where it took what it found
-AUTO_TOOK = "noise auto took, from the residuals of this log"
 #: the options that correct all measurements, and their ideal values
 CORRECTIONS = {"range_scale": 1.0, "range_bias": 0.0, "wheel_scale": 1.0, "turn_rate_bias": 0.0}
 
@@ -83,9 +81,9 @@ class NoiseOptions(Options):
     panel = NOISE
     components = {name: (model, NOISE) for name, model in MODELS.items()}
     noise: Path | None = option(
-        None, "File of noise models (TOML), written by calibrate. Single numbers take precedence over it. auto: calibrate "
-        "from the residuals of this log first, and use the result if its checks pass.",
-        metavar="FILE|auto", default_text="the log's models, else the book's",
+        None, "File of noise models (TOML), written by calibrate. Single numbers take precedence over it. auto: estimate "
+        "noise, biases and misread ids from this log. book: the values of the lectures.",
+        metavar="FILE|auto|book", default_text="the log's models, else auto where the log can tell",
     )  # fmt: skip
     range_scale: float | None = option(
         None, "Measured range = scale * range + bias; corrected before anything else.", default_text="1", positive=True,

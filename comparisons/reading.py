@@ -24,11 +24,12 @@ from graphslam import (
     sample_log_path,
 )
 from graphslam.calibration.from_truth import knows_enough
+from graphslam.identification.robot import TAKEN, known_robot
 from graphslam.keyframes import with_poses_every
 
 from .noise_files import read_noise
 from .option import options_of
-from .options import AUTO, AUTO_TOOK, CORRECTIONS, LogOptions, NoiseOptions, ReadingOptions
+from .options import AUTO, BOOK, CORRECTIONS, LogOptions, NoiseOptions, ReadingOptions
 
 Given = TypeVar("Given", bound=LogOptions)
 
@@ -45,8 +46,8 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
 
     Returns:
         The log; where it came from, None for a `Log`; the options, whose noise models are those of the options, else
-        those of the noise file, else those of the log, else the book's. Its ``noise`` is None, and its ``numbers`` are
-        those of the filters.
+        those of the noise file, else those of the log, else those estimated from it, else the book's. Its ``noise`` is
+        `AUTO` where they were estimated and None otherwise, and its ``numbers`` are those of the filters.
 
     Raises:
         FormatError: a file cannot be read.
@@ -54,35 +55,62 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
         OptionError: an option does not apply to this log.
     """
     data, source = read_log(log, options)
-    motion, sensor = data.motion, data.sensor
-    values: dict[str, Any] = dict(CORRECTIONS)
-    if options.noise == AUTO:
-        # the sensor of the options has the place of the sensor
-        data, found = _calibrated(data, options.models(motion, sensor)[1])
-        if found is not None:
-            motion, sensor = found.motion, found.sensor
-            values |= found.corrections
-    elif options.noise is not None:
-        numbers, of_file = read_noise(options.noise)
-        motion, sensor = NoiseOptions.of(**numbers).models(motion, sensor)
-        if data.controls is None:
-            # a noise file of other logs of the robot may correct odometry that this one has not
-            of_file = {name: value for name, value in of_file.items() if name.startswith("range")}
-        values |= of_file
+    recorded = data
+    data, values = _with_noise(data, options)
     values |= {name: value for name in values if (value := getattr(options, name)) is not None}
     data = data.corrected(**values)
     corrected: dict[str, Any] = {n: None if value == CORRECTIONS[n] else value for n, value in values.items()}
-    motion, sensor = options.models(motion, sensor)
+    estimated = data is not recorded and any(note.startswith(TAKEN) for note in data.notes[len(recorded.notes) :])
+    # the place of the sensor that was given is where the estimate began
+    numbers = {n: v for n, v in options.numbers.items() if not (estimated and n in SensorModel.GEOMETRY)}
+    motion, sensor = replace(options, numbers=numbers).models(data.motion, data.sensor)
     if options.max_range is not None:
         # what is farther away has been left out, so that the sensor does not see it
         sensor = replace(sensor, max_range=min(sensor.max_range, options.max_range))
     others = {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)}
-    return data, source, replace(options, motion=motion, sensor=sensor, noise=None, numbers=others, **corrected)
+    noise = AUTO if estimated else None
+    return data, source, replace(options, motion=motion, sensor=sensor, noise=noise, numbers=others, **corrected)
+
+
+def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float]]:
+    """The log with the noise models that the option ``noise`` asks for as its own, and its corrections."""
+    values = dict(CORRECTIONS)
+    if options.noise not in (None, AUTO, BOOK):
+        assert options.noise is not None
+        numbers, of_file = read_noise(options.noise)
+        motion, sensor = NoiseOptions.of(**numbers).models(log.motion, log.sensor)
+        if log.controls is None:
+            # a noise file of other logs of the robot may correct odometry that this one has not
+            of_file = {name: value for name, value in of_file.items() if name.startswith("range")}
+        return log.replace(motion=motion, sensor=sensor), values | of_file
+    if options.noise is None and _gives_noise(options):
+        return log, values
+    if options.noise == AUTO and not log.identified:
+        # the sensor of the options has the place of the sensor
+        log, found = _calibrated(log, options.models(log.motion, log.sensor)[1])
+        return log, values if found is None else values | found.corrections
+    place = {name: value for name, value in options.of_component("sensor").items() if name in SensorModel.GEOMETRY}
+    if place:
+        log = log.replace(sensor=replace(log.sensor or SensorModel(), **place))
+    try:
+        return known_robot(log, None if options.noise is None else str(options.noise)), values
+    except (GraphError, LogError) as error:
+        return log.replace(notes=(*log.notes, f"noise auto kept {_kept(log)}: {error}")), values
+
+
+def _gives_noise(options: LogOptions) -> bool:
+    """Whether options give noise models, numbers of them, or corrections."""
+    numbers = options.of_component("motion") | options.of_component("sensor")
+    given = options.motion or options.sensor or any(getattr(options, name) is not None for name in CORRECTIONS)
+    return bool(given or numbers.keys() - set(SensorModel.GEOMETRY))
+
+
+def _kept(log: Log) -> str:
+    return "the noise models of the log" if log.motion or log.sensor else "the book's noise models"
 
 
 def _calibrated(log: Log, sensor: SensorModel) -> tuple[Log, Calibration | None]:
-    """The noise of a log from its own residuals, None where its checks fail; and the log with a note that says so."""
-    kept = "kept the noise models of the log" if log.motion or log.sensor else "kept the book's noise models"
+    """The log without ids with noise from its own residuals, and a note that says so or why its checks fail."""
     found = None
     try:
         found = calibrate(log, source="residuals", sensor=sensor)
@@ -100,9 +128,10 @@ def _calibrated(log: Log, sensor: SensorModel) -> tuple[Log, Calibration | None]
     except (GraphError, LogError) as error:
         reason = str(error)
     if found is None or reason:
-        return log.replace(notes=(*log.notes, f"noise auto {kept}: {reason}")), None
+        return log.replace(notes=(*log.notes, f"noise auto kept {_kept(log)}: {reason}")), None
     numbers = ", ".join(f"{n} {v:.3g}" for n, v in found.numbers.items() if v != CORRECTIONS.get(n, 0.0))
-    return log.replace(notes=(*log.notes, f"{AUTO_TOOK}: {numbers}")), found
+    note = f"{TAKEN}: {numbers}"
+    return log.replace(notes=(*log.notes, note), motion=found.motion, sensor=found.sensor), found
 
 
 def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> tuple[Log, Path | None]:

@@ -18,6 +18,7 @@ from .edges import AnchorEdges, EdgeFamily, LandmarkSightings, MarginalEdges, Si
 from .edges.robust import Kernel, kernel_of
 from .errors import GraphError, OptionError
 from .formats.pose_graph import read_pose_graph, write_g2o
+from .identification.robot import AUTO, BOOK, known_robot
 from .linear.information import BlockSystem
 from .log import Log
 from .mapping import LandmarkMap, estimate_map
@@ -97,12 +98,13 @@ class Graph:
         dimensions: int | None = None,
         residual: str = "cartesian",
         estimate: str | Iterable[str] | Mapping[str, float | None] | None = None,
+        noise: str | None = None,
     ) -> Graph:
         """The graph of a log: an anchor at the first node, edges from the sightings, and motion edges where asked for.
 
         Args:
             log: the controls and sightings of the robot.
-            motion, sensor: the noise models; default: those of the log, else the book's.
+            motion, sensor: the noise models; default: as ``noise`` says.
             edges: "virtual" (poses that saw nothing are left out), "virtual+motion", or "landmark+motion", in which
                 landmarks are nodes and every sighting is one edge. Default: what suits the log, which is "virtual" without
                 controls, "virtual+motion" with psi, and "landmark+motion" otherwise.
@@ -122,6 +124,10 @@ class Graph:
                 ["wheel_scale", "range_bias"]. "wheel_scale:0.1" gives a prior with this standard deviation about the
                 ideal value; {"wheel_scale": 0.1, "range_bias": None} is the same for both. Default: none is estimated.
 
+            noise: "auto": estimate noise and biases of the robot and misread ids from the log, and take them out of it
+                (`graphslam.estimate_robot`); "book": the values of the lectures. Default: the models of the log, the book's
+                for logs of `simulate`, and else "auto" where the log can tell them. Not used where models are given.
+
         Raises:
             GraphError: the log lacks what the options need, or the edges cannot determine the poses; the message names
                 the poses and a remedy.
@@ -135,7 +141,12 @@ class Graph:
         check_choice("weight", weight, WEIGHTS)
         check_choice("residual", residual, RESIDUALS)
         check_positive(motion_weight=motion_weight)
-        recorded = log = _with_dimensions(log, dimensions)
+        if noise is not None:
+            check_choice("noise", noise, (AUTO, BOOK))
+        log = _with_dimensions(log, dimensions)
+        if motion is None and sensor is None:
+            log = known_robot(log, noise)
+        recorded = log
         edges = suitable_edges(log) if edges is None else edges
         kernel = suitable_kernel(log) if kernel is None else kernel
         motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()

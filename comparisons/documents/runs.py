@@ -141,8 +141,11 @@ class NoiseDocument(Document):
     """A noise model of the run."""
 
     source: Annotated[
-        Literal["book", "log", "given"],
-        about("book: the defaults; log: those of the log or its reader; given: by options or a noise file"),
+        Literal["book", "log", "estimated", "given"],
+        about(
+            "book: the lectures' values; log: those of the log or its reader; estimated: from this log; given: by options or a "
+            "noise file"
+        ),
     ]
     model: Annotated[dict[str, Any], about("fields of `graphslam.MotionModel` or `graphslam.SensorModel`")]
 

@@ -20,7 +20,7 @@ from rich.text import Text
 
 from graphslam.metrics import exchanged
 
-from ..options import AUTO_TOOK, DOUBTFUL
+from ..options import DOUBTFUL
 from ..sightings import sightings_of
 from .cells import NOTHING, LeanTable, number, optimum, seconds, word, yes_no
 from .placement import placement_of_result
@@ -210,9 +210,10 @@ def _exchanged(comparison: Comparison) -> list[str]:
 
 def _noise_remarks(comparison: Comparison) -> list[str]:
     """Which noise models were used, and what J per degree of freedom says about them."""
-    names = {"book": "the book's", "log": "those of the log or its reader", "given": "as given"}
-    if any(note.startswith(AUTO_TOOK) for note in comparison.log.notes):
-        names["given"] = "calibrated from the residuals of this log"
+    names = {
+        "book": "the book's", "log": "those of the log or its reader", "given": "as given",
+        "estimated": "estimated from this log",
+    }  # fmt: skip
     sources = {name: names[source] for name, source in comparison.noise_source.items()}
     same = len(set(sources.values())) == 1
     which = sources["motion"] if same else ", ".join(f"{name} {source}" for name, source in sources.items())
@@ -222,7 +223,7 @@ def _noise_remarks(comparison: Comparison) -> list[str]:
         verdict = ""
         if ratio > DOUBTFUL:
             verdict = f" {first} has {number(ratio, 1)}: they assume less noise than there is, or sightings are wrong."
-        elif ratio < 1 / DOUBTFUL:
+        elif ratio < 1 / DOUBTFUL and "estimated" not in comparison.noise_source.values():
             verdict = f" {first} has {number(ratio, 2)}: they assume more noise than there is."
         remarks.append(f"J per dof (degree of freedom): about 1 means that the noise models fit.{verdict}")
     return remarks

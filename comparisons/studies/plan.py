@@ -18,7 +18,7 @@ from graphslam.errors import printable
 from ..estimators import ESTIMATORS, default_estimators
 from ..noise_files import read_noise
 from ..option import Option, options_of
-from ..options import AUTO, MODELS, LogOptions, RunOptions, SimulationOptions
+from ..options import AUTO, BOOK, MODELS, LogOptions, RunOptions, SimulationOptions
 from ..reading import OF_FILES, sha256_of
 from ..toml_files import TomlFile
 from .simulated import simulated_log
@@ -207,9 +207,9 @@ def _methods(file: TomlFile, names: tuple[str, ...]) -> Iterator[tuple[str, str,
             if method not in methods:
                 methods.add(method)
                 options = {key: value for key, value in (fixed | varied).items() if key in used}
-                if "noise" in options and Path(options["noise"]) == AUTO:
+                if "noise" in options and Path(options["noise"]) in (AUTO, BOOK):
                     # text, as the key and the database need it
-                    options["noise"] = str(AUTO)
+                    options["noise"] = str(options["noise"])
                 elif "noise" in options:
                     numbers, ranges = read_noise(file.path.parent / options["noise"])
                     options["noise"] = numbers | ranges

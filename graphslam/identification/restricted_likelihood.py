@@ -5,10 +5,10 @@ variance theta_p and the average of its observed and expected information are
 
     g_p = 1/2 (e' W C_p W e - tr(P C_p)),     A_pq = 1/2 r_p' P r_q.
 
-A_pq takes one solution of the normal equations for each variance. The trace is the mean over random samples s from the covariance
-of the solution: tr(P C_p) = tr(W C_p) - E[(B s)' W C_p W (B s)]. Weights of Student's t act as W = u C^-1, and so C_p becomes
-C_p / u. The variables are the logarithms of the variances, with a normal prior, so that a variance that the log does not tell
-stays at its typical value.
+A_pq takes one solution of the normal equations for each variance. The trace is the mean over random samples s from the
+covariance of the solution: tr(P C_p) = tr(W C_p) - E[(B s)' W C_p W (B s)]. Weights of Student's t act as W = u C^-1, and
+so C_p becomes C_p / u. The variables are the logarithms of the variances, with a normal prior, so that a variance that the
+log does not tell stays at its typical value.
 
 Sources: Gilmour, Thompson and Cullis, *Average information REML*, Biometrics 51(4), 1995; Hutchinson, *A stochastic estimator
 of the trace of the influence matrix*, Communications in Statistics 18(3), 1989.

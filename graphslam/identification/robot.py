@@ -1,9 +1,9 @@
 """`estimate_robot`: noise, biases and misread ids of a robot that nobody has calibrated, from one log without ground truth.
 
-It starts locally. Over some seconds the odometry is nearly exact, so the sightings of one landmark without a longer pause are
-taken for a landmark of their own (an episode): such a problem has no loop closures and therefore no wrong minima, and a single
-misread id stands alone in its episode, where it says nothing. Its solution gives the first noise and biases, and the
-sightings that contradict their episode. Then:
+It starts locally. Over some seconds the odometry is nearly exact, so the sightings of one landmark without a longer pause
+are taken for a landmark of their own (an episode). Such a problem has no loop closures and therefore hardly a wrong minimum,
+and a single misread id stands alone in its episode, where it has no influence. The solution gives the first noise and
+biases, and the sightings that contradict their episode. Then:
 
 1. the landmarks by their ids, from the trajectory of the first problem;
 2. ids that contradict their place get the id of the landmark that fits, or count as clutter (`sighting_errors`);
@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import LogError
+from ..errors import GraphError, LogError
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..parameters.corrections import corrected_log
@@ -28,9 +28,9 @@ from ..parameters.declared import ParameterEstimate
 from ..se2 import Array
 from .restricted_likelihood import improve_variances
 from .sighting_errors import LAGS, checked_ids, correlations, inflation, smoothed
-from .unknowns import PRIORS, Unknowns
+from .unknowns import Unknowns
 
-#: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second one where sightings are rare
+#: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
 PAUSES = (2.0, 10.0)
 #: where more than this part of the sightings stands alone in its episode, single ones are normal
 RARE = 0.3
@@ -42,6 +42,8 @@ INTERVALS, ENOUGH = (5.0, 2.0, 1.0, 0.5, 0.2), 200
 ROUNDS, GAIN = (5, 3, 6, 6), 0.3
 #: sightings correlated by more than this are thinned for the last round, and by less than that are all kept
 DEPENDENT, HARDLY = 0.2, 0.15
+#: how the sentence on the noise begins
+TAKEN = "noise estimated from this log"
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = 50
 #: logs with more sightings are thinned to about so many for the search
@@ -90,7 +92,7 @@ class RobotEstimate:
             f"{name} {values[name]:.2g} +- {100 * error:.0f} %" for name, error in self.errors.items() if error < 1
         )
         lines = [
-            f"noise estimated from this log: {noise}",
+            f"{TAKEN}: {noise}",
             f"biases estimated from this log: {self.parameters.sentence}",
         ]
         wrong, dropped = int(self.changed.sum()), int(self.dropped.sum())
@@ -106,6 +108,43 @@ class RobotEstimate:
                 "sightings count as one"
             )
         return tuple(lines)
+
+
+#: the choices of the option ``noise``: from the log, or the lectures' values
+AUTO, BOOK = "auto", "book"
+
+
+def known_robot(log: Log, noise: str | None = None) -> Log:
+    """The log with the noise of its robot: `RobotEstimate.log` where that is asked for, or where nothing else is known.
+
+    Args:
+        noise: "auto" estimates noise, biases and misread ids; "book" takes the values of the lectures. Default: the models of
+            the log where it brings some, the book's for logs of `simulate`, and else "auto" as far as the log can tell.
+
+    Raises:
+        LogError, GraphError: the log does not tell its noise, and ``noise`` is "auto".
+    """
+    if noise == BOOK:
+        place = {name: getattr(log.sensor or SensorModel(), name) for name in SensorModel.GEOMETRY}
+        return log.replace(motion=MotionModel(), sensor=SensorModel(**place))
+    if noise is None and not unknown_noise(log):
+        return log
+    try:
+        found = estimate_robot(log)
+    except (GraphError, LogError, np.linalg.LinAlgError) as error:
+        if noise == AUTO:
+            raise
+        reason = f"the noise models are the book's, because noise cannot be estimated: {error}"
+        return log.replace(notes=(*log.notes, reason))
+    return found.log.replace(notes=(*log.notes, *found.sentences))
+
+
+def unknown_noise(log: Log) -> bool:
+    """Whether nothing is known of the noise of a log, although it could tell it."""
+    if log.simulated or log.motion is not None or log.controls is None or not log.identified:
+        return False
+    sensor, book = log.sensor or SensorModel(), SensorModel()
+    return all(value == getattr(book, name) for name, value in vars(sensor).items() if name not in SensorModel.GEOMETRY)
 
 
 def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0) -> RobotEstimate:
@@ -235,6 +274,3 @@ def _sparse(log: Log) -> tuple[Log, np.ndarray]:
         if len(sparse.steps) >= min(ENOUGH, len(log.steps) / 3):
             break
     return sparse, used
-
-
-__all__ = ["PRIORS", "RobotEstimate", "estimate_robot"]

@@ -1,12 +1,12 @@
 """What is wrong with single sightings, judged from a solved drive: misread ids, clutter, and errors that last.
 
-Both judgements compare a sighting with what the solution predicts for it, e, whose covariance is that of the sensor plus that of
-the prediction. The latter comes from samples of the solution's covariance (`unknowns.Linear.samples`).
+Both judgements compare a sighting with what the solution predicts for it. The covariance of the difference e is that of the
+sensor plus that of the prediction, which comes from samples of the solution's covariance (`unknowns.Linear.samples`).
 
 Errors that last: with the correlation rho(lag) of errors of one landmark, the mean of K sightings has the variance
-sigma²/K (1 + the mean over sightings of the sum of rho to all others). Sightings count as independent if each has the
-variance sigma² times this factor. rho is the mean of e_i e_j minus the covariance of both predictions, over pairs of sightings
-that the solution has not used: what it has used, it follows.
+sigma²/K (1 + the mean over sightings of the sum of rho to all others). If each has the variance sigma² times this factor,
+they count as independent. rho is the mean of e_i e_j minus the covariance of both predictions, over pairs of sightings that
+the solution has not used, because it follows those that it has used.
 """
 
 from __future__ import annotations

@@ -1,14 +1,15 @@
 """A drive whose noise and biases are unknown: nodes, parameters and variances of one least-squares problem.
 
-The nodes are the poses x_t and the places m of the landmarks (with headings where psi was measured); the parameters p are those
-of `graphslam.parameters` (scales, biases, delay and place of the sensor), each with a prior about its ideal value. The residuals are
+The nodes are the poses x_t and the places m of the landmarks (with headings where psi was measured). The parameters p are
+those of `graphslam.parameters` (scales, biases, delay and place of the sensor), each with a prior about its ideal value. The
+residuals are
 
     motions:    e = (R(theta_t)' (t_{t+1} - t_t), theta_{t+1} - theta_t) - the motion of the corrected controls,
     sightings:  e = (range_scale r + range_bias, direction - theta + bearing_bias, direction - heading of m) - z,
 
 where r and direction lead from the sensor to the landmark. A sighting that is late by tau was made from x_t moved back by tau
-times the control. The covariances are sums of variances times known parts (`identification.parts`), and every edge has the weight
-u = (nu + d) / (nu + e' W e) of Student's t, so that slipping wheels and wrong sightings count little.
+times the control. The covariances are sums of variances times known parts (`identification.parts`), and every edge has the
+weight u = (nu + d) / (nu + e' W e) of Student's t, so that slipping wheels and wrong sightings count little.
 
 Nodes and parameters are solved together: with C = sum B' W J, D = sum J' W J + P and J = de/dp,
 
@@ -17,7 +18,7 @@ Nodes and parameters are solved together: with C = sum B' W J, D = sum J' W J + 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,12 +29,12 @@ from ..linear.information import BlockSystem
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..parameters.corrections import controls_at_steps, corrected_controls, corrected_sensor, motion_slopes
-from ..parameters.declared import PARAMETERS, Parameters, ideal_values
+from ..parameters.declared import Parameters, ideal_values
 from ..se2 import Array, mounted, perpendicular, rotation, wrap
 from .parts import motion_parts, sensor_parts, with_variances
 
-#: the parameters of an unknown robot, with the standard deviations of their priors. The scale of ranges is not among them: only
-#: its quotient with that of the wheels can be told.
+#: the parameters of an unknown robot, with the standard deviations of their priors. The scale of ranges is not among them:
+#: a log tells only its quotient with the scale of the wheels.
 PRIORS = {
     "wheel_scale": 0.03, "turn_scale": 0.03, "turn_rate_bias": 0.01, "curvature_bias": 0.01, "range_bias": 0.05,
     "bearing_bias": 0.03, "sensor_ahead": 0.1, "sensor_left": 0.1, "sensor_delay": 0.1,
@@ -113,7 +114,7 @@ class Unknowns:
     def __init__(self, log: Log, groups: np.ndarray, sensor: SensorModel, start: Unknowns | None = None) -> None:
         assert log.controls is not None and log.dt is not None
         self.log, self.sensor = log, sensor
-        ids, group, count = np.unique(groups, return_inverse=True, return_counts=True)
+        _, group, count = np.unique(groups, return_inverse=True, return_counts=True)
         self.used = count[group] > 1
         #: the numbers of the landmarks that are nodes
         self.ids, group = np.unique(groups[self.used], return_inverse=True)
@@ -137,7 +138,7 @@ class Unknowns:
             self.parameters = replace(start.parameters, recorded=log)
             self.logarithms = {name: start.logarithms[name] for name in self.centres}
             poses = start.state[: start.poses]
-        self.state = np.concatenate([poses, self._places(poses, group)])
+        self.state: Array = np.concatenate([poses, self._places(poses, group)])
         self.system = BlockSystem.from_cliques(
             len(self.state), [_pairs(self.before, self.after), _pairs(self.seen_from, self.seen)]
         )
@@ -404,12 +405,3 @@ def _factorized(system: BlockSystem, name: str) -> Factor:
 def _pairs(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The cliques of edges between nodes first < second."""
     return np.arange(0, 2 * len(first) + 1, 2), np.column_stack([first, second]).ravel()
-
-
-def names_of(unknowns: Unknowns) -> Iterator[str]:
-    """The names of the variances, those of motions first."""
-    yield from unknowns.motion_parts
-    yield from unknowns.sensor_parts
-
-
-__all__ = ["PARAMETERS", "PRIORS", "Edges", "Linear", "Unknowns"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from graphslam.calibration.parts import motion_parts, sensor_parts, variances_of
 
 from graphslam import (
     Graph,
@@ -24,7 +25,6 @@ from graphslam import (
     solve,
 )
 from graphslam.association import score
-from graphslam.calibration.parts import motion_parts, sensor_parts, variances_of
 from graphslam.calibration.variances import fit_variances, standard_errors
 from graphslam.log import UNIDENTIFIED
 from graphslam.uncertainty import Uncertainty
