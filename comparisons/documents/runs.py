@@ -143,8 +143,8 @@ class NoiseDocument(Document):
     source: Annotated[
         Literal["book", "log", "estimated", "given"],
         about(
-            "book: the lectures' values; log: those of the log or its reader; estimated: from this log; given: by options or a "
-            "noise file"
+            "book: the lectures' values; log: those of the log or its reader; estimated: from this log; given: by options "
+            "or a noise file"
         ),
     ]
     model: Annotated[dict[str, Any], about("fields of `graphslam.MotionModel` or `graphslam.SensorModel`")]
