@@ -19,7 +19,7 @@ def tables(folder, log):
     u = np.concatenate([log.controls, log.controls[-1:]])
     np.savetxt(folder / "odometry.csv", np.column_stack([t, u]), delimiter=",", header="t,nu,omega", comments="")
     rows = np.column_stack([log.times[log.steps], log.landmarks, log.sightings])
-    names = "t,id,range,bearing,psi"[: 17 + 4 * (rows.shape[1] == 5)]
+    names = "t,id,range,bearing,psi"[: 18 + 4 * (rows.shape[1] == 5)]
     np.savetxt(folder / "sightings.csv", rows, delimiter=",", header=names, comments="")
     return folder
 
