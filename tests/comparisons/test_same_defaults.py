@@ -44,9 +44,9 @@ KINDS = {
         lambda folder: written(folder, REAL.without_orientation().at_steps(np.arange(0, 25, 2))),
         "landmark+motion", "cauchy",
     ),
-    "tables, psi": (lambda folder: tables(folder / "drive", SHORT), "virtual+motion", "cauchy"),
+    "tables, psi": (lambda folder: tables(folder / "drive", load(sample_log_path())), "virtual+motion", "cauchy"),
     "tables, no psi": (
-        lambda folder: tables(folder / "drive", SHORT.without_orientation()), "landmark+motion", "cauchy",
+        lambda folder: tables(folder / "drive", load(sample_log_path()).without_orientation()), "landmark+motion", "cauchy",
     ),
 }  # fmt: skip
 
