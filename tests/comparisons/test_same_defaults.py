@@ -19,7 +19,7 @@ def tables(folder, log):
     u = np.concatenate([log.controls, log.controls[-1:]])
     np.savetxt(folder / "odometry.csv", np.column_stack([t, u]), delimiter=",", header="t,nu,omega", comments="")
     rows = np.column_stack([log.times[log.steps], log.landmarks, log.sightings])
-    names = "t,id,range,bearing,psi"[: 17 + 4 * (rows.shape[1] == 5)]
+    names = "t,id,range,bearing,psi"[: 18 + 4 * (rows.shape[1] == 5)]
     np.savetxt(folder / "sightings.csv", rows, delimiter=",", header=names, comments="")
     return folder
 
@@ -44,9 +44,9 @@ KINDS = {
         lambda folder: written(folder, REAL.without_orientation().at_steps(np.arange(0, 25, 2))),
         "landmark+motion", "cauchy",
     ),
-    "tables, psi": (lambda folder: tables(folder / "drive", SHORT), "virtual+motion", "cauchy"),
+    "tables, psi": (lambda folder: tables(folder / "drive", load(sample_log_path())), "virtual+motion", "cauchy"),
     "tables, no psi": (
-        lambda folder: tables(folder / "drive", SHORT.without_orientation()), "landmark+motion", "cauchy",
+        lambda folder: tables(folder / "drive", load(sample_log_path()).without_orientation()), "landmark+motion", "cauchy",
     ),
 }  # fmt: skip
 
