@@ -409,6 +409,10 @@ ESTIMATORS: dict[str, Estimator] = {
 }
 
 
+#: the same without those that a script adds: every process has these
+BUILT_IN = dict(ESTIMATORS)
+
+
 def default_estimators() -> tuple[str, ...]:
     """The estimators that run unless others are named."""
     return tuple(name for name, estimator in ESTIMATORS.items() if not estimator.on_request)

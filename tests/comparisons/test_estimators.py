@@ -55,6 +55,43 @@ def test_every_estimator_answers_in_the_same_form(log: Log, name: str) -> None:
     assert (result.cost is None) == (not minimises)
 
 
+def _returns(**changes: object) -> Estimator:
+    """An estimator that returns dead reckoning with some parts changed."""
+    return Estimator(lambda log, options: replace(ESTIMATORS["dead-reckoning"].run(log, options), **changes))
+
+
+@pytest.mark.parametrize(
+    ("estimator", "words"),
+    [
+        (_returns(poses=np.zeros((24, 3))), "returned poses .*an array of numbers (25, 3).*of shape (24, 3)"),
+        (_returns(poses=np.zeros((25, 2))), "returned poses .*of shape (25, 2)"),
+        (_returns(poses=[[0, 0, 0]] * 25), "returned poses .*an array of numbers (25, 3)"),
+        (_returns(poses=np.full((25, 3), np.nan)), "returned poses .*finite numbers wherever estimated is true"),
+        (_returns(estimated=np.ones(25)), "returned estimated .*an array of bool (25,).*type float64"),
+        (_returns(landmarks={3: np.zeros(4)}), "returned landmarks[3] .*of shape (4,)"),
+        (_returns(landmark_covariances={3: np.zeros((2, 3))}), "returned landmark_covariances[3] .*of shape (2, 3)"),
+        (_returns(association=np.zeros(2)), "returned association .*an id for each of the"),
+        (Estimator(lambda log, options: log.initial_poses), "returned a result .*expected an EstimatorResult"),  # type: ignore[arg-type,return-value]
+    ],
+)
+def test_a_result_of_a_wrong_shape_is_named(
+    log: Log, monkeypatch: pytest.MonkeyPatch, estimator: Estimator, words: str
+) -> None:
+    monkeypatch.setitem(ESTIMATORS, "mine", estimator)
+    outcome = compare(log, OPTIONS, estimators=["mine", "dead-reckoning"])
+    assert [result.name for result in outcome.results] == ["dead-reckoning"]
+    ((skipped),) = outcome.skipped
+    assert skipped.name == "mine" and skipped.outcome == "failed"
+    for part in words.split(".*"):
+        assert part in skipped.reason
+
+
+def test_the_row_of_an_estimator_has_the_name_it_is_registered_by(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(ESTIMATORS, "mine", _returns())
+    outcome = compare(log, OPTIONS, estimators=["mine", "dead-reckoning"])
+    assert [row.name for row in outcome.table] == ["dead-reckoning", "mine"]
+
+
 def test_graph_is_what_the_library_solves(log: Log) -> None:
     options = replace(OPTIONS, edges="virtual+motion", frame="world", weight="tempered", motion_weight=3.0)
     result = ESTIMATORS["graph"].run(log, options)
