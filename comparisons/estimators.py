@@ -25,6 +25,7 @@ from .failures import noted
 from .option import options_of
 from .options import FrontEndOptions, GraphOptions, RunOptions
 from .results import EstimatorResult
+from .seeds import of_several_seeds
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
 PATIENCE = 0.5
@@ -242,7 +243,7 @@ def mcl(log: Log, options: RunOptions) -> EstimatorResult:
             f"mcl localises on the true map of the landmarks, which {log.name} does not have; fastslam1 and fastslam2 "
             "estimate a map"
         )
-    return _particle_filter("mcl", log, options)
+    return replace(_particle_filter("mcl", log, options), knows="true map")
 
 
 def fastslam1(log: Log, options: RunOptions) -> EstimatorResult:
@@ -296,6 +297,10 @@ def particle_filter(name: str, log: Log, options: RunOptions) -> fastslam.Partic
 
 
 def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResult:
+    return of_several_seeds(lambda given: _one_run(name, log, given), log, options)
+
+
+def _one_run(name: str, log: Log, options: RunOptions) -> EstimatorResult:
     particles = particle_filter(name, log, options)
     begin = time.perf_counter()
     result = particles.run()

@@ -170,7 +170,8 @@ def result_tables(results: ResultTable) -> Tables:
         cells: list[Text | str] = [yes_no(row.converged, f", {row.iterations}"), seconds(row.seconds)]
         cells += [number(row.cost, 2), number(row.cost_per_dof, 2), *[optimum(row.certificate)] * proofs]
         of_ids = [_precision_recall(row.association), _counts(row.association)] * scored
-        table.add_row(row.name, *cells, *values, *[number(row.nees, 2)] * known, *of_ids)
+        name = f"{row.name} ({row.knows})" if row.knows else row.name
+        table.add_row(name, *cells, *values, *[number(row.nees, 2)] * known, *of_ids)
     return [table], []
 
 
