@@ -16,6 +16,7 @@ from comparisons.estimators import (
     pair_count,
 )
 from comparisons.options import RunOptions
+from comparisons.show.tables import as_text
 from graphslam import (
     Log,
     MotionModel,
@@ -206,6 +207,38 @@ def test_models_reach_every_estimator(log: Log) -> None:
     for name in ("textbook", "graph", "gtsam", "mcl", "fastslam1", "fastslam2"):
         run = ESTIMATORS[name].run
         assert not np.allclose(run(log, OPTIONS).poses, run(log, other).poses), name
+
+
+def test_the_row_of_a_filter_is_the_median_of_five_seeds(log: Log) -> None:
+    default = compare(log, OPTIONS, estimators=["fastslam1", "mcl"])
+    alone = {seed: compare(log, replace_seed(seed), estimators=["fastslam1"]) for seed in range(5)}
+    errors = {seed: one.table["fastslam1"].ate_m for seed, one in alone.items()}
+    result = default["fastslam1"]
+    assert dict(result.seed_errors or {}) == errors
+    median = next(seed for seed, error in errors.items() if error == np.median(list(errors.values())))
+    # naming the seed gives the same run, and one run only
+    assert np.array_equal(result.poses, alone[median]["fastslam1"].poses) and result.options["seed"] == median
+    assert alone[median]["fastslam1"].seed_errors is None
+    low, high = min(errors.values()), max(errors.values())
+    assert any(f"{low:.3f} to {high:.3f} m" in note and f"--seed {median}" in note for note in result.notes)
+    assert default.to_json()["estimators"][1]["seed_errors"] == errors
+
+
+def replace_seed(seed: int) -> RunOptions:
+    return OPTIONS.with_numbers(seed=seed)
+
+
+def test_a_filter_runs_once_without_truth_and_on_large_logs(log: Log) -> None:
+    assert compare(log.replace(true_poses=None), OPTIONS, estimators=["fastslam1"])["fastslam1"].seed_errors is None
+    many = OPTIONS.with_numbers(particles=1_000_000 // len(log.steps))
+    assert compare(log, many, estimators=["mcl"])["mcl"].seed_errors is None
+
+
+def test_the_table_says_that_mcl_knows_the_true_map(log: Log) -> None:
+    outcome = compare(log, OPTIONS, estimators=["mcl", "fastslam1"])
+    names = [line.split("  ")[0] for line in as_text(outcome).splitlines()]
+    assert "mcl (true map)" in names and "fastslam1" in names
+    assert [row["knows"] for row in outcome.to_json()["estimators"]] == ["true map", ""]
 
 
 def test_the_seed_decides(log: Log) -> None:
