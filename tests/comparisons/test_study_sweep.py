@@ -7,6 +7,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -200,9 +201,7 @@ def test_a_script_without_a_guard_can_use_the_pool(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_an_estimator_of_a_script_runs_in_the_processes_of_a_study(tmp_path: Path) -> None:
-    (tmp_path / "study.toml").write_text(
-        'seeds = 2\nestimators = ["still", "dead-reckoning"]\n[simulate]\nsteps = 8\n'
-    )
+    (tmp_path / "study.toml").write_text('seeds = 2\nestimators = ["still", "dead-reckoning"]\n[simulate]\nsteps = 8\n')
     (tmp_path / "script.py").write_text(
         "from comparisons.studies.sweep import sweep\n"
         "import numpy as np\n"
