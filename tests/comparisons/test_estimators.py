@@ -72,7 +72,7 @@ def _returns(**changes: object) -> Estimator:
         (_returns(landmarks={3: np.zeros(4)}), "returned landmarks[3] .*of shape (4,)"),
         (_returns(landmark_covariances={3: np.zeros((2, 3))}), "returned landmark_covariances[3] .*of shape (2, 3)"),
         (_returns(association=np.zeros(2)), "returned association .*an id for each of the"),
-        (Estimator(lambda log, options: log.initial_poses), "returned a result .*expected an EstimatorResult"),  # type: ignore[arg-type,return-value]
+        (Estimator(lambda log, _: log.initial_poses), "returned a result .*expected an EstimatorResult"),  # type: ignore[arg-type,return-value]
     ],
 )
 def test_a_result_of_a_wrong_shape_is_named(
@@ -221,7 +221,7 @@ def test_the_row_of_a_filter_is_the_median_of_five_seeds(log: Log) -> None:
     assert alone[median]["fastslam1"].seed_errors is None
     low, high = min(errors.values()), max(errors.values())
     assert any(f"{low:.3f} to {high:.3f} m" in note and f"--seed {median}" in note for note in result.notes)
-    assert default.to_json()["estimators"][1]["seed_errors"] == errors
+    assert default.to_json()["estimators"][1]["seed_errors"] == {str(seed): error for seed, error in errors.items()}
 
 
 def replace_seed(seed: int) -> RunOptions:
