@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager, suppress
 from functools import lru_cache, partial
 from typing import TypeVar
 
-import cloudpickle
+import cloudpickle  # type: ignore[import-untyped]
 from pebble import ProcessExpired, ProcessPool
 
 from graphslam import OptionError, SlamError

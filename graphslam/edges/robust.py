@@ -64,7 +64,7 @@ class Kernel:
 
     def of_dimension(self, dimension: int) -> Self:
         """This kernel with a width, for residuals of a dimension."""
-        return self if self.width is not None else _of_dimension(type(self), dimension)
+        return self if self.width is not None else _of_dimension(type(self), dimension)  # type: ignore[arg-type]
 
     def scaled(self, factor: float) -> Self:
         """The kernel whose rho of ``factor`` r² is ``factor`` times this kernel's rho of r²."""

@@ -254,7 +254,7 @@ def _named_in_graph(graph: gtsam.NonlinearFactorGraph, text: str) -> str:
     )
 
 
-def _named(factor: gtsam.CustomFactor, text: str) -> str:
+def _named(factor: gtsam.NonlinearFactor, text: str) -> str:
     try:
         return text.replace("CustomFactor on ", f"{describe(factor).kind} on ", 1)
     except OptionError:
