@@ -267,8 +267,10 @@ def _noise_remarks(comparison: Comparison) -> list[str]:
         first, ratio = solved
         verdict = ""
         if ratio > DOUBTFUL:
-            verdict = f" {first} has {number(ratio, 1)}: the noise models assume less noise than there is, or sightings "
+            verdict = (
+                f" {first} has {number(ratio, 1)}: the noise models assume less noise than there is, or sightings "
                 "are wrong."
+            )
         elif ratio < 1 / DOUBTFUL:
             verdict = f" {first} has {number(ratio, 2)}: the noise models assume more noise than there is."
         remarks.append(f"J per dof (degree of freedom): about 1 means that the noise models fit.{verdict}")
