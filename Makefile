@@ -30,7 +30,7 @@ lint: .venv/.installed-test
 
 # pip runs again when the requirements change; a stamp is written only when everything is installed
 .venv/.installed: pyproject.toml | .venv/bin/python
-	$(PIP) install --no-compile --editable .
+	$(PIP) install --editable .
 	touch $@
 
 # not needed, only quicker: the kernels of both packages, on two cores; first those of a comparison, for tests all
@@ -43,7 +43,7 @@ lint: .venv/.installed-test
 	touch $@
 
 .venv/.installed-test: pyproject.toml | .venv/bin/python
-	$(PIP) install --no-compile --editable '.[test]'
+	$(PIP) install --editable '.[test]'
 	touch $@ .venv/.installed
 
 # the documentation site in English and Japanese; results of its code are kept in .cache, and its pages are tested if it is built
@@ -56,7 +56,7 @@ docs-check: .venv/.installed-docs .venv/.compiled
 	NO_MKDOCS_2_WARNING=1 SITE_SECONDS=$${SITE_SECONDS:-30} $(BIN)/mkdocs build --strict --quiet --site-dir .cache/site-check
 
 .venv/.installed-docs: pyproject.toml | .venv/bin/python
-	$(PIP) install --no-compile --editable '.[docs]'
+	$(PIP) install --editable '.[docs]'
 	touch $@ .venv/.installed
 
 clean:

@@ -2,9 +2,10 @@
 
     python benchmarks/factors.py LOG2 [--million]
 
-LOG2 is `log2_for_book.txt` of LNPR. The same optimiser, initial values and stop rule for one Python callback per edge,
-one factor per landmark, and GTSAM's own between factors (whose cost differs: their error is a logarithm); the three in
-turn, median of several. ``--million`` makes and drops 10^6 factors and shows the resident memory.
+First the processor time of making each kind of factor. LOG2 is `log2_for_book.txt` of LNPR. The same optimiser,
+initial values and stop rule for one Python callback per edge, one factor per landmark, and GTSAM's own between
+factors (whose cost differs: their error is a logarithm); the three in turn, median of several. ``--million`` makes
+and drops 10^6 factors and shows the resident memory.
 """
 
 from __future__ import annotations
@@ -18,8 +19,18 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
-from graphslam import Graph, load
-from graphslam.factors import MotionFactor, VirtualMotionFactor, describe
+from graphslam import Graph, MotionModel, SensorModel, load
+from graphslam.factors import (
+    AnchorFactor,
+    InverseObservationFactor,
+    MotionFactor,
+    ObservationFactor,
+    RelativePointFactor,
+    RelativePoseFactor,
+    ResidualFactor,
+    VirtualMotionFactor,
+    describe,
+)
 from graphslam.solvers.gtsam_solver import from_values, to_gtsam, to_values
 
 
@@ -30,9 +41,34 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=15)
     parser.add_argument("--million", action="store_true")
     options = parser.parse_args()
+    construction(options.runs)
     speed(options.log, options.runs)
     if options.million:
         memory(10**6)
+
+
+def construction(runs: int) -> None:
+    """Processor time of making one factor of each kind."""
+    z, sensor, motion, unit = [2.0, 0.3, 1.2], SensorModel(), MotionModel(), np.eye(3)
+    kinds = {
+        "VirtualMotionFactor": lambda: VirtualMotionFactor(1, 2, z, [1.6, 0.1, 1.3], sensor),
+        "VirtualMotionFactor, kernel": lambda: VirtualMotionFactor(1, 2, z, [1.6, 0.1, 1.3], sensor, kernel="cauchy"),
+        "MotionFactor": lambda: MotionFactor(1, 2, [0.2, 0.1], 3.0, motion),
+        "ObservationFactor": lambda: ObservationFactor(1, 2, z, sensor),
+        "InverseObservationFactor": lambda: InverseObservationFactor(1, 2, z, sensor),
+        "RelativePoseFactor": lambda: RelativePoseFactor(1, 2, z, unit),
+        "RelativePointFactor": lambda: RelativePointFactor(1, 2, z[:2], unit[:2, :2]),
+        "AnchorFactor": lambda: AnchorFactor(1, z),
+        "ResidualFactor": lambda: ResidualFactor([1], lambda x: x, unit),
+    }
+    for name, make in kinds.items():
+        times = []
+        for _ in range(runs + 1):
+            begin = time.process_time()
+            for _ in range(200):
+                make()
+            times.append((time.process_time() - begin) / 200)
+        print(f"made {name:28}{np.median(times[1:]) * 1e6:6.1f} us")
 
 
 def speed(path: Path, runs: int) -> None:

@@ -6,11 +6,12 @@ With a time limit it runs in a process of the `pool`. Neither a compiled kernel 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+import numpy as np
 from pebble import ProcessExpired, ProcessPool
 
 from graphslam import Log, OptionError, SlamError
@@ -43,12 +44,51 @@ def attempt(name: str, log: Log, options: RunOptions) -> EstimatorResult | Skipp
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            result = ESTIMATORS[name].run(log, options)
+            result = _checked(name, ESTIMATORS[name].run(log, options), log)
     except Exception as error:
         return Skipped(name, sentence(error), error)
     if log.identified and not options.filter.uses_ids and result.association is None:
         result = replace(result, notes=(*result.notes, "the ids of the log were used all the same"))
     return _with_warnings(result, caught)
+
+
+def _checked(name: str, result: object, log: Log) -> EstimatorResult:
+    """The result of an estimator under the name that it is registered by, if tables and figures can use it.
+
+    Raises:
+        ResultError: a part of it has another type or shape; the message names the part and what was expected.
+    """
+
+    def wrong(part: str, expected: str, value: object) -> ResultError:
+        found = (
+            f"an array of shape {value.shape} and type {value.dtype}" if isinstance(value, np.ndarray) else repr(value)
+        )
+        return ResultError(f"{name} returned {part} that cannot be used: expected {expected}, not {found[:80]}")
+
+    if not isinstance(result, EstimatorResult):
+        raise wrong("a result", "an EstimatorResult", result)
+    T = log.num_poses
+    poses, known = result.poses, result.estimated
+    if not isinstance(poses, np.ndarray) or poses.shape != (T, 3) or poses.dtype.kind != "f":
+        raise wrong("poses", f"an array of numbers ({T}, 3), a row (x, y, theta) for each pose of the log", poses)
+    if not isinstance(known, np.ndarray) or known.shape != (T,) or known.dtype != bool:
+        raise wrong("estimated", f"an array of bool ({T},)", known)
+    if not np.isfinite(poses[known]).all():
+        raise wrong("poses", "finite numbers wherever estimated is true", poses)
+    if result.association is not None and np.shape(result.association) != (len(log.steps),):
+        raise wrong("association", f"an id for each of the {len(log.steps)} sightings", result.association)
+    for what, shapes in (("landmarks", [(2,), (3,)]), ("landmark_covariances", [(2, 2), (3, 3)])):
+        values = getattr(result, what)
+        if not isinstance(values, Mapping):
+            raise wrong(what, f"a mapping of ids to arrays {shapes[0]} or {shapes[1]}", values)
+        for id, value in values.items():
+            if np.shape(value) not in shapes:
+                raise wrong(f"{what}[{id!r}]", f"an array {shapes[0]} or {shapes[1]}", value)
+    return result if result.name == name else replace(result, name=name)
+
+
+class ResultError(TypeError):
+    """An estimator returned something that is no result."""
 
 
 #: makes the outcome of an estimator, given its name, the log and the options

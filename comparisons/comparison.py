@@ -48,6 +48,7 @@ class Row:
     ``cost_per_dof`` is J per degree of freedom, about 1 where the noise models fit; see `results.of_expected`.
     ``certificate`` says whether the end is proven to be the global minimum of J; see `graphslam.Certificate`.
     ``nees`` is the mean normalised error squared of the poses, 1 means consistent; see `EstimatorResult.nees`.
+    ``knows`` names what the estimator was given that the others do not have, such as the true map.
     ``association`` compares the landmarks of the sightings with the true ids, where the estimator did not use these.
     """
 
@@ -65,6 +66,7 @@ class Row:
     cost_per_dof: float | None = None
     certificate: Certificate | None = None
     association: AssociationScore | None = None
+    knows: str = ""
 
 
 @dataclass(frozen=True)

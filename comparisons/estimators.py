@@ -26,6 +26,7 @@ from .failures import noted
 from .option import options_of
 from .options import FrontEndOptions, GraphOptions, RunOptions
 from .results import EstimatorResult
+from .seeds import of_several_seeds
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
 PATIENCE = 0.5
@@ -237,7 +238,7 @@ def mcl(log: Log, options: RunOptions) -> EstimatorResult:
             f"mcl localises on the true map of the landmarks, which {log.name} does not have; fastslam1 and fastslam2 "
             "estimate a map"
         )
-    return _particle_filter("mcl", log, options)
+    return replace(_particle_filter("mcl", log, options), knows="true map")
 
 
 def fastslam1(log: Log, options: RunOptions) -> EstimatorResult:
@@ -291,6 +292,10 @@ def particle_filter(name: str, log: Log, options: RunOptions) -> fastslam.Partic
 
 
 def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResult:
+    return of_several_seeds(lambda given: _one_run(name, log, given), log, options)
+
+
+def _one_run(name: str, log: Log, options: RunOptions) -> EstimatorResult:
     particles = particle_filter(name, log, options)
     begin = time.perf_counter()
     result = particles.run()
@@ -403,6 +408,10 @@ ESTIMATORS: dict[str, Estimator] = {
     "fastslam2": Estimator(fastslam2, _FILTER),
     "particle-gibbs": Estimator(particle_gibbs, _GIBBS, on_request=True),
 }
+
+
+#: the same without those that a script adds: every process has these
+BUILT_IN = dict(ESTIMATORS)
 
 
 def default_estimators() -> tuple[str, ...]:

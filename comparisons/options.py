@@ -481,4 +481,8 @@ class SummaryOptions(FigureOptions):
         choices=("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m", "cost_per_dof", "iterations", "seconds"),
     )  # fmt: skip
     csv: Path | None = option(None, "Write every run as CSV.", metavar="FILE", panel=OUTPUT)
+    summary: Path | None = option(
+        None, "Write the summary, not the runs: .csv with all digits, or .tex with the printed tables.", metavar="FILE",
+        panel=OUTPUT,
+    )  # fmt: skip
     jsonl: Path | None = option(None, "Write every run as a line of JSON.", metavar="FILE", panel=OUTPUT)

@@ -5,17 +5,21 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
-from functools import partial
+from functools import lru_cache, partial
 from typing import TypeVar
 
+import cloudpickle  # type: ignore[import-untyped]
 from pebble import ProcessExpired, ProcessPool
 
 from graphslam import OptionError, SlamError
 from graphslam import processes as local
 from graphslam.processes import default_jobs, how_it_ended
 
+from .estimators import BUILT_IN, ESTIMATORS
+from .failures import sentence
 from .kernels import warm_up
 
 Task = TypeVar("Task")
@@ -24,15 +28,43 @@ Result = TypeVar("Result")
 
 def process_pool(jobs: int, estimators: Sequence[str]) -> ProcessPool:
     """A `graphslam.processes.process_pool` whose processes compile or load the kernels of estimators first."""
-    return local.process_pool(jobs, partial(_warm_up, tuple(estimators)))
+    return local.process_pool(jobs, partial(_warm_up, tuple(estimators), added_estimators()))
 
 
 def processes(jobs: int, estimators: Sequence[str]) -> AbstractContextManager[ProcessPool]:
     """The same, for a block: `graphslam.processes.processes`."""
-    return local.processes(jobs, partial(_warm_up, tuple(estimators)))
+    return local.processes(jobs, partial(_warm_up, tuple(estimators), added_estimators()))
 
 
-def _warm_up(estimators: Sequence[str]) -> None:
+def added_estimators() -> bytes:
+    """The estimators that the user has added to `ESTIMATORS`, for another process; empty where there are none.
+
+    A process does not import the user's script, so a function of the script travels with its code.
+
+    Raises:
+        OptionError: one cannot be sent to another process.
+    """
+    added = {name: estimator for name, estimator in ESTIMATORS.items() if BUILT_IN.get(name) is not estimator}
+    for name, estimator in added.items():
+        try:
+            cloudpickle.dumps(estimator)
+        except Exception as error:
+            raise OptionError(
+                f"the estimator {name!r} cannot be sent to another process ({sentence(error)}): let its function use only "
+                "what can be pickled, or run in this process (a study: jobs=0)"
+            ) from None
+    return cloudpickle.dumps(added) if added else b""
+
+
+@lru_cache(maxsize=8)
+def add_estimators(added: bytes) -> None:
+    """Register what `added_estimators` made, in another process."""
+    if added:
+        ESTIMATORS.update(pickle.loads(added))
+
+
+def _warm_up(estimators: Sequence[str], added: bytes) -> None:
+    add_estimators(added)
     for name in estimators:
         with suppress(Exception):  # it shows again, with its message, in the run
             warm_up(name)

@@ -43,6 +43,8 @@ class EstimatorResult:
         found: how these ids were found, where `graphslam.associate` found them.
         weighed_down: the number of sightings that a robust kernel gives less than half of their weight; None without one.
         parameters: of robot and sensor, where they were estimated.
+        seed_errors: the ATE [m] of each random seed of which this is the run with the median one; None for a single run.
+        knows: what the estimator was given that the others do not have, such as "true map".
         options: the options that it used, for the record.
         reason: why it ended, one sentence.
         notes: what the user should know.
@@ -68,6 +70,8 @@ class EstimatorResult:
     found: Association | None = field(default=None, repr=False)
     weighed_down: int | None = None
     parameters: ParameterEstimate | None = None
+    seed_errors: Mapping[int, float] | None = None
+    knows: str = ""
     options: Mapping[str, Any] = field(default_factory=dict)
     reason: str = ""
     notes: tuple[str, ...] = ()

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from math import inf, pi
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,11 +29,14 @@ def sinc(a: ArrayLike) -> Array:
 def sinc_derivative(a: ArrayLike) -> Array:
     """d/da (sin(a) / a) = (cos(a) - sin(a)/a) / a, by its Taylor series where that difference would cancel."""
     a = np.asarray(a, dtype=float)
-    q = a * a
-    # sum over k of (-1)^k 2k / (2k+1)! a^(2k-1): six terms are exact to rounding for |a| < 0.3
-    series = a * (-1 / 3 + q * (1 / 30 + q * (-1 / 840 + q * (1 / 45360 + q * (-1 / 3991680 + q / 518918400)))))
     away = np.where(np.abs(a) < 0.3, 1.0, a)
-    return np.where(np.abs(a) < 0.3, series, (np.cos(away) - np.sin(away) / away) / away)
+    return np.where(np.abs(a) < 0.3, sinc_slope_near_zero(a), (np.cos(away) - np.sin(away) / away) / away)
+
+
+def sinc_slope_near_zero(a: Any) -> Any:
+    """The sum over k of (-1)^k 2k / (2k+1)! a^(2k-1), an array or a number: six terms are exact to rounding for |a| < 0.3."""
+    q = a * a
+    return a * (-1 / 3 + q * (1 / 30 + q * (-1 / 840 + q * (1 / 45360 + q * (-1 / 3991680 + q / 518918400)))))
 
 
 class NoiseModel:

@@ -102,8 +102,9 @@ def study(
     from graphslam import OptionError
 
     from ..saving import check_can_write
+    from ..show.tables import write_latex
     from ..studies.database import StudyDatabase
-    from ..studies.export import write_csv, write_json_lines
+    from ..studies.export import write_csv, write_json_lines, write_summary_csv
     from ..studies.plan import read_study
     from ..studies.summary import summarise
 
@@ -115,6 +116,8 @@ def study(
     for path in (options.csv, options.jsonl):
         if path is not None:
             check_can_write(path)
+    if options.summary is not None:
+        check_can_write(options.summary, endings=(".csv", ".tex"))
     path = Path(words[0])
     with StudyDatabase.reading(read_study(path).database if path.suffix == ".toml" else path) as database:
         rows, (_, others), about = database.rows(), database.counts(), database.about()
@@ -126,6 +129,10 @@ def study(
         if target is not None:
             write(rows, target)
             output.hint(f"Wrote {target}.")
+    if options.summary is not None:
+        write_summary = write_latex if options.summary.suffix.lower() == ".tex" else write_summary_csv
+        write_summary(summary, options.summary)
+        output.hint(f"Wrote {options.summary}.")
     if rows:
         output.draw(summary, options.figure, metric=options.metric)
     output.json({"database": str(database.path), "study": about.get("study"), **summary.to_json()})

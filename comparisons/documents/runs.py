@@ -116,6 +116,14 @@ class EstimatorDocument(Document):
         about("what the estimate is aligned to the ground truth by: landmarks where no true poses are known"),
     ]
     nees: Annotated[float | None, about("mean NEES of the poses per degree of freedom; 1: consistent")]
+    seed_errors: Annotated[
+        dict[Id, float] | None,
+        about(
+            "ATE [m] of each random seed of a particle filter, by seed; the other fields are of the run with the median "
+            "one. null for a single run: the options name a seed, no true poses are known, or the log is large"
+        ),
+    ]
+    knows: Annotated[str | None, about("what it was given that others do not have, such as the true map; else empty")]
     weighed_down: Annotated[
         Count | None,
         about("number of sightings that a robust kernel gives less than half of their weight; null without one"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -137,11 +137,24 @@ def study_figure(summary: Summary, metric: str = "ate_m") -> Figure:
             left.set_title(as_text(log))
             left.set_yticks(range(len(names)), [as_text(name) for name in names])
             left.set_ylim(len(names) - 0.5, -0.5)
+        everything = [line.figures[metric] for line in summary.methods if line.log in logs]
+        if _decades(everything) > 1:
+            # columns share their axis
+            panels[-1, 0].set_xscale("log")
         panels[-1, 0].set_xlabel(METRICS[metric])
         panels[-1, 1].set_xlabel(
             f"difference from {as_text(str(summary.baseline))}, same random seeds: {METRICS[metric]}"
         )
     return figure
+
+
+def _decades(medians: Collection[Median | None]) -> float:
+    """How many decades lie between the smallest and the largest median; 0 where a logarithmic axis cannot show one."""
+    values = [median.median for median in medians if median is not None]
+    ends = [end for m in medians if m is not None for end in (m.low, m.high) if end is not None]
+    if not values or min([*values, *ends]) <= 0:
+        return 0.0
+    return float(np.log10(max(values) / min(values)))
 
 
 def _draw_medians(axes: Axes, names: list[str], medians: Mapping[str, Median | None]) -> None:

@@ -18,6 +18,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from graphslam.errors import printable
+from graphslam.files import write_whole
 from graphslam.metrics import exchanged
 
 from ..options import DOUBTFUL
@@ -107,8 +109,51 @@ def table_as_html(table: Table) -> str:
     return f"<table>{title}<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody></table>"
 
 
+def write_latex(result: object, path: Path) -> None:
+    """Write the tables of a result for LaTeX with the package booktabs, and the sentences below them as comments.
+
+    Raises:
+        FormatError: the place cannot be written.
+    """
+    tables, remarks = tables_of(result)
+    text = "\n\n".join([*map(table_as_latex, tables), "".join(f"% {printable(remark)}\n" for remark in remarks)])
+    with write_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def table_as_latex(table: Table) -> str:
+    """One table as LaTeX; sections are separated by rules."""
+    sides = "".join("r" if column.justify == "right" else "l" for column in table.columns)
+    head = " & ".join(_latex(column.header) for column in table.columns)
+    lines = ["% \\usepackage{booktabs}", "\\begin{table}", "\\centering"]
+    lines += [f"\\caption{{{_latex(table.title)}}}"] * bool(table.title)
+    lines += [f"\\begin{{tabular}}{{{sides}}}", "\\toprule", f"{head} \\\\", "\\midrule"]
+    cells = zip(*(list(column.cells) for column in table.columns))
+    for row, entries in zip(table.rows, cells):
+        lines.append(" & ".join(map(_latex, entries)) + " \\\\")
+        lines += ["\\midrule"] * row.end_section
+    return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", "\\end{table}"])
+
+
+def _latex(cell: object) -> str:
+    """A cell with the characters that LaTeX takes for commands escaped."""
+    special = {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "–": "--",
+        "µ": r"\textmu{}",
+    }
+    special |= {letter: f"\\{letter}" for letter in "&%$#_{}"}
+    return "".join(special.get(letter, letter) for letter in _text(cell))
+
+
 def _plain(cell: object) -> str:
-    return escape((cell.plain if isinstance(cell, Text) else str(cell)).replace("\n", " ").strip())
+    return escape(_text(cell))
+
+
+def _text(cell: object) -> str:
+    return (cell.plain if isinstance(cell, Text) else str(cell)).replace("\n", " ").strip()
 
 
 def result_tables(results: ResultTable) -> Tables:
@@ -125,7 +170,8 @@ def result_tables(results: ResultTable) -> Tables:
         cells: list[Text | str] = [yes_no(row.converged, f", {row.iterations}"), seconds(row.seconds)]
         cells += [number(row.cost, 2), number(row.cost_per_dof, 2), *[optimum(row.certificate)] * proofs]
         of_ids = [_precision_recall(row.association), _counts(row.association)] * scored
-        table.add_row(row.name, *cells, *values, *[number(row.nees, 2)] * known, *of_ids)
+        name = f"{row.name} ({row.knows})" if row.knows else row.name
+        table.add_row(name, *cells, *values, *[number(row.nees, 2)] * known, *of_ids)
     return [table], []
 
 
@@ -222,9 +268,12 @@ def _noise_remarks(comparison: Comparison) -> list[str]:
         first, ratio = solved
         verdict = ""
         if ratio > DOUBTFUL:
-            verdict = f" {first} has {number(ratio, 1)}: they assume less noise than there is, or sightings are wrong."
+            verdict = (
+                f" {first} has {number(ratio, 1)}: the noise models assume less noise than there is, or sightings "
+                "are wrong."
+            )
         elif ratio < 1 / DOUBTFUL and "estimated" not in comparison.noise_source.values():
-            verdict = f" {first} has {number(ratio, 2)}: they assume more noise than there is."
+            verdict = f" {first} has {number(ratio, 2)}: the noise models assume more noise than there is."
         remarks.append(f"J per dof (degree of freedom): about 1 means that the noise models fit.{verdict}")
     return remarks
 

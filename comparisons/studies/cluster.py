@@ -23,7 +23,7 @@ from graphslam import OptionError, SlamError
 
 from ..estimators import ESTIMATORS
 from ..failures import sentence
-from ..pool import process_pool
+from ..pool import added_estimators, process_pool
 from .outcome import ERROR, Outcome
 from .places import Place, in_pool, pool_outcome
 from .plan import Run
@@ -48,9 +48,9 @@ def _pool_of_worker() -> ProcessPool:
         return _pools[0]
 
 
-def execute_on_worker(run: Run, limit: float) -> Outcome:
-    """The task of the cluster: a run in the pool of its worker."""
-    return pool_outcome(in_pool(_pool_of_worker(), run, limit), run, limit)
+def execute_on_worker(run: Run, limit: float, added: bytes = b"") -> Outcome:
+    """The task of the cluster: a run in the pool of its worker; ``added`` are the user's own estimators."""
+    return pool_outcome(in_pool(_pool_of_worker(), run, limit, added), run, limit)
 
 
 @contextmanager
@@ -94,7 +94,8 @@ def dask_cluster(address: str) -> Iterator[Place]:
         executor = client.get_executor(pure=False)
         try:
             # several runs wait on each worker, so that short ones do not wait for the network
-            yield Place(8 * threads, lambda run, limit: executor.submit(execute_on_worker, run, limit), outcome)
+            added = added_estimators()
+            yield Place(8 * threads, lambda run, limit: executor.submit(execute_on_worker, run, limit, added), outcome)
         finally:
             # without waiting, which cancels the runs that have not begun
             executor.shutdown(wait=False)

@@ -11,7 +11,7 @@ from pebble import ProcessExpired, ProcessPool
 
 from graphslam import OptionError
 
-from ..pool import default_jobs, how_it_ended, processes
+from ..pool import add_estimators, default_jobs, how_it_ended, processes
 from .execute import execute
 from .outcome import ERROR, TIMEOUT, Outcome
 from .plan import Run
@@ -59,10 +59,18 @@ def local_processes(jobs: int | None, estimators: Sequence[str]) -> Iterator[Pla
         yield Place(jobs + 1, lambda run, limit: in_pool(pool, run, limit), pool_outcome)
 
 
-def in_pool(pool: ProcessPool, run: Run, limit: float) -> Future[Outcome]:
-    """Begin a run in a pool. Starting a process and compiling do not count towards the limit [s], reading the log does."""
-    future: Future[Outcome] = pool.schedule(execute, (run,), timeout=limit)
+def in_pool(pool: ProcessPool, run: Run, limit: float, added: bytes = b"") -> Future[Outcome]:
+    """Begin a run in a pool. Starting a process and compiling do not count towards the limit [s], reading the log does.
+
+    ``added`` are estimators of the user that the processes of the pool may not have, see `pool.added_estimators`.
+    """
+    future: Future[Outcome] = pool.schedule(_execute_with, (run, added), timeout=limit)
     return future
+
+
+def _execute_with(run: Run, added: bytes) -> Outcome:
+    add_estimators(added)
+    return execute(run)
 
 
 def pool_outcome(future: Future[Outcome], run: Run, limit: float) -> Outcome:

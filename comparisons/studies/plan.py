@@ -25,16 +25,6 @@ from .simulated import simulated_log
 
 #: more seeds than a study could ever execute
 MOST_SEEDS = 1_000_000
-#: the keys of a study file beside its tables
-_KEYS = {
-    each.name: each
-    for each in (
-        Option(name="database", kind=Path, each=Path, default=None),
-        Option(name="time_limit", kind=float, each=float, default=600.0, positive=True),
-        Option(name="estimators", kind=tuple, each=str, default=default_estimators(), choices=tuple(ESTIMATORS)),
-        Option(name="logs", kind=tuple, each=str, default=()),
-    )
-}
 #: what [options] may have: every option of a run but its seed
 _OPTIONS = {n: each for n, each in options_of(RunOptions).items() if n != "seed" and each.only != "python"}
 #: those that decide which log the estimators work on
@@ -104,10 +94,10 @@ def read_study(path: str | PathLike[str]) -> Study:
         FormatError: it is not valid TOML, has an unknown key, or a value that is impossible; with the line.
     """
     path = Path(path)
-    file = TomlFile(path)
-    file.check_keys(file.table, (*_KEYS, "seeds", "simulate", "options"))
-    keys = {name: each.default for name, each in _KEYS.items()}
-    keys |= file.options({name: file.table[name] for name in _KEYS if name in file.table}, _KEYS)
+    file, known = TomlFile(path), _keys()
+    file.check_keys(file.table, (*known, "seeds", "simulate", "options"))
+    keys = {name: each.default for name, each in known.items()}
+    keys |= file.options({name: file.table[name] for name in known if name in file.table}, known)
     sources = [*_files(file, keys["logs"]), *_worlds(file)]
     if not sources:
         raise FormatError(path, None, "a study needs logs = [..] with files, or a table [simulate]")
@@ -120,6 +110,17 @@ def read_study(path: str | PathLike[str]) -> Study:
         runs.setdefault(run.key, run)
     database = path.parent / (keys["database"] or f"{path.stem}.sqlite")
     return Study(path, file.text, database, keys["time_limit"], tuple(runs.values()))
+
+
+def _keys() -> dict[str, Option]:
+    """The keys of a study file beside its tables; a script may have added estimators by now."""
+    keys = (
+        Option(name="database", kind=Path, each=Path, default=None),
+        Option(name="time_limit", kind=float, each=float, default=600.0, positive=True),
+        Option(name="estimators", kind=tuple, each=str, default=default_estimators(), choices=tuple(ESTIMATORS)),
+        Option(name="logs", kind=tuple, each=str, default=()),
+    )
+    return {each.name: each for each in keys}
 
 
 def _seeds(file: TomlFile) -> list[int]:

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numba import njit
@@ -64,7 +64,7 @@ class Kernel:
 
     def of_dimension(self, dimension: int) -> Self:
         """This kernel with a width, for residuals of a dimension."""
-        return replace(self, width=efficient_width(self.code, dimension)) if self.width is None else self
+        return self if self.width is not None else _of_dimension(type(self), dimension)  # type: ignore[arg-type]
 
     def scaled(self, factor: float) -> Self:
         """The kernel whose rho of ``factor`` r² is ``factor`` times this kernel's rho of r²."""
@@ -166,6 +166,11 @@ def _gaussian_squares(dimension: int) -> Array:
     """10,000 values of r², evenly spread over the quantiles of chi-square with ``dimension`` degrees of freedom."""
     quantiles = (np.arange(10_000) + 0.5) / 10_000
     return np.asarray(2 * gammaincinv(dimension / 2, quantiles))
+
+
+@cache
+def _of_dimension(kind: type[Kernel], dimension: int) -> Any:
+    return kind(efficient_width(kind.code, dimension))
 
 
 @cache

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .arguments import PoseLike, numbers, positive_definite
+from .arguments import PoseLike, positive_definite
+from .arguments import pose as checked
 from .base import POSE, Coordinates, Factor, KernelLike, Linearized, wrapped
 
 
@@ -27,8 +28,8 @@ class AnchorFactor(Factor):
     def __init__(
         self, key: int, pose: PoseLike, information: ArrayLike | None = None, *, kernel: KernelLike = None
     ) -> None:
-        held = numbers("pose", pose, (3,))
-        omega = positive_definite(1e6 * np.eye(3) if information is None else information)
+        held = checked("pose", pose)
+        omega = 1e6 * np.eye(3) if information is None else positive_definite(information)
         x, y, theta = held.tolist()
 
         def residual(a: Coordinates) -> Linearized:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from math import cos, sin
+from collections.abc import Iterable, Sequence
+from math import cos, inf, isfinite, pi, sin
 from typing import Any
 
 import gtsam
@@ -12,10 +13,17 @@ from numpy.typing import ArrayLike
 from ..checks import check_choice
 from ..errors import OptionError
 from ..models import MotionModel, SensorModel
-from ..precision import SMALLEST, check_model, check_size
+from ..precision import SMALLEST, check_model, check_size, small_inverse
 from ..se2 import Array
 
 FRAMES = ("world", "body")
+#: faster turns are taken for degrees per second [rad/s], in tables, too
+QUICKEST = 2 * pi
+#: the largest angle of a sighting in radians, with what printing it to six digits may add
+WHOLE_TURN = 2 * pi + 1e-6
+
+# made once, because making one takes as long as a factor
+_MOTION, _SENSOR = MotionModel(), SensorModel()
 
 PoseLike = ArrayLike | gtsam.Pose2
 
@@ -40,7 +48,8 @@ def numbers(name: str, value: Any, lengths: tuple[int, ...], rows: int | None = 
         array = array[None]
     leading = () if rows is None else (rows,)
     fits = array.ndim == len(leading) + 1 and array.shape[:-1] == leading and array.shape[-1] in lengths
-    if not fits or not np.isfinite(array).all():
+    # for few numbers math.isfinite is faster than NumPy's
+    if not fits or not (all(map(isfinite, array.tolist())) if rows is None else np.isfinite(array).all()):
         count = f"{' or '.join(map(str, lengths))} finite numbers"
         raise OptionError(f"{name} must be {count if rows is None else f'{rows} rows of {count}'}, not {value!r}")
     return array
@@ -62,10 +71,63 @@ def sighting(name: str, value: ArrayLike) -> Array:
         GraphError: the range is outside of what double precision can hold.
     """
     z = numbers(name, value, (2, 3))
-    if z[0] <= 0:
-        raise OptionError(f"the range of {name} must be above zero, not {z[0]:g} m")
-    check_size(f"the range of {name}", z[0], least=SMALLEST)
+    length, *angles = z.tolist()
+    if length <= 0:
+        raise OptionError(f"the range of {name} must be above zero, not {length:g} m")
+    check_size(f"the range of {name}", length, least=SMALLEST)
+    check_sighted(name, angles)
     return z
+
+
+def check_sighted(name: str, angles: Iterable[float]) -> None:
+    """Raise `OptionError` where a bearing or an orientation is beyond 2 pi, as those of degrees are.
+
+    Tables of sightings are refused by the same limit.
+    """
+    for angle in angles:
+        if not -WHOLE_TURN <= angle <= WHOLE_TURN:
+            raise OptionError(
+                f"the bearing or orientation of {name} is {angle:g} rad, beyond 2 pi: is it in degrees? Give radians, "
+                "np.deg2rad(...); if it is in radians, wrap it to [-pi, pi) with graphslam.se2.wrap"
+            )
+
+
+def check_heading(name: str, heading: float) -> None:
+    """Raise `OptionError` where a heading is beyond 8 pi, as those of degrees are; tables are refused by the same limit."""
+    if abs(heading) > 4 * WHOLE_TURN:
+        raise OptionError(
+            f"the heading of {name} is {heading:g} rad, beyond 8 pi: is it in degrees? Give radians, np.deg2rad(...); if it "
+            "is in radians, wrap it to [-pi, pi) with graphslam.se2.wrap"
+        )
+
+
+def pose(name: str, value: PoseLike) -> Array:
+    """A pose (3,), or `gtsam.Pose2`, as a new array.
+
+    Raises:
+        OptionError: the value is no pose, or its heading is in degrees.
+    """
+    x = numbers(name, value, (3,))
+    check_heading(name, float(x[2]))
+    return x
+
+
+def sighted_covariance(theta: float, z: Sequence[float], sensor: SensorModel) -> Array:
+    """R Q R' (n, n) of one sighting, from a pose of heading theta: `SensorModel.landmark_covariance`, written out.
+
+    With a = (l range_rate)² + range_std², b = bearing_std², d = orientation_std² and c, s of theta + phi it is
+    [[c² a + l² s² b, c s (a - l² b), -l s b], [., s² a + l² c² b, l c b], [., ., b + d]]. For one sighting the arrays of the
+    sensor model take twenty times as long.
+    """
+    length, direction = z[0], theta + z[1]
+    c, s, b = cos(direction), sin(direction), sensor.bearing_std * sensor.bearing_std
+    rate = length * sensor.range_rate
+    a, across = rate * rate + sensor.range_std * sensor.range_std, length * length * b
+    xx, xy, yy = c * c * a + s * s * across, c * s * (a - across), s * s * a + c * c * across
+    if len(z) == 2:
+        return np.array([[xx, xy], [xy, yy]])
+    x, y, turn = -length * s * b, length * c * b, b + sensor.orientation_std * sensor.orientation_std
+    return np.array([[xx, xy, x], [xy, yy, y], [x, y, turn]])
 
 
 def sensor_of(sensor: Any) -> SensorModel:
@@ -76,7 +138,7 @@ def sensor_of(sensor: Any) -> SensorModel:
         GraphError: its numbers are outside of what double precision can hold.
     """
     if sensor is None:
-        return SensorModel()
+        return _SENSOR
     if not isinstance(sensor, SensorModel):
         raise OptionError(f"sensor must be a SensorModel, not {sensor!r}")
     check_model(sensor)
@@ -91,7 +153,7 @@ def motion_of(motion: Any) -> MotionModel:
         GraphError: its numbers are outside of what double precision can hold.
     """
     if motion is None:
-        return MotionModel()
+        return _MOTION
     if not isinstance(motion, MotionModel):
         raise OptionError(f"motion must be a MotionModel, not {motion!r}")
     check_model(motion)
@@ -118,7 +180,9 @@ def frozen_at(at: Any, needed: bool, rows: int | None = None, *, frame: str = "w
         raise OptionError(
             f"the information depends on {poses}: pass {given}, or take frame='body' where that is constant"
         )
-    return numbers("at", at, (3,), rows)
+    frozen = numbers("at", at, (3,), rows)
+    check_heading("at", float(np.abs(frozen[..., 2]).max()) if frozen.size else 0.0)
+    return frozen
 
 
 def in_world_frame(frame: str) -> bool:
@@ -139,16 +203,24 @@ def positive_definite(information: ArrayLike, size: int = 3, name: str = "inform
     """
     try:
         omega = np.asarray(information, dtype=float)
-    except Exception:  # as above
-        omega = np.empty(0)
-    symmetric = (
-        omega.shape == (size, size)
-        and size > 0
-        and np.allclose(omega, omega.T, rtol=0, atol=1e-9 * np.abs(omega).max())
-    )
-    if not symmetric or not np.linalg.eigvalsh(omega)[0] > 0:
+        rows = omega.tolist()
+        # most are exactly symmetric, which is soon known
+        possible = size > 0 and omega.shape == (size, size) and (rows == [*map(list, zip(*rows))] or _symmetric(rows))
+        if possible and size <= 3:
+            possible = small_inverse(rows, 0.0) is not None
+        elif possible:
+            np.linalg.cholesky(omega)
+    except Exception:  # objects that NumPy asks for numbers may raise anything
+        possible = False
+    if not possible:
         raise OptionError(f"{name} must be a symmetric positive definite {size or 'd'} x {size or 'd'} matrix")
     return (omega + omega.T) / 2
+
+
+def _symmetric(rows: list[list[float]]) -> bool:
+    """Whether a matrix is symmetric, to rounding errors, and finite."""
+    largest = max((abs(entry) for row in rows for entry in row), default=0.0)
+    return all(abs(rows[i][j] - rows[j][i]) <= 1e-9 * largest < inf for i in range(len(rows)) for j in range(i + 1))
 
 
 def in_robot_frame(z: Array, sensor: SensorModel) -> tuple[float, float]:

@@ -93,9 +93,10 @@ class Factor(gtsam.CustomFactor):
         error: Callable[..., ArrayLike] | None = None,
     ) -> None:
         keys = checked_keys(type(self).__name__, keys)
+        given, kernel = covariance if information is None else information, kernel_of(arguments["kernel"])
+        assert given is not None
+        arguments = {**arguments, "kernel": kernel and kernel.of_dimension(len(given))}
         noise = noise_model(arguments, covariance=covariance, information=information)
-        kernel = kernel_of(arguments["kernel"])
-        arguments = {**arguments, "kernel": kernel and kernel.of_dimension(noise.dim())}
         for value in arguments.values():
             if isinstance(value, np.ndarray):
                 # a factor must not change when its maker goes on working with an array

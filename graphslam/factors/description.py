@@ -1,4 +1,4 @@
-"""What a factor was made from, as plain data: to read it, to save it, and to make the factor again.
+"""What a factor was made from, as plain data: to read it, to print it, to save it, and to make the factor again.
 
 GTSAM returns a Python factor that only a graph holds as a bare `gtsam.CustomFactor`, and can neither save nor copy it.
 So the callback of each factor keeps the factor's description, and hands it over when it cannot be evaluated.
@@ -7,8 +7,12 @@ So the callback of each factor keeps the factor's description, and hands it over
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+import re
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass, replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +26,8 @@ from ..models import MotionModel, SensorModel
 
 #: the factor types by name; each enters itself when its class is defined
 FACTOR_TYPES: dict[str, Any] = {}
+#: functions among the arguments of factors, by the names that files have for them
+Functions = Mapping[str, Callable[..., Any]]
 _MODELS: dict[str, Any] = {model.__name__: model for model in (MotionModel, SensorModel, *map(type, KERNELS.values()))}
 
 
@@ -51,25 +57,30 @@ class FactorDescription:
         """The same factor on other keys {old: new}; keys that are not in the mapping stay."""
         return replace(self, keys=tuple(keys.get(key, key) for key in self.keys))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self, functions: Functions | None = None) -> dict[str, Any]:
         """Plain data for JSON: {"kind", "keys", "arguments"}.
 
+        Args:
+            functions: names of the functions among the arguments, such as the residual of a `ResidualFactor`.
+
         Raises:
-            OptionError: an argument is a function, which cannot be saved.
+            OptionError: an argument is a function without a name.
         """
-        arguments = {name: _plain(self.kind, name, value) for name, value in self.arguments.items()}
+        arguments = {name: _plain(self.kind, name, value, functions) for name, value in self.arguments.items()}
         return {"kind": self.kind, "keys": list(self.keys), "arguments": arguments}
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> FactorDescription:
+    def from_dict(cls, data: Mapping[str, Any], functions: Functions | None = None) -> FactorDescription:
         """The inverse of `to_dict`.
 
         Raises:
-            OptionError: the data is no description.
+            OptionError: the data is no description, or a function of that name is not given.
         """
         try:
-            arguments = {name: _revived(value) for name, value in data["arguments"].items()}
+            arguments = {name: _revived(value, functions or {}) for name, value in data["arguments"].items()}
             return cls(str(data["kind"]), tuple(int(key) for key in data["keys"]), arguments)
+        except OptionError:
+            raise
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise OptionError(f"no description of a factor ({error!r}): {data!r}") from None
 
@@ -112,59 +123,162 @@ def describe(factor: gtsam.NonlinearFactor) -> FactorDescription:
     raise OptionError(f"{type(factor).__name__} is none of the factor types of graphslam.factors")
 
 
-def save_factors(factors: Iterable[gtsam.NonlinearFactor] | gtsam.NonlinearFactorGraph, path: str | Path) -> None:
-    """Write the descriptions of factors of this package as JSON; the file is written completely or not at all.
+def save_factors(
+    factors: Iterable[gtsam.NonlinearFactor] | gtsam.NonlinearFactorGraph,
+    path: str | Path,
+    functions: Functions | None = None,
+) -> None:
+    """Write a graph as JSON: the descriptions of factors of this package, and GTSAM's own factors as GTSAM serialises them.
+
+    The file is written completely or not at all.
+
+    Args:
+        factors: a graph, or factors.
+        path: the file.
+        functions: names of the functions among the arguments, such as ``{"gps": gps}`` where a `ResidualFactor` has the
+            residual ``gps``. The file holds the name alone, and `load_factors` needs the function again.
 
     Raises:
-        OptionError: a factor is GTSAM's own (save it with ``factor.serialize()``), or has a function as argument.
+        OptionError: a factor has a function without a name as argument, is of another program's Python code, or is of a type
+            that GTSAM cannot serialise.
         FormatError: the file cannot be written.
     """
     if isinstance(factors, gtsam.NonlinearFactorGraph):
         factors = [factors.at(k) for k in range(factors.size())]
-    data = {"format": "graphslam factors", "version": 1, "factors": [describe(factor).to_dict() for factor in factors]}
+    natives, places = gtsam.NonlinearFactorGraph(), []
+    for number, factor in enumerate(factors):
+        if factor is None:
+            # GTSAM leaves an empty place where a factor was removed
+            places.append(None)
+        elif isinstance(factor, gtsam.CustomFactor):
+            places.append(describe(factor).to_dict(functions))
+        else:
+            alone = gtsam.NonlinearFactorGraph()
+            alone.add(factor)
+            _serialized(alone, f"factor {number}, a {type(factor).__name__},")
+            places.append({"gtsam": natives.size()})
+            natives.add(factor)
+    data = {"format": "graphslam factors", "version": 2, "factors": places, "gtsam": _serialized(natives)}
     text = json.dumps(data, indent=1)
     with write_whole(path) as temporary:
         temporary.write_text(text)
 
 
-def load_factors(path: str | Path) -> gtsam.NonlinearFactorGraph:
-    """The factors of a file that `save_factors` wrote.
+def load_factors(path: str | Path, functions: Functions | None = None) -> gtsam.NonlinearFactorGraph:
+    """The graph of a file that `save_factors` wrote, each factor in its place.
+
+    Args:
+        path: the file.
+        functions: those that `save_factors` was given.
 
     Raises:
-        FormatError: the file cannot be read, or has another content.
+        FormatError: the file cannot be read, has another content, or needs a function that is not given.
     """
-    path, graph = Path(path), gtsam.NonlinearFactorGraph()
+    path, graph, natives = Path(path), gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
     try:
         data = json.loads(path.read_text())
-        if data["format"] != "graphslam factors" or data["version"] != 1:
+        if data["format"] != "graphslam factors" or data["version"] not in (1, 2):
             raise KeyError("format")
         described = enumerate(data["factors"])
+        serialized = data.get("gtsam")
     except OSError as error:
         raise FormatError(path, None, f"cannot be read: {error.strerror}") from None
     except (ValueError, KeyError, TypeError):
-        raise FormatError(path, None, "is no file of save_factors, version 1") from None
+        raise FormatError(path, None, "is no file of save_factors, version 1 or 2") from None
+    try:
+        if serialized is not None:
+            natives.deserialize(serialized)
+    except (RuntimeError, TypeError) as error:
+        raise FormatError(path, None, f"GTSAM cannot read its own factors: {error}") from None
     for number, each in described:
         name = f"factor {number}"
         try:
-            description = FactorDescription.from_dict(each)
-            name += f", {description}"
-            graph.add(description.build())
+            if each is None:
+                graph.resize(graph.size() + 1)
+            elif isinstance(each, dict) and "gtsam" in each:
+                place = each["gtsam"]
+                if not isinstance(place, int) or not 0 <= place < natives.size():
+                    raise ValueError(f"there is no factor {place!r} among GTSAM's own")
+                graph.add(natives.at(place))
+            else:
+                description = FactorDescription.from_dict(each, functions)
+                name += f", {description}"
+                graph.add(description.build())
         except (OptionError, TypeError, ValueError, AttributeError) as error:
             raise FormatError(path, None, f"{name}: {error}") from None
     return graph
 
 
-def _plain(kind: str, name: str, value: Any) -> Any:
+def _serialized(graph: gtsam.NonlinearFactorGraph, name: str = "the graph") -> str:
+    """GTSAM's own text of a graph of its own factors, every number with all its digits."""
+    try:
+        return str(graph.serialize())
+    except RuntimeError as error:
+        raise OptionError(f"{name} cannot be saved: GTSAM does not serialise it ({error})") from None
+
+
+def _plain(kind: str, name: str, value: Any, functions: Functions | None) -> Any:
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if type(value).__name__ in _MODELS:
         return {"type": type(value).__name__, **asdict(value)}
     if callable(value):
-        raise OptionError(f"{kind}: the argument {name} is a function, which cannot be saved")
+        for word, function in (functions or {}).items():
+            if function is value:
+                return {"function": word}
+        raise OptionError(
+            f"{kind}: the argument {name} is a function, which cannot be saved; name it: "
+            f"save_factors(..., functions={{'a name': the function}}), and give load_factors the same"
+        )
     return np.asarray(value).tolist()
 
 
-def _revived(value: Any) -> Any:
+def _revived(value: Any, functions: Functions) -> Any:
+    if isinstance(value, dict) and "function" in value:
+        if value["function"] not in functions:
+            raise OptionError(
+                f"it needs the function {value['function']!r}: load_factors(..., functions={{{value['function']!r}: ...}})"
+            )
+        return functions[value["function"]]
     if isinstance(value, dict):
         return _MODELS[value["type"]](**{name: part for name, part in value.items() if name != "type"})
     return value
+
+
+def _named_in_graph(graph: gtsam.NonlinearFactorGraph, text: str) -> str:
+    return re.sub(
+        r"^(Factor (\d+): )(CustomFactor on )",
+        lambda match: match[1] + _named(graph.at(int(match[2])), match[3]),
+        text,
+        flags=re.MULTILINE,
+    )
+
+
+def _named(factor: gtsam.NonlinearFactor, text: str) -> str:
+    try:
+        return text.replace("CustomFactor on ", f"{describe(factor).kind} on ", 1)
+    except OptionError:
+        return text
+
+
+def _name_in_prints(kind: Any, named: Callable[[Any, str], str]) -> None:
+    """Let ``print(graph)``, ``graph.print()`` and the same of a factor name our types; nothing else of GTSAM changes.
+
+    GTSAM prints each Python factor as 'CustomFactor', and has no place for another name.
+    """
+    shown, printed = kind.__repr__, kind.print
+
+    def text_of(self: Any) -> str:
+        return named(self, shown(self))
+
+    def print_named(self: Any, *arguments: Any, **keywords: Any) -> None:
+        with redirect_stdout(StringIO()) as captured:
+            printed(self, *arguments, **keywords)
+        sys.stdout.write(named(self, captured.getvalue()))
+
+    print_named.__doc__ = printed.__doc__
+    kind.__repr__, kind.print = text_of, print_named
+
+
+_name_in_prints(gtsam.NonlinearFactorGraph, _named_in_graph)
+_name_in_prints(gtsam.CustomFactor, _named)

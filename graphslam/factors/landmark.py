@@ -13,7 +13,7 @@ from ..errors import OptionError
 from ..models import SensorModel
 from ..precision import SMALLEST, check_size
 from ..se2 import Array, rotation, wrap
-from .arguments import PoseLike, frozen_at, in_world_frame, numbers, sensor_of
+from .arguments import PoseLike, check_sighted, frozen_at, in_world_frame, numbers, sensor_of
 from .base import POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys
 from .landmark_kernels import pair_cost, pair_sums, placed
 
@@ -75,6 +75,7 @@ class LandmarkFactor(Factor):
         if len(z) == 0 or np.any(z[:, 0] <= 0):
             raise OptionError("LandmarkFactor needs at least one sighting, and ranges above zero")
         check_size("ranges", z[:, 0], least=SMALLEST)
+        check_sighted("sightings", (z[:, 1:].min(), z[:, 1:].max()))
         trusted = np.ones(len(z)) if trust is None else numbers("trust", trust, (len(z),))
         if np.any(trusted <= 0):
             raise OptionError(f"trust must be above zero for every sighting, not {trust!r}")

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from math import atan2, cos, hypot, sin
 
 import gtsam
-import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import check_choice
@@ -21,6 +20,7 @@ from .arguments import (
     numbers,
     positive_definite,
     sensor_of,
+    sighted_covariance,
     sighting,
 )
 from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, noise_model, wrapped
@@ -65,7 +65,7 @@ class ObservationFactor(Factor):
         if residual == "polar":
             evaluated, covariance = _polar(z, sensor), sensor.Q(z)
         else:
-            evaluated, covariance = _seen(z, sensor), sensor.landmark_covariance(np.zeros(3), z)
+            evaluated, covariance = _seen(z, sensor), sighted_covariance(0.0, z.tolist(), sensor)
         arguments = {"z": z, "sensor": sensor, "residual": residual, "scale": scale, "kernel": kernel}
         kinds = [POSE, POSE if len(z) == 3 else POINT]
         super().__init__([pose_key, landmark_key], kinds, evaluated, arguments, covariance=covariance)
@@ -124,7 +124,7 @@ class InverseObservationFactor(Factor):
         z, sensor, world = sighting("z", z), sensor_of(sensor), in_world_frame(frame)
         frozen, kinds = frozen_at(at, needed=world), [POSE, POSE if len(z) == 3 else POINT]
         # in the robot's axes the covariance is that seen from a pose at the origin
-        covariance = sensor.landmark_covariance(np.zeros(3) if frozen is None else frozen, z)
+        covariance = sighted_covariance(0.0 if frozen is None else float(frozen[2]), z.tolist(), sensor)
         residual = _seen(z, sensor, world)
         arguments = {"z": z, "sensor": sensor, "frame": frame, "at": frozen, "scale": scale, "kernel": kernel}
         super().__init__([pose_key, landmark_key], kinds, residual, arguments, covariance=covariance)

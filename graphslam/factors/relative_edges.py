@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..edges.robust import code_and_width, kernel_of, loss, weight
 from ..errors import OptionError
 from ..se2 import Array
-from .arguments import in_world_frame, numbers, positive_definite
+from .arguments import check_heading, in_world_frame, numbers, positive_definite
 from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys
 
 
@@ -65,6 +65,7 @@ class RelativeEdgesFactor(Factor):
         if len(i) == 0 or i.shape != j.shape or min(i.min(), j.min()) < 0 or i.max() >= poses or j.max() >= len(keys):
             raise OptionError("first and second must be places of keys, one of a pose and one of any node per edge")
         z = numbers("measured", measured, (3,), rows=len(i))
+        check_heading("measured", float(np.abs(z[j < poses, 2]).max(initial=0.0)))
         omega = np.array(information, dtype=float)
         rows = np.where(j < poses, 3, 2)
         if omega.shape != (len(i), 3, 3):

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import check_positive
-from ..errors import OptionError
-from ..models import MotionModel
-from ..precision import check_size, inverses
+from ..errors import GraphError, OptionError
+from ..models import MotionModel, sinc_slope_near_zero
+from ..precision import check_size, small_inverse
 from ..se2 import Array, rotation
-from .arguments import PoseLike, frozen_at, in_world_frame, motion_of, numbers, positive_definite
+from .arguments import QUICKEST, PoseLike, frozen_at, in_world_frame, motion_of, numbers, pose, positive_definite
 from .base import POSE, Coordinates, Factor, KernelLike, Linearized, noise_model, wrapped
 
 
@@ -48,7 +48,7 @@ class RelativePoseFactor(Factor):
         at: PoseLike | None = None,
         kernel: KernelLike = None,
     ) -> None:
-        z, omega = numbers("measured", measured, (3,)), positive_definite(information)
+        z, omega = pose("measured", measured), positive_definite(information)
         arguments = {"measured": z, "information": omega, "frame": frame, "at": at, "kernel": kernel}
         self._make([key_1, key_2], z, omega, arguments)
 
@@ -129,14 +129,54 @@ class MotionFactor(RelativePoseFactor):
         kernel: KernelLike = None,
     ) -> None:
         check_positive(dt=dt)
-        motion, u, origin = motion_of(motion), numbers("control", control, (2,)), np.zeros(3)
-        check_size("dt", dt)
-        check_size("control", u * dt)
+        motion, u = motion_of(motion), numbers("control", control, (2,))
+        nu, omega = u.tolist()
+        for name, number in (
+            ("dt", float(dt)),
+            ("the distance of control", nu * dt),
+            ("the turn of control", omega * dt),
+        ):
+            check_size(name, number)
+        if abs(omega) > QUICKEST:
+            raise OptionError(
+                f"the turn rate of control is {omega:g} rad/s, more than a whole turn per second: is it in degrees per "
+                "second? Give radians, np.deg2rad(...); if the robot turns so fast, use RelativePoseFactor with the "
+                "relative pose and information of MotionModel.f and MotionModel.covariance"
+            )
         options = {"frame": frame, "at": at, "scale": scale, "kernel": kernel}
         arguments = {"control": u, "dt": dt, "motion": motion} | options
         # f and its covariance turn with the pose that they start from
-        information = inverses(motion.covariance(origin, u, dt)[None], "motion", "raise epsilon")[0]
-        self._make([key_1, key_2], motion.f(origin, u, dt), information, arguments)
+        moved, covariance = _from_origin(motion, nu, omega, float(dt))
+        information = small_inverse(covariance)
+        if information is None:
+            raise GraphError("the uncertainty of the motion is singular to double precision; raise epsilon")
+        self._make([key_1, key_2], moved, information, arguments)
+
+
+def _from_origin(motion: MotionModel, nu: float, omega: float, dt: float) -> tuple[Array, list[list[float]]]:
+    """f(0, u) (3,) and its covariance A M A' + S + epsilon I (3, 3): `MotionModel`, written out for one control.
+
+    For one control the arrays of the model take ten times as long.
+    """
+    a = omega * dt / 2
+    c, s, chord = cos(a), sin(a), sin(a) / a if a else 1.0
+    slope = sinc_slope_near_zero(a) if abs(a) < 0.3 else (c - chord) / a
+    half = nu * dt * dt / 2
+    # the columns (ax, ay, 0) and (bx, by, dt) of A; the normal of the chord is (-s, c, 0)
+    ax, ay = dt * chord * c, dt * chord * s
+    bx, by = half * (slope * c - chord * s), half * (slope * s + chord * c)
+    far, turned, epsilon = abs(nu) / dt, abs(omega) / dt, motion.epsilon
+    v = motion.nn * motion.nn * far + motion.no * motion.no * turned + motion.sigma_v * motion.sigma_v
+    w = motion.on * motion.on * far + motion.oo * motion.oo * turned + motion.sigma_omega * motion.sigma_omega
+    aside = motion.slip * motion.slip * abs(nu) * dt
+    xy, xt, yt = v * ax * ay + w * bx * by - aside * c * s, w * bx * dt, w * by * dt
+    covariance = [
+        [v * ax * ax + w * bx * bx + aside * s * s + epsilon, xy, xt],
+        [xy, v * ay * ay + w * by * by + aside * c * c + epsilon, yt],
+        [xt, yt, w * dt * dt + epsilon],
+    ]
+    driven = nu * dt * chord
+    return np.array([driven * c, driven * s, 2 * a]), covariance
 
 
 def _turned_information(information: Array, theta: float) -> Array:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import OptionError
 from ..models import SensorModel
-from .arguments import PoseLike, frozen_at, in_robot_frame, in_world_frame, sensor_of, sighting
+from .arguments import PoseLike, frozen_at, in_robot_frame, in_world_frame, sensor_of, sighted_covariance, sighting
 from .base import POSE, Coordinates, Factor, KernelLike, Linearized, noise_model, wrapped
 
 
@@ -59,7 +59,7 @@ class VirtualMotionFactor(Factor):
         frozen = frozen_at(at, needed=not (body and oriented), rows=2, frame=frame)
         # poses that see the landmark in the axes of the first sighting, if the information does not depend on the poses
         x_1, x_2 = [[0.0, 0.0, -phi1], [0.0, 0.0, psi2 - psi1 - phi2]] if frozen is None else frozen.tolist()
-        covariance = sensor.landmark_covariance(x_1, z_1) + sensor.landmark_covariance(x_2, z_2)
+        covariance = sighted_covariance(x_1[2], z_1.tolist(), sensor) + sighted_covariance(x_2[2], z_2.tolist(), sensor)
         # the landmark in the frame of the robot, by each sighting
         (px, py), (qx, qy) = (in_robot_frame(z, sensor) for z in (z_1, z_2))
         # the angle from the heading of the first pose to the axes of e in the body frame
@@ -103,7 +103,7 @@ class VirtualMotionFactor(Factor):
             raise OptionError("without psi two sightings of a landmark measure no relative pose")
         landmark_1, landmark_2 = (gtsam.Pose2(*in_robot_frame(z, sensor), z[1] - z[2]) for z in (z_1, z_2))
         # a pose whose theta + phi is psi sees the landmark in the landmark's own axes
-        covariance = sum(sensor.landmark_covariance([0.0, 0.0, z[2] - z[1]], z) for z in (z_1, z_2))
+        covariance = sum(sighted_covariance(z[2] - z[1], z, sensor) for z in (z_1, z_2))
         adjoint = landmark_2.AdjointMap()
         covariance = adjoint @ covariance @ adjoint.T
         noise = noise_model(arguments, covariance=(covariance + covariance.T) / 2)

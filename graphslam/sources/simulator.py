@@ -69,6 +69,9 @@ class SensorFaults:
 
 #: the biases that are factors; the others are angles
 _FACTORS = ("speed", "turn rate", "range")
+#: the parameters of `graphslam.parameters` that stand for biases. None stands for that of psi, and the range shares its scale
+#: with the speed, so that only one of the two can be estimated well.
+_PARAMETERS = {"speed": "wheel_scale", "turn rate": "turn_scale", "range": "range_scale", "bearing": "bearing_bias"}
 
 
 def simulate(
@@ -145,10 +148,18 @@ def _note(biases: dict[str, float]) -> tuple[str, ...]:
     angles = [f"{what} {value:+.3f} rad" for what, value in biases.items() if what not in _FACTORS and value]
     if not factors and not angles:
         return ()
+    advice = ",".join(_estimated(biases))
     return (
-        f"the simulated robot has constant biases ({', '.join(factors + angles)}); the noise models know none, so that "
-        "errors and NEES are larger than without them, and more sightings do not help",
+        f"the simulated robot has constant biases ({', '.join(factors + angles)}), which the noise models do not have, so "
+        "errors and NEES are larger than without them"
+        + (f"; to estimate the biases: --estimate {advice} --estimators graph-marginal" if advice else ""),
     )
+
+
+def _estimated(biases: dict[str, float]) -> list[str]:
+    """The parameters that stand for the biases; a range scale is left out where the wheels have one, see `_PARAMETERS`."""
+    names = [name for what, name in _PARAMETERS.items() if what in biases and biases[what] != (what in _FACTORS)]
+    return [name for name in names if name != "range_scale" or "wheel_scale" not in names]
 
 
 def _landmarks(world: World, rng: np.random.Generator) -> tuple[Array, float]:

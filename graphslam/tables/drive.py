@@ -89,8 +89,14 @@ class _Reader:
         """The sentence about a column that is not there, with those that are."""
         have = ", ".join(self.table.names) if self.table.names else f"{self.table.width} columns without names"
         names = " or ".join(dict.fromkeys((role, *NAMES[role][:3])))
-        which = "If one has them, say which" if role == "id" else "Say which it is"
-        which += f": --columns {self.kind}.{role}=NAME"
+        which = f"Say which it is: --columns {self.kind}.{role}=NAME"
+        if role == "id":
+            # many sensors tell no ids, so that only a column that nothing else uses is worth a question
+            taken = {chosen.column for chosen in self.found.values()}
+            rest = [name for column, name in enumerate(self.table.names or ()) if column not in taken]
+            if not rest:
+                return f"no column for id (named {names}, ...){consequence}"
+            which = f"If one has the ids, say which: --columns {self.kind}.{role}=NAME"
         return f"no column for {role} (named {names}, ...){consequence}; it has {have}. {which}"
 
     def described(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from comparisons.estimators import (
     pair_count,
 )
 from comparisons.options import RunOptions
+from comparisons.show.tables import as_text
 from graphslam import (
     Log,
     MotionModel,
@@ -53,6 +54,43 @@ def test_every_estimator_answers_in_the_same_form(log: Log, name: str) -> None:
     # online and isam2 minimise J, too, but in one pass
     minimises = name in ("online", "isam2") or (result.iterations > 0 and name != "particle-gibbs")
     assert (result.cost is None) == (not minimises)
+
+
+def _returns(**changes: object) -> Estimator:
+    """An estimator that returns dead reckoning with some parts changed."""
+    return Estimator(lambda log, options: replace(ESTIMATORS["dead-reckoning"].run(log, options), **changes))
+
+
+@pytest.mark.parametrize(
+    ("estimator", "words"),
+    [
+        (_returns(poses=np.zeros((24, 3))), "returned poses .*an array of numbers (25, 3).*of shape (24, 3)"),
+        (_returns(poses=np.zeros((25, 2))), "returned poses .*of shape (25, 2)"),
+        (_returns(poses=[[0, 0, 0]] * 25), "returned poses .*an array of numbers (25, 3)"),
+        (_returns(poses=np.full((25, 3), np.nan)), "returned poses .*finite numbers wherever estimated is true"),
+        (_returns(estimated=np.ones(25)), "returned estimated .*an array of bool (25,).*type float64"),
+        (_returns(landmarks={3: np.zeros(4)}), "returned landmarks[3] .*of shape (4,)"),
+        (_returns(landmark_covariances={3: np.zeros((2, 3))}), "returned landmark_covariances[3] .*of shape (2, 3)"),
+        (_returns(association=np.zeros(2)), "returned association .*an id for each of the"),
+        (Estimator(lambda log, _: log.initial_poses), "returned a result .*expected an EstimatorResult"),  # type: ignore[arg-type,return-value]
+    ],
+)
+def test_a_result_of_a_wrong_shape_is_named(
+    log: Log, monkeypatch: pytest.MonkeyPatch, estimator: Estimator, words: str
+) -> None:
+    monkeypatch.setitem(ESTIMATORS, "mine", estimator)
+    outcome = compare(log, OPTIONS, estimators=["mine", "dead-reckoning"])
+    assert [result.name for result in outcome.results] == ["dead-reckoning"]
+    ((skipped),) = outcome.skipped
+    assert skipped.name == "mine" and skipped.outcome == "failed"
+    for part in words.split(".*"):
+        assert part in skipped.reason
+
+
+def test_the_row_of_an_estimator_has_the_name_it_is_registered_by(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(ESTIMATORS, "mine", _returns())
+    outcome = compare(log, OPTIONS, estimators=["mine", "dead-reckoning"])
+    assert [row.name for row in outcome.table] == ["dead-reckoning", "mine"]
 
 
 def test_graph_is_what_the_library_solves(log: Log) -> None:
@@ -169,6 +207,38 @@ def test_models_reach_every_estimator(log: Log) -> None:
     for name in ("textbook", "graph", "gtsam", "mcl", "fastslam1", "fastslam2"):
         run = ESTIMATORS[name].run
         assert not np.allclose(run(log, OPTIONS).poses, run(log, other).poses), name
+
+
+def test_the_row_of_a_filter_is_the_median_of_five_seeds(log: Log) -> None:
+    default = compare(log, OPTIONS, estimators=["fastslam1", "mcl"])
+    alone = {seed: compare(log, replace_seed(seed), estimators=["fastslam1"]) for seed in range(5)}
+    errors = {seed: one.table["fastslam1"].ate_m for seed, one in alone.items()}
+    result = default["fastslam1"]
+    assert dict(result.seed_errors or {}) == errors
+    median = next(seed for seed, error in errors.items() if error == np.median(list(errors.values())))
+    # naming the seed gives the same run, and one run only
+    assert np.array_equal(result.poses, alone[median]["fastslam1"].poses) and result.options["seed"] == median
+    assert alone[median]["fastslam1"].seed_errors is None
+    low, high = min(errors.values()), max(errors.values())
+    assert any(f"{low:.3f} to {high:.3f} m" in note and f"--seed {median}" in note for note in result.notes)
+    assert default.to_json()["estimators"][1]["seed_errors"] == {str(seed): error for seed, error in errors.items()}
+
+
+def replace_seed(seed: int) -> RunOptions:
+    return OPTIONS.with_numbers(seed=seed)
+
+
+def test_a_filter_runs_once_without_truth_and_on_large_logs(log: Log) -> None:
+    assert compare(log.replace(true_poses=None), OPTIONS, estimators=["fastslam1"])["fastslam1"].seed_errors is None
+    many = OPTIONS.with_numbers(particles=1_000_000 // len(log.steps))
+    assert compare(log, many, estimators=["mcl"])["mcl"].seed_errors is None
+
+
+def test_the_table_says_that_mcl_knows_the_true_map(log: Log) -> None:
+    outcome = compare(log, OPTIONS, estimators=["mcl", "fastslam1"])
+    names = [line.split("  ")[0] for line in as_text(outcome).splitlines()]
+    assert "mcl (true map)" in names and "fastslam1" in names
+    assert [row["knows"] for row in outcome.to_json()["estimators"]] == ["true map", ""]
 
 
 def test_the_seed_decides(log: Log) -> None:

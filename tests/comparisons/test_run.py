@@ -67,10 +67,10 @@ def test_the_table_says_whether_the_noise_fits(log: Log) -> None:
     assert small.table["dead-reckoning"].cost_per_dof is None
     text = as_text(small)
     assert "Noise models: motion the book's, sensor as given." in text
-    assert f"graph has {ratio:.1f}: they assume less noise than there is, or sightings are wrong." in text
+    assert f"graph has {ratio:.1f}: the noise models assume less noise than there is, or sightings are wrong." in text
     large = run(log.replace(sensor=SensorModel(range_rate=1.4, bearing_std=0.5, orientation_std=0.5)), estimators=few)
     assert large.noise_source["sensor"] == "log"
-    assert "they assume more noise than there is" in as_text(large)
+    assert "the noise models assume more noise than there is" in as_text(large)
     payload = small.to_json()
     assert payload["noise"]["motion"]["source"] == "book"
     assert payload["noise"]["sensor"]["model"]["range_rate"] == 0.014

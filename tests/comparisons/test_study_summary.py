@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from comparisons.show.study_figures import study_figure
+from comparisons.show.tables import write_latex
 from comparisons.studies.bootstrap import median_of, quartiles
 from comparisons.studies.database import COLUMNS
-from comparisons.studies.export import write_csv, write_json_lines
+from comparisons.studies.export import write_csv, write_json_lines, write_summary_csv
 from comparisons.studies.summary import ALL, summarise
 from graphslam import OptionError
 
@@ -153,3 +156,44 @@ def test_export_keeps_every_digit(tmp_path: Path) -> None:
     assert json.loads(read[0]["source"]) == {"simulate": {}}
     write_json_lines(rows, tmp_path / "r.jsonl")
     assert [json.loads(line) for line in (tmp_path / "r.jsonl").read_text().splitlines()] == rows
+
+
+def _two_methods(factor: float) -> list[dict[str, Any]]:
+    rows = [row("graph", s, 0.1 + 0.01 * s, log="a_1 & 50 %") for s in range(3)]
+    return rows + [row("fastslam1 particles=10", s, factor * (0.1 + 0.01 * s), log="a_1 & 50 %") for s in range(3)]
+
+
+def test_the_summary_as_csv(tmp_path: Path) -> None:
+    summary = summarise(_two_methods(2.0))
+    write_summary_csv(summary, tmp_path / "s.csv")
+    with (tmp_path / "s.csv").open(newline="") as stream:
+        graph, other = csv.DictReader(stream)
+    assert (graph["log"], graph["method"], graph["runs"], graph["failed"]) == ("a_1 & 50 %", "graph", "3", "0")
+    assert (float(graph["ate_m"]), float(graph["ate_m_low"]), float(graph["ate_m_high"])) == (0.11, 0.1, 0.1 + 0.02)
+    assert graph["ate_m_difference"] == "" and graph["rpe_m"] == ""
+    assert float(other["ate_m_difference"]) == pytest.approx(0.11, abs=1e-12)
+    assert (other["ate_m_lower"], other["ate_m_pairs"]) == ("0", "3")
+
+
+def test_the_summary_for_latex(tmp_path: Path) -> None:
+    write_latex(summarise(_two_methods(2.0)), tmp_path / "s.tex")
+    text = (tmp_path / "s.tex").read_text()
+    assert text.count("\\begin{tabular}") == text.count("\\end{tabular}") == text.count("\\bottomrule") == 2
+    rows = [line for line in text.splitlines() if line.endswith(" \\\\")]
+    # the heads and the rows of the two tables: as many cells as columns
+    first, second = (line for line in text.splitlines() if line.startswith("\\begin{tabular}"))
+    widths = [len(line.split("}{")[1].rstrip("}")) for line in (first, second)]
+    cells = [len(re.split(r"(?<!\\\\)&", line)) for line in rows]
+    assert cells == [widths[0]] * 3 + [widths[1]] * 2
+    assert rows[1].startswith("a\\_1 \\& 50 \\% & graph & 3 & 0 & ") and " 0.110 [0.100, 0.120] " in rows[1]
+    assert rows[2].startswith(" & fastslam1 particles=10 & ")
+    assert "95 \\% bootstrap" in text
+
+
+@pytest.mark.parametrize(("factor", "scale"), [(5.0, "linear"), (20.0, "log")])
+def test_the_figure_has_a_logarithmic_axis_where_errors_span_more_than_a_decade(factor: float, scale: str) -> None:
+    left, right = study_figure(summarise(_two_methods(factor))).axes[:2]
+    assert (left.get_xscale(), right.get_xscale()) == (scale, "linear")
+    shown = left.get_xlim()
+    for x in (0.1, 0.12, 0.1 * factor, 0.12 * factor):
+        assert shown[0] < x < shown[1]

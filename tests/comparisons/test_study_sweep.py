@@ -7,6 +7,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -196,6 +197,45 @@ def test_a_script_without_a_guard_can_use_the_pool(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, env=ENVIRONMENT)
     assert (done.stdout, done.stderr) == ("once\n[1, 2]\n", "")
+
+
+@pytest.mark.slow
+def test_an_estimator_of_a_script_runs_in_the_processes_of_a_study(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text('seeds = 2\nestimators = ["still", "dead-reckoning"]\n[simulate]\nsteps = 8\n')
+    (tmp_path / "script.py").write_text(
+        "from comparisons.studies.sweep import sweep\n"
+        "import numpy as np\n"
+        "from comparisons.estimators import ESTIMATORS, Estimator\n"
+        "from comparisons.results import EstimatorResult\n"
+        "place = np.array([1.0, 2.0, 0.5])\n"
+        "def still(log, options):\n"
+        "    poses = np.tile(place, (log.num_poses, 1))\n"
+        "    return EstimatorResult(name='still', poses=poses, estimated=np.ones(len(poses), bool), seconds=0.0, cost=7.5)\n"
+        "ESTIMATORS['still'] = Estimator(still)\n"
+        "outcome = sweep('study.toml', jobs=2)\n"
+        "print(outcome.ran, outcome.failed)\n"
+        "import comparisons\n"
+        "print(comparisons.run(estimators=['still'], time_limit=60).table['still'].cost)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "script.py"], capture_output=True, text=True, env=ENVIRONMENT, cwd=tmp_path, check=False
+    )
+    assert (done.stdout, done.stderr) == ("4 0\n7.5\n", "")
+    assert {row["cost"] for row in rows(tmp_path / "study.sqlite") if row["estimator"] == "still"} == {7.5}
+
+
+def test_an_estimator_that_cannot_be_sent_is_named(make: Callable[..., Study], monkeypatch: pytest.MonkeyPatch) -> None:
+    lock = threading.Lock()
+
+    def locked(log: Log, options: RunOptions) -> EstimatorResult:
+        with lock:
+            return ESTIMATORS["dead-reckoning"].run(log, options)
+
+    monkeypatch.setitem(ESTIMATORS, "locked", Estimator(locked))
+    study = make("estimators = ['locked']\n[simulate]\nsteps = 8\n")
+    with pytest.raises(OptionError, match="the estimator 'locked' cannot be sent to another process .*jobs=0"):
+        sweep(study, jobs=2)
+    assert sweep(study, jobs=0).failed == 0
 
 
 @pytest.mark.slow

@@ -150,3 +150,72 @@ def test_files_that_are_none(text, message, tmp_path):
         load_factors(path)
     with pytest.raises(FormatError, match="cannot be read"):
         load_factors(tmp_path / "missing.json")
+
+
+def mixed_graph():
+    """GTSAM's own factors, ours and an empty place, in turn; and the function that one has as residual."""
+
+    def gps(x):
+        return x[:2] - np.array([1.0, 2.0]), [np.eye(3)[:2]]
+
+    noise = gtsam.noiseModel.Diagonal.Sigmas([0.1, 0.2, 1 / 3])
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(1 / 3, 0.1, 0.2), noise))
+    graph.add(VirtualMotionFactor(0, 1, Z[0], Z[1], kernel="huber"))
+    robust = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy(2.0), noise)
+    graph.add(gtsam.BetweenFactorPose2(0, 1, gtsam.Pose2(0.9, 0.0, 0.1), robust))
+    graph.add(gtsam.PriorFactorPose2(1, gtsam.Pose2(), noise))
+    graph.add(ResidualFactor([1], gps, 25 * np.eye(2)))
+    graph.remove(3)
+    return graph, {"gps": gps}
+
+
+def test_a_graph_with_factors_of_gtsam_can_be_saved(values, tmp_path):
+    graph, functions = mixed_graph()
+    save_factors(graph, tmp_path / "graph.json", functions)
+    again = load_factors(tmp_path / "graph.json", functions)
+    assert again.size() == graph.size() == 5 and again.at(3) is None
+    assert [type(again.at(k)) for k in (0, 2)] == [gtsam.PriorFactorPose2, gtsam.BetweenFactorPose2]
+    for k in (0, 1, 2, 4):
+        assert again.at(k).error(values) == graph.at(k).error(values) > 0
+        assert list(again.at(k).keys()) == list(graph.at(k).keys())
+    assert isinstance(again.at(2).noiseModel(), gtsam.noiseModel.Robust)
+    # a second time the same file
+    save_factors(again, tmp_path / "again.json", functions)
+    assert (tmp_path / "again.json").read_text() == (tmp_path / "graph.json").read_text()
+
+
+def test_what_cannot_be_saved_or_loaded_says_why(tmp_path):
+    graph, functions = mixed_graph()
+    path = tmp_path / "graph.json"
+    with pytest.raises(OptionError, match=r"residual is a function.*functions="):
+        save_factors(graph, path)
+    one = gtsam.noiseModel.Unit.Create(1)
+    with pytest.raises(OptionError, match="factor 1, a PoseRotationPrior2D, cannot be saved"):
+        save_factors([AnchorFactor(0, [0, 0, 0]), gtsam.PoseRotationPrior2D(0, gtsam.Pose2(), one)], path)
+    assert not path.exists()
+    save_factors(graph, path, functions)
+    with pytest.raises(FormatError, match=r"factor 4: it needs the function 'gps'"):
+        load_factors(path)
+    data = json.loads(path.read_text())
+    path.write_text(json.dumps(data | {"gtsam": data["gtsam"][:60]}))
+    with pytest.raises(FormatError, match="GTSAM cannot read its own factors"):
+        load_factors(path, functions)
+    path.write_text(json.dumps(data | {"factors": [{"gtsam": 7}]}))
+    with pytest.raises(FormatError, match="factor 0: there is no factor 7"):
+        load_factors(path, functions)
+
+
+def test_prints_name_the_factor_types(capfd):
+    graph, _ = mixed_graph()
+    theirs = gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(1), [8], lambda *_: np.zeros(1))
+    graph.add(theirs)
+    lines = [line for line in str(graph).splitlines() if line.startswith("Factor ")]
+    assert "Factor 1: VirtualMotionFactor on 0, 1" in lines and "Factor 4: ResidualFactor on 1" in lines
+    assert "Factor 0: PriorFactor on 0" in lines and "Factor 5: CustomFactor on 8" in lines
+    assert str(graph.at(1)).startswith("VirtualMotionFactor on 0, 1") and repr(theirs).startswith("CustomFactor on 8")
+    graph.print("mine: ", lambda key: f"<{key}>")
+    graph.at(1).print("one: ")
+    printed = capfd.readouterr().out
+    assert printed.startswith("mine: size: 6") and "Factor 1: VirtualMotionFactor on <0>, <1>" in printed
+    assert "one: VirtualMotionFactor on 0, 1" in printed

@@ -12,6 +12,9 @@ from hypothesis import strategies as st
 
 from graphslam import MotionModel, OptionError, SensorModel, textbook
 from graphslam.factors import AnchorFactor, MotionFactor, RelativePoseFactor, VirtualMotionFactor
+from graphslam.factors.arguments import sighted_covariance
+from graphslam.factors.relative_pose import _from_origin
+from graphslam.precision import small_inverse
 from graphslam.se2 import wrap
 
 sensor, motion = SensorModel(), MotionModel(slip=0.05)
@@ -130,6 +133,32 @@ def test_what_may_be_given_by_position():
     ):
         with pytest.raises(TypeError, match="positional argument"):
             make()
+
+
+@given(sighting, angle, st.sampled_from([2, 3]))
+def test_the_covariance_of_one_sighting_is_the_sensor_models(z, theta, d):
+    model = SensorModel(range_rate=0.1, range_std=0.05)
+    covariance = sighted_covariance(theta, z[:d].tolist(), model)
+    np.testing.assert_allclose(covariance, model.landmark_covariance([0, 0, theta], z[:d]), atol=1e-14 * z[0] ** 2)
+
+
+@given(st.floats(-2, 2), st.one_of(st.floats(-2, 2), st.sampled_from([0.0, 1e-9, 0.19999, 0.2])), st.floats(0.01, 3))
+def test_the_motion_from_the_origin_is_the_motion_models(nu, omega, dt):
+    model = MotionModel(slip=0.05, sigma_v=0.02, sigma_omega=0.01)
+    moved, covariance = _from_origin(model, nu, omega, dt)
+    np.testing.assert_allclose(moved, model.f([0, 0, 0], [nu, omega], dt), atol=1e-14)
+    np.testing.assert_allclose(covariance, model.covariance([0, 0, 0], [nu, omega], dt), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(small_inverse(covariance) @ covariance, np.eye(3), atol=1e-8)
+
+
+def test_the_inverse_of_one_matrix():
+    """Lengths of very different size lose no digits, and what is not positive definite has none."""
+    scale = np.diag([1e-9, 1.0, 1e9])
+    matrix = scale @ [[2.0, 0.3, 0.1], [0.3, 1.0, -0.4], [0.1, -0.4, 3.0]] @ scale
+    exact = np.linalg.inv([[2.0, 0.3, 0.1], [0.3, 1.0, -0.4], [0.1, -0.4, 3.0]])
+    np.testing.assert_allclose(scale @ small_inverse(matrix.tolist()) @ scale, exact, rtol=1e-13)
+    for wrong in ([[1.0, 2.0], [2.0, 1.0]], [[0.0, 0.0], [0.0, 1.0]], [[1.0, 1.0], [1.0, 1.0]], [[np.nan, 0], [0, 1]]):
+        assert small_inverse(wrong) is None
 
 
 def test_factors_are_collected():

@@ -515,9 +515,15 @@ def test_sightings_without_ids_are_remarked(drive):
     assert not log.identified
     note, _ = log.notes
     assert note.endswith(
-        "sightings.csv: no column for id (named id or landmark or landmark_id, ...), so no landmark is identified; it has "
-        "t, range, bearing. If one has them, say which: --columns sightings.id=NAME"
+        "sightings.csv: no column for id (named id or landmark or landmark_id, ...), so no landmark is identified"
     )
+
+
+def test_a_column_that_may_have_the_ids_is_asked_for(drive):
+    rows = [(t, "a", r, b) for t, _, r, b in SEEN]
+    log = load(drive(sightings=text("t,serial,range,bearing", rows)))
+    note, _ = log.notes
+    assert note.endswith("it has t, serial, range, bearing. If one has the ids, say which: --columns sightings.id=NAME")
 
 
 def test_poses_that_move_sideways_are_a_doubt(drive):

@@ -209,6 +209,9 @@ def test_biases_are_noted_and_their_values_are_those_of_the_data(tmp_path):
         f"(range x {log.sightings[0, 0] / exact[0, 0]:.3f}, bearing {log.sightings[0, 1] - exact[0, 1]:+.3f} rad)"
         in note
     )
+    # the note ends in the command that estimates them, and names no parameter without a bias
+    assert note.endswith("to estimate the biases: --estimate range_scale,bearing_bias --estimators graph-marginal")
+    assert "--estimate wheel_scale,turn_scale,bearing_bias " in load(sample_log_path()).notes[0]
     save(log, tmp_path / "log.npz")
     assert load(tmp_path / "log.npz").notes == log.notes
     assert simulate(seed=5, clean=True).notes == ()
