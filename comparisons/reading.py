@@ -23,6 +23,7 @@ from graphslam import (
     load,
     sample_log_path,
 )
+from graphslam.errors import quoted
 from graphslam.keyframes import with_poses_every
 
 from .noise_files import read_noise
@@ -111,11 +112,13 @@ def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> 
         data = log
         for name in OF_FILES:
             if getattr(options, name) is not None:
-                raise OptionError(f"{name} applies when a file is read, and {log.name!r} is a Log that has been read")
+                raise OptionError(
+                    f"{name} applies when a file is read, and {quoted(log.name)} is a Log that has been read"
+                )
         if options.keep_every is not None:
             data = with_poses_every(data, options.keep_every)
     elif log is not None and not isinstance(log, (str, PathLike)):
-        raise OptionError(f"a log is a Log, or the path of its file or folder, not {type(log).__name__}: {log!r}")
+        raise OptionError(f"a log is a Log, or the path of its file or folder, not {type(log).__name__}: {quoted(log)}")
     else:
         path = sample_log_path() if log is None else Path(log)
         keywords = {name: getattr(options, name) for name in (*OF_FILES, "keep_every")}

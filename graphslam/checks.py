@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import OptionError
+from .errors import OptionError, quoted, shortened
 
 
 def option(default: Any, help: str, unit: str = "", **more: Any) -> Any:
@@ -33,28 +33,28 @@ def option(default: Any, help: str, unit: str = "", **more: Any) -> Any:
 def check_choice(name: str, value: str, allowed: Collection[str]) -> None:
     """Raise `OptionError` unless ``value`` is one of ``allowed``."""
     if not isinstance(value, str) or value not in allowed:
-        raise OptionError(f"{name} must be one of {', '.join(allowed)}, not {value!r}")
+        raise OptionError(f"{name} must be one of {', '.join(allowed)}, not {quoted(value)}")
 
 
 def check_positive(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is a positive finite number."""
     for name, value in values.items():
         if not isinstance(value, Real) or not 0 < value <= sys.float_info.max:
-            raise OptionError(f"{name} must be a positive number, not {value!r}")
+            raise OptionError(f"{name} must be a positive number, not {quoted(value)}")
 
 
 def check_not_negative(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is zero or above; infinity is allowed."""
     for name, value in values.items():
         if not value >= 0:
-            raise OptionError(f"{name} must not be negative, but is {value!r}")
+            raise OptionError(f"{name} must not be negative, but is {quoted(value)}")
 
 
 def check_count(**values: int) -> None:
     """Raise `OptionError` unless every keyword's value is a whole number, 0 or above."""
     for name, value in values.items():
         if not isinstance(value, Integral) or isinstance(value, bool):
-            raise OptionError(f"{name} must be a whole number, not {value!r}")
+            raise OptionError(f"{name} must be a whole number, not {quoted(value)}")
         if value < 0:
             raise OptionError(f"{name} must not be negative, but is {value}")
 
@@ -72,7 +72,7 @@ def checked_offset(name: str, value: Any) -> tuple[float, float]:
     if offset.size == 1:
         offset = np.array([offset.item(), 0.0])
     if offset.shape != (2,) or not np.all(np.isfinite(offset)):
-        raise OptionError(f"{name} must be (ahead, to the left) in m, or one number ahead, not {value!r}")
+        raise OptionError(f"{name} must be (ahead, to the left) in m, or one number ahead, not {quoted(value)}")
     return float(offset[0]), float(offset[1])
 
 
@@ -93,5 +93,5 @@ def listed(noun: str, numbers: list[int], most: int = 8) -> str:
 
 def suggestion(word: object, known: Collection[str]) -> str:
     """The end of a message about an unknown word: the known word that is spelled like it, if there is one."""
-    matches = difflib.get_close_matches(str(word), list(known), n=1)
-    return f"; did you mean {matches[0]!r}?" if matches else ""
+    matches = difflib.get_close_matches(shortened(str(word)), list(known), n=1)
+    return f"; did you mean {quoted(matches[0])}?" if matches else ""

@@ -15,7 +15,7 @@ from .build import file_of_parts, node_names, parts_of_file, parts_of_log
 from .checks import check_choice, check_positive
 from .edges import AnchorEdges, EdgeFamily, LandmarkSightings, MarginalEdges, SightingEdges
 from .edges.robust import Kernel, kernel_of
-from .errors import GraphError, OptionError
+from .errors import GraphError, OptionError, quoted
 from .formats.pose_graph import read_pose_graph, write_g2o
 from .linear.information import BlockSystem
 from .log import Log
@@ -122,7 +122,7 @@ class Graph:
             OptionError: an option has an impossible value.
         """
         if not isinstance(log, Log):
-            raise OptionError(f"log must be a Log, not {log!r}; graphslam.load(path) reads one")
+            raise OptionError(f"log must be a Log, not {quoted(log)}; graphslam.load(path) reads one")
         check_choice("edges", edges, EDGES)
         check_choice("frame", frame, FRAMES)
         check_choice("weight", weight, WEIGHTS)
@@ -341,7 +341,7 @@ def _expected_cost(family: EdgeFamily) -> float:
 
 def _with_dimensions(log: Log, dimensions: int | None) -> Log:
     if dimensions not in (None, 2, 3):
-        raise OptionError(f"dimensions must be 2 or 3, not {dimensions!r}")
+        raise OptionError(f"dimensions must be 2 or 3, not {quoted(dimensions)}")
     if dimensions == 3 and not log.has_orientation:
         raise GraphError(
             f"{log.name} has sightings without psi, but 3-D sensor values were asked for; use dimensions=2"

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import check_positive, checked_offset, first
-from .errors import LogError, OptionError, printable
+from .errors import LogError, OptionError, printable, quoted, shortened
 from .models import MotionModel, SensorModel
 from .reading import NO_CLASS, UNIDENTIFIED
 from .se2 import Array, mounted, wrap
@@ -346,7 +346,7 @@ class Log:
         """
         check_positive(range_scale=scale)
         if not np.isfinite(bias):
-            raise OptionError(f"range_bias must be a finite number, not {bias!r}")
+            raise OptionError(f"range_bias must be a finite number, not {quoted(bias)}")
         sightings = self.sightings.copy()
         sightings[:, 0] = (sightings[:, 0] - bias) / scale
         if (k := first(sightings[:, 0] <= 0)) is not None:
@@ -369,7 +369,7 @@ class Log:
         """
         check_positive(wheel_scale=wheel_scale)
         if not np.isfinite(turn_rate_bias):
-            raise OptionError(f"turn_rate_bias must be a finite number, not {turn_rate_bias!r}")
+            raise OptionError(f"turn_rate_bias must be a finite number, not {quoted(turn_rate_bias)}")
         controls, _, _ = self._driven(None)
         corrected = replace(self, controls=(controls - [0.0, turn_rate_bias]) / [wheel_scale, 1.0])
         return replace(corrected, initial_poses=corrected.dead_reckoning())
@@ -497,7 +497,7 @@ def _floats(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError) as error:
-        raise LogError(f"{name} must be an array of numbers: {error}") from None
+        raise LogError(f"{name} must be an array of numbers: {shortened(str(error))}") from None
     if array.ndim != len(shape) or any(want is not None and want != have for want, have in zip(shape, array.shape)):
         wanted = ", ".join("any" if want is None else str(want) for want in shape)
         raise LogError(f"{name} must have shape ({wanted}), not {array.shape}")
@@ -517,7 +517,7 @@ def _integers(name: str, value: ArrayLike, length: int, wanted: str = "whole num
         with np.errstate(invalid="ignore"):
             whole = array.astype(np.int64)
     except (TypeError, ValueError):  # of a word, or None
-        raise LogError(f"{name} must be {wanted}, not such as {array[0]!r}") from None
+        raise LogError(f"{name} must be {wanted}, not such as {quoted(array[0])}") from None
     if not np.array_equal(whole, array):
         raise LogError(f"{name} must be {wanted}")
     return whole.copy()

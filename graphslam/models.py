@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import check_positive, checked_offset, option
-from .errors import OptionError
+from .errors import OptionError, quoted
 from .se2 import Array, mounted, wrap
 
 
@@ -58,7 +58,7 @@ class NoiseModel:
         known = [f.name for f in fields(self)]  # type: ignore[arg-type]  # every subclass is a dataclass
         for name in given:
             if name not in known:
-                raise OptionError(f"{type(self).__name__} has no {name!r}; its fields are {', '.join(known)}")
+                raise OptionError(f"{type(self).__name__} has no {quoted(name)}; its fields are {', '.join(known)}")
         zero = {}
         for group, other in (self.ALTERNATIVES, self.ALTERNATIVES[::-1]):
             if not given.keys().isdisjoint(group) and given.keys().isdisjoint(other):
@@ -317,10 +317,10 @@ class SensorModel(NoiseModel):
         object.__setattr__(self, "offset", checked_offset("offset", self.offset))
         if not 0 <= self.min_range < self.max_range:
             raise OptionError(
-                f"min_range must lie between 0 and max_range ({self.max_range:g} m), not {self.min_range!r}"
+                f"min_range must lie between 0 and max_range ({self.max_range:g} m), not {quoted(self.min_range)}"
             )
         if not 0 < self.field_of_view <= 2 * pi:
-            raise OptionError(f"field_of_view must be positive and at most 2 pi, not {self.field_of_view!r}")
+            raise OptionError(f"field_of_view must be positive and at most 2 pi, not {quoted(self.field_of_view)}")
 
     @classmethod
     def constant(cls, range_std: float, bearing_std: float, *, offset: tuple[float, float] = (0.0, 0.0)) -> SensorModel:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from .checks import suggestion
-from .errors import FormatError, OptionError
+from .errors import FormatError, OptionError, quoted, shortened
 from .files import check_file
 
 T = TypeVar("T")
@@ -44,7 +44,7 @@ class TomlFile:
         except tomllib.TOMLDecodeError as error:
             found = re.search(r"\(at line (\d+), column \d+\)$", str(error))
             message = re.sub(r" \(at .*\)$", "", str(error))
-            raise FormatError(path, int(found[1]) if found else None, f"not valid TOML: {message}") from None
+            raise FormatError(path, int(found[1]) if found else None, f"not valid TOML: {shortened(message)}") from None
 
     def error(self, key: str, message: str) -> FormatError:
         """The error of a key, "table.key" where it stands in a table, with its line where it can be determined."""
@@ -80,7 +80,7 @@ class TomlFile:
                 place = f" in [{where}]" if where else ""
                 raise self.error(
                     f"{where}.{key}" if where else key,
-                    f"unknown key {key!r}{place}" + (suggestion(key, known) or f"; known are {', '.join(known)}"),
+                    f"unknown key {quoted(key)}{place}" + (suggestion(key, known) or f"; known are {', '.join(known)}"),
                 )
 
     def value(self, table: Mapping[str, Any], key: str, *types: type, where: str = "") -> Any:
@@ -95,7 +95,7 @@ class TomlFile:
         if float in types and type(value) is int:
             return float(value)
         place = f"{where}.{key}" if where else key
-        raise self.error(place, f"{place} should be {' or '.join(TYPE_NAMES[t] for t in types)}, not {value!r}")
+        raise self.error(place, f"{place} should be {' or '.join(TYPE_NAMES[t] for t in types)}, not {quoted(value)}")
 
     def attempt(self, make: Callable[[], T], where: str = "") -> T:
         """What a function returns; its `OptionError` becomes a `FormatError` with the line of the option.

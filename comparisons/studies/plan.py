@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from graphslam import FormatError, OptionError
-from graphslam.errors import printable
+from graphslam.errors import printable, quoted
 
 from ..estimators import ESTIMATORS, default_estimators
 from ..noise_files import read_noise
@@ -128,7 +128,9 @@ def _seeds(file: TomlFile) -> list[int]:
         raise file.error("seeds", f"a study has at most {MOST_SEEDS} seeds, not {seeds}")
     listed = list(range(seeds)) if type(seeds) is int else seeds
     if not isinstance(listed, list) or not listed or not all(type(seed) is int and seed >= 0 for seed in listed):
-        raise file.error("seeds", f"seeds should be their number, or a list of whole numbers from 0, not {seeds!r}")
+        raise file.error(
+            "seeds", f"seeds should be their number, or a list of whole numbers from 0, not {quoted(seeds)}"
+        )
     return list(dict.fromkeys(listed))
 
 
@@ -141,7 +143,7 @@ def _files(file: TomlFile, patterns: tuple[str, ...]) -> Iterator[tuple[str, dic
             root = Path(pattern).anchor
             paths = sorted(Path(root or folder).glob(pattern.removeprefix(root)))
             if not paths:
-                raise file.error("logs", f"no file matches {pattern!r} in {root or folder}")
+                raise file.error("logs", f"no file matches {quoted(pattern)} in {root or folder}")
         for path in paths:
             try:
                 digest = sha256_of(path)
@@ -159,7 +161,7 @@ def _worlds(file: TomlFile) -> Iterator[tuple[str, dict[str, Any]]]:
         where = "simulate" if isinstance(tables, dict) else f"simulate[{number - 1}]"
         if not isinstance(table, dict):
             raise file.error(
-                "simulate", f"simulate should be a table [simulate], or several [[simulate]], not {table!r}"
+                "simulate", f"simulate should be a table [simulate], or several [[simulate]], not {quoted(table)}"
             )
         fixed = _settings(file, {key: value for key, value in table.items() if key not in ("name", "vary")}, where)
         name = file.value(table, "name", str, where=where) or fixed.get("world", "book")
@@ -232,7 +234,7 @@ def _combinations(
         for inner, listed in inside.items():
             name = key if inner is None else f"{key}.{inner}"
             if not isinstance(listed, list) or not listed:
-                raise file.error(f"{where}.{name}", f"{where}.{name} should be a list of values, not {listed!r}")
+                raise file.error(f"{where}.{name}", f"{where}.{name} should be a list of values, not {quoted(listed)}")
             axes.append([check(file, {key: v if inner is None else {inner: v}}, where) for v in listed])
     for chosen in product(*axes):
         yield {name: value for entry in chosen for name, value in entry.items()}

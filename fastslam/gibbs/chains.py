@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam.errors import LogError, OptionError
+from graphslam.errors import LogError, OptionError, quoted
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
@@ -63,7 +63,7 @@ class ParticleGibbs:
         **keywords: Any,
     ) -> None:
         if not isinstance(log, Log):
-            raise OptionError(f"log must be a Log, not {log!r}")
+            raise OptionError(f"log must be a Log, not {quoted(log)}")
         self.options = replace(options or GibbsOptions(), **keywords)
         if not log.identified:
             raise OptionError(
@@ -131,7 +131,7 @@ def _seeds(seed: Any, count: int) -> list[int]:
     if isinstance(seed, np.random.Generator):
         seed = int(seed.integers(2**63))
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise OptionError(f"seed must be a whole number, not below 0, not {seed!r}")
+        raise OptionError(f"seed must be a whole number, not below 0, not {quoted(seed)}")
     return [int(s.generate_state(1)[0]) for s in np.random.SeedSequence(int(seed)).spawn(count)]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import GraphError, LogError, OptionError
+from ..errors import GraphError, LogError, OptionError, quoted
 from ..log import UNIDENTIFIED, Log
 from ..models import MotionModel, SensorModel
 from ..parameters.declared import ParameterEstimate
@@ -203,7 +203,7 @@ def _starts(log: Log, start: Start | list[Start | None] | None) -> list[tuple[np
             found.append((None, None))
             continue
         if not isinstance(each, tuple) or len(each) != 2:
-            raise OptionError(f"a start must be a pair (ids, poses), not {each!r}")
+            raise OptionError(f"a start must be a pair (ids, poses), not {quoted(each)}")
         labels, poses = np.asarray(each[0]), np.asarray(each[1], dtype=float)
         if labels.shape != log.steps.shape or poses.shape != log.initial_poses.shape:
             raise OptionError(f"start must be {len(log.steps)} ids and poses of shape {log.initial_poses.shape}")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import check_choice
-from ..errors import OptionError
+from ..errors import OptionError, quoted
 from ..models import MotionModel, SensorModel
 from ..precision import SMALLEST, check_model, check_size
 from ..se2 import Array
@@ -42,7 +42,7 @@ def numbers(name: str, value: Any, lengths: tuple[int, ...], rows: int | None = 
     fits = array.ndim == len(leading) + 1 and array.shape[:-1] == leading and array.shape[-1] in lengths
     if not fits or not np.isfinite(array).all():
         count = f"{' or '.join(map(str, lengths))} finite numbers"
-        raise OptionError(f"{name} must be {count if rows is None else f'{rows} rows of {count}'}, not {value!r}")
+        raise OptionError(f"{name} must be {count if rows is None else f'{rows} rows of {count}'}, not {quoted(value)}")
     return array
 
 
@@ -78,7 +78,7 @@ def sensor_of(sensor: Any) -> SensorModel:
     if sensor is None:
         return SensorModel()
     if not isinstance(sensor, SensorModel):
-        raise OptionError(f"sensor must be a SensorModel, not {sensor!r}")
+        raise OptionError(f"sensor must be a SensorModel, not {quoted(sensor)}")
     check_model(sensor)
     return sensor
 
@@ -93,7 +93,7 @@ def motion_of(motion: Any) -> MotionModel:
     if motion is None:
         return MotionModel()
     if not isinstance(motion, MotionModel):
-        raise OptionError(f"motion must be a MotionModel, not {motion!r}")
+        raise OptionError(f"motion must be a MotionModel, not {quoted(motion)}")
     check_model(motion)
     return motion
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..checks import check_choice
-from ..errors import FormatError, OptionError
+from ..errors import FormatError, OptionError, quoted
 from ..files import check_file, check_path, check_unpacked
 from ..keyframes import with_poses_every
 from ..log import Log
@@ -51,10 +51,12 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
     known = {f.name: f.metadata.get("needs") for f in fields(ReadOptions)}
     for name in options:
         if name not in known:
-            raise OptionError(f"load has no option {name!r}; its options are format, {', '.join(known)}")
+            raise OptionError(f"load has no option {quoted(name)}; its options are format, {', '.join(known)}")
         needs = known[name]
         if options[name] is not None and needs is not None and not getattr(chosen, needs):
-            raise OptionError(f"{name} does not apply to logs of the format {chosen.name!r} ({path}); leave it out")
+            raise OptionError(
+                f"{name} does not apply to logs of the format {quoted(chosen.name)} ({path}); leave it out"
+            )
     reading = ReadOptions(**options)
     log = chosen.read(path, reading)
     if reading.keep_every is None or chosen.separate_times:
@@ -98,7 +100,9 @@ def save(log: Log, path: str | PathLike[str], *, format: str | None = None) -> N
         by_suffix = {suffix: name for name in writers for suffix in FORMATS[name].suffixes}
         if path.suffix not in by_suffix:
             known = ", ".join(by_suffix)
-            raise FormatError(path, None, f"cannot tell the format from the suffix {path.suffix!r}; use one of {known}")
+            raise FormatError(
+                path, None, f"cannot tell the format from the suffix {quoted(path.suffix)}; use one of {known}"
+            )
         format = by_suffix[path.suffix]
     check_choice("format", format, writers)
     writers[format](log, path)

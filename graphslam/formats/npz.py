@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, SlamError
+from ..errors import FormatError, SlamError, shortened
 from ..files import check_file, write_whole
 from ..log import Log
 from ..models import MotionModel, SensorModel
@@ -42,7 +42,9 @@ def _read(path: Path, _: ReadOptions) -> Log:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
             content = {name: archive[name] for name in archive.files}
     except Exception as error:  # what a damaged archive raises depends on the byte
-        raise FormatError(path, None, f"not a readable .npz archive ({error}); was it cut short?") from None
+        raise FormatError(
+            path, None, f"not a readable .npz archive ({shortened(str(error))}); was it cut short?"
+        ) from None
     if str(content.get("format")) != VERSION:
         raise FormatError(path, None, f"the archive is not a log: its entry 'format' should be {VERSION!r}")
     missing = [name for name in _REQUIRED if name not in content]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import check_not_negative, option
-from ..errors import OptionError
+from ..errors import OptionError, quoted
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, wrap
@@ -64,7 +64,7 @@ class SensorFaults:
         check_not_negative(**vars(self))
         for name in ("phantom", "oversight", "occlusion"):
             if getattr(self, name) > 1:
-                raise OptionError(f"{name} must be a probability between 0 and 1, not {getattr(self, name)!r}")
+                raise OptionError(f"{name} must be a probability between 0 and 1, not {quoted(getattr(self, name))}")
 
 
 #: the biases that are factors; the others are angles

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import check_positive, option
-from ..errors import OptionError
+from ..errors import OptionError, quoted
 
 #: rows of x, y (and heading) [m, m, rad]
 Places = tuple[tuple[float, ...], ...]
@@ -51,7 +51,7 @@ class World:
             raise OptionError(f"steps must be at least 1, not {self.steps}")
         check_positive(dt=self.dt, speed=self.speed, max_range=self.max_range, field_of_view=self.field_of_view)
         if not 0 <= self.min_range < self.max_range:
-            raise OptionError(f"min_range must lie between 0 and {self.max_range:g} m, not {self.min_range!r}")
+            raise OptionError(f"min_range must lie between 0 and {self.max_range:g} m, not {quoted(self.min_range)}")
         start, route, landmarks = np.asarray(self.start, dtype=float), self.way_points, self.landmarks
         if start.shape != (3,):
             raise OptionError(f"start must be (x, y, theta), not an array of shape {start.shape}")

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..checks import first
+from ..errors import named
 from ..reading import UNIDENTIFIED
 from ..se2 import Array
 from .classes import classes_of
@@ -85,7 +86,7 @@ class _Reader:
 
     def missing(self, role: str, consequence: str = "") -> str:
         """The sentence about a column that is not there, with those that are."""
-        have = ", ".join(self.table.names) if self.table.names else f"{self.table.width} columns without names"
+        have = named(self.table.names) if self.table.names else f"{self.table.width} columns without names"
         names = " or ".join(dict.fromkeys((role, *NAMES[role][:3])))
         which = "If one has them, say which" if role == "id" else "Say which it is"
         which += f": --columns {self.kind}.{role}=NAME"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..checks import first
-from ..errors import LogError
+from ..errors import LogError, named
 from ..reading import UNIDENTIFIED
 from .grid import MISSING
 from .table import Table
@@ -68,7 +68,7 @@ def ids_of(table: Table, column: int, known: Mapping[str, int] | None = None) ->
             f"{table.source}: the id -1 is a landmark like others; leave it empty where none was identified",
         )
     if names:
-        listed = ", ".join(f"{number} = {name}" for name, number in list(names.items())[:10])
+        listed = named(f"{number} = {name}" for name, number in names.items())
         notes = (*notes, f"{table.source}: landmarks have names, ids count them: {listed}")
     return Ids(ids, names, notes)
 

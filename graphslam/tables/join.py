@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import checked_offset, suggestion
-from ..errors import LogError, OptionError
+from ..errors import LogError, OptionError, quoted
 from ..models import SensorModel
 from ..reading import ReadOptions
 from ..se2 import Array
@@ -123,7 +123,7 @@ def parts_of_tables(
     for change in changes:
         if change not in (names := [f.name for f in fields(TableOptions)]):
             raise OptionError(
-                f"from_tables has no option {change!r}{suggestion(change, names) or '; see TableOptions'}"
+                f"from_tables has no option {quoted(change)}{suggestion(change, names) or '; see TableOptions'}"
             )
     drive = read_drive(odometry, sightings, truth=truth, map=map, options=options or TableOptions(**changes))
     return drive.parts(ReadOptions(keep_every=keep_every), name)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from ..checks import check_choice, option, suggestion
-from ..errors import OptionError
+from ..errors import OptionError, quoted
 
 #: the tables of a drive, and what each holds
 TABLES = {
@@ -97,7 +97,7 @@ class TableOptions:
         try:
             return round(float(value) * 1e9)
         except (ValueError, OverflowError):
-            raise OptionError(f"clocks: {table} should be a number of seconds, not {value!r}") from None
+            raise OptionError(f"clocks: {table} should be a number of seconds, not {quoted(value)}") from None
 
     def columns_of(self, table: str) -> Mapping[str, str | int]:
         """The stated columns of a table, {role: name or number}."""
@@ -111,7 +111,7 @@ class TableOptions:
         if isinstance(value, Mapping):
             entries = dict(value)
         elif not isinstance(value, str):
-            raise OptionError(f"{name} must be text or a mapping, not {value!r}")
+            raise OptionError(f"{name} must be text or a mapping, not {quoted(value)}")
         elif "=" not in value:
             entries = {"": value}
         else:
@@ -129,7 +129,9 @@ class TableOptions:
             for key, column in _entries("columns", value or "").items():
                 table, dot, role = key.partition(".")
                 if not dot:
-                    raise OptionError(f"columns: {key!r} should name a table, too, such as odometry.{key}={column}")
+                    raise OptionError(
+                        f"columns: {quoted(key)} should name a table, too, such as odometry.{key}={column}"
+                    )
                 entries.setdefault(table, {})[role] = column
         for table in entries:
             check_table("columns", table, TABLES)
@@ -140,7 +142,8 @@ def check_table(option: str, table: str, known: Collection[str] = tuple(TABLES))
     """Raise `OptionError` unless a table has this name."""
     if table not in known:
         raise OptionError(
-            f"{option}: there is no table {table!r}" + (suggestion(table, TABLES) or f"; they are {', '.join(TABLES)}")
+            f"{option}: there is no table {quoted(table)}"
+            + (suggestion(table, TABLES) or f"; they are {', '.join(TABLES)}")
         )
 
 
@@ -150,6 +153,6 @@ def _entries(option: str, text: str) -> dict[str, str]:
     for part in filter(None, (part.strip() for part in text.split(","))):
         key, equals, value = part.partition("=")
         if not equals or not value.strip():
-            raise OptionError(f"{option}: {part!r} should be NAME=VALUE")
+            raise OptionError(f"{option}: {quoted(part)} should be NAME=VALUE")
         entries[key.strip()] = value.strip()
     return entries

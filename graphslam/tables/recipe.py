@@ -15,7 +15,7 @@ from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from ..errors import OptionError
+from ..errors import OptionError, quoted
 from ..toml_file import TomlFile
 from .drive import ROLES
 from .options import TABLES, TableOptions
@@ -94,7 +94,7 @@ def merged(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
     old = {f.name: getattr(recipe.options, f.name) for f in fields(TableOptions)}
     for name in given:
         if name not in old:
-            raise OptionError(f"there is no option {name!r} of tables; they are {', '.join(old)}")
+            raise OptionError(f"there is no option {quoted(name)} of tables; they are {', '.join(old)}")
     defaults = {f.name: f.default for f in fields(TableOptions) if f.default is not MISSING}
     kept = {name: value for name, value in old.items() if value != defaults[name]}
     return Recipe(TableOptions(**kept | given), recipe.places)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FormatError
+from ..errors import FormatError, named, quoted
 from ..files import read_text
 from ..se2 import Array
 from .grid import MISSING, grid_of
@@ -153,13 +153,13 @@ class TextTable(Table):
                 raise self.error(row, message)
             for column in columns:
                 if not self._is_number(cells[column]):
-                    message = f"{self.title(column)} should be a number, not {cells[column]!r}"
+                    message = f"{self.title(column)} should be a number, not {quoted(cells[column])}"
                     if tuple(cells) == self.names:
                         message += "; this line repeats the header, as where files were joined; delete it"
                     raise self.error(row, message)
 
     def _named(self) -> str:
-        return f" ({', '.join(self.names)})" if self.names else ""
+        return f" ({named(self.names)})" if self.names else ""
 
 
 def _split(line: str, separator: str | None) -> list[str]:
@@ -209,6 +209,6 @@ def _form(path: Path, head: list[str]) -> tuple[str | None, bool]:
                 best = (score, separator, comma)
     if best[0] == 0.0:
         raise FormatError(
-            path, None, f"cannot find columns in {head[0][:60]!r}; separate them by commas, semicolons, tabs or spaces"
+            path, None, f"cannot find columns in {quoted(head[0])}; separate them by commas, semicolons, tabs or spaces"
         )
     return best[1], best[2]
