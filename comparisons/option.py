@@ -114,7 +114,10 @@ class Option:
 
     def _single(self, value: Any) -> Any:
         if self.each is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
+            try:
+                value = float(value)
+            except OverflowError:
+                raise OptionError(f"{self.name} must be a number below 1e308, not {quoted(value)}") from None
         elif self.each is Path and isinstance(value, str):
             value = Path(value)
         elif self.each in (int, float) and hasattr(value, "item"):
@@ -128,9 +131,9 @@ class Option:
         if isinstance(value, float) and not math.isfinite(value) and value != self.default:
             raise OptionError(f"{self.name} must be a finite number, not {quoted(value)}")
         if self.minimum is not None and checked < self.minimum:
-            raise OptionError(f"{self.name} must be at least {self.minimum:g}, not {value}")
+            raise OptionError(f"{self.name} must be at least {self.minimum:g}, not {quoted(value)}")
         if self.maximum is not None and checked > self.maximum:
-            raise OptionError(f"{self.name} must be at most {self.maximum:g}, not {value}")
+            raise OptionError(f"{self.name} must be at most {self.maximum:g}, not {quoted(value)}")
         if self.positive and checked <= 0:
             raise OptionError(f"{self.name} must be a positive number, not {quoted(value)}")
         return value

@@ -43,9 +43,18 @@ def check_positive(**values: float) -> None:
             raise OptionError(f"{name} must be a positive number, not {quoted(value)}")
 
 
+def check_number(**values: float) -> None:
+    """Raise `OptionError` unless every keyword's value is a finite number."""
+    for name, value in values.items():
+        if not isinstance(value, Real) or isinstance(value, bool) or not abs(value) <= sys.float_info.max:
+            raise OptionError(f"{name} must be a finite number, not {quoted(value)}")
+
+
 def check_not_negative(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is zero or above; infinity is allowed."""
     for name, value in values.items():
+        if not isinstance(value, Real):
+            raise OptionError(f"{name} must be a number, not {quoted(value)}")
         if not value >= 0:
             raise OptionError(f"{name} must not be negative, but is {quoted(value)}")
 
@@ -56,7 +65,7 @@ def check_count(**values: int) -> None:
         if not isinstance(value, Integral) or isinstance(value, bool):
             raise OptionError(f"{name} must be a whole number, not {quoted(value)}")
         if value < 0:
-            raise OptionError(f"{name} must not be negative, but is {value}")
+            raise OptionError(f"{name} must not be negative, but is {quoted(value)}")
 
 
 def checked_offset(name: str, value: Any) -> tuple[float, float]:

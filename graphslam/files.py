@@ -10,6 +10,8 @@ from pathlib import Path
 
 from .errors import FormatError
 
+#: what compressed files may unpack to: a log of 20 million sightings
+MOST_BYTES = 2**30
 #: first bytes of files that are compressed as a whole -> the program that unpacks them
 _PACKED = {
     b"\x1f\x8b": "gunzip",
@@ -53,6 +55,9 @@ def check_file(path: str | os.PathLike[str]) -> None:
         raise FormatError(path, None, "there is no such file")
     if path.is_dir():
         raise FormatError(path, None, "this is a folder; a file is needed here")
+    if not path.is_file():
+        # a device may have no end, and a pipe can be read only once
+        raise FormatError(path, None, "this is a pipe or device; write its content to a file and give the name of that")
     if not os.access(path, os.R_OK):
         raise FormatError(path, None, "the file cannot be read (no permission)")
 

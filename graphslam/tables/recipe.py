@@ -53,8 +53,10 @@ def read_recipe(path: Path) -> Recipe:
     units: dict[str, dict[str, str]] = {
         name: {"": values[name]} for name in _UNITS if isinstance(values.get(name), str)
     }
-    columns: dict[str, dict[str, Any]] = dict(values.pop("columns", {}))
-    clocks: dict[str, float] = dict(values.pop("clocks", {}))
+    of_tables = {name: values.pop(name) for name in ("columns", "clocks") if name in values}
+    stated = file.attempt(lambda: TableOptions(**of_tables))
+    columns: dict[str, dict[str, Any]] = {table: dict(stated.columns_of(table)) for table in TABLES}
+    clocks = stated.by_table("clocks")
     places: dict[str, dict[str, str]] = {}
     for table in TABLES:
         content = file.value(file.table, table, dict) or {}
@@ -80,7 +82,7 @@ def _value(file: TomlFile, name: str) -> Any:
         value = file.value(file.table, name, list)
         if len(value) != 2 or not all(type(number) in (int, float) for number in value):
             raise file.error(name, f"{name} should be a list of two numbers, [forward, left]")
-        return tuple(map(float, value))
+        return tuple(file.value({name: number}, name, float) for number in value)
     if name == "sensor_yaw":
         return file.value(file.table, name, float)
     if name in (*_UNITS, "columns", "clocks"):
