@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam.checks import suggestion
+from graphslam.checks import check_type, suggestion
 from graphslam.errors import LogError, OptionError, quoted
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
@@ -93,8 +93,7 @@ class ParticleFilter(ABC):
         **keywords: Any,
     ) -> None:
         for name, value, kind in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
-            if value is not None and not isinstance(value, kind):
-                raise OptionError(f"{name} must be a {kind.__name__}, not {quoted(value)}")
+            check_type(kind, **{name: value})
         known = [field.name for field in fields(FilterOptions)]
         for name in keywords:
             if name not in known:

@@ -30,6 +30,14 @@ def option(default: Any, help: str, unit: str = "", **more: Any) -> Any:
     return field(default=default, metadata={"help": help, "unit": unit, **more})
 
 
+def check_type(kind: type, **values: object) -> None:
+    """Raise `OptionError` unless every keyword's value is None or of this type."""
+    for name, value in values.items():
+        if value is not None and not isinstance(value, kind):
+            article = "an" if kind.__name__[0] in "AEIOU" else "a"
+            raise OptionError(f"{name} must be {article} {kind.__name__}, not {quoted(value)}")
+
+
 def check_choice(name: str, value: str, allowed: Collection[str]) -> None:
     """Raise `OptionError` unless ``value`` is one of ``allowed``."""
     if not isinstance(value, str) or value not in allowed:
@@ -76,13 +84,25 @@ def checked_offset(name: str, value: Any) -> tuple[float, float]:
     """
     try:
         offset = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         offset = np.empty(0)
     if offset.size == 1:
         offset = np.array([offset.item(), 0.0])
     if offset.shape != (2,) or not np.all(np.isfinite(offset)):
         raise OptionError(f"{name} must be (ahead, to the left) in m, or one number ahead, not {quoted(value)}")
     return float(offset[0]), float(offset[1])
+
+
+def array_of(name: str, value: Any) -> np.ndarray:
+    """A value as an array of floating-point numbers of any shape.
+
+    Raises:
+        OptionError: it is none.
+    """
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise OptionError(f"{name} must be an array of numbers, not {quoted(value)}") from None
 
 
 def first(wrong: ArrayLike) -> int | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .checks import check_positive, option
+from .checks import check_count, check_positive, option
 
 #: the id of a landmark that the sensor could not identify
 UNIDENTIFIED = -(2**63)
@@ -12,6 +12,8 @@ UNIDENTIFIED = -(2**63)
 NO_CLASS = ""
 #: the most classes that sightings may have: more are no kinds of landmarks
 MOST_CLASSES = 100
+#: the most poses that ``keep_every`` may make: a tenth of a second of a whole day
+MOST_POSES = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,5 +30,7 @@ class ReadOptions:
     )
 
     def __post_init__(self) -> None:
+        if self.robot is not None:
+            check_count(robot=self.robot)
         if self.keep_every is not None:
             check_positive(keep_every=self.keep_every)

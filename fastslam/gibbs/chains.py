@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graphslam.errors import LogError, OptionError, quoted
-from graphslam.log import Log
+from graphslam.log import Log, check_is_log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 
@@ -62,8 +62,7 @@ class ParticleGibbs:
         start: ArrayLike | None = None,
         **keywords: Any,
     ) -> None:
-        if not isinstance(log, Log):
-            raise OptionError(f"log must be a Log, not {quoted(log)}")
+        check_is_log(log)
         self.options = replace(options or GibbsOptions(), **keywords)
         if not log.identified:
             raise OptionError(

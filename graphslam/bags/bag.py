@@ -94,6 +94,8 @@ def open_bag(path: Path) -> Iterator[Bag]:
                 Topic(name, info.msgtype or "several types", info.msgcount)
                 for name, info in sorted(reader.topics.items())
             )
+        if not all(isinstance(text, str) for topic in topics for text in (topic.name, topic.type)):
+            raise FormatError(path, None, "the name or type of a topic is no text; was the file damaged?")
         yield Bag(path, topics, reader.typestore.fielddefs, reader)
     finally:
         reader.close()

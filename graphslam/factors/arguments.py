@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_choice
+from ..checks import check_choice, check_type
 from ..errors import OptionError, quoted
 from ..models import MotionModel, SensorModel
 from ..precision import SMALLEST, check_model, check_size
@@ -75,10 +75,8 @@ def sensor_of(sensor: Any) -> SensorModel:
         OptionError: the argument is neither.
         GraphError: its numbers are outside of what double precision can hold.
     """
-    if sensor is None:
-        return SensorModel()
-    if not isinstance(sensor, SensorModel):
-        raise OptionError(f"sensor must be a SensorModel, not {quoted(sensor)}")
+    check_type(SensorModel, sensor=sensor)
+    sensor = sensor or SensorModel()
     check_model(sensor)
     return sensor
 
@@ -90,10 +88,8 @@ def motion_of(motion: Any) -> MotionModel:
         OptionError: the argument is neither.
         GraphError: its numbers are outside of what double precision can hold.
     """
-    if motion is None:
-        return MotionModel()
-    if not isinstance(motion, MotionModel):
-        raise OptionError(f"motion must be a MotionModel, not {quoted(motion)}")
+    check_type(MotionModel, motion=motion)
+    motion = motion or MotionModel()
     check_model(motion)
     return motion
 

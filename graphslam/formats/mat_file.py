@@ -16,6 +16,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..errors import quoted
+from ..files import MOST_BYTES
 
 HEADER = 128
 MATRIX, COMPRESSED = 14, 15
@@ -67,9 +68,16 @@ def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
 
 
 def _matrices(data: bytes, order: str) -> Iterator[bytes]:
+    """The bytes of each array of a file; one that is compressed holds one that is not."""
+    left = MOST_BYTES
     for kind, body in _elements(data, order):
         if kind == COMPRESSED:
-            yield from _matrices(zlib.decompress(body), order)
+            unpacked = zlib.decompressobj()
+            plain = unpacked.decompress(body, left)
+            if unpacked.unconsumed_tail:
+                raise ValueError(f"its variables would take more than {MOST_BYTES / 1e9:.1f} GB")
+            left -= len(plain)
+            yield from (inner for inner_kind, inner in _elements(plain, order) if inner_kind == MATRIX)
         elif kind == MATRIX:
             yield body
 

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_count, check_positive
+from ..checks import check_count, check_positive, check_type
 from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError, quoted
@@ -389,11 +389,8 @@ def _relations(
 
 
 def _model(name: str, value: Any, kind: type[Model]) -> Model:
-    if value is None:
-        return kind()
-    if not isinstance(value, kind):
-        raise OptionError(f"{name} must be a {kind.__name__}, not {quoted(value)}")
-    return value
+    check_type(kind, **{name: value})
+    return kind() if value is None else value
 
 
 def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

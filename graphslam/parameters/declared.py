@@ -150,7 +150,7 @@ def declared(
         OptionError: there is no such parameter, or its prior is impossible.
         GraphError: the edges have no such parameter.
     """
-    found = parsed(estimate or ())
+    found = parsed(() if estimate is None else estimate)
     if not found:
         return None
     if residual == "polar" and edges.startswith("landmark"):
@@ -174,6 +174,8 @@ def parsed(estimate: str | Iterable[str] | Mapping[str, float | None]) -> dict[s
     Raises:
         OptionError: there is no such parameter, or a deviation is not positive.
     """
+    if isinstance(estimate, np.ndarray):
+        estimate = estimate.ravel().tolist()
     if isinstance(estimate, str):
         estimate = [word for word in estimate.split(",") if word.strip()]
     if not isinstance(estimate, Iterable):

@@ -74,6 +74,8 @@ def solve(
     """
     check_graph(graph)
     check_options(method, tolerance, max_iterations, initialize, cost_tolerance)
+    if callback is not None and not callable(callback):
+        raise OptionError(f"callback must be a function of one Iteration, not {quoted(callback)}")
     begin, cost = time.perf_counter(), None
 
     def run_from(start: Array, search: str, descend: bool = False) -> Run:

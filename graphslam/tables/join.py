@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import checked_offset, suggestion
+from ..checks import check_type, checked_offset, suggestion
 from ..errors import LogError, OptionError, quoted
 from ..models import SensorModel
 from ..reading import ReadOptions
@@ -118,6 +118,7 @@ def parts_of_tables(
     options: TableOptions | None, **changes: Any,
 ) -> dict[str, Any]:  # fmt: skip
     """The arguments of the `Log` that `Log.from_tables` returns; its arguments and errors are the same."""
+    check_type(TableOptions, options=options)
     if options is not None and changes:
         raise OptionError(f"give {next(iter(changes))} as a field of options, or leave out options")
     for change in changes:

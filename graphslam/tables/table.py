@@ -93,11 +93,11 @@ class Columns(Table):
             values = self._columns[column]
             try:
                 numbers[:, k] = values
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 for row, value in enumerate(values):
                     try:
                         float(value)
-                    except (TypeError, ValueError):
+                    except (TypeError, ValueError, OverflowError):
                         message = f"{self.title(column)} should be a number, not {quoted(str(value))}"
                         raise self.error(row, message) from None
                 rows = f"; it has {len(values)}, and the first column {len(self)}" if len(values) != len(self) else ""
