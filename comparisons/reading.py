@@ -24,6 +24,7 @@ from graphslam import (
     sample_log_path,
 )
 from graphslam.errors import quoted
+from graphslam.files import check_file
 from graphslam.keyframes import with_poses_every
 
 from .noise_files import read_noise
@@ -154,6 +155,7 @@ def sha256_of(path: Path) -> str:
             for inner in sorted(each for each in path.iterdir() if each.is_file()):
                 whole.update(f"{inner.name}\n{sha256_of(inner)}\n".encode())
             return whole.hexdigest()
+        check_file(path)
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:

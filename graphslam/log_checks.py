@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -68,7 +67,7 @@ def checked_landmarks(value: Any) -> dict[int, Array]:
     if not isinstance(value, Mapping):
         raise OptionError(f"true_landmarks must be a mapping {{id: (x, y) or (x, y, heading)}}, not {quoted(value)}")
     for j in value:
-        if not isinstance(j, Real) or j % 1 != 0 or not -(2**63) <= j < 2**63:
+        if not isinstance(j, (int, float, np.integer)) or j % 1 != 0 or not -(2**63) <= j < 2**63:
             raise OptionError(f"the ids of true_landmarks must be whole numbers of at most 64 bits, not {quoted(j)}")
     return {int(j): _landmark(int(j), m) for j, m in value.items()}
 

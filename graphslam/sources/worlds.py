@@ -71,10 +71,10 @@ class World:
         if route is not None:
             object.__setattr__(self, "way_points", _places("way_points must have shape (W, 2)", route, (2,)))
         if not isinstance(landmarks, (Sequence, np.ndarray)) or isinstance(landmarks, str):
-            check_count(landmarks=landmarks)  # type: ignore[arg-type]
-            if landmarks > _MOST:  # type: ignore[operator]
+            check_count(landmarks=landmarks)
+            if landmarks > _MOST:
                 raise OptionError(f"landmarks must be at most {_MOST:,}, not {quoted(landmarks)}")
-            object.__setattr__(self, "landmarks", int(landmarks))  # type: ignore[arg-type]
+            object.__setattr__(self, "landmarks", int(landmarks))
             if self.landmarks < 1:  # type: ignore[operator]
                 raise OptionError(f"landmarks must be at least 1, not {landmarks}")
         else:
