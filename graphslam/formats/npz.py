@@ -63,7 +63,9 @@ def _read(path: Path, _: ReadOptions) -> Log:
         models: dict[str, Any] = {}
         for name, model in _MODELS.items():
             if name in content:
-                numbers = iter(content[name].astype(float).ravel().tolist())
+                if content[name].ndim != 1:
+                    raise ValueError(f"{name} must be numbers, one for each field of the model")
+                numbers = iter(content[name].astype(float).tolist())
                 # files of earlier versions lack the last fields
                 values: dict[str, Any] = {
                     f.name: (next(numbers, 0.0), next(numbers, 0.0)) if f.name == "offset" else next(numbers, f.default)
