@@ -51,6 +51,17 @@ def check_positive(**values: float) -> None:
             raise OptionError(f"{name} must be a positive number, not {quoted(value)}")
 
 
+def check_real(**values: float) -> None:
+    """Raise `OptionError` unless every keyword's value is a number, which may be infinite or NaN."""
+    for name, value in values.items():
+        try:
+            known = isinstance(value, Real) and isinstance(float(value), float)
+        except OverflowError:  # a whole number beyond 1e308
+            known = False
+        if not known:
+            raise OptionError(f"{name} must be a number, not {quoted(value)}")
+
+
 def check_number(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is a finite number."""
     for name, value in values.items():
@@ -61,8 +72,7 @@ def check_number(**values: float) -> None:
 def check_not_negative(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is zero or above; infinity is allowed."""
     for name, value in values.items():
-        if not isinstance(value, Real):
-            raise OptionError(f"{name} must be a number, not {quoted(value)}")
+        check_real(**{name: value})
         if not value >= 0:
             raise OptionError(f"{name} must not be negative, but is {quoted(value)}")
 

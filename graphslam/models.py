@@ -16,7 +16,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import check_not_negative, check_positive, checked_offset, option
+from .checks import check_positive, check_real, checked_offset, option
 from .errors import OptionError, quoted
 from .se2 import Array, mounted, wrap
 
@@ -105,7 +105,7 @@ class MotionModel(NoiseModel):
     def __post_init__(self) -> None:
         check_positive(epsilon=self.epsilon)
         # each of the others may be zero: no noise of this kind
-        check_not_negative(**vars(self))
+        check_real(**vars(self))
         check_positive(**{name: value for name, value in vars(self).items() if value != 0})
 
     @classmethod
@@ -309,7 +309,7 @@ class SensorModel(NoiseModel):
     field_of_view: float = option(2 * pi, "Whole angle in which the sensor sees landmarks, ahead in its middle", "rad")
 
     def __post_init__(self) -> None:
-        check_not_negative(range_rate=self.range_rate, range_std=self.range_std)
+        check_real(**{name: value for name, value in vars(self).items() if name != "offset"})
         check_positive(bearing_std=self.bearing_std, orientation_std=self.orientation_std)
         # one of the two parts of the range noise may be zero, but not both
         if self.range_std == 0 or self.range_rate != 0:
@@ -317,7 +317,6 @@ class SensorModel(NoiseModel):
         if self.range_std != 0:
             check_positive(range_std=self.range_std)
         object.__setattr__(self, "offset", checked_offset("offset", self.offset))
-        check_not_negative(min_range=self.min_range, max_range=self.max_range, field_of_view=self.field_of_view)
         if not 0 <= self.min_range < self.max_range:
             raise OptionError(
                 f"min_range must lie between 0 and max_range ({self.max_range:g} m), not {quoted(self.min_range)}"

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import array_of, check_count, check_not_negative, check_number, check_positive, check_type, option
+from ..checks import array_of, check_count, check_number, check_positive, check_real, check_type, option
 from ..errors import OptionError, quoted
 
 #: rows of x, y (and heading) [m, m, rad]
@@ -61,7 +61,7 @@ class World:
             check_positive(arena=self.arena)
         for name in ("orientation", "clean"):
             check_type(bool, **{name: getattr(self, name)})
-        check_not_negative(min_range=self.min_range)
+        check_real(min_range=self.min_range)
         if not 0 <= self.min_range < self.max_range:
             raise OptionError(f"min_range must lie between 0 and {self.max_range:g} m, not {quoted(self.min_range)}")
         start, route, landmarks = array_of("start", self.start), self.way_points, self.landmarks
