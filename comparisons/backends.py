@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
-from functools import cache
+from functools import cache, partial
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from pebble import ProcessExpired, ProcessPool
+
 from graphslam import Certificate, Graph, GraphError, OptionError, certify, solve
+from graphslam.processes import how_it_ended, processes
 from graphslam.solvers.solve import starting_state
 
 from .display import Displayed
@@ -20,6 +24,7 @@ from .documents import certificate_document
 from .kernels import factorisation
 from .options import BackendOptions
 from .peers import PEERS, PeerRun
+from .pool import too_long
 from .results import of_expected
 from .saving import jsonable
 
@@ -38,7 +43,7 @@ class BackendRow:
         file, backend: which.
         chi2: the cost of the state it ended in, by `Graph.cost`; NaN if it gave up.
         iterations: their number.
-        seconds: of the optimisation alone, from initial values to the stop; median of the repetitions.
+        seconds: of the optimisation alone, from initial values to the stop; median of the repetitions; NaN if it was stopped.
         converged: whether its stop rule was met (for a local minimum, too: compare the chi2).
         reason: how it ended.
         trace: (seconds, chi2) after each iteration, for the figure; empty where a backend does not report them.
@@ -113,7 +118,8 @@ def compare_backends(
     Args:
         files: pose graphs, see `Graph.from_g2o`; one, or several.
         progress: called after each row.
-        options: the fields of `options.BackendOptions`: backends, initialize, same_start, repeat, max_iterations, format.
+        options: the fields of `options.BackendOptions`: backends, initialize, same_start, repeat, max_iterations, format,
+            time_limit [s], which holds for all runs of one backend on one file, its certificate included.
 
     Raises:
         OptionError: an option has an impossible value, or a backend asked for is not installed.
@@ -121,22 +127,63 @@ def compare_backends(
     """
     given = BackendOptions.of(**options)
     rows: list[BackendRow] = []
-    for path in [files] if isinstance(files, (str, PathLike)) else files:
-        graph, initialize = Graph.from_g2o(path, format=given.format), given.initialize
-        if given.same_start:
-            graph, initialize = graph.with_initial(starting_state(graph, "auto")), "given"
-        for name in given.backends or BACKENDS:
-            try:
-                run = _backend(name, graph, initialize, given.max_iterations)
-            except OptionError:
-                if given.backends is None:
-                    continue  # not installed, and not asked for by name
-                raise
-            _warm_up(name)
-            rows.append(_row(str(path), name, graph, [run() for _ in range(given.repeat)]))
-            if progress is not None:
-                progress(rows[-1])
+    names = given.backends or BACKENDS
+    with _measurer(names, given) as measure:
+        for path in [files] if isinstance(files, (str, PathLike)) else files:
+            graph, initialize = Graph.from_g2o(path, format=given.format), given.initialize
+            if given.same_start:
+                graph, initialize = graph.with_initial(starting_state(graph, "auto")), "given"
+            for name in names:
+                try:
+                    rows.append(measure(str(path), name, graph, initialize))
+                except OptionError:
+                    if given.backends is None:
+                        continue  # not installed, and not asked for by name
+                    raise
+                if progress is not None:
+                    progress(rows[-1])
     return BackendComparison(tuple(rows))
+
+
+#: makes the row of a backend, given the file, its name, the graph of the file and where graphslam starts
+Measure = Callable[[str, str, Graph, str], BackendRow]
+
+
+@contextmanager
+def _measurer(names: Sequence[str], options: BackendOptions) -> Iterator[Measure]:
+    """`_measured`, or the same in a process that is stopped at the time limit."""
+    if options.time_limit is None:
+        yield partial(_measured, options)
+        return
+    with processes(1, partial(_warm_up_all, tuple(names))) as pool:
+        yield partial(_within, pool, options)
+
+
+def _within(
+    pool: ProcessPool, options: BackendOptions, file: str, name: str, graph: Graph, initialize: str
+) -> BackendRow:
+    try:
+        row: BackendRow = pool.schedule(
+            _measured, (options, file, name, graph, initialize), timeout=options.time_limit
+        ).result()
+    except TimeoutError:
+        return BackendRow(file, name, math.nan, 0, math.nan, False, too_long(options.time_limit))
+    except ProcessExpired as error:
+        return BackendRow(file, name, math.nan, 0, math.nan, False, how_it_ended(error))
+    return row
+
+
+def _measured(options: BackendOptions, file: str, name: str, graph: Graph, initialize: str) -> BackendRow:
+    """The row of a backend; raises `OptionError` where it is not installed."""
+    run = _backend(name, graph, initialize, options.max_iterations)
+    _warm_up(name)
+    return _row(file, name, graph, [run() for _ in range(options.repeat)])
+
+
+def _warm_up_all(names: Sequence[str]) -> None:
+    for name in names:
+        with suppress(Exception):  # it shows again, with its message, in the run
+            _warm_up(name)
 
 
 def _backend(name: str, graph: Graph, initialize: str, max_iterations: int) -> Callable[[], PeerRun]:

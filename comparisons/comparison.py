@@ -11,14 +11,13 @@ from typing import Any, overload
 
 import numpy as np
 
-from graphslam import AssociationScore, Certificate, GraphError, Log, MotionModel, OptionError, SensorModel, SlamError
+from graphslam import AssociationScore, Certificate, GraphError, Log, MotionModel, SensorModel, SlamError
 from graphslam.association import score
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import Metrics, evaluate
 from graphslam.plausibility import Finding, plausibility
 from graphslam.se2 import wrap
 
-from .association import identified
 from .attempt import Skipped, attempts
 from .config import config_text
 from .display import Displayed
@@ -30,7 +29,7 @@ from .documents import (
     document,
     parameters_document,
 )
-from .estimators import ESTIMATORS, check_estimators, default_estimators, make_graph
+from .estimators import ESTIMATORS, check_estimators, default_estimators
 from .exchange import texts, write_pose_graph
 from .failures import noted
 from .memory import Announce, announce_memory
@@ -308,8 +307,8 @@ def run(
 
     Args:
         log: a log, the file or folder of one, or None for the sample log of the package.
-        estimators: names from `estimators.ESTIMATORS`; default: all. One that fails becomes a row with the reason, as does
-            one that is not named and would take too long or repeat another.
+        estimators: names from `estimators.ESTIMATORS`; default: all. One that fails or cannot run on this log becomes a
+            row with the reason, as does one that is not named and would take too long or repeat another.
         time_limit: of each estimator [s], without compiling. One that takes longer is stopped and becomes a row with the
             reason. The estimators then run in a process of their own.
         progress: called with (name, None) before each estimator and (name, outcome) after it.
@@ -317,10 +316,9 @@ def run(
 
     Raises:
         FormatError: a file cannot be read.
-        OptionError: an option or estimator is unknown or impossible, or a named estimator cannot run on such a log.
-        GraphError: the log does not determine the graph of ``graph``; a row where only its ids cannot be found and
-            ``graph`` is not named.
-        SlamError: no estimator has a result.
+        OptionError: an option or estimator is unknown or impossible.
+        GraphError: the log has no sightings.
+        SlamError: no estimator has a result; the error is that of the first one that was tried.
     """
     return compare(log, RunOptions.of(**options), estimators=estimators, time_limit=time_limit, progress=progress)
 
@@ -341,9 +339,6 @@ def compare(
     if len(data.steps) == 0:
         within = "" if options.max_range is None else f" within max_range = {options.max_range:g} m"
         raise GraphError(f"{data.name} has no sightings at all{within}, so there is nothing to estimate from")
-    if names is None or "graph" in names:
-        # a graph that the log cannot make is refused before anything has run
-        _check_graph(data, options, asked=names is not None or bool(options.estimate))
     announce_memory(((name, data, options) for name in names or default_estimators()), announce)
     results: list[EstimatorResult] = []
     skipped: list[Skipped] = []
@@ -357,38 +352,18 @@ def compare(
             else:
                 outcome = attempt(name, data, options)
             if isinstance(outcome, Skipped):
-                if names is not None and isinstance(outcome.error, OptionError):
-                    raise outcome.error
                 skipped.append(outcome)
             else:
                 results.append(outcome)
             if progress is not None:
                 progress(name, outcome)
     if not results:
-        first = skipped[0]
+        # what was tried says more than what was left out beforehand
+        first = next((each for each in skipped if each.error is not None), skipped[0])
         if isinstance(first.error, SlamError):
             raise first.error
         raise SlamError(f"no estimator has a result; {first.name} {first.outcome}: {first.reason}") from first.error
     return Comparison(data, tuple(results), tuple(skipped), source, options, names, time_limit)
-
-
-def _check_graph(log: Log, options: RunOptions, *, asked: bool) -> None:
-    """Raise `SlamError` where the log cannot make the graph; whatever else fails is the failure of one estimator.
-
-    Unless the graph was asked for, it is one where ids cannot be found, because particle filters go on without them.
-    """
-    try:
-        try:
-            identified(log, options)
-        except GraphError:
-            if asked:
-                raise
-            return
-        make_graph(log, options)
-    except SlamError:
-        raise
-    except Exception:  # it comes again, and becomes the reason of the row
-        pass
 
 
 def _row(result: EstimatorResult, metrics: Metrics, nees: float | None, association: AssociationScore | None) -> Row:

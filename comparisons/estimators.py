@@ -18,6 +18,7 @@ from fastslam.samples import Samples
 from graphslam import Graph, GraphError, Log, OptionError, SensorModel, SlamError, Solution
 from graphslam.checks import suggestion
 from graphslam.defaults import suitable_edges, suitable_for_isam2, suitable_kernel
+from graphslam.errors import quoted
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import wrap
 
@@ -429,7 +430,7 @@ def check_estimators(names: Any) -> tuple[str, ...]:
     for name in names:
         if name not in ESTIMATORS:
             raise OptionError(
-                f"estimators: there is no estimator {name!r}{suggestion(name, ESTIMATORS)}; the estimators are "
+                f"estimators: there is no estimator {quoted(name)}{suggestion(name, ESTIMATORS)}; the estimators are "
                 f"{', '.join(ESTIMATORS)}"
             )
     if not names:

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
 from fastslam.options import GibbsOptions
 from graphslam.checks import suggestion
-from graphslam.errors import OptionError
+from graphslam.errors import OptionError, quoted
 
 #: fields of components that have another name among the options: (component, field) -> option
 _RENAMED = {("sensor", name): f"sensor_{name}" for name in ("offset", "min_range", "max_range", "field_of_view")}
@@ -89,9 +89,9 @@ class Option:
             try:
                 parts = [self.each(word) for word in words if word or self.each is not str]
             except ValueError:
-                raise OptionError(f"{self.name} must be {self._wanted}, not {value!r}") from None
+                raise OptionError(f"{self.name} must be {self._wanted}, not {quoted(value)}") from None
         if not isinstance(parts, (list, tuple)) or not (parts or self.name == "figures"):
-            raise OptionError(f"{self.name} must be {self._wanted}, at least one, not {value!r}")
+            raise OptionError(f"{self.name} must be {self._wanted}, at least one, not {quoted(value)}")
         return tuple(dict.fromkeys(map(self._single, parts)) if self.each is str else map(self._single, parts))
 
     def _points(self, value: Any) -> Any:
@@ -100,39 +100,42 @@ class Option:
                 rows = [tuple(float(number) for number in word.split(",")) for word in value.split()]
                 value = int(value) if "," not in value else rows
             except ValueError:
-                raise OptionError(f"{self.name} must be points 'x,y x,y ...', not {value!r}") from None
+                raise OptionError(f"{self.name} must be points 'x,y x,y ...', not {quoted(value)}") from None
         if not isinstance(value, (int, list, tuple)) or isinstance(value, bool):
-            raise OptionError(f"{self.name} must be a list of points, not {value!r}")
+            raise OptionError(f"{self.name} must be a list of points, not {quoted(value)}")
         if isinstance(value, int):
             return value
         points = tuple(tuple(row) if isinstance(row, (list, tuple)) else (row,) for row in value)
         numbers = [number for point in points for number in point]
         finite = all(isinstance(number, (int, float)) and math.isfinite(number) for number in numbers)
         if len(set(map(len, points))) != 1 or not finite:
-            raise OptionError(f"{self.name} must be points of finite numbers, 'x,y x,y ...', not {value!r}")
+            raise OptionError(f"{self.name} must be points of finite numbers, 'x,y x,y ...', not {quoted(value)}")
         return points
 
     def _single(self, value: Any) -> Any:
         if self.each is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
+            try:
+                value = float(value)
+            except OverflowError:
+                raise OptionError(f"{self.name} must be a number below 1e308, not {quoted(value)}") from None
         elif self.each is Path and isinstance(value, str):
             value = Path(value)
         elif self.each in (int, float) and hasattr(value, "item"):
             value = value.item()  # a NumPy number
         checked: Any = value
         if not isinstance(value, self.each) or (isinstance(value, bool) and self.each is not bool):
-            raise OptionError(f"{self.name} must be {self._wanted}, not {value!r}")
+            raise OptionError(f"{self.name} must be {self._wanted}, not {quoted(value)}")
         if self.choices and value not in self.choices:
-            message = f"{self.name} must be one of {', '.join(self.choices)}, not {value!r}"
+            message = f"{self.name} must be one of {', '.join(self.choices)}, not {quoted(value)}"
             raise OptionError(message + suggestion(value, self.choices))
         if isinstance(value, float) and not math.isfinite(value) and value != self.default:
-            raise OptionError(f"{self.name} must be a finite number, not {value!r}")
+            raise OptionError(f"{self.name} must be a finite number, not {quoted(value)}")
         if self.minimum is not None and checked < self.minimum:
-            raise OptionError(f"{self.name} must be at least {self.minimum:g}, not {value}")
+            raise OptionError(f"{self.name} must be at least {self.minimum:g}, not {quoted(value)}")
         if self.maximum is not None and checked > self.maximum:
-            raise OptionError(f"{self.name} must be at most {self.maximum:g}, not {value}")
+            raise OptionError(f"{self.name} must be at most {self.maximum:g}, not {quoted(value)}")
         if self.positive and checked <= 0:
-            raise OptionError(f"{self.name} must be a positive number, not {value!r}")
+            raise OptionError(f"{self.name} must be a positive number, not {quoted(value)}")
         return value
 
     @property
@@ -175,7 +178,7 @@ class Options:
         given = {name: value for name, value in given.items() if value is not None}
         for name in given:
             if name not in known:
-                raise OptionError(f"there is no option {name!r}" + suggestion(name, known))
+                raise OptionError(f"there is no option {quoted(name)}" + suggestion(name, known))
         numbers = {name: known[name].checked(given.pop(name)) for name in list(given) if known[name].model}
         return cls(**given, numbers=numbers)
 

@@ -212,8 +212,8 @@ class LimitOptions(Options):
     """How long one piece of work may take."""
 
     time_limit: float | None = option(
-        None, "Stop an estimator, solver variant or filter that takes longer, and go on without it. The work is then done in "
-        "processes of its own.", unit="s", positive=True, default_text="none",
+        None, "Stop an estimator, backend, solver variant or filter that takes longer, and go on without it. The work is "
+        "then done in processes of its own.", unit="s", positive=True, default_text="none",
     )  # fmt: skip
 
 
@@ -290,7 +290,7 @@ class SolverCheckOptions(LimitOptions, JobsOptions, LogOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BackendOptions(Options):
+class BackendOptions(LimitOptions):
     """How `backends.compare_backends` times pose-graph solvers."""
 
     backends: tuple[str, ...] | None = option(

@@ -24,6 +24,8 @@ from graphslam import (
     sample_log_path,
 )
 from graphslam.calibration.from_truth import knows_enough
+from graphslam.errors import quoted
+from graphslam.files import check_file
 from graphslam.identification.robot import TAKEN, known_robot
 from graphslam.keyframes import with_poses_every
 
@@ -141,11 +143,13 @@ def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> 
         data = log
         for name in OF_FILES:
             if (value := getattr(options, name)) is not None and value is not False:
-                raise OptionError(f"{name} applies when a file is read, and {log.name!r} is a Log that has been read")
+                raise OptionError(
+                    f"{name} applies when a file is read, and {quoted(log.name)} is a Log that has been read"
+                )
         if options.keep_every is not None:
             data = with_poses_every(data, options.keep_every)
     elif log is not None and not isinstance(log, (str, PathLike)):
-        raise OptionError(f"a log is a Log, or the path of its file or folder, not {type(log).__name__}: {log!r}")
+        raise OptionError(f"a log is a Log, or the path of its file or folder, not {type(log).__name__}: {quoted(log)}")
     else:
         path = sample_log_path() if log is None else Path(log)
         keywords = {name: getattr(options, name) for name in (*OF_FILES, "keep_every")}
@@ -181,6 +185,7 @@ def sha256_of(path: Path) -> str:
             for inner in sorted(each for each in path.iterdir() if each.is_file()):
                 whole.update(f"{inner.name}\n{sha256_of(inner)}\n".encode())
             return whole.hexdigest()
+        check_file(path)
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:

@@ -9,6 +9,7 @@ from typing import Any
 import tomli_w
 
 from graphslam import OptionError, toml_file
+from graphslam.errors import quoted
 from graphslam.toml_file import TYPE_NAMES
 
 from .option import Option
@@ -61,7 +62,7 @@ class TomlFile(toml_file.TomlFile):
         """
         try:
             if option.each is not str and option.each is not Path and isinstance(value, str):
-                raise OptionError(f"{place} should be {TYPE_NAMES[option.each]}, not {value!r}")
+                raise OptionError(f"{place} should be {TYPE_NAMES[option.each]}, not {quoted(value)}")
             return option.checked(value)
         except OptionError as error:
             raise self.error(place, str(error)) from None

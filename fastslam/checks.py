@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam.errors import OptionError
+from graphslam.errors import OptionError, quoted
 from graphslam.se2 import Array, wrap
 
 
@@ -20,7 +20,7 @@ def whole(name: str, value: Any, expected: str = "a whole number") -> int:
             raise TypeError
         return operator.index(value)
     except TypeError:
-        raise OptionError(f"{name} must be {expected}, not {value!r}") from None
+        raise OptionError(f"{name} must be {expected}, not {quoted(value)}") from None
 
 
 def finite(name: str, value: Any, expected: str, shapes: Sequence[tuple[int, ...]]) -> Array:
@@ -30,7 +30,7 @@ def finite(name: str, value: Any, expected: str, shapes: Sequence[tuple[int, ...
     except (TypeError, ValueError):
         array = np.array(np.nan)
     if array.shape not in shapes or not np.all(np.isfinite(array)):
-        raise OptionError(f"{name} must be {expected}, not {value!r}")
+        raise OptionError(f"{name} must be {expected}, not {quoted(value)}")
     return array
 
 
@@ -53,9 +53,9 @@ def measurements(ids: Any, sightings: ArrayLike) -> tuple[np.ndarray, Array]:
             raise ValueError
     except (TypeError, ValueError):
         expected = "whole numbers (k,) and sightings (k, 2) or (k, 3)"
-        raise OptionError(f"observe takes {expected}, not {ids!r} and {sightings!r}") from None
+        raise OptionError(f"observe takes {expected}, not {quoted(ids)} and {quoted(sightings)}") from None
     if numbers.dtype.kind not in "iu":
-        raise OptionError(f"the ids of landmarks must be whole numbers, not {numbers.tolist()!r}")
+        raise OptionError(f"the ids of landmarks must be whole numbers, not {quoted(numbers.tolist())}")
     if not np.all(np.isfinite(z)) or np.any(z[:, 0] <= 0):
         raise OptionError("sightings must be finite and their ranges above zero")
     z[:, 1:] = wrap(z[:, 1:])

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam.errors import OptionError
+from graphslam.errors import OptionError, quoted
 from graphslam.log import Log
 from graphslam.se2 import Array
 
@@ -56,7 +56,9 @@ class MonteCarloLocalization(ParticleFilter):
                 "use FastSLAM, which makes its own"
             )
         if not isinstance(landmarks, Mapping):
-            raise OptionError(f"landmarks must be a mapping, {{id: (x, y) or (x, y, heading)}}, not {landmarks!r}")
+            raise OptionError(
+                f"landmarks must be a mapping, {{id: (x, y) or (x, y, heading)}}, not {quoted(landmarks)}"
+            )
         expected = "finite, (x, y) or (x, y, heading)"
         self._landmarks = {
             whole("the id of a landmark", j): finite(f"landmarks[{j!r}]", place, expected, [(2,), (3,)])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from graphslam.checks import check_choice
-from graphslam.errors import OptionError
+from graphslam.errors import OptionError, quoted
 
 from .checks import finite, whole
 
@@ -155,18 +155,18 @@ class FilterOptions:
             raise OptionError("smoothing needs weighted particles: the stage weights or resampling, not motion")
         if not 0 <= finite("ess_threshold", self.ess_threshold, "a number between 0 and 1", [()]) <= 1:
             raise OptionError(
-                f"ess_threshold must lie between 0 (never resample) and 1 (always), not {self.ess_threshold!r}"
+                f"ess_threshold must lie between 0 (never resample) and 1 (always), not {quoted(self.ess_threshold)}"
             )
         for name in ("new_landmark_threshold", "detection_probability", "clutter_share", "class_confusion"):
             value = getattr(self, name)
             if not 0 < finite(name, value, "a number between 0 and 1", [()]) < 1:
-                raise OptionError(f"{name} must lie between 0 and 1, not {value!r}")
+                raise OptionError(f"{name} must lie between 0 and 1, not {quoted(value)}")
         object.__setattr__(self, "merge_interval", whole("merge_interval", self.merge_interval))
         if self.merge_interval < 0:
             raise OptionError(f"merge_interval must be a number of scans, or 0 for never, not {self.merge_interval}")
         expected = "a whole number of at least 1, or None for all"
         if self.threads is not None and whole("threads", self.threads, expected) < 1:
-            raise OptionError(f"threads must be {expected}, not {self.threads!r}")
+            raise OptionError(f"threads must be {expected}, not {quoted(self.threads)}")
 
     @property
     def uses_ids(self) -> bool:
@@ -225,5 +225,5 @@ class GibbsOptions:
             expected = "a number above 0, or None for Gaussian sightings"
             degrees = float(finite("degrees_of_freedom", self.degrees_of_freedom, expected, [()]))
             if degrees <= 0:
-                raise OptionError(f"degrees_of_freedom must be {expected}, not {degrees!r}")
+                raise OptionError(f"degrees_of_freedom must be {expected}, not {quoted(degrees)}")
             object.__setattr__(self, "degrees_of_freedom", degrees)

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam.checks import suggestion
-from graphslam.errors import LogError, OptionError
+from graphslam.checks import check_type, suggestion
+from graphslam.errors import LogError, OptionError, quoted
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
@@ -93,12 +93,11 @@ class ParticleFilter(ABC):
         **keywords: Any,
     ) -> None:
         for name, value, kind in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
-            if value is not None and not isinstance(value, kind):
-                raise OptionError(f"{name} must be a {kind.__name__}, not {value!r}")
+            check_type(kind, **{name: value})
         known = [field.name for field in fields(FilterOptions)]
         for name in keywords:
             if name not in known:
-                raise OptionError(f"there is no option {name!r} of a particle filter{suggestion(name, known)}")
+                raise OptionError(f"there is no option {quoted(name)} of a particle filter{suggestion(name, known)}")
         self.options = replace(options or FilterOptions(), **keywords).for_ids(log is None or log.identified)
         self._check_options()
         self.particles = self.options.particles
@@ -151,7 +150,7 @@ class ParticleFilter(ABC):
         u = finite("control", control, "two finite numbers (nu, omega)", [(2,)])
         dt = float(finite("dt", dt, "a finite number of seconds", [()]))
         if dt < 0:
-            raise OptionError(f"dt must be 0 s or longer, not {dt!r}")
+            raise OptionError(f"dt must be 0 s or longer, not {quoted(dt)}")
         with np.errstate(over="ignore"):
             std = np.sqrt(np.diag(self.motion.M(u, dt))) if dt > 0 else np.zeros(2)
         if dt > 0 and self._gaussian_motions:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .certificate import NOT_APPLICABLE, Certificate, prove, prove_edges
-from .errors import GraphError, OptionError
+from .checks import array_of
+from .errors import GraphError, OptionError, quoted
 from .graph import Graph
 from .solution import Solution
 
@@ -27,19 +28,26 @@ def certify(graph: Graph | gtsam.NonlinearFactorGraph, solution: Solution | Arra
             (T+1, 3) of the trajectory; for a GTSAM graph its `gtsam.Values`.
 
     Raises:
-        OptionError: the state has another shape, or the values lack a key.
+        OptionError: an argument is of another type, the state has another shape or is not finite, or the values lack a key.
     """
     if not isinstance(graph, Graph):
+        if not hasattr(graph, "keyVector") or not hasattr(solution, "at"):
+            raise OptionError(
+                "certify takes a Graph and its solution, or a gtsam.NonlinearFactorGraph and its gtsam.Values, not "
+                f"{quoted(graph, 40)} and {quoted(solution, 40)}"
+            )
         return _certify_factors(graph, solution)
     if isinstance(solution, Solution):
         if solution.graph is graph:
             return solution.certificate
         solution = solution.state
-    state = np.asarray(solution, dtype=float)
+    state = array_of("the state", solution)
     if state.shape != graph.initial.shape and state.shape == graph.trajectory.shape and not len(graph.landmark_ids):
         state = state[graph.steps]
     if state.shape != graph.initial.shape:
         raise OptionError(f"the state must have shape {graph.initial.shape}, one row for each node, not {state.shape}")
+    if not np.isfinite(state).all():
+        raise OptionError("the state must be finite numbers")
     return prove(graph, state)
 
 

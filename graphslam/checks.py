@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import OptionError
+from .errors import OptionError, quoted, shortened
 
 
 def option(default: Any, help: str, unit: str = "", **more: Any) -> Any:
@@ -30,33 +30,60 @@ def option(default: Any, help: str, unit: str = "", **more: Any) -> Any:
     return field(default=default, metadata={"help": help, "unit": unit, **more})
 
 
+def check_type(kind: type, **values: object) -> None:
+    """Raise `OptionError` unless every keyword's value is None or of this type."""
+    for name, value in values.items():
+        if value is not None and not isinstance(value, kind):
+            article = "an" if kind.__name__[0] in "AEIOU" else "a"
+            raise OptionError(f"{name} must be {article} {kind.__name__}, not {quoted(value)}")
+
+
 def check_choice(name: str, value: str, allowed: Collection[str]) -> None:
     """Raise `OptionError` unless ``value`` is one of ``allowed``."""
     if not isinstance(value, str) or value not in allowed:
-        raise OptionError(f"{name} must be one of {', '.join(allowed)}, not {value!r}")
+        raise OptionError(f"{name} must be one of {', '.join(allowed)}, not {quoted(value)}")
 
 
 def check_positive(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is a positive finite number."""
     for name, value in values.items():
         if not isinstance(value, Real) or not 0 < value <= sys.float_info.max:
-            raise OptionError(f"{name} must be a positive number, not {value!r}")
+            raise OptionError(f"{name} must be a positive number, not {quoted(value)}")
+
+
+def check_real(**values: float) -> None:
+    """Raise `OptionError` unless every keyword's value is a number, which may be infinite or NaN."""
+    for name, value in values.items():
+        try:
+            known = isinstance(value, Real) and isinstance(float(value), float)
+        except OverflowError:  # a whole number beyond 1e308
+            known = False
+        if not known:
+            raise OptionError(f"{name} must be a number, not {quoted(value)}")
+
+
+def check_number(**values: float) -> None:
+    """Raise `OptionError` unless every keyword's value is a finite number."""
+    for name, value in values.items():
+        if not isinstance(value, Real) or isinstance(value, bool) or not abs(value) <= sys.float_info.max:
+            raise OptionError(f"{name} must be a finite number, not {quoted(value)}")
 
 
 def check_not_negative(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is zero or above; infinity is allowed."""
     for name, value in values.items():
+        check_real(**{name: value})
         if not value >= 0:
-            raise OptionError(f"{name} must not be negative, but is {value!r}")
+            raise OptionError(f"{name} must not be negative, but is {quoted(value)}")
 
 
 def check_count(**values: int) -> None:
     """Raise `OptionError` unless every keyword's value is a whole number, 0 or above."""
     for name, value in values.items():
         if not isinstance(value, Integral) or isinstance(value, bool):
-            raise OptionError(f"{name} must be a whole number, not {value!r}")
+            raise OptionError(f"{name} must be a whole number, not {quoted(value)}")
         if value < 0:
-            raise OptionError(f"{name} must not be negative, but is {value}")
+            raise OptionError(f"{name} must not be negative, but is {quoted(value)}")
 
 
 def checked_offset(name: str, value: Any) -> tuple[float, float]:
@@ -67,13 +94,25 @@ def checked_offset(name: str, value: Any) -> tuple[float, float]:
     """
     try:
         offset = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         offset = np.empty(0)
     if offset.size == 1:
         offset = np.array([offset.item(), 0.0])
     if offset.shape != (2,) or not np.all(np.isfinite(offset)):
-        raise OptionError(f"{name} must be (ahead, to the left) in m, or one number ahead, not {value!r}")
+        raise OptionError(f"{name} must be (ahead, to the left) in m, or one number ahead, not {quoted(value)}")
     return float(offset[0]), float(offset[1])
+
+
+def array_of(name: str, value: Any) -> np.ndarray:
+    """A value as an array of floating-point numbers of any shape.
+
+    Raises:
+        OptionError: it is none.
+    """
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise OptionError(f"{name} must be an array of numbers, not {quoted(value)}") from None
 
 
 def first(wrong: ArrayLike) -> int | None:
@@ -93,8 +132,8 @@ def listed(noun: str, numbers: list[int], most: int = 8) -> str:
 
 def suggestion(word: object, known: Collection[str]) -> str:
     """The end of a message about an unknown word: the known word that is spelled like it, if there is one."""
-    matches = difflib.get_close_matches(str(word), list(known), n=1)
-    return f"; did you mean {matches[0]!r}?" if matches else ""
+    matches = difflib.get_close_matches(shortened(str(word)), list(known), n=1)
+    return f"; did you mean {quoted(matches[0])}?" if matches else ""
 
 
 def make_read_only(owner: object, *names: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 
@@ -14,6 +15,40 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in text)
+
+
+#: the most characters of one input that a message repeats
+QUOTED = 80
+
+
+def shortened(text: str, most: int = QUOTED) -> str:
+    """A text of at most ``most`` characters: a longer one keeps its begin and ends in "..."."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def quoted(value: object, most: int = QUOTED) -> str:
+    """How messages repeat what the user gave: its ``repr``, of at most ``most`` characters.
+
+    A cell of a table may have 200,000 letters, and whole numbers of more than 4,300 digits have no ``repr`` at all.
+    """
+    if isinstance(value, str):
+        # only its begin: the whole may be a file
+        text = repr(value[: most + 1])
+        return text if len(text) <= most else f"{text[: most - 4]}...{text[0]}"
+    try:
+        return shortened(repr(value), most)
+    except Exception:  # the object is the user's own
+        return f"a value of type {type(value).__name__}"
+
+
+def named(names: Iterable[object], most: int = QUOTED) -> str:
+    """Names with commas between, as many as ``most`` characters hold, and how many are left out."""
+    texts = [shortened(str(name), most) for name in names]
+    shown = len(texts)
+    while shown > 1 and len(", ".join(texts[:shown])) > most:
+        shown -= 1
+    more = f" and {len(texts) - shown} more" if shown < len(texts) else ""
+    return ", ".join(texts[:shown]) + more
 
 
 class SlamError(Exception):

@@ -8,8 +8,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from .errors import FormatError
+from .errors import FormatError, OptionError, quoted, shortened
 
+#: what compressed files may unpack to: a log of 20 million sightings
+MOST_BYTES = 2**30
 #: first bytes of files that are compressed as a whole -> the program that unpacks them
 _PACKED = {
     b"\x1f\x8b": "gunzip",
@@ -28,6 +30,18 @@ def check_unpacked(path: Path, head: bytes) -> None:
             raise FormatError(path, None, f"the file is compressed as a whole; unpack it first: {program} {path.name}")
 
 
+def path_of(path: object) -> Path:
+    """A path given as text or as a path.
+
+    Raises:
+        OptionError: it is something else.
+    """
+    try:
+        return Path(path)  # type: ignore[arg-type]
+    except TypeError:
+        raise OptionError(f"the path of a file is text or a Path, not {quoted(path)}") from None
+
+
 def check_path(path: Path) -> None:
     """Raise `FormatError` where the system refuses the path itself: it is too long, holds a zero byte or links to itself."""
     try:
@@ -35,24 +49,22 @@ def check_path(path: Path) -> None:
     except (FileNotFoundError, NotADirectoryError):
         pass
     except OSError as error:
-        raise FormatError(_shortened(path), None, f"this path cannot be used: {error.strerror}") from None
+        raise FormatError(shortened(str(path)), None, f"this path cannot be used: {error.strerror}") from None
     except ValueError:
-        raise FormatError(_shortened(path), None, "this path cannot be used: it holds a zero byte") from None
-
-
-def _shortened(path: Path, most: int = 100) -> str:
-    text = str(path)
-    return text if len(text) <= most else f"{text[: most // 2]}...{text[-most // 2 :]}"
+        raise FormatError(shortened(str(path)), None, "this path cannot be used: it holds a zero byte") from None
 
 
 def check_file(path: str | os.PathLike[str]) -> None:
     """Raise `FormatError` unless ``path`` is a file that can be read."""
-    path = Path(path)
+    path = path_of(path)
     check_path(path)
     if not path.exists():
         raise FormatError(path, None, "there is no such file")
     if path.is_dir():
         raise FormatError(path, None, "this is a folder; a file is needed here")
+    if not path.is_file():
+        # a device may have no end, and a pipe can be read only once
+        raise FormatError(path, None, "this is a pipe or device; write its content to a file and give the name of that")
     if not os.access(path, os.R_OK):
         raise FormatError(path, None, "the file cannot be read (no permission)")
 
@@ -88,7 +100,7 @@ def write_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises:
         FormatError: the folder does not exist or cannot be written, or ``path`` cannot be the name of a file.
     """
-    named = Path(path)
+    named = path_of(path)
     check_place(named)
     path = named.resolve()
     try:

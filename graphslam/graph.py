@@ -5,22 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
+from numbers import Integral
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .build import file_of_parts, node_names, parts_of_file, parts_of_log
-from .checks import check_choice, check_positive, make_read_only
+from .checks import array_of, check_choice, check_positive, check_type, make_read_only
 from .defaults import pairs_overweight, suitable_edges, suitable_kernel
 from .edges import AnchorEdges, EdgeFamily, LandmarkSightings, MarginalEdges, SightingEdges
 from .edges.robust import Kernel, kernel_of
-from .errors import GraphError, OptionError
+from .errors import GraphError, OptionError, quoted
+from .files import path_of
 from .formats.pose_graph import read_pose_graph, write_g2o
 from .identification.robot import AUTO, BOOK, known_robot
 from .linear.information import BlockSystem
-from .log import Log
+from .log import Log, check_is_log
 from .mapping import LandmarkMap, estimate_map
 from .models import RESIDUALS, MotionModel, SensorModel
 from .parameters.declared import Parameters, declared
@@ -133,8 +134,9 @@ class Graph:
                 the poses and a remedy.
             OptionError: an option has an impossible value.
         """
-        if not isinstance(log, Log):
-            raise OptionError(f"log must be a Log, not {log!r}; graphslam.load(path) reads one")
+        check_is_log(log)
+        check_type(MotionModel, motion=motion)
+        check_type(SensorModel, sensor=sensor)
         if edges is not None:
             check_choice("edges", edges, EDGES)
         check_choice("frame", frame, FRAMES)
@@ -180,7 +182,8 @@ class Graph:
             FormatError: the file breaks its format's rules.
             GraphError: the graph falls into several pieces.
         """
-        return cls(**parts_of_file(read_pose_graph(Path(path), dialect=format, unknown=unknown), Path(path)))
+        path = path_of(path)
+        return cls(**parts_of_file(read_pose_graph(path, dialect=format, unknown=unknown), path))
 
     def save_g2o(self, path: str | PathLike[str], *, state: Array | None = None) -> None:
         """Write the graph as a g2o file, with its initial values or those of a state (n, 3).
@@ -194,21 +197,22 @@ class Graph:
             OptionError: the state has another shape or is not finite.
             FormatError: the file cannot be written.
         """
-        state = self.initial if state is None else np.asarray(state, dtype=float)
+        state = self.initial if state is None else array_of("state", state)
         if state.shape != self.initial.shape or not np.isfinite(state).all():
             raise OptionError(f"state must be finite numbers of shape {self.initial.shape}, not {state.shape}")
         data = file_of_parts(
             state, families=self.families, pose_ids=self.pose_ids, landmark_ids=self.landmark_ids, fixed=self.fixed
         )
-        write_g2o(data, Path(path))
+        write_g2o(data, path_of(path))
 
     def with_initial(self, initial: Array) -> Graph:
         """The same graph with other initial values (n, 3)."""
-        if np.shape(initial) != self.initial.shape:
-            raise OptionError(f"initial must have shape {self.initial.shape}, not {np.shape(initial)}")
-        if not np.isfinite(initial).all():
+        values = array_of("initial", initial)
+        if values.shape != self.initial.shape:
+            raise OptionError(f"initial must have shape {self.initial.shape}, not {values.shape}")
+        if not np.isfinite(values).all():
             raise OptionError("initial must be finite numbers")
-        return replace(self, initial=np.array(initial, dtype=float))
+        return replace(self, initial=values.copy())
 
     def with_trust(self, trust: Array) -> Graph:
         """The same graph with another trust (M,) in the sightings of its edges. Both write Omega and xi into one `system`."""
@@ -365,8 +369,8 @@ def _expected_cost(family: EdgeFamily) -> float:
 
 
 def _with_dimensions(log: Log, dimensions: int | None) -> Log:
-    if dimensions not in (None, 2, 3):
-        raise OptionError(f"dimensions must be 2 or 3, not {dimensions!r}")
+    if dimensions is not None and (not isinstance(dimensions, Integral) or dimensions not in (2, 3)):
+        raise OptionError(f"dimensions must be 2 or 3, not {quoted(dimensions)}")
     if dimensions == 3 and not log.has_orientation:
         raise GraphError(
             f"{log.name} has sightings without psi, but 3-D sensor values were asked for; use dimensions=2"

@@ -12,7 +12,7 @@ from .dense import control_path
 from .errors import LogError
 from .log import Log
 from .se2 import Array
-from .sources.streams import Stream, truth_at
+from .sources.streams import Stream, pieces_of, truth_at
 
 #: times that are nearer than this [s] are the same
 SAME = 1e-9
@@ -26,7 +26,7 @@ def with_poses_every(log: Log, seconds: float) -> Log:
 
     Raises:
         LogError: the log has no controls.
-        OptionError: ``seconds`` is not positive.
+        OptionError: ``seconds`` is not positive, or so short that there were too many poses.
     """
     check_positive(keep_every=seconds)
     if log.controls is None or log.dt is None:
@@ -35,7 +35,7 @@ def with_poses_every(log: Log, seconds: float) -> Log:
     ends = np.concatenate([[0.0], np.cumsum(log.dt)])
     old = ends[log.control_starts]
     lasting = np.diff(old)
-    parts = np.maximum(1, np.ceil(lasting / seconds - 1e-9)).astype(np.int64)
+    parts = pieces_of(lasting, seconds)
     if np.all(parts == 1):
         return log
     motion = np.repeat(np.arange(len(parts)), parts)

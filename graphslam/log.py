@@ -9,8 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import check_positive, checked_offset, first
-from .errors import LogError, OptionError, printable
+from .checks import array_of, check_positive, check_type, checked_offset, first
+from .errors import LogError, OptionError, printable, quoted
+from .log_checks import (
+    checked_classes,
+    checked_landmarks,
+    checked_starts,
+    checked_truth,
+    finite_floats,
+    length_of,
+    whole_numbers,
+)
 from .models import MotionModel, SensorModel
 from .reading import NO_CLASS, NO_ID, UNIDENTIFIED
 from .se2 import Array, mounted, wrap
@@ -59,7 +68,7 @@ class Log:
 
     Raises:
         LogError: an argument has the wrong shape, is not finite, or is impossible (a range not above zero, ...).
-        OptionError: ``truth_offset`` is no place on the robot.
+        OptionError: ``truth_offset`` is no place on the robot, or an argument is of another type.
     """
 
     dt: Array | None = None
@@ -85,6 +94,8 @@ class Log:
     doubts: tuple[tuple[str, str], ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
+        check_type(MotionModel, motion=self.motion)
+        check_type(SensorModel, sensor=self.sensor)
         values = self._checked_controls()
         values["name"] = printable(str(self.name))
         starts = values["control_starts"]
@@ -93,25 +104,26 @@ class Log:
             if starts is None:
                 raise LogError("a log without controls needs initial_poses: there is nothing to compute them from")
             initial = MotionModel().dead_reckoning(np.zeros(3), values["controls"], values["dt"])[starts]
-        initial = _floats("initial_poses", initial, (None if starts is None else len(starts), 3))
+        initial = finite_floats("initial_poses", initial, (None if starts is None else len(starts), 3))
         if len(initial) == 0:
             raise LogError("initial_poses is empty: a log has at least one pose")
         values["initial_poses"] = initial
         values |= self._checked_sightings(len(initial))
         if self.true_poses is not None:
-            values["true_poses"] = _checked_truth(self.true_poses, initial.shape)
+            values["true_poses"] = checked_truth(self.true_poses, initial.shape)
         if self.true_path is not None:
             if self.true_poses is None or starts is None:
                 raise LogError("true_path without true_poses or controls: leave it out")
-            values["true_path"] = _checked_truth(self.true_path, (starts[-1] + 1, 3), "true_path")
+            values["true_path"] = checked_truth(self.true_path, (starts[-1] + 1, 3), "true_path")
         values["truth_offset"] = checked_offset("truth_offset", self.truth_offset)
         if self.true_landmarks is not None:
-            if NO_ID in self.true_landmarks:
+            values["true_landmarks"] = checked_landmarks(self.true_landmarks)
+            if NO_ID in values["true_landmarks"]:
                 raise LogError("true_landmarks has the id -1, which stands for no id: give this landmark another one")
-            values["true_landmarks"] = {int(j): _landmark(int(j), m) for j, m in self.true_landmarks.items()}
-        if not np.isfinite(self.start_time):
-            raise LogError(f"start_time is {self.start_time}; it must be a finite number of seconds")
-        values["start_time"] = float(self.start_time)
+        start = array_of("start_time", self.start_time)
+        if start.shape != () or not np.isfinite(start):
+            raise LogError(f"start_time is {quoted(self.start_time)}; it must be a finite number of seconds")
+        values["start_time"] = float(start)
         for name, value in values.items():
             for array in value.values() if isinstance(value, dict) else [value]:
                 if isinstance(array, np.ndarray):
@@ -161,22 +173,22 @@ class Log:
                 if getattr(self, name) is not None:
                     raise LogError(f"{name} without controls: there is nothing that they belong to")
             return {"control_starts": None}
-        controls = _floats("controls", self.controls, (None, 2))
-        dt = np.asarray(self.dt, dtype=float)
-        dt = _floats("dt", np.full(len(controls), dt) if dt.ndim == 0 else dt, (len(controls),))
+        controls = finite_floats("controls", self.controls, (None, 2))
+        dt = array_of("dt", self.dt)
+        dt = finite_floats("dt", np.full(len(controls), dt) if dt.ndim == 0 else dt, (len(controls),))
         if (k := first(dt <= 0)) is not None:
             raise LogError(f"dt[{k}] is {dt[k]:g}, but a motion must last longer than 0 s")
         values = {"dt": dt, "controls": controls, "control_starts": np.arange(len(controls) + 1)}
         if self.control_starts is not None:
-            values["control_starts"] = _checked_starts(self.control_starts, len(controls))
+            values["control_starts"] = checked_starts(self.control_starts, len(controls))
         if self.control_variances is not None:
-            variances = values["control_variances"] = _floats(
+            variances = values["control_variances"] = finite_floats(
                 "control_variances", self.control_variances, controls.shape
             )
             if np.any(variances < 0):
                 raise LogError(f"control_variances has the entry {variances.min():g}, but a variance is not negative")
         if self.recorded_dt is not None:
-            recorded = _floats("recorded_dt", self.recorded_dt, (len(controls),))
+            recorded = finite_floats("recorded_dt", self.recorded_dt, (len(controls),))
             if (k := first(recorded < dt * (1 - 1e-9))) is not None:
                 raise LogError(f"recorded_dt[{k}] is {recorded[k]:g} s, less than dt[{k}], {dt[k]:g} s, a piece of it")
             # whole controls need no mention
@@ -186,16 +198,16 @@ class Log:
 
     def _checked_sightings(self, poses: int) -> dict[str, Any]:
         """Steps, landmarks and sightings, checked."""
-        sightings = np.asarray(self.sightings, dtype=float)
+        sightings = array_of("sightings", self.sightings)
         if sightings.size == 0:
             sightings = sightings.reshape(0, sightings.shape[-1] if sightings.ndim == 2 else 3)
         if sightings.ndim != 2 or sightings.shape[1] not in (2, 3):
             raise LogError(f"sightings must have shape (M, 2) or (M, 3), not {sightings.shape}")
-        sightings = _floats("sightings", sightings, sightings.shape)
+        sightings = finite_floats("sightings", sightings, sightings.shape)
         if (k := first(sightings[:, 0] <= 0)) is not None:
             raise LogError(f"sighting {k} has range {sightings[k, 0]:g} m; a range must be above zero")
         sightings[:, 1:] = wrap(sightings[:, 1:])
-        steps, landmarks = (_integers(name, getattr(self, name), len(sightings)) for name in ("steps", "landmarks"))
+        steps, landmarks = (whole_numbers(name, getattr(self, name), len(sightings)) for name in ("steps", "landmarks"))
         if (k := first((steps < 0) | (steps >= poses))) is not None:
             raise LogError(f"sighting {k} belongs to step {steps[k]}, but the log has steps 0 to {poses - 1}")
         if (k := first(np.diff(steps) < 0)) is not None:
@@ -207,7 +219,7 @@ class Log:
             have = "sighting has" if none.sum() == 1 else "sightings have"
             notes = (*self.notes, f"{none.sum():,} of {len(none):,} {have} the id -1, taken as no id")
             object.__setattr__(self, "notes", notes)
-        classes = None if self.classes is None else _checked_classes(self.classes, len(sightings))
+        classes = None if self.classes is None else checked_classes(self.classes, len(sightings))
         return {"steps": steps, "landmarks": landmarks, "sightings": sightings, "classes": classes}
 
     def with_sightings(self, kept: np.ndarray, **changes: Any) -> Log:
@@ -334,6 +346,7 @@ class Log:
     def _driven(self, motion: MotionModel | None) -> tuple[Array, Array, MotionModel]:
         if self.controls is None or self.dt is None:
             raise LogError(f"{self.name} has no controls to compute motions from")
+        check_type(MotionModel, motion=motion)
         return self.controls, self.dt, motion or self.motion or MotionModel()
 
     def without_orientation(self) -> Log:
@@ -342,6 +355,7 @@ class Log:
 
     def nearer_than(self, most: float) -> Log:
         """The same log without sightings from farther than ``most`` [m]."""
+        check_positive(max_range=most)
         kept = self.sightings[:, 0] <= most
         return self.with_sightings(kept)
 
@@ -354,7 +368,7 @@ class Log:
         """
         check_positive(range_scale=scale)
         if not np.isfinite(bias):
-            raise OptionError(f"range_bias must be a finite number, not {bias!r}")
+            raise OptionError(f"range_bias must be a finite number, not {quoted(bias)}")
         sightings = self.sightings.copy()
         sightings[:, 0] = (sightings[:, 0] - bias) / scale
         if (k := first(sightings[:, 0] <= 0)) is not None:
@@ -377,7 +391,7 @@ class Log:
         """
         check_positive(wheel_scale=wheel_scale)
         if not np.isfinite(turn_rate_bias):
-            raise OptionError(f"turn_rate_bias must be a finite number, not {turn_rate_bias!r}")
+            raise OptionError(f"turn_rate_bias must be a finite number, not {quoted(turn_rate_bias)}")
         controls, _, _ = self._driven(None)
         corrected = replace(self, controls=(controls - [0.0, turn_rate_bias]) / [wheel_scale, 1.0])
         return replace(corrected, initial_poses=corrected.dead_reckoning())
@@ -410,9 +424,17 @@ class Log:
         Raises:
             LogError: there is no such step, or they do not increase.
         """
-        kept = np.asarray(steps, dtype=np.int64)
-        if kept.ndim != 1 or len(kept) == 0 or np.any(np.diff(kept) <= 0) or kept[0] < 0 or kept[-1] >= self.num_poses:
+        kept = array_of("steps", steps)
+        if (
+            kept.ndim != 1
+            or len(kept) == 0
+            or np.any(kept % 1)
+            or np.any(np.diff(kept) <= 0)
+            or kept[0] < 0
+            or kept[-1] >= self.num_poses
+        ):
             raise LogError(f"steps to keep must increase and lie between 0 and {self.num_poses - 1}")
+        kept = kept.astype(np.int64)
         changes: dict[str, Any] = {"initial_poses": self.initial_poses[kept]}
         if self.true_poses is not None:
             changes["true_poses"] = self.true_poses[kept]
@@ -436,11 +458,9 @@ class Log:
         ``true_path``, a different number of sightings needs its own ``classes``, and other ``true_poses`` need their own
         ``true_path``; the old ones are dropped.
         """
-        if "sightings" in changes and len(changes["sightings"]) != len(self.sightings):
+        if "sightings" in changes and length_of(changes["sightings"]) != len(self.sightings):
             changes = {"classes": None} | changes
-        if "controls" in changes and (
-            changes["controls"] is None or self.controls is None or len(changes["controls"]) != len(self.controls)
-        ):
+        if "controls" in changes and (self.controls is None or length_of(changes["controls"]) != len(self.controls)):
             of_controls = ("control_starts", "control_variances", "recorded_dt", "true_path")
             changes = dict.fromkeys(of_controls) | changes
         if "true_poses" in changes:
@@ -452,80 +472,15 @@ class Log:
         return all(_same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self) if f.compare)
 
 
+def check_is_log(log: object) -> None:
+    """Raise `OptionError` unless this is a `Log`."""
+    if not isinstance(log, Log):
+        raise OptionError(f"log must be a Log, not {quoted(log)}; graphslam.load(path) reads one")
+
+
 def _same(a: Any, b: Any) -> bool:
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return np.array_equal(a, b, equal_nan=a.dtype.kind == b.dtype.kind == "f")
     return bool(a == b) if type(a) is type(b) else False
-
-
-def _checked_starts(value: np.ndarray, controls: int) -> np.ndarray:
-    starts = np.array(value)
-    whole = starts.ndim == 1 and len(starts) > 0 and starts.dtype.kind in "iu"
-    if not whole or starts[0] != 0 or starts[-1] != controls or np.any(np.diff(starts) <= 0):
-        raise LogError(
-            f"control_starts must be whole numbers, one per pose, that increase from 0 to the number of controls, {controls}"
-        )
-    return starts.astype(np.int64)
-
-
-def _checked_truth(value: ArrayLike, shape: tuple[int, ...], name: str = "true_poses") -> Array:
-    """True poses; each row is complete, a position with an unknown heading, or unknown."""
-    array = np.array(value, dtype=float)
-    unknown = np.isnan(array)
-    known = _floats(name, np.where(unknown, 0.0, array) if array.shape == shape else array, shape)
-    k = first((unknown[:, 0] != unknown[:, 1]) | (unknown[:, 0] & ~unknown[:, 2]))
-    if k is not None:
-        raise LogError(f"{name}[{k}] is {array[k]}; a row must be complete, (x, y, NaN) or all NaN")
-    known[unknown] = np.nan
-    return known
-
-
-def _checked_classes(value: ArrayLike, length: int) -> np.ndarray:
-    """Classes as words, or as whole numbers."""
-    array = np.asarray(value)
-    if array.dtype.kind == "O" and all(isinstance(each, str) for each in array.flat):
-        array = array.astype(str)
-    if array.dtype.kind != "U":
-        return _integers("classes", array, length, "words, or whole numbers")
-    if array.shape != (length,):
-        raise LogError(f"classes must have one entry per sighting, shape ({length},), not {array.shape}")
-    return np.char.strip(array)
-
-
-def _landmark(id: int, value: ArrayLike) -> Array:
-    landmark = _floats(f"true_landmarks[{id}]", value, (None,))
-    if len(landmark) not in (2, 3):
-        raise LogError(f"true_landmarks[{id}] must be (x, y) or (x, y, heading), not of shape {landmark.shape}")
-    return landmark
-
-
-def _floats(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise LogError(f"{name} must be an array of numbers: {error}") from None
-    if array.ndim != len(shape) or any(want is not None and want != have for want, have in zip(shape, array.shape)):
-        wanted = ", ".join("any" if want is None else str(want) for want in shape)
-        raise LogError(f"{name} must have shape ({wanted}), not {array.shape}")
-    if not np.all(np.isfinite(array)):
-        where = np.argwhere(~np.isfinite(array))[0].tolist()
-        raise LogError(f"{name}{where} is {array[tuple(where)]}; all numbers must be finite")
-    return array
-
-
-def _integers(name: str, value: ArrayLike, length: int, wanted: str = "whole numbers") -> np.ndarray:
-    array = np.asarray(value)
-    if array.size == 0:
-        array = array.astype(np.int64).reshape(-1)
-    if array.shape != (length,):
-        raise LogError(f"{name} must have one entry per sighting, shape ({length},), not {array.shape}")
-    try:
-        with np.errstate(invalid="ignore"):
-            whole = array.astype(np.int64)
-    except (TypeError, ValueError):  # of a word, or None
-        raise LogError(f"{name} must be {wanted}, not such as {array[0]!r}") from None
-    if not np.array_equal(whole, array):
-        raise LogError(f"{name} must be {wanted}")
-    return whole.copy()

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .checks import array_of
 from .edges import MarginalEdges
 from .edges.robust import Kernel, kernel_of
 from .errors import OptionError
@@ -61,7 +62,7 @@ def estimate_map(
         own_kernel, own_trust = graph.verdict
         sensor, kernel, trust = sensor or graph.sensor, kernel or own_kernel, own_trust if trust is None else trust
     sensor = sensor or log.sensor or SensorModel()
-    trajectory = np.asarray(getattr(poses, "poses", poses), dtype=float)
+    trajectory = array_of("poses", getattr(poses, "poses", poses))
     if trajectory.shape != (log.num_poses, 3):
         raise OptionError(f"poses must have shape ({log.num_poses}, 3) for this log, not {trajectory.shape}")
     trusted = np.ones(len(log.steps)) if trust is None else np.nan_to_num(np.asarray(trust, dtype=float), nan=1.0)

@@ -16,8 +16,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import check_positive, checked_offset, option
-from .errors import OptionError
+from .checks import check_positive, check_real, checked_offset, option
+from .errors import OptionError, quoted
 from .se2 import Array, mounted, wrap
 
 
@@ -61,7 +61,7 @@ class NoiseModel:
         known = [f.name for f in fields(self)]  # type: ignore[arg-type]  # every subclass is a dataclass
         for name in given:
             if name not in known:
-                raise OptionError(f"{type(self).__name__} has no {name!r}; its fields are {', '.join(known)}")
+                raise OptionError(f"{type(self).__name__} has no {quoted(name)}; its fields are {', '.join(known)}")
         zero = {}
         for group, other in (self.ALTERNATIVES, self.ALTERNATIVES[::-1]):
             if not given.keys().isdisjoint(group) and given.keys().isdisjoint(other):
@@ -108,6 +108,7 @@ class MotionModel(NoiseModel):
     def __post_init__(self) -> None:
         check_positive(epsilon=self.epsilon)
         # each of the others may be zero: no noise of this kind
+        check_real(**vars(self))
         check_positive(**{name: value for name, value in vars(self).items() if value != 0})
 
     @classmethod
@@ -311,6 +312,7 @@ class SensorModel(NoiseModel):
     field_of_view: float = option(2 * pi, "Whole angle in which the sensor sees landmarks, ahead in its middle", "rad")
 
     def __post_init__(self) -> None:
+        check_real(**{name: value for name, value in vars(self).items() if name != "offset"})
         check_positive(bearing_std=self.bearing_std, orientation_std=self.orientation_std)
         # one of the two parts of the range noise may be zero, but not both
         if self.range_std == 0 or self.range_rate != 0:
@@ -320,10 +322,10 @@ class SensorModel(NoiseModel):
         object.__setattr__(self, "offset", checked_offset("offset", self.offset))
         if not 0 <= self.min_range < self.max_range:
             raise OptionError(
-                f"min_range must lie between 0 and max_range ({self.max_range:g} m), not {self.min_range!r}"
+                f"min_range must lie between 0 and max_range ({self.max_range:g} m), not {quoted(self.min_range)}"
             )
         if not 0 < self.field_of_view <= 2 * pi:
-            raise OptionError(f"field_of_view must be positive and at most 2 pi, not {self.field_of_view!r}")
+            raise OptionError(f"field_of_view must be positive and at most 2 pi, not {quoted(self.field_of_view)}")
 
     @classmethod
     def constant(cls, range_std: float, bearing_std: float, *, offset: tuple[float, float] = (0.0, 0.0)) -> SensorModel:

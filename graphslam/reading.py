@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .checks import check_positive, option
+from .checks import check_count, check_positive, option
 from .errors import LogError
 
 #: the id of a landmark that the sensor could not identify
@@ -20,6 +20,8 @@ NO_CLASS = ""
 MOST_CLASSES = 100
 #: rows that cannot be are left out up to this share of all; a table with more of them is refused
 MOST_LEFT_OUT = 0.05
+#: the most poses that ``keep_every`` may make: a tenth of a second of a whole day
+MOST_POSES = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +43,8 @@ class ReadOptions:
     )
 
     def __post_init__(self) -> None:
+        if self.robot is not None:
+            check_count(robot=self.robot)
         if self.keep_every is not None:
             check_positive(keep_every=self.keep_every)
 

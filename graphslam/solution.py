@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .certificate import Certificate, prove
 from .checks import make_read_only
-from .errors import OptionError
+from .errors import OptionError, quoted
 from .graph import Graph
 from .mapping import LandmarkMap
 from .metrics import pose_nees
@@ -204,7 +204,7 @@ class Solution:
             raise OptionError(f"pose {id} is not part of the graph, so it has no covariance")
         else:
             what = f"the steps of the log, 0 to {len(self.poses) - 1}"
-        raise OptionError(f"there is no pose {id!r}; the ids of the poses are {what}")
+        raise OptionError(f"there is no pose {quoted(id)}; the ids of the poses are {what}")
 
 
 def _errors(poses: Array, true_poses: ArrayLike) -> Array:

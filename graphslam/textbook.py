@@ -17,7 +17,7 @@ from math import cos, pi, sin
 import numpy as np
 
 from .checks import check_choice
-from .errors import GraphError, OptionError
+from .errors import GraphError, OptionError, quoted
 from .log import Log
 from .models import MotionModel, SensorModel
 from .precision import check_log
@@ -98,7 +98,7 @@ def solve(
     threshold = THRESHOLDS[edges] if threshold is None else threshold
     d = dimensions or log.sightings.shape[1]
     if d not in (2, 3) or d > log.sightings.shape[1]:
-        raise OptionError(f"dimensions must be 2 or 3 and not more than the log has, not {dimensions!r}")
+        raise OptionError(f"dimensions must be 2 or 3 and not more than the log has, not {quoted(dimensions)}")
     if motion_copies < 1:
         raise OptionError(f"motion_copies must be at least 1, not {motion_copies}")
     motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()

@@ -53,7 +53,8 @@ def backends(
 
         def progress(row: BackendRow) -> None:
             advance(1, f"{Path(row.file).name} {row.backend}")
-            output.detail(f"{Path(row.file).name} {row.backend}: {row.seconds:.3g} s, {row.reason}")
+            chi2 = f"chi2 {row.chi2:.6g}, {row.seconds:.3g} s, " if row.seconds == row.seconds else ""
+            output.progress(f"{Path(row.file).name} {row.backend}: {chi2}{row.reason}")
 
         outcome = compare_backends(files, progress=progress, **options.keywords())
     output.show(outcome)

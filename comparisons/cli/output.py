@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import re
 import shlex
 import shutil
 import sys
@@ -10,6 +12,7 @@ import textwrap
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from json import dumps
 from pathlib import Path
 from threading import Timer
 from typing import Any, Protocol
@@ -48,6 +51,9 @@ def sentences(verbose: bool, advice: Callable[[str], str | None] = lambda _: Non
         if _by_interrupt(error):
             typer.echo("interrupted", err=True)
             raise typer.Exit(INTERRUPTED) from None
+        if isinstance(error, OSError) and error.errno != errno.EPIPE:
+            where = "the output" if error.filename is None else error.filename
+            error = SlamError(f"{where} cannot be read or written: {error.strerror or error}")
         if isinstance(error, MemoryError):
             error = SlamError(f"there is not enough memory for this ({error or 'no size given'}); ask for less")
         if not isinstance(error, SlamError):
@@ -135,7 +141,11 @@ class Output:
         from ..saving import json_text, write_json
 
         if self._to_stdout:
-            typer.echo(json_text(payload), nl=False)
+            text = json_text(payload)
+            if not _encodable(text):
+                # JSON may hold any letter as an escape in ASCII
+                text = re.sub(r"[^\x00-\x7f]", lambda letter: dumps(letter[0])[1:-1], text)
+            typer.echo(text, nl=False)
         elif self._file is not None:
             write_json(payload, self._file)
             self.hint(f"Wrote {self._file}.")
@@ -220,6 +230,15 @@ class Output:
                     progress.update(task, total=total)
 
             yield advance
+
+
+def _encodable(text: str) -> bool:
+    """Whether standard output has a code for every letter of a text."""
+    try:
+        text.encode(sys.stdout.encoding or "utf-8")
+    except (UnicodeEncodeError, LookupError):
+        return False
+    return True
 
 
 def program() -> str:

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import inspect
 import shlex
+import signal
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -67,6 +69,7 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
             output = Output(values.pop("json"), quiet=quiet, verbose=verbose)
             for name, group in groups.items():
                 values[name] = group.of(**{o: values.pop(o) for o in options_of(group) if o in values})
+            _interruptible()
             function(output=output, **values)
 
     context = inspect.Parameter("ctx", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=typer.Context)
@@ -79,6 +82,16 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
     # blank lines between, because neighbouring lines are joined
     epilog = "\n\n".join(["Examples:", *(f"  {line}" for line in examples)])
     app.command(name_of(function), epilog=epilog)(command)
+
+
+def _interruptible() -> None:
+    """Make Ctrl-C an exception from here on, so that files are written whole or not at all, unless it is ignored.
+
+    Until then the entry point ends the process at once, because imports may swallow the exception.
+    """
+    handled = signal.getsignal(signal.SIGINT) not in (signal.SIG_IGN, signal.SIG_DFL, None)
+    if handled and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def name_of(function: Callable[..., None]) -> str:

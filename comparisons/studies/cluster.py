@@ -20,6 +20,7 @@ from urllib.parse import urlsplit
 from pebble import ProcessPool
 
 from graphslam import OptionError, SlamError
+from graphslam.errors import quoted
 
 from ..estimators import ESTIMATORS
 from ..failures import sentence
@@ -109,7 +110,7 @@ def check_answers(address: str) -> None:
     except ValueError:
         host = port = None
     if parts.scheme not in SCHEMES or host is None or port is None:
-        raise OptionError(f"{address!r} is no address of a Dask scheduler; write tcp://host:8786")
+        raise OptionError(f"{quoted(address)} is no address of a Dask scheduler; write tcp://host:8786")
     try:
         socket.create_connection((host, port), timeout=PATIENCE).close()
     except OSError as error:

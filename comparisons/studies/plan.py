@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from graphslam import FormatError, OptionError
-from graphslam.errors import printable
+from graphslam.errors import printable, quoted, shortened
 
 from ..estimators import ESTIMATORS, default_estimators
 from ..noise_files import read_noise
@@ -23,8 +24,20 @@ from ..reading import OF_FILES, sha256_of
 from ..toml_files import TomlFile
 from .simulated import simulated_log
 
-#: more seeds than a study could ever execute
-MOST_SEEDS = 1_000_000
+#: the most runs of a study, the most combinations of values in one table, and the most seeds: all are made at once
+MOST_RUNS, MOST_COMBINATIONS, MOST_SEEDS = 500_000, 10_000, 1_000_000
+#: so many worlds of a table are tried before a study begins, at 4 ms each; one after them that is impossible fails in its run
+_TRIED = 500
+#: the keys of a study file beside its tables
+_KEYS = {
+    each.name: each
+    for each in (
+        Option(name="database", kind=Path, each=Path, default=None),
+        Option(name="time_limit", kind=float, each=float, default=600.0, positive=True),
+        Option(name="estimators", kind=tuple, each=str, default=default_estimators(), choices=tuple(ESTIMATORS)),
+        Option(name="logs", kind=tuple, each=str, default=()),
+    )
+}
 #: what [options] may have: every option of a run but its seed
 _OPTIONS = {n: each for n, each in options_of(RunOptions).items() if n != "seed" and each.only != "python"}
 #: those that decide which log the estimators work on
@@ -101,9 +114,15 @@ def read_study(path: str | PathLike[str]) -> Study:
     sources = [*_files(file, keys["logs"]), *_worlds(file)]
     if not sources:
         raise FormatError(path, None, "a study needs logs = [..] with files, or a table [simulate]")
-    methods = list(_methods(file, keys["estimators"]))
+    methods, seeds = list(_methods(file, keys["estimators"])), _seeds(file)
+    count = len(sources) * len(seeds) * len(methods)
+    if count > MOST_RUNS:
+        raise FormatError(
+            path, None, f"{len(sources)} logs, {len(seeds)} seeds and {len(methods)} methods are {count:,} runs; a study has "
+            f"at most {MOST_RUNS:,}",
+        )  # fmt: skip
     runs: dict[str, Run] = {}
-    for (log, source), seed, (estimator, method, options) in product(sources, _seeds(file), methods):
+    for (log, source), seed, (estimator, method, options) in product(sources, seeds, methods):
         if "simulate" in source:
             options = {name: value for name, value in options.items() if name not in OF_FILES}
         run = Run(log, source, seed, estimator, method, options)
@@ -126,10 +145,12 @@ def _keys() -> dict[str, Option]:
 def _seeds(file: TomlFile) -> list[int]:
     seeds = file.table.get("seeds", 1)
     if type(seeds) is int and seeds > MOST_SEEDS:
-        raise file.error("seeds", f"a study has at most {MOST_SEEDS} seeds, not {seeds}")
+        raise file.error("seeds", f"a study has at most {MOST_SEEDS} seeds, not {quoted(seeds)}")
     listed = list(range(seeds)) if type(seeds) is int else seeds
     if not isinstance(listed, list) or not listed or not all(type(seed) is int and seed >= 0 for seed in listed):
-        raise file.error("seeds", f"seeds should be their number, or a list of whole numbers from 0, not {seeds!r}")
+        raise file.error(
+            "seeds", f"seeds should be their number, or a list of whole numbers from 0, not {quoted(seeds)}"
+        )
     return list(dict.fromkeys(listed))
 
 
@@ -140,9 +161,12 @@ def _files(file: TomlFile, patterns: tuple[str, ...]) -> Iterator[tuple[str, dic
         paths = [folder / pattern]
         if any(letter in pattern for letter in "*?["):
             root = Path(pattern).anchor
-            paths = sorted(Path(root or folder).glob(pattern.removeprefix(root)))
+            try:
+                paths = sorted(Path(root or folder).glob(pattern.removeprefix(root)))
+            except (ValueError, NotImplementedError, OSError) as error:
+                raise file.error("logs", f"{quoted(pattern)} is no pattern of files: {shortened(str(error))}") from None
             if not paths:
-                raise file.error("logs", f"no file matches {pattern!r} in {root or folder}")
+                raise file.error("logs", f"no file matches {quoted(pattern)} in {root or folder}")
         for path in paths:
             try:
                 digest = sha256_of(path)
@@ -160,15 +184,16 @@ def _worlds(file: TomlFile) -> Iterator[tuple[str, dict[str, Any]]]:
         where = "simulate" if isinstance(tables, dict) else f"simulate[{number - 1}]"
         if not isinstance(table, dict):
             raise file.error(
-                "simulate", f"simulate should be a table [simulate], or several [[simulate]], not {table!r}"
+                "simulate", f"simulate should be a table [simulate], or several [[simulate]], not {quoted(table)}"
             )
         fixed = _settings(file, {key: value for key, value in table.items() if key not in ("name", "vary")}, where)
         name = file.value(table, "name", str, where=where) or fixed.get("world", "book")
         if name in names:
             name = f"{name}-{number}"
         names.add(name)
-        for varied in _combinations(file, table, where, _settings):
-            _check_world(file, fixed | varied, where)
+        for k, varied in enumerate(_combinations(file, table, where, _settings)):
+            if k < _TRIED:
+                _check_world(file, fixed | varied, where)
             yield _label(name, varied), {"simulate": fixed | varied}
 
 
@@ -233,8 +258,10 @@ def _combinations(
         for inner, listed in inside.items():
             name = key if inner is None else f"{key}.{inner}"
             if not isinstance(listed, list) or not listed:
-                raise file.error(f"{where}.{name}", f"{where}.{name} should be a list of values, not {listed!r}")
+                raise file.error(f"{where}.{name}", f"{where}.{name} should be a list of values, not {quoted(listed)}")
             axes.append([check(file, {key: v if inner is None else {inner: v}}, where) for v in listed])
+    if (count := math.prod(map(len, axes))) > MOST_COMBINATIONS:
+        raise file.error(where, f"{where} has {count:,} combinations of values; there may be {MOST_COMBINATIONS:,}")
     for chosen in product(*axes):
         yield {name: value for entry in chosen for name, value in entry.items()}
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from graphslam import OptionError
 from graphslam.checks import suggestion
+from graphslam.errors import quoted
 
 from ..display import Displayed
 from .bootstrap import Median, median_of
@@ -123,7 +124,7 @@ def summarise(study: str | PathLike[str] | StudyDatabase | Sequence[Row], *, bas
         rows, planned = list(map(dict, study)), len(study)
     names = list(dict.fromkeys(row["method"] for row in rows))
     if baseline is not None and baseline not in names:
-        raise OptionError(f"the study has no method {baseline!r}{suggestion(baseline, names)}")
+        raise OptionError(f"the study has no method {quoted(baseline)}{suggestion(baseline, names)}")
     if baseline is None:
         baseline = next((row["method"] for row in rows if row["estimator"] == "graph"), next(iter(names), None))
     logs = list(dict.fromkeys(row["log"] for row in rows))

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam.errors import LogError, OptionError
-from graphslam.log import Log
+from graphslam.errors import LogError, OptionError, quoted
+from graphslam.log import Log, check_is_log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 
@@ -62,8 +62,7 @@ class ParticleGibbs:
         start: ArrayLike | None = None,
         **keywords: Any,
     ) -> None:
-        if not isinstance(log, Log):
-            raise OptionError(f"log must be a Log, not {log!r}")
+        check_is_log(log)
         self.options = replace(options or GibbsOptions(), **keywords)
         if not log.identified:
             raise OptionError(
@@ -131,7 +130,7 @@ def _seeds(seed: Any, count: int) -> list[int]:
     if isinstance(seed, np.random.Generator):
         seed = int(seed.integers(2**63))
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise OptionError(f"seed must be a whole number, not below 0, not {seed!r}")
+        raise OptionError(f"seed must be a whole number, not below 0, not {quoted(seed)}")
     return [int(s.generate_state(1)[0]) for s in np.random.SeedSequence(int(seed)).spawn(count)]
 
 

@@ -137,7 +137,9 @@ def wanted(estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[s
     Raises:
         OptionError: there is no such parameter, or its prior is impossible.
     """
-    return {name: None if np.isinf(value) else value for name, value in parsed(estimate or ()).items()}
+    return {
+        name: None if np.isinf(value) else value for name, value in parsed(() if estimate is None else estimate).items()
+    }
 
 
 def adapted(

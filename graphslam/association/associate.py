@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ..errors import GraphError, LogError, OptionError
-from ..log import UNIDENTIFIED, Log
+from ..checks import array_of, check_type, suggestion
+from ..errors import GraphError, LogError, OptionError, quoted
+from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from ..parameters.declared import ParameterEstimate
 from ..precision import check_log
@@ -156,6 +157,14 @@ def associate(
         OptionError: an option has an impossible value.
     """
     begin = time.perf_counter()
+    check_is_log(log)
+    check_type(MotionModel, motion=motion)
+    check_type(SensorModel, sensor=sensor)
+    check_type(AssociationOptions, options=options)
+    known = [each.name for each in fields(AssociationOptions)]
+    for name in changes:
+        if name not in known:
+            raise OptionError(f"associate has no option {quoted(name)}{suggestion(name, known)}")
     options = replace(options or AssociationOptions(), **changes)
     motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
     if log.controls is None:
@@ -203,11 +212,13 @@ def _starts(log: Log, start: Start | list[Start | None] | None) -> list[tuple[np
             found.append((None, None))
             continue
         if not isinstance(each, tuple) or len(each) != 2:
-            raise OptionError(f"a start must be a pair (ids, poses), not {each!r}")
-        labels, poses = np.asarray(each[0]), np.asarray(each[1], dtype=float)
+            raise OptionError(f"a start must be a pair (ids, poses), not {quoted(each)}")
+        labels, poses = array_of("the ids of a start", each[0]), array_of("the poses of a start", each[1])
         if labels.shape != log.steps.shape or poses.shape != log.initial_poses.shape:
             raise OptionError(f"start must be {len(log.steps)} ids and poses of shape {log.initial_poses.shape}")
-        found.append((labels, poses))
+        if not np.array_equal(labels, labels.astype(np.int64)) or not np.isfinite(poses).all():
+            raise OptionError("the ids of a start must be whole numbers, and its poses finite")
+        found.append((labels.astype(np.int64), poses))
     if not found:
         raise OptionError("start holds no start; leave it out for the drive")
     return found

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from numbers import Real
 
 from ..checks import check_choice, check_count, option
-from ..errors import OptionError
+from ..errors import OptionError, quoted
 
 #: how the sightings of one scan are assigned to landmarks
 METHODS = ("joint", "nearest")
@@ -43,12 +44,12 @@ class AssociationOptions:
         for name in ("gate", "clutter", "confusion"):
             value: float = getattr(self, name)
             if not isinstance(value, Real) or not 0 < value < 1:
-                raise OptionError(f"{name} must lie between 0 and 1, not {value!r}")
-        if not isinstance(self.factor, Real) or not self.factor >= 1:
-            raise OptionError(f"factor must be at least 1, not {self.factor!r}")
+                raise OptionError(f"{name} must lie between 0 and 1, not {quoted(value)}")
+        if not isinstance(self.factor, Real) or not 1 <= self.factor <= sys.float_info.max:
+            raise OptionError(f"factor must be at least 1, not {quoted(self.factor)}")
         for name in ("slip", "keep_ids"):
             if not isinstance(value := getattr(self, name), bool):
-                raise OptionError(f"{name} must be True or False, not {value!r}")
+                raise OptionError(f"{name} must be True or False, not {quoted(value)}")
         check_count(window=self.window, rounds=self.rounds, tries=self.tries)
-        if self.window < 1:
-            raise OptionError("window must be at least 1")
+        if not 1 <= self.window < 2**31:
+            raise OptionError(f"window must lie between 1 and 2^31, not {quoted(self.window)}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..errors import FormatError
+from ..errors import FormatError, shortened
 from ..files import check_unpacked
 
 #: the first bytes of files
@@ -94,6 +94,8 @@ def open_bag(path: Path) -> Iterator[Bag]:
                 Topic(name, info.msgtype or "several types", info.msgcount)
                 for name, info in sorted(reader.topics.items())
             )
+        if not all(isinstance(text, str) for topic in topics for text in (topic.name, topic.type)):
+            raise FormatError(path, None, "the name or type of a topic is no text; was the file damaged?")
         yield Bag(path, topics, reader.typestore.fielddefs, reader)
     finally:
         reader.close()
@@ -135,7 +137,7 @@ def _errors(path: Path, where: Any = lambda: "") -> Iterator[None]:
 
 def _cause(path: Path, error: Exception) -> str:
     """What a damaged or unknown file is, in words."""
-    text = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+    text = shortened(" ".join(str(error).split()).rstrip(".")) or type(error).__name__
     kind = "folder" if path.is_dir() else path.suffix.lower()
     if "not indexed" in text or "index looks damaged" in text:
         return f"the bag has no complete index, it was cut short; repair it first: rosbag reindex {path.name}"

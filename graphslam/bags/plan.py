@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..checks import suggestion
-from ..errors import FormatError
+from ..errors import FormatError, named, quoted
 from .candidates import matches
 from .paths import leaves, lists
 
@@ -124,8 +124,8 @@ def _stated(source: str, role: str, path: str, inside: list[str], row: str) -> s
     for known in inside:
         if known.replace("[]", "") == wanted:
             return known
-    hint = suggestion(wanted, inside) or f"; it has {', '.join(inside[:12])}"
-    raise FormatError(source, None, f"its messages have no field {path!r} for {role}{hint}")
+    hint = suggestion(wanted, inside) or f"; it has {named(inside)}"
+    raise FormatError(source, None, f"its messages have no field {quoted(path)} for {role}{hint}")
 
 
 def _places(inside: list[str]) -> list[str]:

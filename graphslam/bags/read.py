@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import suggestion
-from ..errors import FormatError, LogError
+from ..errors import FormatError, LogError, named, quoted
 from ..se2 import Array, wrap
 from ..tables.drive import map_of, odometry_of, sightings_of, truth_of
 from ..tables.join import Drive, check_overlap
@@ -78,7 +78,7 @@ def drive_of_bag(path: Path, recipe: Recipe | None = None) -> Drive:
         choices = {choice.kind: choice for choice in _choices(bag, candidates(bag), recipe)}
         for kind in ("odometry", "sightings"):
             if kind not in choices:
-                topics = ", ".join(f"{topic.name} ({topic.type})" for topic in bag.topics)
+                topics = named(f"{topic.name} ({topic.type})" for topic in bag.topics)
                 raise FormatError(
                     path, None, f"no topic gives {kind}: there are {topics or 'no topics'}; name one: --{kind} TOPIC"
                 )
@@ -146,8 +146,8 @@ def _choices(bag: Bag, found: Sequence[Candidate], recipe: Recipe) -> list[Choic
         if name is not None:
             name = name if name in by_name or f"/{name}" not in by_name else f"/{name}"
             if name not in by_name:
-                hint = suggestion(name, by_name) or f"; its topics are {', '.join(by_name) or 'none'}"
-                raise FormatError(bag.path, None, f"there is no topic {name!r}{hint}")
+                hint = suggestion(name, by_name) or f"; its topics are {named(by_name) or 'none'}"
+                raise FormatError(bag.path, None, f"there is no topic {quoted(name)}{hint}")
             choices.append(Choice(kind, by_name[name], parent, child, named=True))
         elif parent or child:
             if transforms is None:
@@ -210,7 +210,7 @@ def _stated(options: TableOptions) -> bool:
 def _odometry_table(collector: Collector, use: str | None) -> tuple[Columns, list[str]]:
     """The odometry from the twist or from the poses: the recipe's choice, else the twist where it is not zero."""
     if use not in (None, "twist", "pose"):
-        raise FormatError(collector.source, None, f'use should be "twist" or "pose", not {use!r}')
+        raise FormatError(collector.source, None, f'use should be "twist" or "pose", not {quoted(use)}')
     plain = [name for name in collector.plan.columns if "." not in name]
     if not collector.plan.places or (use == "twist" and plain):
         return _plain_table(collector, plain), []
@@ -283,8 +283,9 @@ def _sightings_table(
             raise FormatError(
                 collector.source,
                 None,
-                f"its positions are in the frame {collector.frame!r}, and no fixed transform in TF leads from there to "
-                f"{base!r}, the robot; state where the sensor is: --sensor-offset FORWARD,LEFT, and --sensor-yaw or --axes",
+                f"its positions are in the frame {quoted(collector.frame)}, and no fixed transform in TF leads from there to "
+                f"{quoted(base)}, the robot; state where the sensor is: --sensor-offset FORWARD,LEFT, and --sensor-yaw or "
+                "--axes",
             )
         offset, turn = (float(mounted[0][0]), float(mounted[0][1])), mounted[1]
     positions = positions @ turn.T

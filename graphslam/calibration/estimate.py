@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from ..checks import check_choice
+from ..checks import array_of, check_choice, check_not_negative, check_type
 from ..errors import LogError
 from ..identification.parts import OF_SENSOR, with_variances
-from ..log import Log
+from ..log import Log, check_is_log
 from ..models import MotionModel, SensorModel
 from .from_residuals import CORRELATED, MAX_ROUNDS, SCALES, noise_from_residuals
 from .from_truth import Means, knows_enough, knows_poses, motion_noise, sensor_noise
@@ -137,6 +137,13 @@ def calibrate(
         GraphError: its graph cannot be made or is not determined.
         OptionError: an option has an impossible value.
     """
+    for each in (log, *others):
+        check_is_log(each)
+    check_type(MotionModel, motion=motion)
+    check_type(SensorModel, sensor=sensor)
+    if degrees is not None:
+        check_not_negative(degrees=degrees)
+        degrees = float(array_of("degrees", degrees))
     check_choice("source", source, SOURCES)
     check_choice("scale", scale, tuple(SCALES))
     logs = (log, *others)

@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
 from ..checks import check_choice, check_positive
-from ..errors import OptionError
+from ..errors import OptionError, quoted
 from ..se2 import Array
 
 SQUARES, HUBER, CAUCHY, GEMAN_MCCLURE = 0, 1, 2, 3
@@ -152,7 +152,7 @@ def kernel_of(kernel: Kernel | str | None) -> Kernel | None:
         check_choice("kernel", kernel, ("none", *KERNELS))
         return KERNELS.get(kernel)
     if kernel is not None and not isinstance(kernel, Kernel):
-        raise OptionError(f"kernel must be Huber(), Cauchy(), GemanMcClure(), a name or None, not {kernel!r}")
+        raise OptionError(f"kernel must be Huber(), Cauchy(), GemanMcClure(), a name or None, not {quoted(kernel)}")
     return kernel
 
 

@@ -10,8 +10,8 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_choice
-from ..errors import OptionError
+from ..checks import check_choice, check_type
+from ..errors import OptionError, quoted
 from ..models import MotionModel, SensorModel
 from ..precision import SMALLEST, check_model, check_size, small_inverse
 from ..se2 import Array
@@ -51,7 +51,7 @@ def numbers(name: str, value: Any, lengths: tuple[int, ...], rows: int | None = 
     # for few numbers math.isfinite is faster than NumPy's
     if not fits or not (all(map(isfinite, array.tolist())) if rows is None else np.isfinite(array).all()):
         count = f"{' or '.join(map(str, lengths))} finite numbers"
-        raise OptionError(f"{name} must be {count if rows is None else f'{rows} rows of {count}'}, not {value!r}")
+        raise OptionError(f"{name} must be {count if rows is None else f'{rows} rows of {count}'}, not {quoted(value)}")
     return array
 
 
@@ -139,8 +139,7 @@ def sensor_of(sensor: Any) -> SensorModel:
     """
     if sensor is None:
         return _SENSOR
-    if not isinstance(sensor, SensorModel):
-        raise OptionError(f"sensor must be a SensorModel, not {sensor!r}")
+    check_type(SensorModel, sensor=sensor)
     check_model(sensor)
     return sensor
 
@@ -154,8 +153,7 @@ def motion_of(motion: Any) -> MotionModel:
     """
     if motion is None:
         return _MOTION
-    if not isinstance(motion, MotionModel):
-        raise OptionError(f"motion must be a MotionModel, not {motion!r}")
+    check_type(MotionModel, motion=motion)
     check_model(motion)
     return motion
 

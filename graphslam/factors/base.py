@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from ..checks import check_positive
 from ..edges.robust import Cauchy, GemanMcClure, Huber, Kernel, kernel_of
-from ..errors import FactorError, OptionError
+from ..errors import FactorError, OptionError, quoted
 from ..se2 import Array
 from .description import FACTOR_TYPES, FactorDescription, key_name
 
@@ -162,7 +162,7 @@ def _guarded(
                 raise FactorError(f"its residual is not finite at {_text(at)}: {e}")
             if jacobians is not None:
                 if not hasattr(by_value, "__len__") or len(by_value) != len(keys):
-                    raise FactorError(f"it needs {len(keys)} Jacobians, one per key, not {by_value!r}")
+                    raise FactorError(f"it needs {len(keys)} Jacobians, one per key, not {quoted(by_value)}")
                 for k, (value, (_, is_pose), shape) in enumerate(zip(at, ends, shapes)):
                     jacobian = _matrix(k, by_value[k], value[2] if is_pose and not in_own_axes else None)
                     if jacobian.shape != shape:
@@ -244,7 +244,7 @@ def listed_keys(name: str, keys: Any) -> list[int]:
         OptionError: the argument is no list, or a key is no integer or negative.
     """
     if not isinstance(keys, (Sequence, np.ndarray)) or isinstance(keys, (str, bytes)) or getattr(keys, "ndim", 1) != 1:
-        raise OptionError(f"{name} takes a list of keys, not {keys!r}")
+        raise OptionError(f"{name} takes a list of keys, not {quoted(keys)}")
     return [_checked_key(name, key) for key in keys]
 
 
@@ -254,7 +254,7 @@ def _checked_key(name: str, key: Any) -> int:
     except TypeError:
         number = -1
     if not 0 <= number < 2**64:
-        raise OptionError(f"{name}: a key must be an integer from 0 to 2^64 - 1 (gtsam.symbol), not {key!r}")
+        raise OptionError(f"{name}: a key must be an integer from 0 to 2^64 - 1 (gtsam.symbol), not {quoted(key)}")
     return number
 
 

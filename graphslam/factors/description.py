@@ -20,7 +20,7 @@ import gtsam
 import numpy as np
 
 from ..edges.robust import KERNELS
-from ..errors import FactorError, FormatError, OptionError
+from ..errors import FactorError, FormatError, OptionError, quoted
 from ..files import write_whole
 from ..models import MotionModel, SensorModel
 
@@ -49,7 +49,7 @@ class FactorDescription:
             OptionError: there is no such factor type, or its arguments are impossible.
         """
         if self.kind not in FACTOR_TYPES:
-            raise OptionError(f"there is no factor type {self.kind!r} in graphslam.factors")
+            raise OptionError(f"there is no factor type {quoted(self.kind)} in graphslam.factors")
         make = FACTOR_TYPES[self.kind]
         return make(*([list(self.keys)] if make.keys_in_list else self.keys), **self.arguments)
 
@@ -82,7 +82,7 @@ class FactorDescription:
         except OptionError:
             raise
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise OptionError(f"no description of a factor ({error!r}): {data!r}") from None
+            raise OptionError(f"no description of a factor ({quoted(error)}): {quoted(data)}") from None
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, FactorDescription) or (self.kind, self.keys) != (other.kind, other.keys):

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
 from ..checks import check_choice
-from ..errors import OptionError
+from ..errors import OptionError, quoted
 from ..models import SensorModel
 from ..precision import SMALLEST, check_size
 from ..se2 import Array, rotation, wrap
@@ -78,7 +78,7 @@ class LandmarkFactor(Factor):
         check_sighted("sightings", (z[:, 1:].min(), z[:, 1:].max()))
         trusted = np.ones(len(z)) if trust is None else numbers("trust", trust, (len(z),))
         if np.any(trusted <= 0):
-            raise OptionError(f"trust must be above zero for every sighting, not {trust!r}")
+            raise OptionError(f"trust must be above zero for every sighting, not {quoted(trust)}")
         frozen = frozen_at(at, needed=world or (weight != "marginal" and z.shape[1] == 2), rows=len(z), frame=frame)
         if weight == "marginal":
             rows, residual, error = _marginal(z, node, sensor, world, trusted, frozen)

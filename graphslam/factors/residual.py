@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import check_choice
-from ..errors import OptionError
+from ..errors import OptionError, quoted
 from ..se2 import Array
 from .arguments import positive_definite
 from .base import KINDS, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys
@@ -51,14 +51,14 @@ class ResidualFactor(Factor):
     ) -> None:
         keys = listed_keys("ResidualFactor", keys)
         if not (kinds is None or isinstance(kinds, (list, tuple))):
-            raise OptionError(f"kinds must be a list of {' and '.join(KINDS)}, not {kinds!r}")
+            raise OptionError(f"kinds must be a list of {' and '.join(KINDS)}, not {quoted(kinds)}")
         kinds = [POSE] * len(keys) if kinds is None else list(kinds)
         for kind in kinds:
             check_choice("kinds", kind, tuple(KINDS))
         if len(kinds) != len(keys) or not keys:
             raise OptionError(f"ResidualFactor needs one kind per key, not {len(kinds)} for {len(keys)} keys")
         if not callable(residual):
-            raise OptionError(f"residual must be a function, not {residual!r}")
+            raise OptionError(f"residual must be a function, not {quoted(residual)}")
         try:
             shape = np.shape(np.asarray(information, dtype=float))
             rows = shape[0] if len(shape) == 2 else 0

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from ..checks import check_choice
-from ..errors import FormatError, OptionError
-from ..files import check_file, check_path, check_unpacked
+from ..errors import FormatError, OptionError, quoted
+from ..files import check_file, check_path, check_unpacked, path_of
 from ..keyframes import with_poses_every
-from ..log import Log
+from ..log import Log, check_is_log
 from ..reading import ReadOptions
 from . import bag, huang, lnpr, lost_in_the_woods, mrclam, npz, tables, victoria_park
 from .base import Format
@@ -39,9 +39,10 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
     Raises:
         FormatError: there is no such file, it is not of a known format, or breaks its format's rules; the message has
             file and line, what was expected and what to do.
-        OptionError: ``format`` is not the name of a format, or an option does not apply to this format or is impossible.
+        OptionError: ``path`` is no path, ``format`` not the name of a format, or an option does not apply to this format or
+            is impossible.
     """
-    path = Path(path)
+    path = path_of(path)
     if format is not None:
         check_choice("format", format, FORMATS)
     check_path(path)
@@ -51,10 +52,12 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
     known = {f.name: f.metadata.get("needs") for f in fields(ReadOptions)}
     for name in options:
         if name not in known:
-            raise OptionError(f"load has no option {name!r}; its options are format, {', '.join(known)}")
+            raise OptionError(f"load has no option {quoted(name)}; its options are format, {', '.join(known)}")
         needs = known[name]
         if options[name] is not None and needs is not None and not getattr(chosen, needs):
-            raise OptionError(f"{name} does not apply to logs of the format {chosen.name!r} ({path}); leave it out")
+            raise OptionError(
+                f"{name} does not apply to logs of the format {quoted(chosen.name)} ({path}); leave it out"
+            )
     reading = ReadOptions(**options)
     log = chosen.read(path, reading)
     if reading.keep_every is None or chosen.separate_times:
@@ -90,15 +93,19 @@ def save(log: Log, path: str | PathLike[str], *, format: str | None = None) -> N
 
     Raises:
         FormatError: the format cannot hold what the log holds (``.npz`` holds everything), or the file cannot be written.
-        OptionError: ``format`` is not the name of a format that can be written.
+        OptionError: ``log`` is no `Log`, ``path`` is no path, or ``format`` is not the name of a format that can be written.
     """
-    path = Path(path)
+    check_is_log(log)
+    path = path_of(path)
+    check_path(path)
     writers = {f.name: f.write for f in FORMATS.values() if f.write is not None}
     if format is None:
         by_suffix = {suffix: name for name in writers for suffix in FORMATS[name].suffixes}
         if path.suffix not in by_suffix:
             known = ", ".join(by_suffix)
-            raise FormatError(path, None, f"cannot tell the format from the suffix {path.suffix!r}; use one of {known}")
+            raise FormatError(
+                path, None, f"cannot tell the format from the suffix {quoted(path.suffix)}; use one of {known}"
+            )
         format = by_suffix[path.suffix]
     check_choice("format", format, writers)
     writers[format](log, path)

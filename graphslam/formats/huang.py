@@ -28,7 +28,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FormatError
+from ..errors import FormatError, OptionError
+from ..files import check_file
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..reading import ReadOptions
@@ -42,6 +43,8 @@ STEP = 0.3
 #: a small part of the pose covariance, without which a step of two noisy numbers would be singular
 EPSILON = 1e-8
 
+#: a decimal number
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _HOLDS = {
     "store_speed": "the measured speed of each step",
     "store_turnrate": "the measured turn rate of each step",
@@ -108,17 +111,21 @@ def _read(folder: Path, _: ReadOptions) -> Log:
 
 def _noise(path: Path) -> tuple[MotionModel | None, SensorModel | None]:
     """The models that parameters.txt gives, from lines like ``sigomega = (4*pi/180); --- ...``."""
+    check_file(path)
     text = path.read_text(encoding="utf-8", errors="replace")
     sigma = {}
     for name in ("sigv", "sigomega", "sigr", "sigtheta"):
-        match = re.search(rf"^\s*{name}\s*=\s*\(?\s*([\d.eE+-]+)\s*(\*\s*pi\s*/\s*180)?", text, re.MULTILINE)
+        match = re.search(rf"^\s*{name}\s*=\s*\(?\s*({_NUMBER})(?![\w.])\s*(\*\s*pi\s*/\s*180)?", text, re.MULTILINE)
         if match is None:
             return None, None
         sigma[name] = float(match[1]) * (math.pi / 180 if match[2] else 1.0)
     # two controls of half a step each, with independent errors, have together the published error of one whole step
     twice = math.sqrt(2)
-    motion = MotionModel.constant(twice * sigma["sigv"], twice * sigma["sigomega"], epsilon=EPSILON)
-    return motion, SensorModel.constant(sigma["sigr"], sigma["sigtheta"])
+    try:
+        motion = MotionModel.constant(twice * sigma["sigv"], twice * sigma["sigomega"], epsilon=EPSILON)
+        return motion, SensorModel.constant(sigma["sigr"], sigma["sigtheta"])
+    except OptionError as error:
+        raise FormatError(path, None, str(error)) from None
 
 
 FORMAT = Format("huang", _recognises, _read)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FormatError
+from ..errors import FormatError, quoted
 from ..files import read_text, write_whole
 from ..log import Log
 from ..models import MotionModel, SensorModel
@@ -59,11 +59,13 @@ class _Reader:
     def take(self, line: int, tag: str, words: list[str]) -> None:
         self.line = line
         if tag not in _COLUMNS:
-            raise self.error(f"unknown line tag {tag!r}; expected delta, u, x or z")
+            raise self.error(f"unknown line tag {quoted(tag)}; expected delta, u, x or z")
         columns = _COLUMNS[tag].split()
         if len(words) != len(columns) and (tag, len(words)) != ("z", 4):
             form = f"{tag} {_COLUMNS[tag].replace('PSI', '[PSI]')}"
-            raise self.error(f"expected {form!r}, found {1 + len(words)} columns in {' '.join([tag, *words])!r}")
+            raise self.error(
+                f"expected {quoted(form)}, found {1 + len(words)} columns in {quoted(' '.join([tag, *words]))}"
+            )
         names = {"t": "the step number"}
         integers = [whole(self.path, line, names.get(c, c), w) for c, w in zip(columns, words) if c in ("t", "ID")]
         numbers = [(c, w) for c, w in zip(columns, words) if c not in ("t", "ID")]

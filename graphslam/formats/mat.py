@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FormatError
+from ..errors import FormatError, named, quoted
 from ..files import check_file
 from ..se2 import Array
 from .mat_file import variables
@@ -56,7 +56,7 @@ def read_mat(path: Path, shapes: Mapping[str, Shape | None]) -> dict[str, Array]
         raise FormatError(path, None, f"not a readable MATLAB file ({error}); was it cut short?") from None
     missing = [name for name in shapes if name not in content]
     if missing:
-        others = ", ".join(sorted(content)) or "nothing"
+        others = named(sorted(content)) or "nothing"
         raise FormatError(
             path,
             None,
@@ -77,14 +77,14 @@ def numbers(path: Path, name: str, value: np.ndarray, shape: Shape, lengths: dic
     wanted = [lengths.get(want, want) if isinstance(want, str) else want for want in shape]
     text = " x ".join("N" if isinstance(want, str) else str(want) for want in wanted)
     if value.dtype.kind not in "iufb":
-        raise FormatError(path, None, f"the variable {name!r} should be numbers, {text}")
+        raise FormatError(path, None, f"the variable {quoted(name)} should be numbers, {text}")
     # unsigned integers, which some files have, would wrap around below zero
     array = np.asarray(value, dtype=float)
     fits = array.ndim == len(shape)
     if not fits or any(want != have for want, have in zip(wanted, array.shape) if not isinstance(want, str)):
         have = " x ".join(map(str, array.shape))
-        raise FormatError(path, None, f"the variable {name!r} should be {text}, but is {have}")
+        raise FormatError(path, None, f"the variable {quoted(name)} should be {text}, but is {have}")
     if not np.all(np.isfinite(array)):
-        raise FormatError(path, None, f"the variable {name!r} has entries that are not finite")
+        raise FormatError(path, None, f"the variable {quoted(name)} has entries that are not finite")
     lengths |= {want: have for want, have in zip(shape, array.shape) if isinstance(want, str)}
     return array

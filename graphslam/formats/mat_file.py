@@ -15,6 +15,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..errors import quoted
+from ..files import MOST_BYTES
+
 HEADER = 128
 MATRIX, COMPRESSED = 14, 15
 #: the NumPy type of each type of data
@@ -65,9 +68,16 @@ def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
 
 
 def _matrices(data: bytes, order: str) -> Iterator[bytes]:
+    """The bytes of each array of a file; one that is compressed holds one that is not."""
+    left = MOST_BYTES
     for kind, body in _elements(data, order):
         if kind == COMPRESSED:
-            yield from _matrices(zlib.decompress(body), order)
+            unpacked = zlib.decompressobj()
+            plain = unpacked.decompress(body, left)
+            if unpacked.unconsumed_tail:
+                raise ValueError(f"its variables would take more than {MOST_BYTES / 1e9:.1f} GB")
+            left -= len(plain)
+            yield from (inner for inner_kind, inner in _elements(plain, order) if inner_kind == MATRIX)
         elif kind == MATRIX:
             yield body
 
@@ -83,17 +93,17 @@ def _variable(body: bytes, order: str, names_only: bool = False) -> tuple[str, n
         return name, np.empty(0, dtype=object)
     count = math.prod(sizes)
     if min(sizes, default=-1) < 0 or len(sizes) < 2:
-        raise ValueError(f"the shape of {name!r} is impossible: {sizes}")
+        raise ValueError(f"the shape of {quoted(name)} is impossible: {sizes}")
     if kind == CELL:
         cells = np.empty(len(values := [_variable(body, order)[1] for _, body in parts]), dtype=object)
         cells[:] = values
         if len(cells) != count:
-            raise ValueError(f"{name!r} has {len(cells)} cells and not {count}")
+            raise ValueError(f"{quoted(name)} has {len(cells)} cells and not {count}")
         return name, cells.reshape(sizes, order="F")
     stored, content = next(parts, (0, b""))
     array = np.frombuffer(content, order + TYPES[stored]) if count else np.zeros(0)
     if len(array) != count:
-        raise ValueError(f"{name!r} has {len(array)} numbers and not {count}")
+        raise ValueError(f"{quoted(name)} has {len(array)} numbers and not {count}")
     with np.errstate(invalid="ignore"):
         return name, array.astype(CLASSES[kind]).reshape(sizes, order="F")
 

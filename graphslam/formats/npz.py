@@ -13,17 +13,19 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Mapping
 from dataclasses import astuple, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, SlamError
-from ..files import check_file, write_whole
+from ..errors import FormatError, SlamError, shortened
+from ..files import MOST_BYTES, check_file, write_whole
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..reading import ReadOptions, finite_fault, range_faults, sound_rows
+from ..se2 import Array
 from .base import Format
 
 VERSION = "graphslam-log-1"
@@ -40,27 +42,34 @@ def _read(path: Path, options: ReadOptions) -> Log:
     try:
         # from memory: np.load leaves a file open that turns out not to be an archive
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
+            # a small file can claim to hold any number of zeros
+            if (size := sum(entry.file_size for entry in archive.zip.infolist())) > MOST_BYTES:
+                raise FormatError(
+                    path, None, f"its arrays would take {size / 1e9:.1f} GB; those of a log take at most 1 GB"
+                )
             content = {name: archive[name] for name in archive.files}
+    except FormatError:
+        raise
     except Exception as error:  # what a damaged archive raises depends on the byte
-        raise FormatError(path, None, f"not a readable .npz archive ({error}); was it cut short?") from None
+        raise FormatError(
+            path, None, f"not a readable .npz archive ({shortened(str(error))}); was it cut short?"
+        ) from None
     if str(content.get("format")) != VERSION:
         raise FormatError(path, None, f"the archive is not a log: its entry 'format' should be {VERSION!r}")
     missing = [name for name in _REQUIRED if name not in content]
     if missing:
         raise FormatError(path, None, f"the archive lacks the array {missing[0]!r}")
-    truth = None
-    if "true_landmark_ids" in content:
-        rows = zip(content["true_landmark_ids"].tolist(), content.get("true_landmark_poses", ()))
-        truth = {j: pose[:2] if np.isnan(pose[2]) else pose for j, pose in rows}
     try:
         notes = (*map(str, content.get("notes", ())), *_left_out(content, path, options.strict))
         models: dict[str, Any] = {}
         for name, model in _MODELS.items():
             if name in content:
-                numbers = iter(content[name].tolist())
+                if content[name].ndim != 1:
+                    raise ValueError(f"{name} must be numbers, one for each field of the model")
+                numbers = iter(content[name].astype(float).tolist())
                 # files of earlier versions lack the last fields
                 values: dict[str, Any] = {
-                    f.name: (next(numbers), next(numbers)) if f.name == "offset" else next(numbers, f.default)
+                    f.name: (next(numbers, 0.0), next(numbers, 0.0)) if f.name == "offset" else next(numbers, f.default)
                     for f in fields(model)
                 }
                 models[name] = model(**values)
@@ -68,10 +77,10 @@ def _read(path: Path, options: ReadOptions) -> Log:
             **models,
             **{name: content[name] for name in _REQUIRED},
             **{name: content[name] for name in _OPTIONAL if name in content},
-            true_landmarks=truth,
+            true_landmarks=_true_landmarks(content) if "true_landmark_ids" in content else None,
             start_time=float(content.get("start_time", 0.0)),
             notes=notes,
-            doubts=tuple((str(check), str(message)) for check, message in content.get("doubts", ())),
+            doubts=tuple((str(check), str(message)) for check, message in content.get("doubts", np.empty((0, 2)))),
             simulated=bool(content.get("simulated", False)),
             name=path.stem,
         )
@@ -95,6 +104,21 @@ def _left_out(content: dict[str, np.ndarray], path: Path, strict: bool) -> tuple
         if name in content and content[name].shape[:1] == kept.shape:
             content[name] = content[name][kept]
     return notes
+
+
+def _true_landmarks(content: Mapping[str, np.ndarray]) -> dict[int, Array]:
+    """The true map, {id: (x, y) or (x, y, heading)}.
+
+    Raises:
+        ValueError: there is not one row of three numbers for each id.
+    """
+    ids, poses = content["true_landmark_ids"], content.get("true_landmark_poses", np.empty(0))
+    if ids.dtype.kind not in "iu" or ids.ndim != 1 or poses.shape != (len(ids), 3) or poses.dtype.kind not in "iuf":
+        raise ValueError(
+            f"true_landmark_ids must be whole numbers (L,) and true_landmark_poses numbers (L, 3), but their shapes are "
+            f"{ids.shape} and {poses.shape}"
+        )
+    return {j: pose[:2] if np.isnan(pose[2]) else pose for j, pose in zip(ids.tolist(), poses)}
 
 
 def _write(log: Log, path: Path) -> None:

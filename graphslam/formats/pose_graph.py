@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..checks import check_choice, first
-from ..errors import FormatError
+from ..errors import FormatError, named, quoted
 from ..files import read_text, write_whole
 from ..se2 import Array, compose, inverse, transform, turn_matrix, wrap
 from .text import number, whole
@@ -124,7 +124,7 @@ def read_pose_graph(path: Path, dialect: str | None = None, unknown: str = "erro
             _take(lines, line, words, unknown)
     tags = lines.tags
     if left_out := tags.keys() - {*_TAGS, "FIX"}:
-        counted = ", ".join(f"{count} x {tag}" for tag, count in tags.items() if tag in left_out)
+        counted = named(f"{count} x {tag}" for tag, count in tags.items() if tag in left_out)
         warnings.warn(f"{path}: left out lines with unknown tags: {counted}", UserWarning, stacklevel=3)
     if not lines.pose_edges and not lines.point_edges:
         raise FormatError(path, None, "no edges: a graph has at least one line like 'EDGE_SE2 i j x y theta ...'")
@@ -151,7 +151,9 @@ def _take(lines: _Lines, line: int, words: list[str], unknown: str) -> None:
     if tag not in _TAGS:
         if unknown == "error":
             known = ", ".join([*_TAGS, "FIX"])
-            raise FormatError(path, line, f"unknown tag {tag!r}; known are {known} (unknown='skip' leaves others out)")
+            raise FormatError(
+                path, line, f"unknown tag {quoted(tag)}; known are {known} (unknown='skip' leaves others out)"
+            )
         return
     num_ids, count, form = _TAGS[tag]
     if len(words) != 1 + num_ids + count:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..checks import first
-from ..errors import FormatError
+from ..errors import FormatError, quoted, shortened
 from ..files import read_text
 from ..reading import Fault, finite_fault, sound_rows
 from ..se2 import Array
@@ -28,9 +28,9 @@ def number(path: Path, line: int, what: str, word: str) -> float:
         if "_" in word:
             raise ValueError  # Python reads 1_0 as 10, other programs do not
     except ValueError:
-        raise FormatError(path, line, f"{what} should be a number, not {word!r}") from None
+        raise FormatError(path, line, f"{what} should be a number, not {quoted(word)}") from None
     if not math.isfinite(value):
-        raise FormatError(path, line, f"{what} is {word}; only finite numbers are allowed")
+        raise FormatError(path, line, f"{what} is {shortened(word)}; only finite numbers are allowed")
     return value
 
 
@@ -45,9 +45,9 @@ def whole(path: Path, line: int, what: str, word: str) -> int:
         if "_" in word:
             raise ValueError
     except ValueError:
-        raise FormatError(path, line, f"{what} should be a whole number, not {word!r}") from None
+        raise FormatError(path, line, f"{what} should be a whole number, not {quoted(word)}") from None
     if not -(2**63) <= value < 2**63:
-        raise FormatError(path, line, f"{what} should be a whole number of at most 64 bits, not {word!r}")
+        raise FormatError(path, line, f"{what} should be a whole number of at most 64 bits, not {quoted(word)}")
     return value
 
 

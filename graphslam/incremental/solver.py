@@ -10,10 +10,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_count, check_positive
+from ..checks import check_count, check_positive, check_type
 from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, kernel_of
-from ..errors import GraphError, OptionError
+from ..errors import GraphError, OptionError, quoted
 from ..models import MotionModel, SensorModel
 from ..precision import check_model, inverses
 from ..reading import NO_ID, UNIDENTIFIED
@@ -141,9 +141,9 @@ class OnlineSolver:
         travels = pose is None and (moves > 0 or created is not None)
         if time is not None:
             if not isinstance(time, Real) or not np.isfinite(time):
-                raise OptionError(f"time must be a finite number, not {time!r}")
+                raise OptionError(f"time must be a finite number, not {quoted(time)}")
             if time < clock or (time == clock and travels):
-                raise OptionError(f"time runs backwards: {time!r} s after {clock!r} s")
+                raise OptionError(f"time runs backwards: {quoted(time)} s after {quoted(clock)} s")
             if dt is None and np.isfinite(arrived):
                 dt = time - arrived
             clock = time
@@ -207,15 +207,17 @@ class OnlineSolver:
         if landmarks.size == 0 and z is not None and z.size == 0:
             return [], np.zeros((0, self._columns or 2))
         if landmarks.size and (landmarks.dtype.kind not in "iu" or landmarks.ndim != 1):
-            raise OptionError(f"ids must be whole numbers, not {ids!r}")
+            raise OptionError(f"ids must be whole numbers, not {quoted(ids)}")
         if np.any((landmarks == UNIDENTIFIED) | (landmarks == NO_ID)):
             raise OptionError("a step takes identified landmarks only: leave out what nobody has identified")
         if z is None or z.ndim != 2 or z.shape[1] not in (2, 3) or not np.isfinite(z).all() or np.any(z[:, 0] <= 0):
             raise OptionError(
-                f"sightings must be (range, bearing) or with psi, with ranges above zero, not {sightings!r}"
+                f"sightings must be (range, bearing) or with psi, with ranges above zero, not {quoted(sightings)}"
             )
         if len(z) != landmarks.size:
-            raise OptionError(f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {ids!r}")
+            raise OptionError(
+                f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {quoted(ids)}"
+            )
         if self._columns not in (None, z.shape[1]):
             raise OptionError(f"the sightings so far have {self._columns} numbers each, these have {z.shape[1]}")
         return landmarks.tolist(), z
@@ -381,28 +383,25 @@ def _relations(
         related = [(index(i), index(j), z, P) for i, j, z, P in relations]
     except (TypeError, ValueError):
         raise OptionError(
-            f"relations must be a list of (first pose, second pose, measured, covariance), not {relations!r}"
+            f"relations must be a list of (first pose, second pose, measured, covariance), not {quoted(relations)}"
         ) from None
     return related
 
 
 def _model(name: str, value: Any, kind: type[Model]) -> Model:
-    if value is None:
-        return kind()
-    if not isinstance(value, kind):
-        raise OptionError(f"{name} must be a {kind.__name__}, not {value!r}")
-    return value
+    check_type(kind, **{name: value})
+    return kind() if value is None else value
 
 
 def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     array = _array(value)
     if array is None or array.shape != shape or not np.isfinite(array).all():
-        raise OptionError(f"{name} must be finite numbers of shape {shape}, not {value!r}")
+        raise OptionError(f"{name} must be finite numbers of shape {shape}, not {quoted(value)}")
     return array
 
 
 def _information(covariance: ArrayLike | None) -> Array:
     P = _numbers("covariance", covariance, (3, 3))  # type: ignore[arg-type]
     if not np.allclose(P, P.T, rtol=0, atol=1e-9 * np.abs(P).max()) or not np.linalg.eigvalsh(P)[0] > 0:
-        raise OptionError(f"covariance must be a symmetric positive definite 3 x 3 matrix, not {covariance!r}")
+        raise OptionError(f"covariance must be a symmetric positive definite 3 x 3 matrix, not {quoted(covariance)}")
     return np.asarray(inverses(P[None], "motion", "check its covariance")[0])

@@ -17,7 +17,7 @@ from math import inf
 import numpy as np
 
 from ..checks import suggestion
-from ..errors import GraphError, OptionError
+from ..errors import GraphError, OptionError, quoted
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
@@ -150,14 +150,14 @@ def declared(
         OptionError: there is no such parameter, or its prior is impossible.
         GraphError: the edges have no such parameter.
     """
-    found = parsed(estimate or ())
+    found = parsed(() if estimate is None else estimate)
     if not found:
         return None
     if residual == "polar" and edges.startswith("landmark"):
         raise GraphError("parameters are estimated with residual='cartesian' only, and not with 'polar'")
     lost = [name for name in found if PARAMETERS[name].of_motion and not edges.endswith("+motion")]
     if lost:
-        raise GraphError(f"edges={edges!r} has no motion edges, which alone depend on {', '.join(lost)}")
+        raise GraphError(f"edges={quoted(edges)} has no motion edges, which alone depend on {', '.join(lost)}")
     if "sensor_delay" in found and log.controls is None:
         raise GraphError(f"{log.name} has no controls, which sensor_delay needs")
     means = np.array([ideal_values(sensor)[name] for name in found])
@@ -174,10 +174,14 @@ def parsed(estimate: str | Iterable[str] | Mapping[str, float | None]) -> dict[s
     Raises:
         OptionError: there is no such parameter, or a deviation is not positive.
     """
+    if isinstance(estimate, np.ndarray):
+        estimate = estimate.ravel().tolist()
     if isinstance(estimate, str):
         estimate = [word for word in estimate.split(",") if word.strip()]
     if not isinstance(estimate, Iterable):
-        raise OptionError(f"estimate must be names of parameters, not {estimate!r}; they are {', '.join(PARAMETERS)}")
+        raise OptionError(
+            f"estimate must be names of parameters, not {quoted(estimate)}; they are {', '.join(PARAMETERS)}"
+        )
     if isinstance(estimate, Mapping):
         pairs = [(str(name), inf if value is None else value) for name, value in estimate.items()]
     else:
@@ -190,7 +194,7 @@ def parsed(estimate: str | Iterable[str] | Mapping[str, float | None]) -> dict[s
         name = written.strip().replace("-", "_")
         if name not in PARAMETERS:
             raise OptionError(
-                f"estimate: there is no parameter {written!r}{suggestion(name, PARAMETERS)}; the parameters are "
+                f"estimate: there is no parameter {quoted(written)}{suggestion(name, PARAMETERS)}; the parameters are "
                 f"{', '.join(PARAMETERS)}"
             )
         try:
@@ -198,6 +202,8 @@ def parsed(estimate: str | Iterable[str] | Mapping[str, float | None]) -> dict[s
         except (TypeError, ValueError):
             deviation = -1.0
         if not deviation > 0:
-            raise OptionError(f"estimate: the prior of {name} must be a positive standard deviation, not {value!r}")
+            raise OptionError(
+                f"estimate: the prior of {name} must be a positive standard deviation, not {quoted(value)}"
+            )
         found[name] = deviation
     return found

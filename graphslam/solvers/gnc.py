@@ -25,7 +25,7 @@ from scipy.special import gammaincinv
 
 from ..edges import EdgeFamily, MarginalEdges, ObservationEdges, VirtualMotionEdges
 from ..edges.robust import Cauchy
-from ..errors import GraphError, OptionError
+from ..errors import GraphError, OptionError, quoted
 from ..graph import Graph, check_graph
 from ..parameters.corrected import corrected, sighted_edges
 from ..se2 import Array
@@ -77,7 +77,7 @@ def solve_gnc(
     """
     check_graph(graph)
     if not 0 < probability < 1:
-        raise OptionError(f"probability must lie between 0 and 1, not {probability!r}")
+        raise OptionError(f"probability must lie between 0 and 1, not {quoted(probability)}")
     if max_rounds < 1:
         raise OptionError(f"max_rounds must be at least 1, not {max_rounds}")
     begin = time.perf_counter()

@@ -16,7 +16,7 @@ from typing import Any
 from pebble import ProcessExpired
 
 from ..checks import check_count, suggestion
-from ..errors import GraphError, OptionError, SlamError
+from ..errors import GraphError, OptionError, SlamError, quoted
 from ..graph import Graph, check_graph
 from ..linear.structure import Structures, sharing
 from ..processes import default_jobs, how_it_ended, processes
@@ -55,10 +55,9 @@ def solve_many(graphs: Iterable[Graph], *, jobs: int | None = None, **options: A
     known = [name for name in signature(solve).parameters if name not in ("graph", "callback")]
     for name in options:
         if name not in known:
-            message = (
-                f"solve_many has no option {name!r}{suggestion(name, known)}; it takes jobs and {', '.join(known)}"
+            raise OptionError(
+                f"solve_many has no option {quoted(name)}{suggestion(name, known)}; it takes jobs and {', '.join(known)}"
             )
-            raise OptionError(message)
     defaults = {name: signature(solve).parameters[name].default for name in known}
     check_options(**(defaults | options))
     if jobs is not None:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ..checks import check_choice
 from ..defaults import suitable_for_isam2
 from ..edges.robust import Kernel, kernel_of
-from ..errors import GraphError, OptionError
+from ..errors import GraphError, OptionError, quoted
 from ..factors import AnchorFactor, LandmarkFactor, MotionFactor, ObservationFactor, RelativePoseFactor
 from ..factors.arguments import PoseLike, numbers, positive_definite
 from ..factors.landmark import WEIGHTS
@@ -155,15 +155,17 @@ class IncrementalSmoother:
         landmarks = np.atleast_1d(np.asarray(ids))
         if landmarks.size == 0:
             if np.size(sightings):
-                raise OptionError(f"each sighting needs the id of its landmark, but there are none for {sightings!r}")
+                raise OptionError(
+                    f"each sighting needs the id of its landmark, but there are none for {quoted(sightings)}"
+                )
             return []
         if landmarks.dtype.kind not in "iu" or landmarks.ndim != 1:
-            raise OptionError(f"ids must be whole numbers, not {ids!r}")
+            raise OptionError(f"ids must be whole numbers, not {quoted(ids)}")
         if np.any((landmarks == UNIDENTIFIED) | (landmarks == NO_ID)):
             raise OptionError("isam2 takes identified landmarks only: leave out what nobody has identified")
         z = numbers("sightings", sightings, (2, 3), rows=len(landmarks))
         if np.any(z[:, 0] <= 0):
-            raise OptionError(f"the ranges of sightings must be above zero: {sightings!r}")
+            raise OptionError(f"the ranges of sightings must be above zero: {quoted(sightings)}")
         columns = next((len(before[0]) for _, before in self._sightings.values()), z.shape[1])
         if columns != z.shape[1]:
             raise OptionError(f"the sightings so far have {columns} numbers each, these have {z.shape[1]}")
@@ -263,7 +265,9 @@ def solve_online(
         names = options.get("edges"), options.get("kernel")
         options["edges"], options["kernel"] = suitable_for_isam2(log, *names)
     if options.get("edges", EDGES[0]) not in EDGES:
-        raise GraphError(f"isam2 needs motion edges: edges must be {' or '.join(EDGES)}, not {options['edges']!r}")
+        raise GraphError(
+            f"isam2 needs motion edges: edges must be {' or '.join(EDGES)}, not {quoted(options['edges'])}"
+        )
     if options.get("frame", "body") == "world":
         raise GraphError("isam2 cannot re-evaluate the information of the world frame; use frame='body'")
     graph = Graph.from_log(log, **options)
@@ -319,9 +323,9 @@ def isam2_parameters(
     """
     check_choice("factorization", factorization, FACTORIZATIONS)
     if not (isinstance(threshold, Real) and np.isfinite(threshold) and threshold >= 0):
-        raise OptionError(f"threshold must be zero or a positive number, not {threshold!r}")
+        raise OptionError(f"threshold must be zero or a positive number, not {quoted(threshold)}")
     if not (isinstance(skip, int) and skip >= 1):
-        raise OptionError(f"skip must be a whole number from 1 on, not {skip!r}")
+        raise OptionError(f"skip must be a whole number from 1 on, not {quoted(skip)}")
     params = gtsam.ISAM2Params()
     params.relinearizeSkip = skip
     params.setRelinearizeThreshold(float(threshold))

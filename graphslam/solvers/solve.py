@@ -9,7 +9,7 @@ from numbers import Real
 from typing import Any
 
 from ..checks import check_choice, check_count, check_positive
-from ..errors import OptionError
+from ..errors import OptionError, quoted
 from ..graph import Graph, check_graph
 from ..se2 import Array
 from ..solution import Solution, make_solution
@@ -74,6 +74,8 @@ def solve(
     """
     check_graph(graph)
     check_options(method, tolerance, max_iterations, initialize, cost_tolerance)
+    if callback is not None and not callable(callback):
+        raise OptionError(f"callback must be a function of one Iteration, not {quoted(callback)}")
     begin, cost = time.perf_counter(), None
 
     def run_from(start: Array, search: str, descend: bool = False) -> Run:
@@ -114,5 +116,5 @@ def check_options(method: str, tolerance: float, max_iterations: int, initialize
     check_choice("initialize", initialize, INITIALIZE)
     check_positive(tolerance=tolerance)
     if not isinstance(cost_tolerance, Real) or not 0 <= cost_tolerance < 1:
-        raise OptionError(f"cost_tolerance must lie between 0 and 1, not {cost_tolerance!r}")
+        raise OptionError(f"cost_tolerance must lie between 0 and 1, not {quoted(cost_tolerance)}")
     check_count(max_iterations=max_iterations)

@@ -16,7 +16,7 @@ from numba import njit
 
 from ..edges import AnchorEdges, ObservationEdges, RelativePoseEdges, kernels
 from ..edges.base import Relations
-from ..errors import GraphError
+from ..errors import GraphError, quoted
 from ..graph import Graph
 from ..linear.cholesky import FactorizationError
 from ..linear.information import BlockSystem
@@ -113,7 +113,7 @@ def odometry(graph: Graph, initialize: str) -> tuple[Array, Array]:
             variance[family.second[following]] = _turn_variance(family.information[following])
     missing = np.flatnonzero(np.isnan(step[:, 0]))
     if len(missing):
-        raise GraphError(f"initialize={initialize!r} needs motion edges; none leads to {graph.names(missing)}")
+        raise GraphError(f"initialize={quoted(initialize)} needs motion edges; none leads to {graph.names(missing)}")
     return step, variance
 
 

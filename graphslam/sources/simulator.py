@@ -9,14 +9,14 @@ Source of the faults: Ueda, *LNPR*, chapter 3 (uncertainty in a mobile robot's m
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import inf, pi
 from typing import Any
 
 import numpy as np
 
-from ..checks import check_not_negative, option
-from ..errors import OptionError
+from ..checks import check_count, check_not_negative, check_type, option, suggestion
+from ..errors import OptionError, quoted
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, wrap
@@ -64,7 +64,7 @@ class SensorFaults:
         check_not_negative(**vars(self))
         for name in ("phantom", "oversight", "occlusion"):
             if getattr(self, name) > 1:
-                raise OptionError(f"{name} must be a probability between 0 and 1, not {getattr(self, name)!r}")
+                raise OptionError(f"{name} must be a probability between 0 and 1, not {quoted(getattr(self, name))}")
 
 
 #: the biases that are factors; the others are angles
@@ -100,6 +100,17 @@ def simulate(
     Raises:
         OptionError: an option has an impossible value.
     """
+    check_type(World, world=world)
+    check_type(MotionFaults, motion_faults=motion_faults)
+    check_type(SensorFaults, sensor_faults=sensor_faults)
+    check_type(MotionModel, motion=motion)
+    check_type(SensorModel, sensor=sensor)
+    known = [each.name for each in fields(World)]
+    for option_name in options:
+        if option_name not in known:
+            raise OptionError(f"simulate has no option {quoted(option_name)}{suggestion(option_name, known)}")
+    if not isinstance(seed, np.random.Generator):
+        check_count(seed=seed)
     world = replace(world or World(), **options)
     if world.clean and (motion_faults is not None or sensor_faults is not None):
         raise OptionError("clean means no faults: leave out motion_faults and sensor_faults, or clean")

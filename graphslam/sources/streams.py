@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import first
-from ..errors import LogError
+from ..errors import LogError, OptionError
 from ..models import MotionModel
-from ..reading import ReadOptions
+from ..reading import MOST_POSES, ReadOptions
 from ..se2 import Array, interpolate, mounted
 
 #: odometry that is silent for longer [s] is bridged: by its last control, which is a guess up to the second time only
@@ -286,9 +286,24 @@ def _why_not_covered(times: Array, truth: Stream) -> str:
     return f": its rows are {spacing:.3g} s apart (median), and it is interpolated between rows at most {TRUTH_GAP:g} s apart"
 
 
+def pieces_of(durations: Array, most: float) -> np.ndarray:
+    """Into how many pieces each duration (N,) [s] is divided, so that no piece lasts longer than ``most``.
+
+    Raises:
+        OptionError: there would be more than `MOST_POSES`.
+    """
+    with np.errstate(over="ignore"):
+        pieces = np.maximum(1.0, np.ceil(durations / most - 1e-9))
+    if pieces.sum() - len(pieces) > MOST_POSES:
+        raise OptionError(
+            f"keep_every = {most:g} s would make {pieces.sum():.3g} poses, more than {MOST_POSES:,}; choose a longer time"
+        )
+    return pieces.astype(np.int64)
+
+
 def _filled(times: Array, most: float) -> Array:
     """The times with others inserted, so that neighbours are at most ``most`` apart."""
-    pieces = np.maximum(1, np.ceil(np.diff(times) / most - 1e-9)).astype(int)
+    pieces = pieces_of(np.diff(times), most)
     first = np.repeat(times[:-1], pieces)
     part = np.arange(len(first)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     between = first + part * np.repeat(np.diff(times) / pieces, pieces)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from math import pi
@@ -10,14 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import check_positive, option
-from ..errors import OptionError
+from ..checks import array_of, check_count, check_number, check_positive, check_real, check_type, option
+from ..errors import OptionError, quoted
 
 #: rows of x, y (and heading) [m, m, rad]
 Places = tuple[tuple[float, ...], ...]
 
 #: the six landmarks of the book's logs, ids 0 to 5 [m]
 BOOK_LANDMARKS: Places = ((-4.0, 2.0), (2.0, -3.0), (3.0, 3.0), (0.0, 4.0), (1.0, 1.0), (-3.0, -1.0))
+
+
+#: the most steps and landmarks of a world
+_MOST = 10_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,19 +52,29 @@ class World:
     clean: bool = option(False, "No faults; the noise follows the estimators' models exactly")
 
     def __post_init__(self) -> None:
-        if self.steps < 1:
-            raise OptionError(f"steps must be at least 1, not {self.steps}")
+        check_count(steps=self.steps)
+        if not 1 <= self.steps <= _MOST:
+            raise OptionError(f"steps must be at least 1 and at most {_MOST:,}, not {quoted(self.steps)}")
         check_positive(dt=self.dt, speed=self.speed, max_range=self.max_range, field_of_view=self.field_of_view)
+        check_number(turn_rate=self.turn_rate)
+        if self.arena is not None:
+            check_positive(arena=self.arena)
+        for name in ("orientation", "clean"):
+            check_type(bool, **{name: getattr(self, name)})
+        check_real(min_range=self.min_range)
         if not 0 <= self.min_range < self.max_range:
-            raise OptionError(f"min_range must lie between 0 and {self.max_range:g} m, not {self.min_range!r}")
-        start, route, landmarks = np.asarray(self.start, dtype=float), self.way_points, self.landmarks
+            raise OptionError(f"min_range must lie between 0 and {self.max_range:g} m, not {quoted(self.min_range)}")
+        start, route, landmarks = array_of("start", self.start), self.way_points, self.landmarks
         if start.shape != (3,):
             raise OptionError(f"start must be (x, y, theta), not an array of shape {start.shape}")
         object.__setattr__(self, "start", tuple(start.tolist()))
         if route is not None:
             object.__setattr__(self, "way_points", _places("way_points must have shape (W, 2)", route, (2,)))
-        if np.ndim(landmarks) == 0:
-            object.__setattr__(self, "landmarks", int(landmarks))  # type: ignore[arg-type]
+        if not isinstance(landmarks, (Sequence, np.ndarray)) or isinstance(landmarks, str):
+            check_count(landmarks=landmarks)
+            if landmarks > _MOST:
+                raise OptionError(f"landmarks must be at most {_MOST:,}, not {quoted(landmarks)}")
+            object.__setattr__(self, "landmarks", int(landmarks))
             if self.landmarks < 1:  # type: ignore[operator]
                 raise OptionError(f"landmarks must be at least 1, not {landmarks}")
         else:
@@ -68,9 +83,11 @@ class World:
 
 
 def _places(rule: str, value: Any, columns: tuple[int, ...]) -> Places:
-    places = np.asarray(value, dtype=float)
+    places = array_of(rule.split()[0], value)
     if places.ndim != 2 or places.shape[1] not in columns or len(places) == 0:
         raise OptionError(f"{rule}, not {places.shape}")
+    if not np.isfinite(places).all():
+        raise OptionError(f"{rule.split()[0]} must be finite numbers")
     return tuple(map(tuple, places.tolist()))
 
 

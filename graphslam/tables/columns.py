@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ..checks import suggestion
-from ..errors import OptionError
+from ..errors import OptionError, named, quoted
 from .table import Table
 
 #: what a column can be -> the names it has in other people's tables, after `plain`
@@ -105,7 +105,7 @@ def find(
     for role, column in stated.items():
         if role not in roles:
             known = ", ".join(roles)
-            raise OptionError(f"columns: there is no {role!r} in the table of {kind}; its columns can be {known}")
+            raise OptionError(f"columns: there is no {quoted(role)} in the table of {kind}; its columns can be {known}")
         found[role] = _stated(table, role, column)
     if not table.names:
         order = orders.get(table.width, ()) if not stated else ()
@@ -137,16 +137,14 @@ def find(
 
 def _stated(table: Table, role: str, column: str | int) -> Chosen:
     if isinstance(column, int) or (column.isdigit() and column not in table.names):
-        number = int(column)
+        number = int(str(column)[:9])  # nobody has that many columns
         if not 1 <= number <= table.width:
             raise table.error(None, f"{role} should be column {number}, but there are columns 1 to {table.width}")
         return Chosen(number - 1, plain(table.names[number - 1])[1] if table.names else None)
     if column not in table.names:
-        known = (
-            f"its columns are {', '.join(table.names)}" if table.names else "its columns have no names: give numbers"
-        )
+        known = f"its columns are {named(table.names)}" if table.names else "its columns have no names: give numbers"
         raise table.error(
-            None, f"there is no column {column!r} for {role}{suggestion(column, table.names) or f'; {known}'}"
+            None, f"there is no column {quoted(column)} for {role}{suggestion(column, table.names) or f'; {known}'}"
         )
     place = table.names.index(column)
     return Chosen(place, plain(column)[1])

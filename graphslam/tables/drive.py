@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..checks import first
-from ..errors import LogError
+from ..errors import LogError, named
 from ..reading import UNIDENTIFIED, Fault, finite_fault, range_faults, sound_rows
 from ..se2 import Array
 from .classes import classes_of
@@ -87,7 +87,7 @@ class _Reader:
 
     def missing(self, role: str, consequence: str = "") -> str:
         """The sentence about a column that is not there, with those that are."""
-        have = ", ".join(self.table.names) if self.table.names else f"{self.table.width} columns without names"
+        have = named(self.table.names) if self.table.names else f"{self.table.width} columns without names"
         names = " or ".join(dict.fromkeys((role, *NAMES[role][:3])))
         which = f"Say which it is: --columns {self.kind}.{role}=NAME"
         if role == "id":

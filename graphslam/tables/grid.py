@@ -14,6 +14,8 @@ _ROWS = 1 << 15
 _EXACT, _POWERS = 2**53, 22
 #: whole numbers of so many digits fit into 64 bits without a sign
 _DIGITS = 19
+#: no number is written in more letters
+_LONGEST = 400
 #: cells that stand for a number that is not known
 MISSING = (b"", b"na", b"n/a", b"null", b"none", b"-")
 
@@ -47,6 +49,8 @@ class Grid:
         values[negative] *= -1.0
         if (rest := np.flatnonzero(~simple | (whole >= _EXACT) | (places > _POWERS))).size:
             # more digits, exponents, words
+            if np.max(self.ends[rest, column] - self.begins[rest, column]) > _LONGEST:
+                raise ValueError  # every cell would take as much memory as the longest one
             cells = np.char.strip(self._cells(column, rest))
             if np.any(np.char.find(cells, b"_") >= 0):
                 raise ValueError  # Python reads 1_0 as 10, other programs do not

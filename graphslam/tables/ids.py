@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..checks import first
-from ..errors import LogError
+from ..errors import LogError, named
 from ..reading import NO_ID, UNIDENTIFIED, Fault
+from ..se2 import Array
 from .grid import MISSING
 from .table import Table
 
 #: cells without an id or a class, in small letters
 EMPTY = (*(cell.decode() for cell in MISSING), "nan", "<na>")
+
+#: whole numbers of so many digits fit into 64 bits
+_MOST_DIGITS = 18
 
 
 @dataclass(frozen=True)
@@ -54,8 +59,7 @@ def ids_of(table: Table, column: int, known: Mapping[str, int] | None = None) ->
         fault = id_fault(table, column, values)
         if (k := first(fault.rows)) is not None:
             raise table.error(k, fault.message(k))
-        large = np.any(np.abs(values[~empty]) >= 2.0**53)
-        numbers = (table.words(column) if large else values)[~empty].astype(np.int64)
+        numbers = _whole(table, column, values)[~empty]
     ids = np.full(len(table), UNIDENTIFIED)
     ids[~empty] = numbers
     notes: tuple[str, ...] = ()
@@ -66,7 +70,7 @@ def ids_of(table: Table, column: int, known: Mapping[str, int] | None = None) ->
         have = "row has" if none.sum() == 1 else "rows have"
         notes = (*notes, f"{table.source}: {none.sum():,} of {len(table):,} {have} the id -1, taken as no id")
     if names:
-        listed = ", ".join(f"{number} = {name}" for name, number in list(names.items())[:10])
+        listed = named(f"{number} = {name}" for name, number in names.items())
         notes = (*notes, f"{table.source}: landmarks have names, ids count them: {listed}")
     return Ids(ids, names, notes)
 
@@ -81,6 +85,28 @@ def id_fault(table: Table, column: int, values: np.ndarray) -> Fault:
     )  # fmt: skip
 
 
+def _whole(table: Table, column: int, values: Array) -> np.ndarray:
+    """The whole numbers (N,) of a column of ids whose floating-point numbers are ``values``; 0 where it is NaN.
+
+    Raises:
+        LogError: a number does not fit into 64 bits, where the smallest one stands for `UNIDENTIFIED`.
+    """
+    if (k := first(np.abs(values) >= 2.0**63)) is not None:
+        raise table.error(
+            k,
+            f"the id {table.title(column)} is {values[k]:g}, but ids are words, or whole numbers of less than 64 bits",
+        )
+    whole = np.where(np.isnan(values), 0.0, values).astype(np.int64)
+    large = np.flatnonzero(np.abs(values) >= 2.0**53)
+    if large.size:
+        # their last digits are in the text only
+        words = table.words(column)[large]
+        for k, word in zip(large.tolist(), words.tolist()):
+            with suppress(ValueError, OverflowError):  # 1e17, and what rounds up to 2^63
+                whole[k] = int(word)
+    return whole
+
+
 def _of_names(words: np.ndarray, known: Mapping[str, int]) -> tuple[np.ndarray, dict[str, int]]:
     """Numbers (N,) of landmarks that have names, and what they stand for where the names do not tell them.
 
@@ -90,7 +116,8 @@ def _of_names(words: np.ndarray, known: Mapping[str, int]) -> tuple[np.ndarray, 
     unique, which = np.unique(words, return_inverse=True)
     listed = [str(name) for name in unique]
     ends = [name[len(name.rstrip("0123456789")) :] for name in listed]
-    if not known and all(ends) and len({int(end) for end in ends}) == len(listed):
+    short = all(0 < len(end) <= _MOST_DIGITS for end in ends)
+    if not known and short and len({int(end) for end in ends}) == len(listed):
         return np.array([int(end) for end in ends], dtype=np.int64)[which], {}
     begin = max(known.values(), default=-1) + 1
     new = {name: begin + k for k, name in enumerate(name for name in listed if name not in known)}

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import checked_offset, suggestion
-from ..errors import LogError, OptionError
+from ..checks import check_type, checked_offset, suggestion
+from ..errors import LogError, OptionError, quoted
 from ..models import SensorModel
 from ..reading import ReadOptions
 from ..se2 import Array
@@ -118,12 +118,13 @@ def parts_of_tables(
     options: TableOptions | None, **changes: Any,
 ) -> dict[str, Any]:  # fmt: skip
     """The arguments of the `Log` that `Log.from_tables` returns; its arguments and errors are the same."""
+    check_type(TableOptions, options=options)
     if options is not None and changes:
         raise OptionError(f"give {next(iter(changes))} as a field of options, or leave out options")
     for change in changes:
         if change not in (names := [f.name for f in fields(TableOptions)]):
             raise OptionError(
-                f"from_tables has no option {change!r}{suggestion(change, names) or '; see TableOptions'}"
+                f"from_tables has no option {quoted(change)}{suggestion(change, names) or '; see TableOptions'}"
             )
     drive = read_drive(odometry, sightings, truth=truth, map=map, options=options or TableOptions(**changes))
     return drive.parts(ReadOptions(keep_every=keep_every), name)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from ..checks import check_choice, option, suggestion
-from ..errors import OptionError
+from ..checks import check_choice, check_number, checked_offset, option, suggestion
+from ..errors import OptionError, quoted
 
 #: the tables of a drive, and what each holds
 TABLES = {
@@ -20,6 +21,8 @@ TABLES = {
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 ANGLES = {"radians": 1.0, "degrees": 3.141592653589793 / 180}
 _CHOICES = {"time": ("s", "ms", "us", "ns"), "angles": tuple(ANGLES), "lengths": tuple(LENGTHS)}
+#: the most that a clock is set forward or back, 146 years: nanoseconds and their sums fit into 64 bits
+_MOST_SECONDS = 2**62 / 1e9
 _PER_TABLE = "; one for all tables, or for each: odometry=..,sightings=.."
 
 
@@ -81,41 +84,49 @@ class TableOptions:
 
     def __post_init__(self) -> None:
         for name, choices in _CHOICES.items():
-            for unit in self._by_table(name).values():
+            for unit in self.by_table(name).values():
                 check_choice(name, unit, choices)
         for f in fields(self):
             if "choices" in f.metadata:
                 check_choice(f.name, getattr(self, f.name), f.metadata["choices"])
+        for name in ("sensor_offset", "truth_offset"):
+            if (offset := getattr(self, name)) is not None:
+                checked_offset(name, offset)
+        if self.sensor_yaw is not None:
+            check_number(sensor_yaw=self.sensor_yaw)
         for table in TABLES:
             self.clock(table)
         self._columns()
 
     def unit(self, name: str, table: str) -> str | None:
         """The unit that is stated for a table, "time", "angles" or "lengths"; None where none is."""
-        stated = self._by_table(name)
+        stated = self.by_table(name)
         return stated.get(table) or stated.get("")
 
     def clock(self, table: str) -> int:
         """Nanoseconds to add to the times of a table."""
-        value = self._by_table("clocks").get(table, 0.0)
+        value = self.by_table("clocks").get(table, 0.0)
         try:
-            return round(float(value) * 1e9)
-        except (ValueError, OverflowError):
-            raise OptionError(f"clocks: {table} should be a number of seconds, not {value!r}") from None
+            seconds = float(value)
+        except (TypeError, ValueError, OverflowError):
+            seconds = math.nan
+        if not abs(seconds) <= _MOST_SECONDS:
+            raise OptionError(f"clocks: {table} should be a number of seconds, not {quoted(value)}")
+        return round(seconds * 1e9)
 
     def columns_of(self, table: str) -> Mapping[str, str | int]:
         """The stated columns of a table, {role: name or number}."""
         return self._columns().get(table, {})
 
-    def _by_table(self, name: str) -> dict[str, Any]:
-        """{table: value}; "" stands for all tables."""
+    def by_table(self, name: str) -> dict[str, Any]:
+        """What the option "time", "angles", "lengths" or "clocks" says, {table: value}; "" stands for all tables."""
         value: Any = getattr(self, name)
         if value is None:
             return {}
         if isinstance(value, Mapping):
             entries = dict(value)
         elif not isinstance(value, str):
-            raise OptionError(f"{name} must be text or a mapping, not {value!r}")
+            raise OptionError(f"{name} must be text or a mapping, not {quoted(value)}")
         elif "=" not in value:
             entries = {"": value}
         else:
@@ -127,16 +138,31 @@ class TableOptions:
     def _columns(self) -> dict[str, dict[str, str | int]]:
         value: Any = self.columns
         if isinstance(value, Mapping):
-            entries = {table: dict(columns) for table, columns in value.items()}
+            entries = {}
+            for table, columns in value.items():
+                if not isinstance(columns, Mapping):
+                    raise OptionError(
+                        f"columns: {quoted(table)} should be a mapping {{what: column}}, not {quoted(columns)}"
+                    )
+                entries[table] = dict(columns)
+        elif not isinstance(value, str | None):
+            raise OptionError(f"columns must be text or a mapping, not {quoted(value)}")
         else:
             entries = {}
             for key, column in _entries("columns", value or "").items():
                 table, dot, role = key.partition(".")
                 if not dot:
-                    raise OptionError(f"columns: {key!r} should name a table, too, such as odometry.{key}={column}")
+                    raise OptionError(
+                        f"columns: {quoted(key)} should name a table, too, such as odometry.{key}={column}"
+                    )
                 entries.setdefault(table, {})[role] = column
-        for table in entries:
+        for table, columns in entries.items():
             check_table("columns", table, TABLES)
+            for role, column in columns.items():
+                if type(column) not in (str, int):
+                    raise OptionError(
+                        f"columns: {table}.{role} should be a name or a number from 1, not {quoted(column)}"
+                    )
         return entries
 
 
@@ -144,7 +170,8 @@ def check_table(option: str, table: str, known: Collection[str] = tuple(TABLES))
     """Raise `OptionError` unless a table has this name."""
     if table not in known:
         raise OptionError(
-            f"{option}: there is no table {table!r}" + (suggestion(table, TABLES) or f"; they are {', '.join(TABLES)}")
+            f"{option}: there is no table {quoted(table)}"
+            + (suggestion(table, TABLES) or f"; they are {', '.join(TABLES)}")
         )
 
 
@@ -154,6 +181,6 @@ def _entries(option: str, text: str) -> dict[str, str]:
     for part in filter(None, (part.strip() for part in text.split(","))):
         key, equals, value = part.partition("=")
         if not equals or not value.strip():
-            raise OptionError(f"{option}: {part!r} should be NAME=VALUE")
+            raise OptionError(f"{option}: {quoted(part)} should be NAME=VALUE")
         entries[key.strip()] = value.strip()
     return entries

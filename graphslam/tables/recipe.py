@@ -15,7 +15,7 @@ from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import OptionError
+from ..errors import OptionError, quoted
 from ..toml_file import TomlFile
 from .drive import ROLES
 from .options import TABLES, TableOptions
@@ -57,8 +57,10 @@ def read_recipe(path: Path) -> Recipe:
     units: dict[str, dict[str, str]] = {
         name: {"": values[name]} for name in _UNITS if isinstance(values.get(name), str)
     }
-    columns: dict[str, dict[str, Any]] = dict(values.pop("columns", {}))
-    clocks: dict[str, float] = dict(values.pop("clocks", {}))
+    of_tables = {name: values.pop(name) for name in ("columns", "clocks") if name in values}
+    stated = file.attempt(lambda: TableOptions(**of_tables))
+    columns: dict[str, dict[str, Any]] = {table: dict(stated.columns_of(table)) for table in TABLES}
+    clocks = stated.by_table("clocks")
     places: dict[str, dict[str, str]] = {}
     for table in TABLES:
         content = file.value(file.table, table, dict) or {}
@@ -84,7 +86,7 @@ def _value(file: TomlFile, name: str) -> Any:
         value = file.value(file.table, name, list)
         if len(value) != 2 or not all(type(number) in (int, float) for number in value):
             raise file.error(name, f"{name} should be a list of two numbers, [forward, left]")
-        return tuple(map(float, value))
+        return tuple(file.value({name: number}, name, float) for number in value)
     if name == "strict":
         return file.value(file.table, name, bool)
     if name == "sensor_yaw":
@@ -100,7 +102,7 @@ def merged(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
     old = {f.name: getattr(recipe.options, f.name) for f in fields(TableOptions)}
     for name in given:
         if name not in old:
-            raise OptionError(f"there is no option {name!r} of tables; they are {', '.join(old)}")
+            raise OptionError(f"there is no option {quoted(name)} of tables; they are {', '.join(old)}")
     defaults = {f.name: f.default for f in fields(TableOptions) if f.default is not MISSING}
     kept = {name: value for name, value in old.items() if value != defaults[name]}
     return Recipe(TableOptions(**kept | given), recipe.places)

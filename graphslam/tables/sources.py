@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, LogError
+from ..errors import FormatError, LogError, quoted
 from ..files import check_file
 from .table import Columns, Table
 from .text_table import TextTable
@@ -35,10 +35,16 @@ def table_of(source: Any, name: str) -> Table:
         path = Path(source)
         return _parquet(path) if path.suffix.lower() in PARQUET else TextTable(path)
     if isinstance(source, Mapping):
+        for column, values in source.items():
+            if np.ndim(values) != 1:
+                raise LogError(f"{name}: column {quoted(column)} should be an array (N,), not {quoted(values)}")
         return Columns(name, source)
     if hasattr(source, "columns") and hasattr(source, "__getitem__"):
         return Columns(name, {str(column): np.asarray(source[column]) for column in source.columns})
-    array = np.asarray(source)
+    try:
+        array = np.asarray(source)
+    except ValueError:  # rows of different lengths
+        array = np.empty(0)
     if array.dtype.names:
         return Columns(name, {column: array[column] for column in array.dtype.names})
     if array.ndim != 2:

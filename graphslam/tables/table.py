@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, LogError
+from ..errors import FormatError, LogError, quoted
 from ..se2 import Array
 
 
@@ -62,7 +62,7 @@ class Table(ABC):
 
     def title(self, column: int) -> str:
         """How messages name a column."""
-        return repr(self.names[column]) if self.names else f"column {column + 1}"
+        return quoted(self.names[column]) if self.names else f"column {column + 1}"
 
 
 class Columns(Table):
@@ -93,12 +93,12 @@ class Columns(Table):
             values = self._columns[column]
             try:
                 numbers[:, k] = values
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 for row, value in enumerate(values):
                     try:
                         float(value)
-                    except (TypeError, ValueError):
-                        message = f"{self.title(column)} should be a number, not {str(value)!r}"
+                    except (TypeError, ValueError, OverflowError):
+                        message = f"{self.title(column)} should be a number, not {quoted(str(value))}"
                         raise self.error(row, message) from None
                 rows = f"; it has {len(values)}, and the first column {len(self)}" if len(values) != len(self) else ""
                 raise self.error(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FormatError
+from ..errors import FormatError, named, quoted
 from ..files import read_text
 from ..se2 import Array
 from .grid import MISSING, grid_of
@@ -20,6 +20,10 @@ from .table import Table
 _SEPARATORS = ("\t", ";", ",", "|", None)
 #: how many lines decide
 _HEAD = 50
+#: the longest word in a column of ids, classes or dates
+_LONGEST = 1000
+#: the longest line with quotation marks; the module csv refuses cells of more than 131,072 letters
+_LONGEST_QUOTED = 100_000
 
 
 class TextTable(Table):
@@ -47,6 +51,8 @@ class TextTable(Table):
             text = "\n".join(line for line in lines if line.strip() and not line.lstrip().startswith("#"))
         if not text:
             raise FormatError(path, None, "the file has comments only; a table with a row for each time is needed here")
+        if '"' in text:
+            _check_length(path, text)
         head = text.split("\n", _HEAD + 1)[: _HEAD + 1]
         self._separator, self._decimal_comma = _form(path, head[1:] or head)
         first = self._cells(head[0])
@@ -61,6 +67,8 @@ class TextTable(Table):
         self._text, self._length = text, text.count("\n") + 1
         self._grid = grid_of(text, self._separator or " ", self.width, "," if self._decimal_comma else ".")
         self._known: dict[int, Array] = {}
+        if '"' in text:
+            self._check_quotes()
         decimal = f"{path.name}: commas were read as decimal points"
         self.notes = (decimal,) if self._decimal_comma else ()
 
@@ -93,9 +101,19 @@ class TextTable(Table):
         return None if self._grid is None else self._grid.decimals(column)
 
     def words(self, column: int) -> np.ndarray:
-        texts = np.loadtxt(
-            self._rows, delimiter=self._separator, usecols=[column], ndmin=1, quotechar='"', dtype=str,
-        )  # fmt: skip
+        # every row of an array of text takes as much memory as the longest one
+        for row, line in enumerate(self._rows):
+            if len(line) > _LONGEST and len(cells := self._cells(line)) > column and len(cells[column]) > _LONGEST:
+                raise self.error(
+                    row, f"{self.title(column)} has {len(cells[column]):,} letters; a word has at most {_LONGEST}"
+                )
+        try:
+            texts = np.loadtxt(
+                self._rows, delimiter=self._separator, usecols=[column], ndmin=1, quotechar='"', dtype=str,
+            )  # fmt: skip
+        except ValueError:
+            self._refuse([])
+            raise
         return np.char.strip(texts)
 
     def texts(self, column: int) -> np.ndarray:
@@ -104,10 +122,24 @@ class TextTable(Table):
     def error(self, row: int | None, message: str) -> FormatError:
         return FormatError(self.path, None if row is None else self._line(row), message)
 
+    def _check_quotes(self) -> None:
+        """Raise `FormatError` for the first row in which a text in quotation marks does not end."""
+        import csv
+
+        for row, line in enumerate(self._rows):
+            if '"' in line:
+                reader = csv.reader([line, ""], delimiter=self._separator or " ")
+                next(reader)
+                # it has read on
+                if reader.line_num > 1:
+                    raise self.error(
+                        row, "a quotation mark is opened and not closed in this line; each row is one line"
+                    )
+
     def _line(self, row: int) -> int:
         """The line, counted from 1, of a row."""
         found = -1 - self._header
-        for number, line in enumerate(read_text(self.path).splitlines(), start=1):
+        for number, line in enumerate(read_text(self.path).split("\n"), start=1):
             found += bool(line.strip()) and not line.lstrip().startswith("#")
             if found == row:
                 return number
@@ -153,13 +185,24 @@ class TextTable(Table):
                 raise self.error(row, message)
             for column in columns:
                 if not self._is_number(cells[column]):
-                    message = f"{self.title(column)} should be a number, not {cells[column]!r}"
+                    message = f"{self.title(column)} should be a number, not {quoted(cells[column])}"
                     if tuple(cells) == self.names:
                         message += "; this line repeats the header, as where files were joined; delete it"
                     raise self.error(row, message)
 
     def _named(self) -> str:
-        return f" ({', '.join(self.names)})" if self.names else ""
+        return f" ({named(self.names)})" if self.names else ""
+
+
+def _check_length(path: Path, text: str) -> None:
+    """Raise `FormatError` for a line that the module csv, which reads quotation marks, cannot read."""
+    for number, line in enumerate(text.split("\n"), start=1):
+        if len(line) > _LONGEST_QUOTED:
+            raise FormatError(
+                path,
+                None,
+                f"row {number} has {len(line):,} letters; with quotation marks it may have {_LONGEST_QUOTED:,}",
+            )
 
 
 def _split(line: str, separator: str | None) -> list[str]:
@@ -209,6 +252,6 @@ def _form(path: Path, head: list[str]) -> tuple[str | None, bool]:
                 best = (score, separator, comma)
     if best[0] == 0.0:
         raise FormatError(
-            path, None, f"cannot find columns in {head[0][:60]!r}; separate them by commas, semicolons, tabs or spaces"
+            path, None, f"cannot find columns in {quoted(head[0])}; separate them by commas, semicolons, tabs or spaces"
         )
     return best[1], best[2]

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from ..errors import LogError
+from ..errors import LogError, quoted
 from ..reading import Fault
 from .table import Table
 
@@ -46,7 +46,7 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
                 raise table.error(
                     0,
                     f"the time {table.title(column)} should be a number, or a date with the time of day as in "
-                    f"2026-11-22T10:00:00.5Z, not {word!r}",
+                    f"2026-11-22T10:00:00.5Z, not {quoted(word)}",
                 ) from None
             raise
         return dates
@@ -104,13 +104,13 @@ def _of_dates(table: Table, column: int) -> np.ndarray | None:
             if row == 0:
                 return None
             raise table.error(
-                row, f"{table.title(column)} should be a date and time as in the rows above, not {word!r}"
+                row, f"{table.title(column)} should be a date and time as in the rows above, not {quoted(word)}"
             )
         day, clock, hours, minutes = match.groups()
         try:
             moment = np.datetime64(f"{day}T{clock.replace(',', '.')}", "ns").astype(np.int64)
         except ValueError as error:
-            raise table.error(row, f"{table.title(column)} is no date that exists: {word!r} ({error})") from None
+            raise table.error(row, f"{table.title(column)} is no date that exists: {quoted(word)} ({error})") from None
         ahead = 60 * int(hours) + int(hours[0] + minutes) if hours else 0
         ns[row] = moment - ahead * 60 * UNITS["s"]
     return ns

@@ -19,6 +19,7 @@ import psutil
 import pytest
 from typer.testing import CliRunner, Result
 
+import graphslam.log
 from comparisons import solvers
 from comparisons.cli import app
 from comparisons.cli.output import Output
@@ -286,12 +287,24 @@ def test_options_reach_the_estimators(invoke: Invoke, log_file: Path) -> None:
     assert noisy["cost"] != pytest.approx(graph["cost"])
 
 
-def test_one_that_cannot_run_is_a_row_or_an_error(invoke: Invoke, log: Log, tmp_path: Path) -> None:
+def test_one_that_cannot_run_is_a_row(invoke: Invoke, log: Log, tmp_path: Path) -> None:
     save(log.replace(true_landmarks=None), tmp_path / "log.npz")
     result = invoke("run", "log.npz", "--particles", 20, "--out", "here")
     assert result.exit_code == 0
     assert "mcl left out" in result.stdout
-    refused(invoke("run", "log.npz", "--estimators", "graph,mcl"), "map")
+    named = invoke("run", "log.npz", "--estimators", "graph,mcl", "--json", "-")
+    assert named.exit_code == 0
+    graph, mcl = json.loads(named.stdout)["estimators"]
+    assert graph["converged"]
+    assert graph["reason"] is None
+    assert "map" in mcl["reason"]
+    refused(invoke("run", "log.npz", "--estimators", "mcl"), "map")
+    # without ids, too
+    unnamed = np.full(len(log.steps), graphslam.log.UNIDENTIFIED)
+    save(log.replace(landmarks=unnamed), tmp_path / "unnamed.npz")
+    result = invoke("run", "unnamed.npz", "--estimators", "dead-reckoning,mcl")
+    assert result.exit_code == 0
+    assert "mcl left out" in result.stdout
 
 
 def test_the_sample_log_is_the_default(invoke: Invoke) -> None:
