@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from copy import deepcopy
 from numbers import Real
 from operator import index
 from typing import Any, TypeVar
@@ -81,6 +82,10 @@ class OnlineSolver:
         self._time, self._arrived = -np.inf, np.nan
         self._system.add_prior(0, _numbers("start", start, (3,)), ANCHOR_INFORMATION)
         self._system.solve(self._poses, [], self._poses)
+
+    def __copy__(self) -> OnlineSolver:
+        """A solver of its own, as `copy.deepcopy` makes one: steps of one do not change the other."""
+        return deepcopy(self)
 
     @property
     def num_poses(self) -> int:
@@ -333,11 +338,11 @@ class OnlineSolver:
     def covariance(self, pose: int | None = None, *, landmarks: Sequence[int] = ()) -> Array:
         """The joint covariance of a pose, by default the newest, and of landmarks, in world axes.
 
-        Its order is the pose (3 numbers), then each landmark (2 or 3). It belongs to the linear system of the last pass,
-        whose edges may be linearised where they were some steps ago (`graphslam.incremental.linearize`). Standard
-        deviations were then wrong by up to 7 % on real logs, and by a quarter across a straight corridor; `relinearize`
-        makes them those of the batch solution. Where all edges have second derivatives in the system, because passes
-        without them did not converge, it is factorised again without them, which takes the time of `relinearize`.
+        Its order is the pose (3 numbers), then each landmark (2 or 3). Edges that were linearised too far from the estimate,
+        or have second derivatives in the linear system of the last pass, are first linearised again without them, and the
+        parts of the tree above them factorised again (`graphslam.incremental.linearize`): standard deviations are then
+        within 2 % of those of the batch solution, and `relinearize` makes them the same. The first call after a step
+        looks at all edges; where all edges needed second derivatives, it takes the time of `relinearize`.
 
         Raises:
             GraphError: a pose or landmark is unknown, or the pose is final.
