@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
 from copy import deepcopy
 from numbers import Real
@@ -145,8 +146,8 @@ class OnlineSolver:
         clock, arrived = self._time, self._arrived
         travels = pose is None and (moves > 0 or created is not None)
         if time is not None:
-            if not isinstance(time, Real) or not np.isfinite(time):
-                raise OptionError(f"time must be a finite number, not {time!r}")
+            if not isinstance(time, Real) or not abs(time) <= sys.float_info.max:
+                raise OptionError(f"time must be a finite number, not {time!r:.80}")
             if time < clock or (time == clock and travels):
                 raise OptionError(f"time runs backwards: {time!r} s after {clock!r} s")
             if dt is None and np.isfinite(arrived):
@@ -165,7 +166,9 @@ class OnlineSolver:
         if control is not None:
             check_positive(dt=dt)  # type: ignore[arg-type]
             u, seconds = _numbers("control", control, (2,))[None], np.array([float(dt)])  # type: ignore[arg-type]
-            z, P = self.motion.accumulate(u, seconds, np.array([0, 1]))
+            # a motion beyond floating point has no inverse covariance, and is refused for that
+            with np.errstate(over="ignore", invalid="ignore"):
+                z, P = self.motion.accumulate(u, seconds, np.array([0, 1]))
             edge = last, z[0], self.motion_weight * inverses(P, "motion", "raise epsilon")[0]
         elif motion is not None:
             edge = last, _numbers("motion", motion, (3,)), self.motion_weight * _information(covariance)
@@ -346,11 +349,15 @@ class OnlineSolver:
 
         Raises:
             GraphError: a pose or landmark is unknown, or the pose is final.
+            OptionError: ``landmarks`` is no list of ids.
         """
         pose = self.num_poses - 1 if pose is None else pose
         check_count(pose=pose)
         self._check_kept(pose, "the covariance of")
-        unknown = [key for key in landmarks if key not in self._landmarks]
+        try:
+            unknown = [key for key in landmarks if key not in self._landmarks]
+        except TypeError:
+            raise OptionError(f"landmarks must be a list of ids, not {landmarks!r:.80}") from None
         if pose >= self.num_poses or unknown:
             raise GraphError(
                 f"there is no covariance of pose {pose} and landmarks {list(landmarks)}: not all are known"

@@ -189,9 +189,11 @@ class OnlineSystem:
             changed = nodes["changed"] == self.tree.counts[STEP]
             nodes["x"][changed] = nodes["kept"][changed]
             before = nodes["x"].copy()
-            start = batch_state(
-                self.nodes, self.edges, self._all_nodes(), self._all_edges(), self._priors, self._kernel
-            )
+            # states beyond floating point are no better, and are not taken
+            with np.errstate(over="ignore", invalid="ignore"):
+                start = batch_state(
+                    self.nodes, self.edges, self._all_nodes(), self._all_edges(), self._priors, self._kernel
+                )
             start = before if start is None else start
             self._begin_at(start, newest)
             self.converged = self._iterate(newest)
