@@ -91,7 +91,15 @@ def state_of(solver: OnlineSolver) -> tuple[Any, ...]:
     """What a refused step must not change, without a solution of the tree."""
     system = solver._system
     numbers = system.nodes["x"][: system.num_nodes].tobytes(), system.edges["cost"][: system.num_edges].tobytes()
-    return (*numbers, solver.num_poses, solver.num_final, solver.converged, solver.passes, solver._time, solver._columns)
+    return (
+        *numbers,
+        solver.num_poses,
+        solver.num_final,
+        solver.converged,
+        solver.passes,
+        solver._time,
+        solver._columns,
+    )
 
 
 def parts_of(solver: OnlineSolver) -> list[np.ndarray]:
@@ -137,13 +145,23 @@ def bad_step(rng: Generator, columns: int, solver: OnlineSolver) -> Step:
     good: Step = {"control": (0.5, 0.1), "dt": 1.0, "ids": [1, 2], "sightings": np.full((2, columns), 0.5)}
     last = solver.num_poses - 1
     edge, eye = np.array([0.1, 0.0, 0.1]), 1e-2 * np.eye(3)
-    other = [np.full((3, 3), np.nan), -eye, np.zeros((3, 3)), np.triu(np.ones((3, 3))), 1e300 * eye, 1e-300 * eye, "eye"]
+    other = [
+        np.full((3, 3), np.nan),
+        -eye,
+        np.zeros((3, 3)),
+        np.triu(np.ones((3, 3))),
+        1e300 * eye,
+        1e-300 * eye,
+        "eye",
+    ]
     changes: list[Step] = [
         {name: value} for name in ("control", "dt", "ids", "sightings", "pose", "motion", "time", "relations")
         for value in ODD
     ]  # fmt: skip
     changes += [{"control": None, "dt": None, "motion": edge, "covariance": P} for P in other]
-    changes += [{"control": None, "dt": None, "motion": 10**k * edge, "covariance": 10.0**-k * eye} for k in (9, 100, 200)]
+    changes += [
+        {"control": None, "dt": None, "motion": 10**k * edge, "covariance": 10.0**-k * eye} for k in (9, 100, 200)
+    ]
     changes += [{"relations": [(0, last + 1, edge, P)]} for P in other]
     changes += [
         {"relations": [pair]}
@@ -158,7 +176,9 @@ def bad_step(rng: Generator, columns: int, solver: OnlineSolver) -> Step:
     changes += [{"sightings": np.ones((2, 5 - columns))}, {"sightings": np.ones((3, columns))}, {"ids": [1, 2, 3]}]
     changes += [{"control": None}, {"dt": None}, {"pose": last}, {"covariance": eye}, {"dt": 1e300}, {"dt": 1e-300}]
     changes += [{"control": (1e200, 0.1)}, {"control": (0.1, 1e300)}, {"time": -1e300}, {"ids": [-1, 2]}]
-    changes += [{"control": None, "dt": None, "pose": int(p)} for p in (-1, last + 1, last + 5, 0 if solver.num_final else -2)]
+    changes += [
+        {"control": None, "dt": None, "pose": int(p)} for p in (-1, last + 1, last + 5, 0 if solver.num_final else -2)
+    ]
     return good | changes[rng.integers(len(changes))]
 
 

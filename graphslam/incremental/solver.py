@@ -381,7 +381,7 @@ def _array(value: ArrayLike) -> Array | None:
     """A value as an array of numbers, None if it is none."""
     try:
         return np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
 
 
