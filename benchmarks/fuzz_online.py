@@ -177,7 +177,7 @@ def bad_step(rng: Generator, columns: int, solver: OnlineSolver) -> Step:
     changes += [{"control": None}, {"dt": None}, {"pose": last}, {"covariance": eye}, {"dt": 1e300}, {"dt": 1e-300}]
     changes += [{"control": (1e200, 0.1)}, {"control": (0.1, 1e300)}, {"time": -1e300}, {"ids": [-1, 2]}]
     changes += [
-        {"control": None, "dt": None, "pose": int(p)} for p in (-1, last + 1, last + 5, 0 if solver.num_final else -2)
+        {"control": None, "dt": None, "pose": p} for p in (-1, last + 1, last + 5, 0 if solver.num_final else -2)
     ]
     return good | changes[rng.integers(len(changes))]
 
@@ -188,9 +188,9 @@ class Odd:
 
 #: values of wrong types, shapes and sizes
 ODD: tuple[Any, ...] = (
-    "noon", b"x", float("nan"), float("inf"), -1.0, 0.0, 2**63, -(2**63) - 1, 10**400, 1j, True, [], [[]], {}, {1: 2}, Odd(), Odd,
-    np.zeros((0, 2)), np.zeros((2, 2, 2)), np.array(["a", "b"]), np.array([None, 1]), [1, [2]], [1.5, 2.5], [2**63, 1],
-    [2**70, 1], np.datetime64("2026-11-22"), range(10**6), "9" * 5000,
+    "noon", b"x", float("nan"), float("inf"), -1.0, 0.0, 2**63, -(2**63) - 1, 10**400, 1j, True, [], [[]], {}, {1: 2},
+    Odd(), Odd, np.zeros((0, 2)), np.zeros((2, 2, 2)), np.array(["a", "b"]), np.array([None, 1]), [1, [2]], [1.5, 2.5],
+    [2**63, 1], [2**70, 1], np.datetime64("2026-11-22"), range(10**6), "9" * 5000,
 )  # fmt: skip
 
 

@@ -150,6 +150,8 @@ BAD_STEPS = [
     ({"motion": (1, 0, 0), "covariance": -np.eye(3)}, OptionError, "positive definite"),
     ({"motion": (1, np.nan, 0), "covariance": np.eye(3)}, OptionError, "motion must be finite"),
     ({"control": (1.0, 0.0), "time": "noon"}, OptionError, "time must be a finite number"),
+    ({"control": (1.0, 0.0), "time": 10**400}, OptionError, "time must be a finite number"),
+    ({"control": (10**400, 0.0), "dt": 1.0}, OptionError, "control must be finite"),
     ({"control": (1.0, 0.0), "dt": 1.0, "covariance": np.eye(3)}, OptionError, "belongs to a measured motion"),
     ({"pose": 0.5, "ids": [1], "sightings": [[1.0, 0.0]]}, OptionError, "pose must be a whole number"),
     ({"relations": [(0.7, 1, (1, 0, 0), np.eye(3))]}, OptionError, "relations must be a list"),
@@ -434,6 +436,12 @@ def test_a_relation_from_the_new_pose():
     solver.step(relations=[(2, 1, z, covariance), (2, 0, compose(z, z), covariance)])
     assert solver.num_poses == 3
     assert solver.cost < 1e-9
+
+
+@pytest.mark.parametrize("landmarks", [[[1]], 3])
+def test_a_covariance_of_what_is_no_id(landmarks):
+    with pytest.raises(OptionError, match="landmarks must be a list of ids"):
+        OnlineSolver().covariance(landmarks=landmarks)
 
 
 @pytest.mark.parametrize("name", ["motion", "sensor"])
