@@ -203,8 +203,10 @@ class OnlineSolver:
     def edges_of(self, sightings: Array) -> tuple[Array, Array]:
         """Landmarks measured in the robot's axes (K, 2 or 3), and their information, from sightings."""
         at_origin = np.zeros((len(sightings), 3))
-        measured = self.sensor.h_inverse(at_origin, sightings)
-        covariances = self.sensor.landmark_covariance(at_origin, sightings)
+        # a range beyond floating point has no inverse covariance, and is refused for that
+        with np.errstate(over="ignore", invalid="ignore"):
+            measured = self.sensor.h_inverse(at_origin, sightings)
+            covariances = self.sensor.landmark_covariance(at_origin, sightings)
         return measured, inverses(covariances, "sighting", "check the noise of the sensor") if len(
             measured
         ) else covariances
