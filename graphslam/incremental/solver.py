@@ -212,7 +212,10 @@ class OnlineSolver:
         ) else covariances
 
     def _checked(self, ids: ArrayLike, sightings: ArrayLike) -> tuple[list[int], Array]:
-        landmarks = np.atleast_1d(np.asarray(ids))
+        try:
+            landmarks = np.atleast_1d(np.asarray(ids))
+        except ValueError:
+            raise OptionError(f"ids must be whole numbers, not {ids!r:.80}") from None
         z = _array(sightings)
         if landmarks.size == 0 and z is not None and z.size == 0:
             return [], np.zeros((0, self._columns or 2))

@@ -151,6 +151,7 @@ BAD_STEPS = [
     ({"motion": (1, np.nan, 0), "covariance": np.eye(3)}, OptionError, "motion must be finite"),
     ({"control": (1.0, 0.0), "time": "noon"}, OptionError, "time must be a finite number"),
     ({"control": (1.0, 0.0), "time": 10**400}, OptionError, "time must be a finite number"),
+    ({"control": (1, 0), "dt": 1, "ids": [1, [2]], "sightings": [[1.0, 0.0]]}, OptionError, "ids must be whole"),
     ({"control": (10**400, 0.0), "dt": 1.0}, OptionError, "control must be finite"),
     ({"control": (1.0, 0.0), "dt": 1.0, "covariance": np.eye(3)}, OptionError, "belongs to a measured motion"),
     ({"pose": 0.5, "ids": [1], "sightings": [[1.0, 0.0]]}, OptionError, "pose must be a whole number"),
