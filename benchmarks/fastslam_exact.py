@@ -1,6 +1,7 @@
 """Do the particles mean what they say? FastSLAM and particle Gibbs against posteriors that are known otherwise.
 
     python benchmarks/fastslam_exact.py small [--logs 5]     # importance sampling: errors and slopes
+    python benchmarks/fastslam_exact.py worlds [--logs 5]    # particle Gibbs against importance sampling
     python benchmarks/fastslam_exact.py long [--logs 10]     # particle Gibbs against a longer run of its own, 62 steps
     python benchmarks/fastslam_exact.py smoothing [--logs 3] # histories and backward simulation against the exact posterior
     python benchmarks/fastslam_exact.py calibration [--logs 200]     # ranks of the truth (simulation-based calibration)
@@ -32,11 +33,13 @@ from graphslam import Graph, Log, MotionModel, SensorModel, load, simulate, solv
 from graphslam.metrics import ate
 from graphslam.se2 import Array, wrap
 
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "fastslam"))
 sys.path.insert(0, str(Path(__file__).parent))
+from error_rates import batch_errors
 from exact_posterior import exact_posterior
+from importance_sampling import importance
 from real_filters import MOTION, SENSOR
-from test_gibbs import importance
 from test_gibbs import small as small_log
 
 FIFTH = {
@@ -52,6 +55,12 @@ CASES = (
     (3, (0.3, 0.1), False),
     (3, (0.3, 0.1), True),
 )
+#: densities of the sightings: name, whether exact, degrees of freedom of Student's t
+DENSITIES = (
+    ("linearised", False, None),
+    ("exact", True, None),
+    ("exact, Student's t with 4 degrees of freedom", True, 4.0),
+)
 
 
 def small(logs: int) -> Iterator[str]:
@@ -64,7 +73,10 @@ def small(logs: int) -> Iterator[str]:
         gibbs = ParticleGibbs(
             log, seed=1, sensor=sensor, density="exact", particles=8, iterations=6000, warm_up=100, chains=2
         ).run()
-        mean, std, size = importance(log, sensor, gibbs.trajectories[:, ::10].reshape(-1, 4, 3), 600_000)
+        about = gibbs.trajectories[:, ::10].reshape(-1, 4, 3)
+        reference = importance(log, sensor, MotionModel(), about, size=300_000, draws=4)
+        # the last pose and the landmarks
+        mean, std, size = reference.mean[6:], reference.std[6:], reference.size
         name = f"{columns} numbers{', offset' * (offset != (0.0, 0.0))}{', several controls' * composite}"
         found, spread = _of_gibbs(gibbs)
         yield (
@@ -82,6 +94,40 @@ def small(logs: int) -> Iterator[str]:
             slope = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
             yield f"| {name} | {kind.__name__}, {update} | {bias:.3f} | {ratio:.2f} | {slope:.2f} |"
         yield f"(case {case + 1}: importance sampling with {size:.0f} effective samples)"
+
+
+def worlds(logs: int) -> Iterator[str]:
+    """Standard deviations of `ParticleGibbs` divided by those of importance sampling: both sensors, three densities.
+
+    World k has 2 k landmarks, each seen from all of four poses with the book's noise. The linearised density is that of the
+    sightings as measured, without a warm-up, which would linearise them again.
+    """
+    yield "| sensor | density | landmarks | poses | landmarks | largest standard error, both together | effective samples |"
+    yield "|---|---|---|---|---|---|---|"
+    farthest = 1.0
+    for columns, (name, exact, degrees) in product((2, 3), DENSITIES):
+        for world in range(1, logs + 1):
+            log, chosen = small_log(world, columns, landmarks=2 * world), {"degrees_of_freedom": degrees}
+            options = {"density": "exact", "warm_up": 100} if exact else {"density": "linearised", "warm_up": 0}
+            result = ParticleGibbs(
+                log, seed=world, motion=MotionModel(), particles=8, iterations=6000, chains=4, **options, **chosen
+            ).run()
+            about = result.trajectories[:, ::10].reshape(-1, 4, 3)
+            reference = importance(
+                log, SensorModel(), MotionModel(), about, size=60_000, draws=8, degrees=degrees, exact=exact
+            )
+            poses = np.diagonal(result.pose_covariances[1:], axis1=1, axis2=2)
+            marks = [np.diag(C)[:2] for C in result.landmark_covariances.values()]
+            ratios = np.sqrt(np.concatenate([poses.ravel(), *marks])) / reference.std
+            pose_errors = batch_errors(result.deviations[..., :9])[1]
+            error = np.hypot(pose_errors, reference.std_errors[:9]).max()
+            farthest = max(farthest, _ratio(ratios[:9]), key=lambda ratio: abs(np.log(ratio)))
+            yield (
+                f"| {columns} numbers | {name} | {2 * world} | {ratios[:9].min():.3f} to {ratios[:9].max():.3f} | "
+                f"{ratios[9:].min():.3f} to {ratios[9:].max():.3f} | {error:.3f} | {np.nanmin(result.mixing.ess):.0f} and "
+                f"{reference.size:.0f} |"
+            )
+    yield f"farthest standard deviation of a pose: {farthest:.3f} times"
 
 
 def _ratio(ratios: Array) -> float:
@@ -288,6 +334,7 @@ def main() -> None:
     """Run one of the studies and print its lines."""
     studies: dict[str, tuple[Callable[[int], Iterator[str]], int]] = {
         "small": (small, 5),
+        "worlds": (worlds, 5),
         "long": (long, 10),
         "smoothing": (smoothing, 3),
         "calibration": (calibration, 200),

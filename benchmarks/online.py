@@ -1,6 +1,7 @@
 """The online solver on real and simulated logs: accuracy against the batch optimum at sampled steps, and time per step.
 
     python benchmarks/online.py [--data ../shared/data] [--only mrclam6] [--steps 1000] [--sample 0.1] [--isam2]
+    python benchmarks/online.py --covariances 50       # standard deviations against the batch solution, and time of a call
 
 Step times are processor times, so that other programs on the machine enter less; they include the passes over the tree,
 but not the batch solutions, which start where the estimate is. With --isam2, GTSAM's ISAM2 goes through the same graph with
@@ -10,13 +11,14 @@ GTSAM's C++ factors (polar sightings), relinearising what moves by more than 0.0
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from graphslam import Graph, GraphError, Log, MotionModel, OnlineSolver, SensorModel, load, solve
+from graphslam import Graph, GraphError, Log, MotionModel, OnlineSolver, SensorModel, load, simulate, solve
 from graphslam.edges import AnchorEdges, CartesianObservationEdges, RelativePoseEdges
 from graphslam.incremental.stream import OnlineEstimate, steps_of
 from graphslam.se2 import compose, wrap
@@ -204,6 +206,60 @@ def lags(name: str, graph: Graph, steps: int) -> None:
         print(f"{np.median(turned):.4f} rad median, {turned.max():.3f} rad most", flush=True)
 
 
+def covariances(data: Path, count: int, kernel: str | None, steps: int) -> None:
+    """Standard deviations of the newest pose and the whole map against those of the batch solution: five times in each of
+    ``count`` clean simulated logs with and without psi, across a corridor, and on the real logs."""
+    for orientation in (False, True):
+        ratios, times = [], []
+        for seed in range(count):
+            log = simulate(seed=seed, clean=True, orientation=orientation)
+            graph = Graph.from_log(log, edges="landmark+motion", kernel=kernel)
+            found, seconds = deviations(graph, log.num_poses, 5)
+            ratios += found
+            times += seconds
+        report_ratios(f"{count} simulated logs, psi {orientation}", ratios, times)
+    for name, read in logs(data).items():
+        log, models = read()
+        graph = Graph.from_log(log, edges="landmark+motion", kernel=kernel, **models)
+        report_ratios(name, *deviations(graph, min(steps, log.num_poses), 5))
+
+
+def deviations(graph: Graph, steps: int, samples: int) -> tuple[list[np.ndarray], list[tuple[float, float, float]]]:
+    """Standard deviations divided by those of the batch solution at some steps, and processor times in seconds: of a step, of
+    the first call after it, for the pose and three landmarks, and of a second one."""
+    asked = {steps * (k + 1) // samples - 1 for k in range(samples)}
+    ratios, times = [], []
+    for estimate in itertools.islice(steps_of(graph), steps):
+        if estimate.step not in asked:
+            continue
+        solver, ids = estimate.solver, list(estimate.landmarks)
+        clock = [time.process_time()]
+        for _ in range(2):
+            solver.covariance(landmarks=ids[:3])
+            clock.append(time.process_time())
+        times.append(np.diff(clock))
+        online = np.diag(solver.covariance(landmarks=ids))
+        piece, nodes = first_poses(graph, estimate.step + 1)
+        state = np.zeros((graph.num_nodes, 3))
+        state[: estimate.step + 1] = estimate.poses
+        for landmark, mark in estimate.landmarks.items():
+            state[len(graph.steps) + np.searchsorted(graph.landmark_ids, landmark), : len(mark)] = mark
+        batch = solve(piece.with_initial(state[nodes]), initialize="given")
+        blocks = [np.diag(batch.covariance(estimate.step)), *map(np.diag, batch.landmark_covariances.values())]
+        ratios.append(np.sqrt(online / np.concatenate(blocks)))
+    return ratios, times
+
+
+def report_ratios(name: str, ratios: list[np.ndarray], times: list[np.ndarray]) -> None:
+    """One line: the range of the ratios of poses and of all, and the times of a call."""
+    poses, every = np.array([ratio[:3] for ratio in ratios]), np.concatenate(ratios)
+    first, again = 1e3 * np.median(times, axis=0)
+    print(
+        f"{name:32} {len(ratios)} calls, standard deviations of poses {poses.min():.3f} to {poses.max():.3f}, of all "
+        f"{every.min():.3f} to {every.max():.3f} times; {first:.2f} ms, again {again:.2f} ms", flush=True,
+    )  # fmt: skip
+
+
 def main() -> None:
     """All logs, or one."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -216,7 +272,13 @@ def main() -> None:
     parser.add_argument("--endless", type=int, metavar="STEPS", help="only: time and memory on a known map")
     parser.add_argument("--lag", type=int, help="of --endless")
     parser.add_argument("--lags", action="store_true", help="only: what lags of 50 and 200 steps do")
+    parser.add_argument(
+        "--covariances", type=int, metavar="LOGS", help="only: standard deviations against the batch solution"
+    )
     options = parser.parse_args()
+    if options.covariances:
+        covariances(options.data, options.covariances, options.kernel, options.steps)
+        return
     if options.endless:
         endless(options.endless, options.lag)
         return

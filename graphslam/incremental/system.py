@@ -31,7 +31,7 @@ from .arrays import (
 )
 from .batch import batch_state
 from .lag import Prior, edges_of, take_out, without_first
-from .linearize import CHANGED, CURVED, EXACT
+from .linearize import CHANGED, CURVED, EXACT, not_gauss_newton
 from .passes import backward, marginals, solve_paths, total_cost
 from .refactor import refactor
 from .top import BUILT, GROW, rebuild
@@ -40,6 +40,8 @@ from .top import BUILT, GROW, rebuild
 PASSES = 15
 #: everything is ordered again where there are so many times as many nodes as the last time
 GROWTH = 1.3
+#: how far the edges of a factor may be from the present ones where a covariance is asked for; see `linearize.CHANGED`
+KNOWN = 1e-5
 #: no edges or nodes, and no increments
 NONE, NOWHERE = np.zeros(0, np.int32), np.zeros((0, 3))
 
@@ -63,6 +65,8 @@ class OnlineSystem:
         self._whole = 0
         self._memory = np.array([0.0, CHANGED, CURVED, EXACT, 0.0, 0.0, 0.0, 0.0, 0.0])
         self.passes, self.converged = 0, True
+        #: whether nothing has changed since a covariance was asked for
+        self._known = False
 
     def use_kernel(self, kernel: Kernel | None, dimension: int) -> None:
         """The robust kernel of sightings, and the dimension of their residuals."""
@@ -185,9 +189,11 @@ class OnlineSystem:
             changed = nodes["changed"] == self.tree.counts[STEP]
             nodes["x"][changed] = nodes["kept"][changed]
             before = nodes["x"].copy()
-            start = batch_state(
-                self.nodes, self.edges, self._all_nodes(), self._all_edges(), self._priors, self._kernel
-            )
+            # states beyond floating point are no better, and are not taken
+            with np.errstate(over="ignore", invalid="ignore"):
+                start = batch_state(
+                    self.nodes, self.edges, self._all_nodes(), self._all_edges(), self._priors, self._kernel
+                )
             start = before if start is None else start
             self._begin_at(start, newest)
             self.converged = self._iterate(newest)
@@ -207,6 +213,26 @@ class OnlineSystem:
         if not refactor(every, len(every), self.nodes, self.edges, self.tree, self._robust, self._memory, room[0]):
             self._eliminate(self._all_nodes(), NONE, np.asarray(newest, dtype=np.int32))
         self._memory[CURVED_FROM] = CURVED
+
+    def _linearize_late(self, newest: Any) -> None:
+        """Put edges into the factor as Gauss-Newton has them, where covariances would be wrong otherwise.
+
+        Second derivatives only help passes to converge: they are no information that the graph has, or take some away.
+        """
+        if self._memory[CURVED_FROM] == 0.0:
+            self._factorize_again(newest)
+        if self._known:
+            return
+        self._known = True
+        late = not_gauss_newton(self.nodes, self.edges, self.num_edges, *self._robust[:2], KNOWN)
+        if len(late) == 0:
+            return
+        curved = self._memory[CURVED_FROM]
+        self._memory[CURVED_FROM] = np.inf
+        good = refactor(late, len(late), self.nodes, self.edges, self.tree, self._robust, self._memory, self._room()[0])
+        self._memory[CURVED_FROM] = curved
+        if not good:
+            self._factorize_again(newest)
 
     def _begin_at(self, x: Array, newest: np.ndarray) -> None:
         """Build the tree anew with all nodes at x (n, 3)."""
@@ -274,6 +300,7 @@ class OnlineSystem:
 
     def _eliminate(self, touched: np.ndarray, fresh: np.ndarray, newest: np.ndarray, gone: np.ndarray = NONE) -> bool:
         """Eliminate the top of the tree again, with larger arrays where needed; returns whether all nodes are determined."""
+        self._known = False
         while True:
             result, count, floats, ints, tallest = rebuild(
                 self.nodes,
@@ -299,6 +326,7 @@ class OnlineSystem:
         self, newest: np.ndarray, fresh: np.ndarray = NONE, touched: np.ndarray = NONE, before: Array = NOWHERE
     ) -> bool:
         """Passes until the optimum is reached, after new edges; see `advance`. Returns whether it is."""
+        self._known = False
         done, apart = 0, APART if self._kernel is None else ROBUST_APART
         while True:
             result, passes = advance(
@@ -337,9 +365,9 @@ class OnlineSystem:
 
     def covariance(self, members: list[int], newest: Any) -> Array:
         """The joint covariance (3k, 3k) of k nodes, in world axes."""
-        if self._memory[CURVED_FROM] == 0.0:
-            # second derivatives of all edges, made convex, are information that the graph does not have
-            self._factorize_again(newest)
+        self._linearize_late(newest)
+        # the axes of the members are those of the solution
+        self.values(members)
         room = self._room()[0]
         self.tree = with_room(self.tree, 0, len(room), 0)
         return np.asarray(marginals(np.array(members, dtype=np.int32), self.nodes, self.tree, room))

@@ -23,7 +23,7 @@ from .options import ANGLES, LENGTHS, TableOptions
 from .poses import checked_heading, controls_between
 from .repeats import Doubt, repeated_sightings, repeated_times
 from .table import Kept, Table
-from .times import nanoseconds, time_faults
+from .times import added, nanoseconds, time_faults
 
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
@@ -155,11 +155,12 @@ class _Reader:
 
     def times(self) -> np.ndarray:
         self.need("t")
-        ns = nanoseconds(self.table, self.found["t"].column, self._unit("t"))
+        column = self.found["t"].column
+        ns = nanoseconds(self.table, column, self._unit("t"))
         if self.has("nanosec"):
             self.need("nanosec")
-            ns = ns + nanoseconds(self.table, self.found["nanosec"].column, "ns")
-        return ns + self.options.clock(self.kind)
+            ns = added(self.table, column, ns, nanoseconds(self.table, self.found["nanosec"].column, "ns"))
+        return added(self.table, column, ns, self.options.clock(self.kind))
 
     def numbers(self, *roles: str, finite: bool = True) -> Array:
         """Columns (N, k) in metres and radians."""

@@ -14,6 +14,8 @@ from .table import Table
 UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
 #: floating-point numbers hold nanoseconds up to here
 _EXACT = 2.0**53
+#: whole nanoseconds in 64 bits are below this
+_LARGEST = 2.0**63
 #: date and time of day as in ISO 8601, with the hours and minutes by which it is ahead of UTC
 _DATE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d(?:[.,]\d{1,9})?) ?(?:Z|UTC|([+-]\d\d):?(\d\d))?")
 #: a single time this far [s] outside those of both neighbours is wrong
@@ -33,7 +35,7 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
     Dates with the time of day (ISO 8601, "2026-11-22T10:00:00.5Z") are counted from 1970, in UTC where they name no zone.
 
     Raises:
-        LogError: a time is neither a finite number nor a date.
+        LogError: a time is neither a finite number nor a date, or has no place in 64 bits (before 1678 or after 2262).
     """
     if (parts := table.decimals(column)) is not None and (exact := _of_decimals(*parts, unit)) is not None:
         return exact
@@ -53,6 +55,8 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
     if (bad := np.flatnonzero(~np.isfinite(values))).size:
         raise table.error(int(bad[0]), f"the time {table.title(column)} is {values[bad[0]]}; every row needs a time")
     factor = UNITS[unit or by_size(values)]
+    if (beyond := np.flatnonzero(np.abs(values) >= _LARGEST / factor)).size:
+        raise _beyond(table, int(beyond[0]), column)
     if np.all(np.abs(values) * factor < _EXACT):
         return np.rint(values * factor).astype(np.int64)
     words = table.texts(column)
@@ -64,7 +68,7 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
         beneath = np.char.ljust(fraction, digits, b"0").astype(f"S{digits}") if digits else np.full(len(whole), b"0")
         return whole.astype(np.int64) * factor + beneath.astype(np.int64)
     except (ValueError, OverflowError):
-        # with exponents or beyond 64 bits
+        # with exponents
         return np.rint(values * factor).astype(np.int64)
 
 
@@ -108,12 +112,43 @@ def _of_dates(table: Table, column: int) -> np.ndarray | None:
             )
         day, clock, hours, minutes = match.groups()
         try:
-            moment = np.datetime64(f"{day}T{clock.replace(',', '.')}", "ns").astype(np.int64)
+            whole, _, fraction = clock.replace(",", ".").partition(".")
+            # nanoseconds as numpy has them wrap without a word
+            moment = int(np.datetime64(f"{day}T{whole}", "s").astype(np.int64)) * UNITS["s"] + int(
+                fraction.ljust(9, "0")
+            )
         except ValueError as error:
             raise table.error(row, f"{table.title(column)} is no date that exists: {quoted(word)} ({error})") from None
         ahead = 60 * int(hours) + int(hours[0] + minutes) if hours else 0
-        ns[row] = moment - ahead * 60 * UNITS["s"]
+        moment -= ahead * 60 * UNITS["s"]
+        if abs(moment) >= _LARGEST:
+            raise _beyond(table, row, column)
+        ns[row] = moment
     return ns
+
+
+def _beyond(table: Table, row: int, column: int) -> LogError:
+    """The error of a time that does not fit."""
+    word = str(table.words(column)[row])
+    return table.error(
+        row,
+        f"the time {table.title(column)} is {word}, but times are whole nanoseconds in 64 bits, from 1678 to 2262: is its "
+        "unit stated rightly (s, ms, us or ns)?",
+    )
+
+
+def added(table: Table, column: int, times: np.ndarray, more: np.ndarray | int) -> np.ndarray:
+    """Times (N,) plus others [ns].
+
+    Raises:
+        LogError: a sum does not fit into 64 bits, or times are so far apart that their difference does not.
+    """
+    total = times.astype(float) + np.asarray(more, dtype=float)
+    if (beyond := np.flatnonzero(np.abs(total) >= _LARGEST)).size:
+        raise _beyond(table, int(beyond[0]), column)
+    if np.ptp(total) >= _LARGEST:
+        raise table.error(int(np.argmax(total)), f"the times {table.title(column)} are more than 292 years apart")
+    return times + more
 
 
 def _is_number(word: str) -> bool:

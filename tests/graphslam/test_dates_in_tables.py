@@ -62,3 +62,38 @@ def test_another_encoding_is_named(tmp_path):
     (tmp_path / "odometry.csv").write_bytes((HEADER + "0,0.5,0.1 # né\n").encode("latin-1"))
     with pytest.raises(FormatError, match="save it as UTF-8"):
         Log.from_tables(tmp_path / "odometry.csv", tmp_path / "odometry.csv")
+
+
+@pytest.mark.parametrize(
+    "word",
+    [
+        "2263-01-01T00:00:{:02}Z",
+        "9999-12-31T23:59:{:02}.5",
+        "1600-01-01T00:00:{:02}",
+        # within 64 bits in UTC, beyond them in the zone
+        "2262-04-11T23:47:{:02}-01:00",
+        "1{:02}e20",
+        "99999999999999{:02}999999",
+        "-92233720368547758{:02}.5",
+    ],
+)
+def test_times_beyond_64_bits_are_refused(tmp_path, word):
+    """Nanoseconds since 1970 end in 2262; they wrapped without a word, so that a drive went back to 1678."""
+    with pytest.raises(LogError, match=r"odometry\.csv:\d+: .*the time 't' is .* from 1678 to 2262: is its unit"):
+        read(tmp_path, odometry(word), seen(word))
+
+
+def test_times_are_used_up_to_2262_and_not_farther_apart(tmp_path):
+    form = "2262-04-11T23:46:{:02}.5"
+    plain = read(tmp_path, odometry("{}.5"), seen("{}.5"))
+    np.testing.assert_array_equal(read(tmp_path, odometry(form), seen(form)).dt, plain.dt)
+    lines = odometry("1700-01-01T00:00:{:02}") + "2200-01-01T00:00:00,0.5,0.1\n"
+    with pytest.raises(LogError, match=r"odometry\.csv:52: the times 't' are more than 292 years apart"):
+        read(tmp_path, lines, seen("1700-01-01T00:00:{:02}"))
+
+
+def test_a_clock_may_not_lead_beyond_64_bits(tmp_path):
+    (tmp_path / "odometry.csv").write_text(odometry("{}"))
+    (tmp_path / "sightings.csv").write_text(seen("{}"))
+    with pytest.raises(LogError, match="the time 't' is .* from 1678 to 2262"):
+        Log.from_tables(tmp_path / "odometry.csv", tmp_path / "sightings.csv", clocks={"odometry": 1e10})

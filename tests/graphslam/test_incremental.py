@@ -2,7 +2,7 @@
 
 import io
 import runpy
-from copy import deepcopy
+from copy import copy, deepcopy
 from dataclasses import replace
 from pathlib import Path
 
@@ -76,7 +76,35 @@ def test_covariances_are_those_of_the_batch_solution():
     expected[3:5, 5:7], expected[5:7, 3:5] = joint[3:5, 5:7], joint[5:7, 3:5]
     # the estimate is within 1e-6 of the optimal cost, not at it
     np.testing.assert_allclose(joint / np.outer(std, std), expected / np.outer(std, std), atol=2e-3)
-    np.testing.assert_allclose(np.diag(rough), np.diag(expected), rtol=0.15)
+    np.testing.assert_allclose(np.sqrt(np.diag(rough) / np.diag(expected)), 1, atol=0.02)
+
+
+@pytest.mark.parametrize("kernel", [None, "cauchy"])
+@pytest.mark.parametrize("orientation", [False, True])
+def test_standard_deviations_are_within_2_percent_of_the_batch_solution(orientation, kernel):
+    """At the end of clean logs. Second derivatives, which help steps to converge, made them up to 40 % too small."""
+    for seed in range(6):
+        log = simulate(seed=seed, clean=True, orientation=orientation)
+        graph = Graph.from_log(log, edges="landmark+motion", kernel=kernel)
+        *_, last = steps_of(graph)
+        found = np.diag(last.solver.covariance(landmarks=list(last.landmarks)))
+        _, batch, _ = batch_of(graph, last)
+        blocks = [batch.covariance(log.num_poses - 1), *batch.landmark_covariances.values()]
+        np.testing.assert_allclose(np.sqrt(found / np.concatenate([np.diag(C) for C in blocks])), 1, atol=0.02)
+        # asked again, nothing is left to do
+        np.testing.assert_array_equal(np.diag(last.solver.covariance(landmarks=list(last.landmarks))), found)
+
+
+def test_steps_converge_with_a_covariance_after_each():
+    """What a covariance takes out of the factor, the next step puts back where it needs it."""
+    log = small_log(3, orientation=False)
+    graph = Graph.from_log(log, edges="landmark+motion")
+    for estimate in steps_of(graph):
+        estimate.solver.covariance()
+        assert estimate.solver.converged
+        if estimate.step % 10 == 9:
+            cost, batch, _ = batch_of(graph, estimate)
+            assert cost <= batch.cost * (1 + 1e-6) + 1e-9
 
 
 def test_a_pose_graph_edge_by_edge_with_loop_closures():
@@ -122,6 +150,9 @@ BAD_STEPS = [
     ({"motion": (1, 0, 0), "covariance": -np.eye(3)}, OptionError, "positive definite"),
     ({"motion": (1, np.nan, 0), "covariance": np.eye(3)}, OptionError, "motion must be finite"),
     ({"control": (1.0, 0.0), "time": "noon"}, OptionError, "time must be a finite number"),
+    ({"control": (1.0, 0.0), "time": 10**400}, OptionError, "time must be a finite number"),
+    ({"control": (1, 0), "dt": 1, "ids": [1, [2]], "sightings": [[1.0, 0.0]]}, OptionError, "ids must be whole"),
+    ({"control": (10**400, 0.0), "dt": 1.0}, OptionError, "control must be finite"),
     ({"control": (1.0, 0.0), "dt": 1.0, "covariance": np.eye(3)}, OptionError, "belongs to a measured motion"),
     ({"pose": 0.5, "ids": [1], "sightings": [[1.0, 0.0]]}, OptionError, "pose must be a whole number"),
     ({"relations": [(0.7, 1, (1, 0, 0), np.eye(3))]}, OptionError, "relations must be a list"),
@@ -209,6 +240,20 @@ def test_a_step_that_leaves_a_pose_undetermined_is_taken_back(relations):
         one.step((1.0, 0.0), 1.0, ids=[2, 3], sightings=[[1.0, -0.8], [2.0, 0.0]])
     np.testing.assert_array_equal(solver.poses, other.poses)
     np.testing.assert_array_equal(solver.covariance(landmarks=[3]), other.covariance(landmarks=[3]))
+
+
+def test_a_copy_goes_its_own_way():
+    solver = OnlineSolver()
+    for sighting in ([2.0, 0.3], [1.6, 0.4]):
+        solver.step((1.0, 0.1), 1.0, ids=[1, 2], sightings=[sighting, [1.5, -0.4]])
+    before = everything(solver)
+    branch = copy(solver)
+    branch.step((1.0, 0.0), 1.0, ids=[2, 3], sightings=[[1.0, -0.8], [2.0, 0.0]])
+    assert everything(solver) == before
+    assert (solver.num_poses, branch.num_poses) == (3, 4)
+    solver.step((1.0, 0.0), 1.0, ids=[2, 3], sightings=[[1.0, -0.8], [2.0, 0.0]])
+    np.testing.assert_array_equal(solver.poses, branch.poses)
+    np.testing.assert_array_equal(solver.covariance(landmarks=[3]), branch.covariance(landmarks=[3]))
 
 
 def test_the_first_pose_may_see_landmarks():
@@ -392,6 +437,12 @@ def test_a_relation_from_the_new_pose():
     solver.step(relations=[(2, 1, z, covariance), (2, 0, compose(z, z), covariance)])
     assert solver.num_poses == 3
     assert solver.cost < 1e-9
+
+
+@pytest.mark.parametrize("landmarks", [[[1]], 3])
+def test_a_covariance_of_what_is_no_id(landmarks):
+    with pytest.raises(OptionError, match="landmarks must be a list of ids"):
+        OnlineSolver().covariance(landmarks=landmarks)
 
 
 @pytest.mark.parametrize("name", ["motion", "sensor"])
