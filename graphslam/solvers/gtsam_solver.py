@@ -130,9 +130,10 @@ def _optimize(
     max_iterations: int,
     roughly: bool = False,
 ) -> tuple[Array, list[float], bool]:
-    """Levenberg-Marquardt until it converges: the state, the norm of every step, and whether the last was short enough.
+    """Levenberg-Marquardt until it converges: the state, the norm of every step, and whether the end is a minimum.
 
-    With ``roughly`` a short step counts even where damping may have shortened it.
+    A short step alone proves nothing: damping may have shortened it. The last step is one of Gauss-Newton, and where J is
+    steep it must promise to lower it by a negligible part only (`_promises_little`). With ``roughly`` a short step is enough.
     """
     values = to_values(graph, graph.initial)
     values.insert(eliminated_landmarks(graph, graph.initial))
