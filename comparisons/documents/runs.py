@@ -24,18 +24,22 @@ class CertificateDocument(Document):
             "not applicable",
         ],
         about(
-            "global: no state has a lower cost, up to `relative_gap`; global for its weights: the same with the weights of the "
-            "robust kernel held, which is necessary for a global minimum and not sufficient; with the parameters held: the "
-            "same with the estimated parameters held at their values; not applicable: the theory does not cover the graph"
+            "global: no state has a lower cost, up to `relative_gap`; global for its weights: the same with the weights of "
+            "the robust kernel held, which is necessary for a global minimum and not sufficient; with the parameters held: "
+            "the same with the estimated parameters held at their values; not applicable: the theory does not cover the graph"
         ),
     ]
     lower_bound: Annotated[
         float | None,
-        about("no state has a lower cost; 0 where nothing better is known, as with a kernel; null where not applicable"),
+        about(
+            "no state has a lower cost; 0 where nothing better is known, as with a kernel; null where not applicable"
+        ),
     ]
     relative_gap: Annotated[
         float | None,
-        about("(J - lower_bound) / J, with a kernel that of the cost with its weights held; null where no bound is known"),
+        about(
+            "(J - lower_bound) / J, with a kernel that of the cost with its weights held; null where no bound is known"
+        ),
     ]
     reason: Annotated[str, about("one sentence")]
     seconds: Annotated[float, about("time of the check [s]")]

@@ -146,7 +146,12 @@ def _for_weights(outcome: _Outcome) -> _Outcome:
     # at residuals of zero the kernel's cost is zero, too, and no cost is lower
     if status == NOT_APPLICABLE or (status == GLOBAL and bound == 0):
         return outcome
-    return GLOBAL_WEIGHTS if status == GLOBAL else status, bound, f"with the weights of the kernel held, {reason}", direction
+    return (
+        GLOBAL_WEIGHTS if status == GLOBAL else status,
+        bound,
+        f"with the weights of the kernel held, {reason}",
+        direction,
+    )
 
 
 def prove_edges(edges: Sequence[ConstantEdges], state: Array, fixed: np.ndarray, cost: float) -> Certificate:
@@ -198,7 +203,12 @@ def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
     function = problem.minorant(curve)
     exact = float(problem.forces.cost.sum())
     if max(cost, exact) <= PROVEN and problem.zero():
-        return GLOBAL, 0.0, "the residuals of all edges are zero up to the tolerance of solvers, and no cost is below 0", None
+        return (
+            GLOBAL,
+            0.0,
+            "the residuals of all edges are zero up to the tolerance of solvers, and no cost is below 0",
+            None,
+        )
     if not abs(exact - cost) <= PROVEN * cost + function.slack:
         return NOT_PROVEN, 0.0, f"the edges in their constant form have the cost {exact:g} instead of {cost:g}", None
     bound, factor = problem.bound(function)
@@ -213,7 +223,9 @@ def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
     if omitted:
         reason = f"{omitted} edges have a heading residual near half a turn, or singular information"
     elif direction is None:
-        reason = f"the state is not a stationary point of J: a step from it promises to lower J by up to {cost - bound:.2g}"
+        reason = (
+            f"the state is not a stationary point of J: a step from it promises to lower J by up to {cost - bound:.2g}"
+        )
     else:
         reason = "the matrix S has a negative direction, so that there may be a lower minimum"
     return NOT_PROVEN, best, reason, direction

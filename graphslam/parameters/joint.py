@@ -196,7 +196,7 @@ class JointFactor:
     """
 
     def __init__(self, joint: JointGraph, factor: Factor, border: Border, damping: float = 0.0) -> None:
-        self._joint, self._factor, self._mixed = joint, factor, border.mixed
+        self._joint, self._factor, self.border = joint, factor, border
         # Omega^-1 C
         self.reach = factor.solve(border.mixed)
         own = border.own + damping * np.diag(np.diag(border.own))
@@ -216,7 +216,7 @@ class JointFactor:
         """The solution (n + r, 3) for a right side (n + r, 3)."""
         xi, g = self._joint.parted(right)
         first = self._factor.solve(np.ascontiguousarray(xi))
-        delta = cho_solve(self._root, g - np.einsum("nik,ni->k", self._mixed, first))
+        delta = cho_solve(self._root, g - np.einsum("nik,ni->k", self.border.mixed, first))
         return self._joint.joined(first - self.reach @ delta, delta)
 
 
