@@ -134,13 +134,15 @@ def _optimize(
     factors: gtsam.NonlinearFactorGraph,
     tolerance: float,
     max_iterations: int,
-    roughly: bool = False,
+    roughly: float = 0.0,
 ) -> tuple[Array, list[float], bool]:
     """Levenberg-Marquardt until it converges: the state, the norm of every step, and whether the end is a minimum.
 
     A short step alone proves nothing: damping may have shortened it. The last step is one of Gauss-Newton, and where J is
-    steep it must promise to lower it by a negligible part only (`_promises_little`). With ``roughly`` a short step is enough.
+    steep it must promise to lower it by a negligible part only (`_promises_little`), which is ``tolerance``, or ``roughly``
+    where that is above 0. A damped step that promises as little is enough then.
     """
+    part = roughly or tolerance
     values = to_values(graph, graph.initial)
     values.insert(eliminated_landmarks(graph, graph.initial))
     parameters = gtsam.LevenbergMarquardtParams()
@@ -160,7 +162,7 @@ def _optimize(
         state = moved
         stalled = before - optimizer.error() <= 1e-10 * before
         short = norms[-1] < tolerance and (polishing or (roughly and not stalled))
-        if short and _promises_little(graph, state, factors, optimizer, tolerance):
+        if short and _promises_little(graph, state, factors, optimizer, part):
             return state, norms, True
         if not polishing and stalled:
             # The remaining decrease is below the rounding error of the cost, so Levenberg-Marquardt refuses to move.
@@ -179,11 +181,11 @@ def _promises_little(
     state: Array,
     factors: gtsam.NonlinearFactorGraph,
     optimizer: gtsam.NonlinearOptimizer,
-    tolerance: float,
+    part: float,
 ) -> bool:
     """Whether an undamped step from the optimizer's values, a state (n, 3), promises a negligible decrease of J.
 
-    Negligible is a part of J, or what rounding errors of 1e-15 of the coordinates make of it, as for `Run.negligible`.
+    Negligible is ``part`` of J, or what rounding errors of 1e-15 of the coordinates make of it, as for `Run.negligible`.
     """
     values = optimizer.values()
     linear = factors.linearize(values)
@@ -193,10 +195,10 @@ def _promises_little(
     step.iterate()
     delta = values.localCoordinates(step.values())
     predicted = 2 * (linear.error(values.zeroVectors()) - linear.error(delta))
-    if abs(predicted) <= 2 * max(PROMISE, tolerance) * optimizer.error():
+    if abs(predicted) <= 2 * max(PROMISE, part) * optimizer.error():
         return True
     system, _ = graph.linearize(state)
-    return abs(predicted) <= Run(state, tolerance).rounding(system)
+    return abs(predicted) <= Run(state, part).rounding(system)
 
 
 def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str) -> tuple[Array, list[float], bool]:
@@ -207,7 +209,7 @@ def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str)
         # every freezing changes the inner problem, so there is no use in solving it much more closely than that
         inner = max(tolerance / 10, 0.1 * norms[-1] if norms else 0.1)
         here = graph.with_initial(state)
-        solved, _, settled = _optimize(here, to_gtsam(here, factors=factors), inner, max_iterations, roughly=True)
+        solved, _, settled = _optimize(here, to_gtsam(here, factors=factors), inner, max_iterations, roughly=tolerance)
         move = _difference(solved, state)
         norms.append(float(np.linalg.norm(move)))
         state = mixing.next(state, move)
