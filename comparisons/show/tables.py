@@ -224,7 +224,9 @@ def _noise_remarks(comparison: Comparison) -> list[str]:
             verdict = f" {first} has {number(ratio, 1)}: the noise is too small, or sightings are wrong."
         elif ratio < 1 / DOUBTFUL:
             verdict = f" {first} has {number(ratio, 2)}: the noise is too large."
-        remarks.append(f"J per dof (degree of freedom): about 1 means that the noise models fit.{verdict}")
+        robust = any(r.name == first and r.graph is not None and r.graph.reweighted for r in comparison.results)
+        but = ", except for the sightings that the robust kernel weighs down" if robust else ""
+        remarks.append(f"J per dof (degree of freedom): about 1 means that the noise models fit{but}.{verdict}")
     return remarks
 
 
