@@ -335,9 +335,9 @@ def test_a_sensor_mounted_backwards_or_sideways_is_found(bias: float) -> None:
 
 
 def test_the_cost_includes_the_priors(biased: Log) -> None:
-    free = solve(Graph.from_log(biased, weight="marginal", estimate={"turn_scale": None}))
-    held = solve(Graph.from_log(biased, weight="marginal", estimate={"turn_scale": 0.001}))
-    off = (held.parameters["turn_scale"] - 1) / 0.001
+    free = solve(Graph.from_log(biased, weight="marginal", estimate={"bearing_bias": None}))
+    held = solve(Graph.from_log(biased, weight="marginal", estimate={"bearing_bias": 0.005}))
+    off = held.parameters["bearing_bias"] / 0.005
     edges = sum(family.cost(held.state, held.state) for family in held.graph.families)
     assert held.cost == pytest.approx(edges + off**2) and off**2 > 1 and held.cost > free.cost
     assert held.certificate.relative_gap < 1e-6 and held.certificate.lower_bound <= held.cost
