@@ -1,7 +1,6 @@
 """A proof that the end of a solver is the global minimum of its cost; see docs/certificate.md."""
 
-from .descent import descents
-from .proof import (
+from .certificate import (
     GLOBAL,
     GLOBAL_HELD,
     GLOBAL_WEIGHTS,
@@ -10,9 +9,9 @@ from .proof import (
     NOT_PROVEN,
     PROVEN,
     Certificate,
-    prove,
-    prove_edges,
 )
+from .descent import descents
+from .proof import prove, prove_edges
 
 __all__ = [
     "GLOBAL", "GLOBAL_HELD", "GLOBAL_WEIGHTS", "GLOBAL_WEIGHTS_HELD", "NOT_APPLICABLE", "NOT_PROVEN", "PROVEN", "Certificate",
