@@ -221,6 +221,16 @@ class Graph:
         vars(changed)["system"] = self.system
         return changed
 
+    def with_wider_kernel(self, factor: float) -> Graph:
+        """The same graph with ``factor`` times the width of its kernels. Both write Omega and xi into one `system`."""
+        families = tuple(
+            replace(f, kernel=f.kernel.scaled(factor**2)) if isinstance(f, SightingEdges) and f.kernel else f  # type: ignore[type-var]
+            for f in self.families
+        )
+        changed = replace(self, families=families)
+        vars(changed)["system"] = self.system
+        return changed
+
     def check_no_parameters(self, solver: str) -> None:
         """Raise `GraphError` where the graph has parameters, which this solver cannot estimate."""
         if self.parameters is not None:
@@ -254,16 +264,39 @@ class Graph:
         return BlockSystem.from_cliques(self.num_nodes, [family.cliques() for family in self.families])
 
     def cost(self, state: Array, reference: Array | None = None) -> float:
-        """J = the sum of e' Omega e at a state (n, 3), with state-dependent information taken at ``reference``."""
+        """J = the sum of e' Omega e at a state (n, 3), with state-dependent information taken at ``reference``.
+
+        The priors of the parameters are part of it.
+        """
         reference = state if reference is None else reference
-        return sum(family.cost(state, reference) for family in self.families)
+        return sum(family.cost(state, reference) for family in self.families) + self.prior_cost
+
+    @property
+    def prior_cost(self) -> float:
+        """What the priors of the parameters contribute to J at the values of the parameters; 0 without parameters."""
+        return 0.0 if self.parameters is None else self.parameters.prior_cost
+
+    @property
+    def without_kernel(self) -> Graph:
+        """The same graph with plain squares in place of robust kernels. Both write Omega and xi into one `system`."""
+        if not self.reweighted:
+            return self
+        families = tuple(replace(f, kernel=None) if isinstance(f, SightingEdges) else f for f in self.families)  # type: ignore[type-var]
+        changed = replace(self, families=families)
+        vars(changed)["system"] = self.system
+        return changed
 
     @property
     def degrees_of_freedom(self) -> int:
         """The independent numbers that the edges measure, minus the unknowns: not above zero where nothing is checked."""
-        rows = sum(family.numbers[0] for family in self.families)
+        rows = sum(family.numbers[0] for family in self.families) + self._priors
         of_nodes = 3 * (len(self.steps) - 1) + self.landmark_dimension * len(self.landmark_ids)
         return rows - of_nodes - len(self.parameters or ())
+
+    @property
+    def _priors(self) -> int:
+        """The number of priors of parameters, each of which measures one number."""
+        return 0 if self.parameters is None else int(np.isfinite(self.parameters.deviations).sum())
 
     @property
     def expected_cost(self) -> float:
@@ -271,8 +304,8 @@ class Graph:
 
         Pairs count every sighting of a landmark up to K/2 times, and their J grows likewise.
         """
-        rows = sum(family.numbers[0] for family in self.families)
-        expected = sum(_expected_cost(family) for family in self.families)
+        rows = sum(family.numbers[0] for family in self.families) + self._priors
+        expected = sum(_expected_cost(family) for family in self.families) + self._priors
         return expected * max(self.degrees_of_freedom / max(rows, 1), 1e-3)
 
     def linearize(self, state: Array, reference: Array | None = None) -> tuple[BlockSystem, float]:
@@ -283,7 +316,7 @@ class Graph:
         for family in self.families:
             total += family.accumulate(state, reference, self.system)
         self._hold()
-        return self.system, total
+        return self.system, total + self.prior_cost
 
     def information(self, state: Array) -> BlockSystem:
         """The matrix whose inverse is the covariance of the estimate at a state (n, 3), written into `system`.

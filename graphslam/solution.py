@@ -33,7 +33,7 @@ class Solution:
         estimated: (T+1,) bool; False for poses that are not part of the graph: their rows hold the initial guess.
         landmarks: {id: (x, y) or (x, y, heading)}; landmark nodes, or the map that `estimate_map` makes from the poses,
             with the graph's robust kernel and its trust in the sightings.
-        cost: J at the solution, the sum of e' Omega e (without a factor 1/2).
+        cost: J at the solution, the sum of e' Omega e (without a factor 1/2), with the priors of estimated parameters.
         costs: J before the first step and after each one, as far as the solver reports it.
         iterations: the number of steps taken.
         step_norms: (iterations,), the Euclidean norm of each whole correction vector.
@@ -82,7 +82,8 @@ class Solution:
     def certificate(self) -> Certificate:
         """Whether the solution is proven to be the global minimum of J, and how far below J any state may lie at most.
 
-        Computed at the first use; with estimated parameters, at their values. The status of a run that has not converged
+        Computed at the first use. Estimated parameters are held at their values, and the status says so: a lower J with other
+        values is not excluded. The status of a run that has not converged
         is "not proven", also where the bound is tight.
         """
         return prove(self._solved_graph, self.state).of_run(self.converged, self.reason)
@@ -158,7 +159,8 @@ class Solution:
     def joint_nees(self, true_poses: ArrayLike) -> float:
         """e' Omega e / (3 T) of all poses together but the first, given the first; 1 on average if consistent.
 
-        Landmark nodes are eliminated. The truth must be in the frame of the graph, and known for all its poses.
+        Landmark nodes and estimated parameters are eliminated, so that their uncertainty counts. The truth must be in the
+        frame of the graph, and known for all its poses.
         """
         graph = self._solved_graph
         errors = _errors(self.state[: len(graph.steps)], np.asarray(true_poses, dtype=float)[graph.steps])

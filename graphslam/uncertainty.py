@@ -87,14 +87,22 @@ class Uncertainty:
         return own + mixed + np.swapaxes(mixed, 1, 2)
 
     def joint_square(self, errors: Array) -> float:
-        """e' Omega e for errors (P, 3) of all poses but the first, given the first, with landmark nodes eliminated."""
+        """e' Omega e for errors (P, 3) of all poses but the first, given the first.
+
+        Landmark nodes and parameters are eliminated.
+        """
+        from scipy.sparse import bmat
         from scipy.sparse.linalg import spsolve
 
+        border = None if self._joint is None else self._joint.border
         system = self._graph.information(self._state)
         omega, end = system.to_sparse().tocsc(), errors.size
+        if border is not None:
+            mixed = border.mixed.reshape(omega.shape[0], -1)
+            omega = bmat([[omega, mixed], [mixed.T, border.own]]).tocsc()
         e = errors[1:].ravel()
         square = float(e @ (omega[3:end, 3:end] @ e))
-        if self._graph.num_nodes > len(errors):
+        if omega.shape[0] > end:
             across = omega[end:, 3:end] @ e
             square -= float(across @ spsolve(omega[end:, end:], across))
         return square

@@ -15,13 +15,32 @@ class CertificateDocument(Document):
     """Whether the end of a solver is proven to be the global minimum of its cost; see docs/certificate.md."""
 
     status: Annotated[
-        Literal["global", "not proven", "not applicable"],
+        Literal[
+            "global",
+            "global for its weights",
+            "global with the parameters held",
+            "global for its weights with the parameters held",
+            "not proven",
+            "not applicable",
+        ],
         about(
-            "global: no state has a lower cost, up to `relative_gap`; not applicable: the theory does not cover the graph"
+            "global: no state has a lower cost, up to `relative_gap`; global for its weights: the same with the weights of "
+            "the robust kernel held, which is necessary for a global minimum and not sufficient; with the parameters held: "
+            "the same with the estimated parameters held at their values; not applicable: the theory does not cover the graph"
         ),
     ]
-    lower_bound: Annotated[float | None, about("no state has a lower cost; null where not applicable")]
-    relative_gap: Annotated[float | None, about("(J - lower_bound) / J; null where not applicable")]
+    lower_bound: Annotated[
+        float | None,
+        about(
+            "no state has a lower cost; 0 where nothing better is known, as with a kernel; null where not applicable"
+        ),
+    ]
+    relative_gap: Annotated[
+        float | None,
+        about(
+            "(J - lower_bound) / J, with a kernel that of the cost with its weights held; null where no bound is known"
+        ),
+    ]
     reason: Annotated[str, about("one sentence")]
     seconds: Annotated[float, about("time of the check [s]")]
 

@@ -55,12 +55,16 @@ def yes_no(value: bool | None, more: str = "") -> Text:
 
 
 def optimum(certificate: Certificate | None) -> Text:
-    """Whether a solver's end is proven to be the global minimum, with the relative gap; a dash where no proof applies."""
+    """Whether a solver's end is proven to be the global minimum, with the relative gap; a dash where no proof applies.
+
+    What the proof holds is named: the weights of a robust kernel, the parameters that were estimated.
+    """
     if certificate is None or not certificate.applicable:
         return Text(NOTHING)
-    if certificate.status == "global":
-        return Text("proven", style="green").append(f", {certificate.relative_gap:.0e}", style="default")
-    return Text("not proven")
+    if not certificate.proven:
+        return Text("not proven")
+    held = certificate.status.removeprefix("global")
+    return Text(f"proven{held}", style="green").append(f", {certificate.relative_gap:.0e}", style="default")
 
 
 class LeanTable(Table):

@@ -274,7 +274,9 @@ def _noise_remarks(comparison: Comparison) -> list[str]:
             )
         elif ratio < 1 / DOUBTFUL and "estimated" not in comparison.noise_source.values():
             verdict = f" {first} has {number(ratio, 2)}: the noise models assume more noise than there is."
-        remarks.append(f"J per dof (degree of freedom): about 1 means that the noise models fit.{verdict}")
+        robust = any(r.name == first and r.graph is not None and r.graph.reweighted for r in comparison.results)
+        but = ", except for the sightings that the robust kernel weighs down" if robust else ""
+        remarks.append(f"J per dof (degree of freedom): about 1 means that the noise models fit{but}.{verdict}")
     return remarks
 
 

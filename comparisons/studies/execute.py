@@ -81,5 +81,5 @@ def _execute(run: Run) -> dict[str, Any]:
     figures = {f.name: getattr(each, f.name) for each in sources for f in fields(Outcome) if hasattr(each, f.name)}
     certificate = result.certificate
     if certificate is not None and certificate.applicable:
-        figures["proven"] = certificate.status == "global"
+        figures["proven"] = certificate.proven
     return figures | {"poses_sha256": hashlib.sha256(result.poses.tobytes()).hexdigest()[:16]}

@@ -1,6 +1,19 @@
 """A proof that the end of a solver is the global minimum of its cost; see docs/certificate.md."""
 
+from .certificate import (
+    GLOBAL,
+    GLOBAL_HELD,
+    GLOBAL_WEIGHTS,
+    GLOBAL_WEIGHTS_HELD,
+    NOT_APPLICABLE,
+    NOT_PROVEN,
+    PROVEN,
+    Certificate,
+)
 from .descent import descents
-from .proof import GLOBAL, NOT_APPLICABLE, NOT_PROVEN, PROVEN, Certificate, prove, prove_edges
+from .proof import prove, prove_edges
 
-__all__ = ["GLOBAL", "NOT_APPLICABLE", "NOT_PROVEN", "PROVEN", "Certificate", "descents", "prove", "prove_edges"]
+__all__ = [
+    "GLOBAL", "GLOBAL_HELD", "GLOBAL_WEIGHTS", "GLOBAL_WEIGHTS_HELD", "NOT_APPLICABLE", "NOT_PROVEN", "PROVEN", "Certificate",
+    "descents", "prove", "prove_edges",
+]  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import TypeAlias
 
@@ -19,11 +19,20 @@ from ..linear.cholesky import amd
 from ..linear.hermitian import ROUNDOFF, HermitianFactor, HermitianSymbolic, analyze_hermitian, factorize
 from ..linear.information import BlockSystem
 from ..se2 import Array, wrap
+from .certificate import (
+    GLOBAL,
+    GLOBAL_HELD,
+    GLOBAL_WEIGHTS,
+    GLOBAL_WEIGHTS_HELD,
+    NOT_APPLICABLE,
+    NOT_PROVEN,
+    PROVEN,
+    Certificate,
+)
 from .minorants import Curvature, Forces, Minorant, curvature, forces, minorant, strains
 
-GLOBAL, NOT_PROVEN, NOT_APPLICABLE = "global", "not proven", "not applicable"
-#: the relative gap up to which a state counts as a global minimum, and J itself where all residuals are zero to rounding
-PROVEN = 1e-6
+#: where J is at most `PROVEN`, and all residuals at most this part of what the edges measure, J counts as zero
+ZERO = 1e-6
 #: how far a state may be from the fixed nodes of its graph, relative to their coordinates
 HELD = 1e-9
 #: the part of an information matrix by which its rows and columns may differ, and its scaled eigenvalues be negative
@@ -36,54 +45,35 @@ ROUNDS = 8
 ATTEMPTS = 9
 
 
-@dataclass(frozen=True)
-class Certificate:
-    """What is proven about the cost J of a state.
-
-    Attributes:
-        status: "global": no state has a cost below ``lower_bound``, and ``relative_gap`` is at most `PROVEN`;
-            "not proven": there may be a lower minimum, or not; "not applicable": edges stand outside of the theory.
-        lower_bound: no state has a lower cost in exact arithmetic; 0 where nothing better is known, NaN where not applicable.
-        relative_gap: (J - lower_bound) / J, between 0 and 1; 0 where J is zero up to rounding; NaN where not applicable.
-        reason: one sentence.
-        seconds: the time of the check.
-        direction: (n, 2) complex changes of z and t (unit complex headings, complex positions) along which the function below
-            J falls, where S has a negative direction; None otherwise.
-    """
-
-    status: str
-    lower_bound: float
-    relative_gap: float
-    reason: str
-    seconds: float
-    direction: Array | None = field(default=None, repr=False)
-
-    @property
-    def applicable(self) -> bool:
-        """Whether the theory covers the graph."""
-        return self.status != NOT_APPLICABLE
-
-    def of_run(self, converged: bool, reason: str) -> Certificate:
-        """The certificate of a solver's end: "not proven" where the solver has not converged, however tight the bound is."""
-        if converged or not self.applicable:
-            return self
-        also = "" if self.status == GLOBAL else f"; {self.reason}"
-        return replace(self, status=NOT_PROVEN, reason=f"the solver has not converged: {reason}{also}")
-
-
 def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bool = True) -> Certificate:
     """Check whether a state (n, 3) is a global minimum of the cost of a graph; docs/certificate.md explains how.
+
+    With a robust kernel, J = sum of rho(r²) with rho concave, as for all kernels of `edges.robust`. A concave function lies
+    below its tangent: with the weights w = rho'(r*²) of the state x*,
+
+        J(x) <= J(x*) + Q(x) - Q(x*),    Q(x) = sum of w r²,
+
+    with equality at x*. So at a global minimum x* of J the weighted cost Q, too, has its global minimum: this is what is
+    proven then ("global for its weights"). It is necessary and not sufficient: at another state with other weights J may be
+    lower. A state at which Q is lower than at x* has a lower J. (Source: Lange, Hunter and Yang, *Optimization transfer using
+    surrogate objective functions*, 2000.)
+
+    Where the graph has parameters, they are held at their values, and nothing is said about other values.
 
     Args:
         graph: with the edges whose cost is minimised.
         state: the candidate.
-        cost: J at the state, where it is known.
+        cost: J at the state, where it is known; not used with a kernel.
         thorough: whether to go on where the first attempt fails, with better splits of the information and a lower bound on
             the cost. That takes some 50 factorisations instead of one.
     """
     begin = time.perf_counter()
     state = np.array(state, dtype=float)
-    cost = graph.cost(state) if cost is None else cost
+    # the priors of parameters that are held are constant
+    constant = graph.prior_cost
+    if graph.reweighted:
+        cost, constant = sum(family.weighted_cost(state) for family in graph.families), 0.0
+    cost = (graph.cost(state) if cost is None else cost) - constant
     strayed = state[graph.fixed] - graph.initial[graph.fixed]
     strayed[:, 2] = wrap(strayed[:, 2])
     moved = graph.fixed[np.any(np.abs(strayed) > HELD * (1 + np.abs(graph.initial[graph.fixed])), axis=1)]
@@ -92,7 +82,30 @@ def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bo
     else:
         state[graph.fixed] = graph.initial[graph.fixed]
         outcome = _outcome(lambda: _Problem.of(graph, state), cost, thorough)
-    return _certificate(outcome, cost, begin)
+    if graph.reweighted:
+        outcome = _for_weights(outcome)
+    status, bound, reason, direction = outcome
+    if graph.parameters is not None and status in _HELD:
+        status, reason = _HELD[status], f"with the parameters held at their values, {reason}"
+    return _certificate((status, bound + constant, reason, direction), cost + constant, begin, graph.reweighted)
+
+
+#: the status of a proof that holds the parameters
+_HELD = {GLOBAL: GLOBAL_HELD, GLOBAL_WEIGHTS: GLOBAL_WEIGHTS_HELD}
+
+
+def _for_weights(outcome: _Outcome) -> _Outcome:
+    """The outcome of a proof about the cost with the weights of a kernel held, as one about the kernel's cost."""
+    status, bound, reason, direction = outcome
+    # at residuals of zero the kernel's cost is zero, too, and no cost is lower
+    if status == NOT_APPLICABLE or (status == GLOBAL and bound == 0):
+        return outcome
+    return (
+        GLOBAL_WEIGHTS if status == GLOBAL else status,
+        bound,
+        f"with the weights of the kernel held, {reason}",
+        direction,
+    )
 
 
 def prove_edges(edges: Sequence[ConstantEdges], state: Array, fixed: np.ndarray, cost: float) -> Certificate:
@@ -114,12 +127,16 @@ def prove_edges(edges: Sequence[ConstantEdges], state: Array, fixed: np.ndarray,
 _Outcome: TypeAlias = tuple[str, float, str, Array | None]
 
 
-def _certificate(outcome: _Outcome, cost: float, begin: float) -> Certificate:
+def _certificate(outcome: _Outcome, cost: float, begin: float, weighted: bool = False) -> Certificate:
+    """The certificate of an outcome; ``weighted`` if cost and bound are those of the weights of a kernel, not of J."""
     status, bound, reason, direction = outcome
-    # a state of cost zero, also up to rounding, is global with the bound 0
-    zero = status == GLOBAL and bound == 0
-    gap = 0.0 if zero else (cost - bound) / cost if 0 < cost < np.inf else 1.0
-    gap = np.nan if status == NOT_APPLICABLE else gap
+    if bound > 0:
+        gap = (cost - bound) / cost
+    else:
+        # a state of cost zero, also up to rounding, is proven with the bound 0
+        gap = np.nan if status in (NOT_PROVEN, NOT_APPLICABLE) else 0.0
+    if weighted and status != NOT_APPLICABLE:
+        bound = 0.0
     return Certificate(status, float(bound), float(gap), reason, time.perf_counter() - begin, direction)
 
 
@@ -139,8 +156,13 @@ def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
         return NOT_PROVEN, 0.0, reason, None
     function = problem.minorant(curve)
     exact = float(problem.forces.cost.sum())
-    if problem.forces.zero.all() and max(cost, exact) <= PROVEN:
-        return GLOBAL, 0.0, "the residuals of all edges are zero up to the rounding of the state", None
+    if max(cost, exact) <= PROVEN and problem.zero():
+        return (
+            GLOBAL,
+            0.0,
+            "the residuals of all edges are zero up to the tolerance of solvers, and no cost is below 0",
+            None,
+        )
     if not abs(exact - cost) <= PROVEN * cost + function.slack:
         return NOT_PROVEN, 0.0, f"the edges in their constant form have the cost {exact:g} instead of {cost:g}", None
     bound, factor = problem.bound(function)
@@ -155,7 +177,9 @@ def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
     if omitted:
         reason = f"{omitted} edges have a heading residual near half a turn, or singular information"
     elif direction is None:
-        reason = "the state is not a stationary point of J"
+        reason = (
+            f"the state is not a stationary point of J: a step from it promises to lower J by up to {cost - bound:.2g}"
+        )
     else:
         reason = "the matrix S has a negative direction, so that there may be a lower minimum"
     return NOT_PROVEN, best, reason, direction
@@ -238,6 +262,21 @@ class _Problem:
             ends = f"node {b}" if a < 0 else f"the nodes {a} and {b}"
             raise GraphError(f"the information of an edge at {ends} is not positive semi-definite")
         return all(_semidefinite(W[k]) for k in np.flatnonzero(smallest < ROUNDED[1]))
+
+    def zero(self) -> bool:
+        """Whether all residuals are zero up to rounding, or at most `ZERO` of what the edges measure, so that J is no guide.
+
+        A solver stops at steps of 1e-9, not at the rounding error of the state. The scale of the information does not
+        matter here: at a wrong minimum of perfect measurements some residuals are of the size of the world.
+        """
+        if self.forces.zero.all():
+            return True
+        first, second, start, end, turn, oriented, _ = self.edges
+        theta = np.where(first >= 0, self.state[first, 2], 0.0)
+        error = self.forces.reached - (start[:, 0] + 1j * start[:, 1])
+        size = np.max(np.abs(self.forces.reached) + np.hypot(*end.T), where=first >= 0, initial=0.0)
+        wrong = np.where(oriented, wrap(self.state[second, 2] - theta - turn), 0.0)
+        return bool(np.all(np.abs(error) <= ZERO * size) and np.all(np.abs(wrong) <= ZERO))
 
     def curvature(self, share: float) -> Curvature:
         """The split of the information of all edges for one share."""

@@ -155,8 +155,12 @@ class EdgeFamily(ABC):
         """The sum of e' Omega e."""
         return self.accumulate(state, reference, None)
 
+    def weighted_cost(self, state: Array) -> float:
+        """The sum of w e' Omega e with the weights w that a robust kernel gives the edges; without one the cost."""
+        return self.cost(state, state)
+
     def constant(self, state: Array) -> ConstantEdges:
-        """The edges in the form that `graphslam.certificate` needs, at a state (n, 3).
+        """The edges in the form that `graphslam.certificate` needs, at a state (n, 3); a kernel keeps its weights there.
 
         Raises:
             GraphError: their information depends on the state, or their residual has another form.

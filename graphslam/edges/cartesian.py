@@ -12,7 +12,7 @@ positions, and defined everywhere, so the cost has no false minima where a pose 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -54,7 +54,9 @@ class CartesianObservationEdges(ObservationEdges):
 
     def constant(self, state: Array) -> ConstantEdges:
         self._check_constant(self.frame)
-        return self.relative.constant(state)
+        edges = self.relative.constant(state)
+        weights = self.kernel_weights(state)[:, None, None]
+        return edges if self.kernel is None else replace(edges, information=edges.information * weights)
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
         return accumulate(self.relative, state, reference, *code_and_width(self.kernel), self._targets(system))

@@ -67,12 +67,20 @@ class MarginalEdges(LandmarkSightings):
     def constant(self, state: Array) -> ConstantEdges:
         """The sightings one by one, as edges to landmark nodes: the marginal cost is the minimum over these nodes."""
         self._check_constant(self.frame)
-        place, means = self._place, self.landmarks(state, state)
-        covariance = self.sensor.landmark_covariance(np.zeros((self.count, 3)), self.noisy)
-        information = np.linalg.inv(covariance) * self.trusted[:, None, None]
+        _, _, factor, _, means, _ = self._around_means(state, state)
+        place, covariance = self._place, self.sensor.landmark_covariance(np.zeros((self.count, 3)), self.noisy)
+        information = np.linalg.inv(covariance) * factor[:, None, None]
         turn, start = place[:, 2] if self.oriented else None, place[:, :2]
         second = len(state) + self.group
         return ConstantEdges(self.nodes, second, start, np.zeros_like(start), turn, information, means)
+
+    def kernel_weights(self, state: Array) -> Array:
+        _, _, factor, *_ = self._around_means(state, state)
+        return factor / self.trusted
+
+    def weighted_cost(self, state: Array) -> float:
+        # the information of the linearisation has the weights already
+        return float(self.linearize(state, state).mahalanobis.sum())
 
     def landmarks(self, state: Array, reference: Array) -> Array:
         """m̂ (G, 3) of each landmark, the third column zero without psi."""

@@ -74,6 +74,11 @@ class SightingEdges(EdgeFamily):
         squares = self.linearize(state, state).mahalanobis
         return np.ones(len(squares)) if self.kernel is None else self.kernel.weight(squares)
 
+    def weighted_cost(self, state: Array) -> float:
+        if self.kernel is None:
+            return self.cost(state, state)
+        return float(self.linearize(state, state).mahalanobis @ self.kernel_weights(state))
+
     @property
     def information_per_weight(self) -> float:
         return 1.0 if self.kernel is None else self.kernel.information_per_weight(self.sightings.shape[1])
@@ -84,11 +89,9 @@ class SightingEdges(EdgeFamily):
         return *code_and_width(self.kernel), self.trusted
 
     def _check_constant(self, frame: str) -> None:
-        """Raise `GraphError` unless the information of the sightings is constant: in the body frame, without a kernel."""
+        """Raise `GraphError` unless the information of the sightings is constant, but for a kernel: in the body frame."""
         if frame == "world":
             raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
-        if self.kernel is not None:
-            raise GraphError(f"the robust kernel {self.kernel.name} changes the weights with the state")
 
     @property
     def _noise(self) -> tuple[tuple[float, float, float, float], tuple[float, float]]:

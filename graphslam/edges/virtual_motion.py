@@ -123,6 +123,8 @@ class VirtualMotionEdges(LandmarkSightings):
         place, own = self._place, self.covariances(state)
         # from the axes of the landmark to those of the first pose, in which the landmark faces phi - psi
         turn = turn_matrix(place[a, 2])
+        if self.kernel is not None:
+            factor = factor * self.kernel_weights(state)
         information = turn @ np.linalg.inv(own[a] + own[b]) @ np.swapaxes(turn, 1, 2) * factor[:, None, None]
         facing = place[:, 2]
         return ConstantEdges(

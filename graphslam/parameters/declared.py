@@ -94,6 +94,11 @@ class Parameters:
         """The information (K,) of the priors, 0 without one."""
         return self.deviations**-2.0
 
+    @property
+    def prior_cost(self) -> float:
+        """The sum of (p - mean)² / deviation² over the parameters with a prior."""
+        return float(np.sum(self.weights * (self.values - self.means) ** 2))
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ParameterEstimate:

@@ -68,18 +68,18 @@ class JointGraph:
 
     def cost(self, state: Array, reference: Array | None = None) -> float:
         """J and the cost of the priors."""
-        nodes, values = self.parted(state)
+        nodes, _ = self.parted(state)
         held = nodes if reference is None else self.parted(reference)[0]
-        return self.at(state, reference).cost(nodes, held) + self._of_priors(values)
+        return self.at(state, reference).cost(nodes, held)
 
     def linearize(self, state: Array, reference: Array | None = None) -> tuple[JointSystem, float]:
         """The system at a state, and its cost."""
-        nodes, values = self.parted(state)
+        nodes, _ = self.parted(state)
         held = nodes if reference is None else self.parted(reference)[0]
         graph = self.at(state, reference)
         _, cost = graph.linearize(nodes, held)
         self.system.fill(graph, nodes, held, self.border(graph, nodes, held))
-        return self.system, cost + self._of_priors(values)
+        return self.system, cost
 
     def border(self, graph: Graph, nodes: Array, held: Array, scaled: bool = False) -> Border:
         """C, D and g of `at` a state; ``scaled`` as `Graph.information` scales Omega."""
@@ -102,9 +102,6 @@ class JointGraph:
         edges, _ = copied(sighted_edges(self.graph), np.zeros((self.graph.num_nodes, 3)), len(self.graph.steps))
         count = len(edges.sightings) + len(self.graph.landmark_ids)
         return BlockSystem.from_cliques(count, [edges.cliques()])
-
-    def _of_priors(self, values: Array) -> float:
-        return float(np.sum(self.parameters.weights * (values - self.parameters.means) ** 2))
 
 
 class Border:
@@ -199,7 +196,7 @@ class JointFactor:
     """
 
     def __init__(self, joint: JointGraph, factor: Factor, border: Border, damping: float = 0.0) -> None:
-        self._joint, self._factor, self._mixed = joint, factor, border.mixed
+        self._joint, self._factor, self.border = joint, factor, border
         # Omega^-1 C
         self.reach = factor.solve(border.mixed)
         own = border.own + damping * np.diag(np.diag(border.own))
@@ -219,7 +216,7 @@ class JointFactor:
         """The solution (n + r, 3) for a right side (n + r, 3)."""
         xi, g = self._joint.parted(right)
         first = self._factor.solve(np.ascontiguousarray(xi))
-        delta = cho_solve(self._root, g - np.einsum("nik,ni->k", self._mixed, first))
+        delta = cho_solve(self._root, g - np.einsum("nik,ni->k", self.border.mixed, first))
         return self._joint.joined(first - self.reach @ delta, delta)
 
 

@@ -1,8 +1,15 @@
-"""``initialize="auto"``: solve from several starts, and return the best result, never one worse than the given values."""
+"""``initialize="auto"``: solve from several starts, and return the best result, never one worse than the given values.
+
+Graphs with a robust kernel have many more minima. Two further starts come first there: the optimum of the plain graph,
+without its kernel, and the end of a sequence of kernels that become narrower, from the plain optimum on (graduated
+non-convexity: Blake and Zisserman, *Visual reconstruction*, 1987). As rho(u) <= u, a kernel's J above that of the plain
+optimum proves a wrong minimum; such an end is never returned.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,7 +20,10 @@ from ..edges import SightingEdges
 from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array
+from .gauss_newton import gauss_newton
+from .growing import steps_of
 from .iteration import Run, factorized
+from .levenberg_marquardt import levenberg_marquardt
 from .starting import AUTO, GROWING, starting_state
 from .turns import turned
 
@@ -32,6 +42,16 @@ DESCENTS = 5
 PROVABLE, FURTHER = 1000, 2
 #: ends whose costs differ by less than this part are one minimum
 SAME = 1e-6
+#: the search after the first end takes at most so many steps for each step that led to that, ...
+MULTIPLE = 50
+#: ... or this number divided by the number of nodes, if that is more: some three seconds
+SHORT = 1_000_000
+#: the names of the two starts of graphs with a kernel: the plain optimum, and the sequence of kernels from there on, ...
+PLAIN, NARROWED = "without kernel", "kernel narrowed"
+#: ... which begins with these multiples of the kernel's width, with at most so many steps for each
+WIDER, STEPS = (16.0, 4.0), 15
+#: the plain graph is searched, too, where its J is below so many times the kernel's: a lower plain minimum is then possible
+UNDERCUT = 2.0
 
 
 @dataclass(frozen=True)
@@ -75,9 +95,35 @@ class End:
     @cached_property
     def open(self) -> bool:
         """Whether the search goes on from this end, although it is accepted."""
-        if self.graph.num_nodes > PROVABLE or self.proven or not self.certificate.applicable:
+        if self.graph.num_nodes > PROVABLE or self.certificate.proven or not self.certificate.applicable:
             return False
-        return prove(self.graph, self.run.state, cost=self.cost).status != GLOBAL
+        return not prove(self.graph, self.run.state, cost=self.cost).proven
+
+    @property
+    def possible(self) -> bool:
+        """Whether the end of a graph with a kernel may be the global minimum, so far as its weights tell; see `prove`."""
+        certificate = self.certificate
+        small = self.graph.num_nodes <= PROVABLE
+        return certificate.proven or not certificate.applicable or (small and not self.open)
+
+
+@dataclass
+class _Effort:
+    """The steps of a search, counted in steps over the whole graph, against what the first end allows."""
+
+    nodes: int
+    spent: float = 0.0
+    most: float = np.inf
+
+    def allow(self, first: int) -> None:
+        """Bound the search by the number of steps that led to the first end."""
+        if self.most == np.inf:
+            self.most = self.spent + max(MULTIPLE * first, SHORT / max(self.nodes, 1))
+
+    @property
+    def left(self) -> float:
+        """The number of steps that may still be taken."""
+        return self.most - self.spent
 
 
 def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
@@ -85,7 +131,8 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
 
     The search ends when the lowest end is accepted (`enough`) and no longer `open`, or after `FURTHER` more starts. Before
     another start, other turns are tried from the end of the last one (`turned`). If the lowest end is not accepted or still
-    open then, the search goes on along the negative direction that its failed proof shows.
+    open then, the search goes on along the negative direction that its failed proof shows. The whole search after the first
+    end is bounded by a multiple of the steps that led to it.
     An end with a higher cost than the given values never counts. If no run converges to a lower one,
     Levenberg-Marquardt runs from the given values and accepts only steps that lower J itself. (With state-dependent
     information a fixed point of the iteration may have a higher J.)
@@ -99,12 +146,18 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
     Raises:
         GraphError: the edges do not determine the nodes.
     """
-    given = _finite(graph.cost(graph.initial))
+    lowest = graph.initial
+    given = _finite(graph.cost(lowest))
     ends: list[End] = []
     error: GraphError | None = None
     good: list[End] = []
     further = FURTHER
-    for initialize, start in _starts(graph):
+    effort = _Effort(graph.num_nodes)
+    for initialize, start in _starts(graph, ends, effort):
+        # with state-dependent information a fixed point may lie above the state that the iteration starts from
+        plain = initialize.startswith(PLAIN) and not graph.state_dependent_information
+        if plain and (cost := _finite(graph.cost(start))) < given:
+            lowest, given = start, cost
         tried = len(ends)
         # a start that only serves for comparison is worth one attempt
         searches = (method,) if _counted(ends, given) else (method, DAMPED)
@@ -114,17 +167,22 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
             except GraphError as failure:
                 error = failure
                 continue
+            effort.spent += ends[-1].steps
             if ends[-1].run.converged:
                 break
         good = _counted(ends, given)
         if not _finished(good, further):
-            ends += _turned(graph, run_from, ends, tried, initialize)
+            ends += _turned(graph, run_from, ends, tried, initialize, effort)
             good = _counted(ends, given)
         if _finished(good, further):
             break
+        if ends:
+            effort.allow(ends[0].steps)
         further -= enough(good)
+        if good and effort.left <= 0:
+            break
     if good and (not enough(good) or _lowest(good).open):
-        ends += _descended(graph, run_from, method, _lowest(good))
+        ends += _descended(graph, run_from, method, _lowest(good), effort)
     if error is not None and not any(end.run.converged for end in ends):
         # if nodes are undetermined, Omega is singular at the given values as well, and this raises; if only a later state
         # was singular, it does not
@@ -134,10 +192,11 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
             raise error
     allowed = [end for end in ends if _allowed(end, given)]
     if not any(end.run.converged for end in allowed):
-        run = run_from(graph.initial, DAMPED, descend=True)
-        run.reason += " (started given; J falls at every step, because all other ends are above the given values)"
+        run = run_from(lowest, DAMPED, descend=True)
+        started = "given" if lowest is graph.initial else PLAIN
+        run.reason += f" (started {started}; J falls at every step, because all other ends are above the values there)"
         if not graph.cost(run.state) <= given:
-            run.state, run.converged = graph.initial.copy(), False
+            run.state, run.converged = lowest.copy(), False
         allowed.append(End(graph, run, DAMPED))
     return _best(graph, allowed)
 
@@ -156,7 +215,9 @@ def _end(graph: Graph, run_from: Callable[..., Run], start: Array, search: str, 
     return End(graph, run, search, before)
 
 
-def _turned(graph: Graph, run_from: Callable[..., Run], ends: list[End], tried: int, started: str) -> list[End]:
+def _turned(
+    graph: Graph, run_from: Callable[..., Run], ends: list[End], tried: int, started: str, effort: _Effort
+) -> list[End]:
     """The lower end that other turns lead to from the last end, if it has converged and no end before it has its cost.
 
     Beyond J of `DOUBTFUL` times the expected one, wrong sightings or wrong noise models decide, and other turns help nobody.
@@ -171,27 +232,33 @@ def _turned(graph: Graph, run_from: Callable[..., Run], ends: list[End], tried: 
         return []
     if any(abs(other.cost - end.cost) <= SAME * end.cost for other in ends[:tried] if other.run.converged):
         return []
-    state = turned(graph, end.run.state)
+    effort.allow(ends[0].steps)
+    state, steps = turned(graph, end.run.state, effort.left)
+    effort.spent += steps
     if state is None:
         return []
     try:
         lower = _end(graph, run_from, state, end.method, f"{started}, other turns", ends)
     except GraphError:
         return []
+    effort.spent += lower.steps
     return [replace(lower, before=lower.before + end.steps)]
 
 
-def _descended(graph: Graph, run_from: Callable[..., Run], method: str, end: End) -> list[End]:
+def _descended(graph: Graph, run_from: Callable[..., Run], method: str, end: End, effort: _Effort) -> list[End]:
     """Lower and lower ends, each reached along the negative direction that the proof of the one before has found."""
     found: list[End] = []
     best: End | None = end
     while best is not None and best.certificate.direction is not None and len(found) < DESCENTS:
         lower = None
         for start in descents(graph, best.run.state, best.certificate.direction):
+            if effort.left <= 0:
+                return found
             try:
                 run = run_from(start, method)
             except GraphError:
                 continue
+            effort.spent += len(run.step_norms)
             run.reason += f" (started from a higher end, {method})"
             end = End(graph, run, method)
             if run.converged and end.cost < best.cost * (1 - SAME):
@@ -202,24 +269,77 @@ def _descended(graph: Graph, run_from: Callable[..., Run], method: str, end: End
     return found
 
 
-def _starts(graph: Graph) -> Iterator[tuple[str, Array]]:
+def _starts(graph: Graph, ends: list[End], effort: _Effort) -> Iterator[tuple[str, Array]]:
     """The starts that the edges allow, one after the other: their names and states (n, 3).
 
-    Where sightings are noisy, the starts that look at all poses at once often lead to the same wrong minimum, so that
-    growing the graph comes second. In small graphs the others are much faster and come first. Graphs from files have no
-    need of growing.
+    Those of a kernel come first. Where sightings are noisy, the starts that look at all poses at once often lead to the same
+    wrong minimum, so that growing the graph comes second. In small graphs the others are much faster and come first. Graphs
+    from files have no need of growing. Growing that would take more steps than ``effort`` has left is left out.
     """
+    if graph.reweighted:
+        yield from _starts_of_kernel(graph, ends)
     names, growing = [*AUTO], [*GROWING] if _sighted(graph) else []
     if graph.num_nodes <= SMALL:
         names, growing = names + growing, []
     while names:
         name = names.pop(0)
+        forecast = steps_of(len(graph.steps), GROWING[name]) if name in GROWING else 0.0
+        if ends and forecast > effort.left:
+            continue
         try:
             state = starting_state(graph, name)
         except GraphError:
             continue
+        effort.spent += forecast
         yield name, state
         names, growing = growing + names, []
+
+
+def _starts_of_kernel(graph: Graph, ends: list[End]) -> Iterator[tuple[str, Array]]:
+    """The starts of a graph with a kernel: the plain optimum, the end of narrower and narrower kernels from there on, and
+    the best plain end that a whole search finds, where that could be below the kernel's."""
+    plain = graph.without_kernel
+    start = starting_state(plain, "auto")
+    try:
+        first = _end(plain, _runs(plain), start, "gauss-newton", "auto", [])
+    except GraphError:
+        return
+    if not np.isfinite(first.cost):
+        return
+    yield PLAIN, first.run.state
+    with suppress(GraphError):
+        yield NARROWED, _narrowed(graph, first.run.state)
+    lowest = min((end.cost for end in ends), default=np.inf)
+    if first.cost < UNDERCUT * lowest and not first.proven:
+        found = best_end(plain, _runs(plain), "gauss-newton")
+        if found.cost < first.cost * (1 - SAME):
+            yield f"{PLAIN}, searched", found.run.state
+
+
+def _runs(graph: Graph) -> Callable[..., Run]:
+    """Runs of the hand-written solver on a graph, to a tolerance that is enough for a start and a proof."""
+    search: dict[str, Callable[[Graph, Run], object]] = {"gauss-newton": gauss_newton, DAMPED: levenberg_marquardt}
+
+    def run_from(start: Array, method: str, descend: bool = False) -> Run:
+        run = Run(start.copy(), tolerance=1e-6 * graph.num_nodes**0.5, descend=descend)
+        search[method](graph, run)
+        return run
+
+    return run_from
+
+
+def _narrowed(graph: Graph, state: Array) -> Array:
+    """The state (n, 3) after some steps with each of `WIDER` times the width of the kernel, one after the other.
+
+    Raises:
+        GraphError: the edges do not determine the nodes.
+    """
+    for factor in WIDER:
+        run = Run(state.copy(), tolerance=1e-3 * graph.num_nodes**0.5, max_iterations=STEPS)
+        gauss_newton(graph.with_wider_kernel(factor), run)
+        if np.isfinite(run.state).all():
+            state = run.state
+    return state
 
 
 def _counted(ends: list[End], given: float) -> list[End]:
@@ -248,13 +368,16 @@ def enough(ends: list[End]) -> bool:
     """Whether converged ends of a graph leave no reason to try another start.
 
     The lowest end is confirmed if another start has led to it, or two others where ends differ. It is enough that it is
-    plausible or confirmed, in small graphs both, or that it is proven to be a global minimum.
+    plausible or confirmed, in small graphs both, or that it is proven to be a global minimum. With a kernel it must be
+    confirmed, because a kernel hides misfits, and its weights must not show that there is a lower minimum.
     """
     if not ends:
         return False
     lowest = _lowest(ends)
     same = sum(end.cost <= lowest.cost * (1 + SAME) for end in ends)
     confirmed = same > (1 if same == len(ends) else 2)
+    if lowest.graph.reweighted:
+        return lowest.proven or (confirmed and lowest.possible)
     small = lowest.graph.num_nodes <= SMALL
     return (lowest.plausible and confirmed if small else lowest.plausible or confirmed) or lowest.proven
 

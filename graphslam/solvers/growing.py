@@ -33,6 +33,20 @@ class _Tree:
     offsets: Array
 
 
+def steps_of(total: int, poses: int) -> float:
+    """The most steps that `grown` takes for ``total`` poses, each counted as the part of the poses that it moves."""
+    steps, count = 0.0, 1
+    while count < total:
+        count = _next(count, poses, total)
+        steps += STEPS * count / total
+    return steps
+
+
+def _next(count: int, poses: int, total: int) -> int:
+    """The number of poses after some more were added to ``count``."""
+    return min(count + poses * max(count, MANY) // MANY, total)
+
+
 def grown(graph: Graph, poses: int) -> Array:
     """A state (n, 3) from solving the first poses, then ``poses`` more, until all are there.
 
@@ -43,7 +57,7 @@ def grown(graph: Graph, poses: int) -> Array:
     state = graph.initial.copy()
     _place(state, tree, np.flatnonzero(tree.parents[total:] == 0) + total)
     while count < total:
-        before, count = count, min(count + poses * max(count, MANY) // MANY, total)
+        before, count = count, _next(count, poses, total)
         for pose in range(before, count):
             _place(state, tree, np.array([pose]))
         seen_from = tree.parents[total:]

@@ -22,10 +22,10 @@ from .auto import DAMPED, best_end
 from .gtsam_factors import to_gtsam
 from .gtsam_parameters import solve_jointly_with_gtsam
 from .gtsam_values import eliminated_landmarks, from_values, to_values
-from .iteration import Run
+from .iteration import PROMISE, Run
 from .mixing import AndersonMixing
 from .starting import starting_state
-from .with_parameters import FIRST, solve_jointly, without_parameters
+from .with_parameters import FIRST, best_of_starts, solve_jointly
 
 
 def solve_with_gtsam(
@@ -98,10 +98,16 @@ def solve_with_gtsam(
 def _with_parameters(graph: Graph, tolerance: float, most: int, initialize: str, factors: str) -> Solution:
     """The solution of a graph with parameters: the nodes alone first, then all together."""
     begin = time.perf_counter()
-    rough = max(FIRST, tolerance)
-    first = solve_with_gtsam(without_parameters(graph), tolerance=rough, initialize=initialize, factors=factors)
-    run = Run(first.state, tolerance, most)
-    found = solve_jointly(graph, first.state, solve_jointly_with_gtsam, run)
+
+    def solved(nodes: Graph) -> Array:
+        rough = max(FIRST, tolerance)
+        return solve_with_gtsam(nodes, tolerance=rough, initialize=initialize, factors=factors).state
+
+    def jointly(start: Graph, state: Array) -> tuple[Graph, Run]:
+        run = Run(state, tolerance, most)
+        return solve_jointly(start, state, solve_jointly_with_gtsam, run), run
+
+    found, run = best_of_starts(graph, solved, jointly)
     return make_solution(
         found, run.state, step_norms=run.step_norms, costs=[], converged=run.converged, reason=run.reason,
         seconds=time.perf_counter() - begin, solver="gtsam",
@@ -128,12 +134,15 @@ def _optimize(
     factors: gtsam.NonlinearFactorGraph,
     tolerance: float,
     max_iterations: int,
-    roughly: bool = False,
+    roughly: float = 0.0,
 ) -> tuple[Array, list[float], bool]:
-    """Levenberg-Marquardt until it converges: the state, the norm of every step, and whether the last was short enough.
+    """Levenberg-Marquardt until it converges: the state, the norm of every step, and whether the end is a minimum.
 
-    With ``roughly`` a short step counts even where damping may have shortened it.
+    A short step alone proves nothing: damping may have shortened it. The last step is one of Gauss-Newton, and where J is
+    steep it must promise to lower it by a negligible part only (`_promises_little`), which is ``tolerance``, or ``roughly``
+    where that is above 0. A damped step that promises as little is enough then.
     """
+    part = roughly or tolerance
     values = to_values(graph, graph.initial)
     values.insert(eliminated_landmarks(graph, graph.initial))
     parameters = gtsam.LevenbergMarquardtParams()
@@ -152,7 +161,8 @@ def _optimize(
         norms.append(float(np.linalg.norm(_difference(moved, state))))
         state = moved
         stalled = before - optimizer.error() <= 1e-10 * before
-        if roughly and not stalled and norms[-1] < tolerance:
+        short = norms[-1] < tolerance and (polishing or (roughly and not stalled))
+        if short and _promises_little(graph, state, factors, optimizer, part):
             return state, norms, True
         if not polishing and stalled:
             # The remaining decrease is below the rounding error of the cost, so Levenberg-Marquardt refuses to move.
@@ -161,11 +171,34 @@ def _optimize(
             plain = gtsam.GaussNewtonParams()
             plain.setLinearSolverType("MULTIFRONTAL_QR")
             optimizer = gtsam.GaussNewtonOptimizer(factors, optimizer.values(), plain)
-        elif polishing and norms[-1] < tolerance:
-            return state, norms, True
         elif polishing and len(norms) > 2 and norms[-1] > 1e3 * max(norms[-2], tolerance):
             break
     return state, norms, False
+
+
+def _promises_little(
+    graph: Graph,
+    state: Array,
+    factors: gtsam.NonlinearFactorGraph,
+    optimizer: gtsam.NonlinearOptimizer,
+    part: float,
+) -> bool:
+    """Whether an undamped step from the optimizer's values, a state (n, 3), promises a negligible decrease of J.
+
+    Negligible is ``part`` of J, or what rounding errors of 1e-15 of the coordinates make of it, as for `Run.negligible`.
+    """
+    values = optimizer.values()
+    linear = factors.linearize(values)
+    plain = gtsam.GaussNewtonParams()
+    plain.setLinearSolverType("MULTIFRONTAL_QR")
+    step = gtsam.GaussNewtonOptimizer(factors, values, plain)
+    step.iterate()
+    delta = values.localCoordinates(step.values())
+    predicted = 2 * (linear.error(values.zeroVectors()) - linear.error(delta))
+    if abs(predicted) <= 2 * max(PROMISE, part) * optimizer.error():
+        return True
+    system, _ = graph.linearize(state)
+    return abs(predicted) <= Run(state, part).rounding(system)
 
 
 def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str) -> tuple[Array, list[float], bool]:
@@ -176,10 +209,10 @@ def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str)
         # every freezing changes the inner problem, so there is no use in solving it much more closely than that
         inner = max(tolerance / 10, 0.1 * norms[-1] if norms else 0.1)
         here = graph.with_initial(state)
-        solved, _, _ = _optimize(here, to_gtsam(here, factors=factors), inner, max_iterations, roughly=True)
+        solved, _, settled = _optimize(here, to_gtsam(here, factors=factors), inner, max_iterations, roughly=tolerance)
         move = _difference(solved, state)
         norms.append(float(np.linalg.norm(move)))
         state = mixing.next(state, move)
-        if norms[-1] < tolerance:
+        if norms[-1] < tolerance and settled:
             return state, norms, True
     return state, norms, False

@@ -18,7 +18,7 @@ from .gauss_newton import gauss_newton
 from .iteration import Iteration, Run
 from .levenberg_marquardt import levenberg_marquardt
 from .starting import INITIALIZE, starting_state
-from .with_parameters import FIRST, solve_jointly, without_parameters
+from .with_parameters import FIRST, best_of_starts, solve_jointly
 
 METHODS: dict[str, Callable[[Any, Run], Any]] = {
     "gauss-newton": gauss_newton,
@@ -86,9 +86,19 @@ def solve(
         return run
 
     if graph.parameters is not None:
-        first = solve(without_parameters(graph), method=method, tolerance=max(FIRST, tolerance), initialize=initialize)
-        run = Run(first.state, tolerance, max_iterations, cost_tolerance, callback=callback)
-        graph = solve_jointly(graph, first.state, METHODS[method], run)
+
+        def solved(nodes: Graph) -> Array:
+            return solve(nodes, method=method, tolerance=max(FIRST, tolerance), initialize=initialize).state
+
+        def jointly(start: Graph, state: Array) -> tuple[Graph, Run]:
+            run = Run(state, tolerance, max_iterations, cost_tolerance)
+            run.callback = None if callback is None else run.recorded.append
+            return solve_jointly(start, state, METHODS[method], run), run
+
+        graph, run = best_of_starts(graph, solved, jointly)
+        if callback is not None:
+            for step in run.recorded:
+                callback(step)
     elif initialize == "auto":
         end = best_end(graph, run_from, method)
         run, cost = end.run, end.cost if isfinite(end.cost) else None

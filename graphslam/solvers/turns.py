@@ -29,14 +29,18 @@ LOWER = 1e-6
 TURNS, POSES_PER_TURN, STEPS = 40, 4, 30
 
 
-def turned(graph: Graph, state: Array) -> Array | None:
-    """The state (n, 3) that other turns lead to, one after the other, each kept if it lowers J; None if none does."""
-    most = min(TURNS, len(graph.steps) // POSES_PER_TURN)
+def turned(graph: Graph, state: Array, limit: float = np.inf) -> tuple[Array | None, int]:
+    """The state (n, 3) that other turns lead to, one after the other, each kept if it lowers J; None if none does.
+
+    Returns:
+        The state, and the number of steps that were taken: after ``limit`` steps no further turn is tried.
+    """
+    most, steps = min(TURNS, len(graph.steps) // POSES_PER_TURN), 0
     best, cost, tried, again = state, graph.cost(state), set[tuple[int, int, float]](), True
     while again:
         again = False
         for stretch, start in _turns(graph, best):
-            if stretch in tried or len(tried) == most:
+            if stretch in tried or len(tried) == most or steps >= limit:
                 continue
             tried.add(stretch)
             run = Run(start, tolerance=1e-6 * graph.num_nodes**0.5, max_iterations=STEPS)
@@ -44,11 +48,12 @@ def turned(graph: Graph, state: Array) -> Array | None:
                 gauss_newton(graph, run)
             except GraphError:
                 continue
+            steps += len(run.step_norms)
             lower = graph.cost(run.state)
             if lower < cost * (1 - LOWER):
                 best, cost, again = run.state, lower, True
                 break
-    return None if best is state else best
+    return None if best is state else best, steps
 
 
 def _turns(graph: Graph, state: Array) -> Iterator[tuple[tuple[int, int, float], Array]]:

@@ -37,7 +37,7 @@ def test_auto_goes_on_from_a_plausible_end_that_is_not_proven(monkeypatch):
     graph = ring(120, windings=2)
     wrong = solve(graph, initialize="given")
     starts = [("given", graph.initial), ("another", ring(120).initial)]
-    monkeypatch.setattr(auto, "_starts", lambda _: iter(starts))
+    monkeypatch.setattr(auto, "_starts", lambda *_: iter(starts))
     best = solve(graph)
     assert wrong.cost > 1 and best.cost < 1e-9
     monkeypatch.setattr(auto, "PROVABLE", 119)

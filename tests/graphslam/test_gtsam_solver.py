@@ -1,5 +1,6 @@
 """The backbone: the hand-written solver against GTSAM, the same graph, every variant."""
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -16,6 +17,7 @@ from graphslam import (
     solve_with_gtsam,
 )
 from graphslam.se2 import wrap
+from graphslam.solvers import gtsam_solver
 from graphslam.solvers.gtsam_solver import starting_state, to_gtsam, to_values
 
 #: a fifth of the book's motion noise, so that both solvers end in the same minimum of the landmark graphs
@@ -116,6 +118,31 @@ def test_cost_is_twice_gtsams_error(book_log, frame, dimensions):
     solution = solve(graph, initialize="given")
     error = to_gtsam(graph, solution.poses).error(to_values(graph, solution.state))
     assert solution.cost == pytest.approx(2 * error, rel=1e-10)
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6])
+def test_a_step_that_damping_shortens_is_no_end(monkeypatch, tolerance):
+    """With heavy damping the first step is short, however far the minimum is: the gradient there is not zero."""
+
+    params = gtsam.LevenbergMarquardtParams
+
+    def damped():
+        parameters = params()
+        parameters.setlambdaInitial(1e10)
+        return parameters
+
+    log = simulate(seed=3, orientation=False).at_steps(np.arange(12))
+    graph = Graph.from_log(log, edges="virtual+motion", kernel="huber")
+
+    def promised(state, reference):
+        system, cost = graph.linearize(state, reference)
+        return float(np.sum(system.factorize().solve(system.xi) * system.xi)) / cost
+
+    monkeypatch.setattr(gtsam_solver.gtsam, "LevenbergMarquardtParams", damped)
+    state, _, converged = gtsam_solver._optimize(graph, to_gtsam(graph), tolerance, 100, roughly=tolerance)
+    assert not converged or promised(state, graph.initial) < 10 * tolerance
+    solution = solve_with_gtsam(graph, tolerance=tolerance, initialize="given")
+    assert not solution.converged or promised(solution.state, solution.state) < 10 * tolerance
 
 
 def test_gtsam_stops_at_max_iterations(book_log):

@@ -338,9 +338,9 @@ def test_other_turns_lead_out_of_a_wrong_minimum():
     wrong = solve(graph.with_initial(start), initialize="given")
     assert wrong.converged
     assert wrong.cost > best.cost + 1
-    state = turned(graph, wrong.state)
+    state, _ = turned(graph, wrong.state)
     assert graph.cost(state) == pytest.approx(best.cost, abs=1e-6)
-    assert turned(graph, best.state) is None
+    assert turned(graph, best.state)[0] is None
 
 
 def test_auto_tries_other_turns_where_an_end_is_doubtful(hard_logs):

@@ -364,3 +364,38 @@ def test_scales_need_no_turns(biased: Log) -> None:
         kernel="none",
     )
     assert solve(graph).parameters.doubt == ""
+
+
+@pytest.mark.parametrize("bias", [np.pi, np.pi / 2, 0.8, -2.0])
+def test_a_sensor_mounted_backwards_or_sideways_is_found(bias: float) -> None:
+    log = drive(bearing_bias=bias).without_orientation()
+    solution = solve(Graph.from_log(log, edges="landmark+motion", estimate="bearing_bias"))
+    off = solution.parameters["bearing_bias"] - bias
+    assert abs((off + np.pi) % (2 * np.pi) - np.pi) < 0.02
+    assert solution.converged and solution.cost < 2 * solution.graph.degrees_of_freedom
+    assert solution.certificate.status == "global with the parameters held"
+    assert "held" in solution.certificate.reason
+
+
+def test_the_cost_includes_the_priors(biased: Log) -> None:
+    free = solve(Graph.from_log(biased, weight="marginal", estimate={"bearing_bias": None}))
+    held = solve(Graph.from_log(biased, weight="marginal", estimate={"bearing_bias": 0.005}))
+    off = held.parameters["bearing_bias"] / 0.005
+    edges = sum(family.cost(held.state, held.state) for family in held.graph.families)
+    assert held.cost == pytest.approx(edges + off**2) and off**2 > 1 and held.cost > free.cost
+    assert held.certificate.relative_gap < 1e-6 and held.certificate.lower_bound <= held.cost
+
+
+def test_joint_nees_counts_the_uncertainty_of_the_parameters(biased: Log) -> None:
+    solution = solve(Graph.from_log(biased, edges="landmark+motion", estimate=["turn_scale", "wheel_scale"]))
+    poses = 3 * len(solution.graph.steps)
+    omega = solution.graph.information(solution.state).to_sparse().toarray()
+    border = JointGraph(solution.graph).border(solution.graph, solution.state, solution.state, scaled=True)
+    mixed = border.mixed.reshape(len(omega), -1)
+    whole = np.block([[omega, mixed], [mixed.T, border.own]])
+    covariance = np.linalg.inv(whole[3:, 3:])[: poses - 3, : poses - 3]
+    errors = solution.poses - biased.true_poses
+    errors[:, 2] = (errors[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    e = errors[1:].ravel()
+    expected = e @ np.linalg.solve(covariance, e) / len(e)
+    assert solution.joint_nees(biased.true_poses) == pytest.approx(expected, rel=1e-6)
