@@ -120,8 +120,8 @@ def width(log: Log, truth: DriveTruth) -> float:
     ((1 - s) + s n g) / n, g = 2 (r - 1 + exp(-r)) / r²: for places of landmarks each counts as one error with k = (1 - s) +
     s n g times the variance, for the motion from one sighting to the next as one with 1 - s. The geometric mean of 1 and the
     mean k gives an ATE within 6 % (median) of the best of the widths 1, k^(1/4), k^(1/2) and sqrt(1 - s + 2 s N), N the
-    number of scans, and a NEES near 1 (the 19 such drives among the first 39 of `TUNING`). Visits end where a landmark is not seen for
-    tau.
+    number of scans, and a NEES near 1 (the 19 such drives among the first 39 of `TUNING`). Visits end where a landmark is
+    not seen for tau.
     """
     if truth.correlated == 0:
         return 1.0
