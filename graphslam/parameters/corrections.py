@@ -17,8 +17,8 @@ from ..models import SensorModel
 from ..se2 import Array
 from .declared import PARAMETERS, Parameters
 
-#: the control at a pose is the mean over this time before and after it [s]
-SMOOTHED = 0.3
+#: the control at a pose is the mean over at most this time before and after it [s]
+LONGEST = 0.5
 
 
 def corrected_controls(parameters: Parameters) -> Array:
@@ -116,20 +116,58 @@ def moves(parameters: Parameters, predicted: Array, steps: np.ndarray) -> Array:
 
 
 def controls_at_steps(parameters: Parameters) -> Array:
-    """The control (T+1, 2) at the time of each pose: the mean of the corrected ones within `SMOOTHED` of it.
+    """The control (T+1, 2) at the time of each pose: the mean of the corrected ones for some time before and after it.
 
     A single control is noisy where odometry is frequent, and a delay that multiplies noise is estimated too small, as in
-    every regression on noisy values. Where controls last longer, it is the mean of the one before and the one after the pose.
+    every regression on noisy values; a long mean blurs turns. `_smoothing` chooses.
+    """
+    log = parameters.recorded
+    assert log.controls is not None and log.dt is not None
+    ends = np.concatenate([[0.0], np.cumsum(log.dt)])
+    windows = _smoothing(log.controls, ends, parameters)
+    columns = zip(corrected_controls(parameters).T, windows)
+    return np.column_stack([_means(_summed(each * log.dt), ends, log.control_starts, w) for each, w in columns])
+
+
+def _smoothing(controls: Array, ends: Array, parameters: Parameters) -> list[float]:
+    """For how long before and after a pose each of the two numbers of a control is averaged [s].
+
+    The one of the times w = D, 2 D, 4 D, ... up to `LONGEST` with the least estimated risk, where D is the usual duration of
+    a recorded control: with m_w the mean over w to each side and q the variance of the noise integrated over D to each side,
+
+        E |m_w - u|² = E |m_w - m_D|² + 2 q / (4 w D) - q / (4 D²).
+
+    Source: Stein, *Estimation of the mean of a multivariate normal distribution* (1981).
     """
     log = parameters.recorded
     assert log.dt is not None
-    ends = np.concatenate([[0.0], np.cumsum(log.dt)])
-    travelled = np.zeros((len(ends), 2))
-    np.cumsum(corrected_controls(parameters) * log.dt[:, None], axis=0, out=travelled[1:])
-    # as long before as after, but at the ends of the log
-    since, until = (np.clip(ends[log.control_starts] + w, 0.0, ends[-1]) for w in (-SMOOTHED, SMOOTHED))
-    first, last = (np.column_stack([np.interp(at, ends, part) for part in travelled.T]) for at in (since, until))
-    return (last - first) / (until - since)[:, None]
+    usual = float(np.median(log.dt if log.recorded_dt is None else log.recorded_dt))
+    times = [usual]
+    while 2 * times[-1] <= LONGEST:
+        times.append(2 * times[-1])
+    noise = np.diagonal(parameters.motion.M(controls, log.dt, log.recorded_dt), axis1=1, axis2=2) * log.dt[:, None] ** 2
+    chosen = []
+    for each, variance in zip(controls.T, noise.T):
+        total, starts = _summed(each * log.dt), log.control_starts
+        shortest = _means(total, ends, starts, usual)
+        q = float(np.mean(_means(_summed(variance), ends, starts, usual))) * 2 * usual
+        risks = [
+            np.mean((_means(total, ends, starts, w) - shortest) ** 2) + q / (2 * w * usual) - q / (4 * usual**2)
+            for w in times
+        ]
+        chosen.append(times[int(np.argmin(risks))])
+    return chosen
+
+
+def _summed(values: Array) -> Array:
+    """The sums (S+1,) of the first 0 to S values."""
+    return np.concatenate([[0.0], np.cumsum(values)])
+
+
+def _means(total: Array, ends: Array, starts: np.ndarray, window: float) -> Array:
+    """The mean (T+1,) within a time of each pose, from integrals ``total`` (S+1,) up to the ends (S+1,) of the controls."""
+    since, until = (np.clip(ends[starts] + w, 0.0, ends[-1]) for w in (-window, window))
+    return (np.interp(until, ends, total) - np.interp(since, ends, total)) / (until - since)
 
 
 def corrected_log(parameters: Parameters) -> Log:
