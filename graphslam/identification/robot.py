@@ -245,6 +245,7 @@ def _fitted(unknowns: Unknowns, rounds: int, rng: np.random.Generator) -> tuple[
     for k in range(rounds):
         unknowns.iterate(2 if k else 4)
         gain, errors = improve_variances(unknowns, rng)
+        unknowns.take_noise()
         if gain < GAIN:
             break
     unknowns.iterate(1)

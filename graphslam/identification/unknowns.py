@@ -139,9 +139,15 @@ class Unknowns:
             self.logarithms = {name: start.logarithms[name] for name in self.centres}
             poses = start.state[: start.poses]
         self.state: Array = np.concatenate([poses, self._places(poses, group)])
+        self.take_noise()
         self.system = BlockSystem.from_cliques(
             len(self.state), [_pairs(self.before, self.after), _pairs(self.seen_from, self.seen)]
         )
+
+    def take_noise(self) -> None:
+        """Use the present variances where the controls around each pose are averaged for the delay of the sensor."""
+        self.parameters = replace(self.parameters, motion=self.models[0])
+        self._speeds = controls_at_steps(self.parameters)
 
     def _centres(self) -> dict[str, float]:
         """The centres of the priors on the logarithms of the variances."""
@@ -214,8 +220,8 @@ class Unknowns:
         z = self.sightings if sightings is None else sightings
         p, d = self.parameters.by_name(), z.shape[1]
         x, m = self.state[steps], self.state[seen]
-        back = -p["sensor_delay"] * controls_at_steps(self.parameters)[steps]
-        speed = controls_at_steps(self.parameters)[steps]
+        speed = self._speeds[steps]
+        back = -p["sensor_delay"] * speed
         c, s = np.cos(x[:, 2]), np.sin(x[:, 2])
         at = x.copy()
         at[:, 0] += back[:, 0] * c
