@@ -37,7 +37,7 @@ RARE = 0.3
 #: a squared Mahalanobis distance beyond which a sighting contradicts its episode
 CONTRADICTS = 30.0
 #: times between the sightings of a landmark [s] that are tried first, and the fewest sightings that are enough
-INTERVALS, ENOUGH = (5.0, 2.0, 1.0, 0.5, 0.2), 200
+INTERVALS, ENOUGH = (5.0, 2.0, 1.0, 0.5, 0.2), 100
 #: rounds of solving and improving the variances, and the gain of the log likelihood below which they end
 ROUNDS, GAIN = (5, 3, 6, 6), 0.3
 #: sightings correlated by more than this are thinned for the last round, and by less than that are all kept

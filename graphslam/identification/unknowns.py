@@ -36,8 +36,8 @@ from .parts import motion_parts, sensor_parts, with_variances
 #: the parameters of an unknown robot, with the standard deviations of their priors. The scale of ranges is not among them:
 #: a log tells only its quotient with the scale of the wheels.
 PRIORS = {
-    "wheel_scale": 0.03, "turn_scale": 0.03, "turn_rate_bias": 0.01, "curvature_bias": 0.01, "range_bias": 0.05,
-    "bearing_bias": 0.03, "sensor_ahead": 0.1, "sensor_left": 0.1, "sensor_delay": 0.1,
+    "wheel_scale": 0.03, "turn_scale": 0.03, "turn_rate_bias": 0.01, "curvature_bias": 0.01, "range_bias": 0.03,
+    "bearing_bias": 0.03, "sensor_ahead": 0.05, "sensor_left": 0.03, "sensor_delay": 0.1,
 }  # fmt: skip
 #: typical standard deviations of the noise, the centres of priors on the logarithms of the variances; those of the models'
 #: fields per recorded control are for one second of controls

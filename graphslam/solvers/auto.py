@@ -43,7 +43,7 @@ PROVABLE, FURTHER = 1000, 2
 #: ends whose costs differ by less than this part are one minimum
 SAME = 1e-6
 #: the search after the first end takes at most so many steps for each step that led to that, ...
-MULTIPLE = 50
+MULTIPLE, SHORT = 10, 1e6
 #: ... or this number divided by the number of nodes, if that is more: some three seconds
 SHORT = 1_000_000
 #: the names of the two starts of graphs with a kernel: the plain optimum, and the sequence of kernels from there on, ...
