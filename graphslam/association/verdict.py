@@ -33,7 +33,6 @@ class Verdict:
         lead: the logarithm of the evidence over that for the best rival with another trajectory; infinite for none.
         starts, agreeing: how many starts of the search were used, and how many ended with this trajectory.
         deviation: the standard deviation of the positions of the aligned trajectory, root mean square [m].
-        mixed: the expected share of sightings with a landmark whose landmark is another one near it.
     """
 
     reliable: bool
@@ -42,28 +41,27 @@ class Verdict:
     starts: int
     agreeing: int
     deviation: float
-    mixed: float
 
     def __str__(self) -> str:
-        share = f"about {self.mixed:.1%} of the sightings may be of another landmark close to theirs"
         if self.reliable:
-            return f"the map can be relied on: {self.agreeing} starts of the search ended in it, and no other is nearly as likely; {share}"
-        return f"do not rely on the map without a check: {'; '.join(self.reasons)}; {share}"
+            return (
+                f"the map can be relied on: {self.agreeing} starts of the search ended in its trajectory, and no other that "
+                "was found is nearly as likely"
+            )
+        return f"do not rely on the map without a check: {'; '.join(self.reasons)}"
 
 
 def verdict(competition: Competition, field: Field) -> Verdict:
     """The verdict on the best end of a competition."""
     k = competition.best
-    refined = competition.ends[k].refined
-    best, near = refined.solved, tolerance(refined.solved, field)
+    best = competition.ends[k].refined.solved
+    near = tolerance(best, field)
     gaps, agreeing = [np.inf], 0
     for value, end in zip(competition.values, competition.ends, strict=True):
         behind = competition.values[k] - value
         found: list[tuple[float, Array]] = [(0.0, end.refined.solved.poses), *end.rivals]
         agreeing += ate(best.poses, end.refined.solved.poses) <= near
         gaps += [behind + gap for gap, poses in found if ate(best.poses, poses) > near]
-    margins = refined.margins[refined.labels >= 0]
-    mixed = float(np.mean(1 / (1 + np.exp(np.minimum(margins, 700.0)))))
     lead = float(min(gaps))
     reasons: list[str] = []
     if len(competition.ends) < ALIKE:
@@ -74,4 +72,4 @@ def verdict(competition: Competition, field: Field) -> Verdict:
         reasons.append("another map that was tried is as likely")
     elif lead < CLEAR:
         reasons.append(f"another map that was tried is less likely by only a factor of {readable(lead)}")
-    return Verdict(not reasons, tuple(reasons), lead, len(competition.ends), agreeing, spread(best), mixed)
+    return Verdict(not reasons, tuple(reasons), lead, len(competition.ends), agreeing, spread(best))
