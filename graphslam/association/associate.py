@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -128,7 +128,7 @@ def associate(
     motion: MotionModel | None = None,
     sensor: SensorModel | None = None,
     options: AssociationOptions | None = None,
-    start: Start | Begin | list[Start | Begin | None] | None = None,
+    start: Start | Begin | Sequence[Start | Begin | None] | None = None,
     estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None,
     **changes: Any,
 ) -> Association:
@@ -187,7 +187,9 @@ def associate(
     return _report(recorded, robot, competition, options, time.perf_counter() - begin)
 
 
-def _starts(log: Log, start: Start | Begin | list[Start | Begin | None] | None, driven: Begin) -> list[Start | Begin]:
+def _starts(
+    log: Log, start: Start | Begin | Sequence[Start | Begin | None] | None, driven: Begin
+) -> list[Start | Begin]:
     """The given starts, ``driven`` for None; what functions return is checked when they are called."""
 
     def checked(each: Start) -> Start:
@@ -202,7 +204,8 @@ def _starts(log: Log, start: Start | Begin | list[Start | Begin | None] | None, 
         return lambda: checked(each())
 
     found: list[Start | Begin] = []
-    for each in start if isinstance(start, list) else [start]:
+    # a tuple is one start
+    for each in [start] if start is None or callable(start) or isinstance(start, tuple) else start:
         found.append(driven if each is None else later(each) if callable(each) else checked(each))
     if not found:
         raise OptionError("start holds no start; leave it out for the drive")

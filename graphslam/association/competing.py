@@ -82,7 +82,7 @@ def compete(
     robot: Robot, starts: Iterable[Start | Callable[[], Start]], names: dict[str, float | None], densities: Densities,
     classes: Classes, options: AssociationOptions,
 ) -> Competition | None:  # fmt: skip
-    """Let starts compete, the first two in any case; None where none of them leaves a landmark.
+    """Let starts compete, the first two in any case; None where all may be clutter.
 
     Args:
         robot: the log and its noise models.
@@ -103,12 +103,14 @@ def compete(
         return refine(robot.log, backbone, labels, poses, field, densities, classes, options)
 
     firsts: list[Refined] = []
-    used = options.agreeing or len(waiting)
-    while waiting and (used > 0 or not firsts):
+    used = min(options.agreeing or len(waiting), len(waiting))
+    tried = used
+    while waiting and used > 0:
         used -= 1
         if (end := first(waiting.pop(0))) is not None:
             firsts.append(end)
-    if not firsts:
+    # where a start finds no landmark, another one may find a few by chance
+    if len(firsts) < tried and all(np.mean(end.labels < 0) > 0.5 for end in firsts):
         return None
     # what the best of them says about the robot counts for all
     shared = Densities.mean([end.densities for end in firsts])

@@ -67,9 +67,11 @@ def verdict(competition: Competition, field: Field) -> Verdict:
     if len(competition.ends) < ALIKE:
         reasons.append("only one start of the search was tried, so that nothing tells whether it ended in the best map")
     elif agreeing < ALIKE:
-        reasons.append(f"{len(competition.ends)} starts of the search ended in as many different maps")
+        reasons.append(f"only one of {len(competition.ends)} starts of the search ended in its trajectory")
     if lead <= 0:
         reasons.append("another map that was tried is as likely")
     elif lead < CLEAR:
-        reasons.append(f"another map that was tried is less likely by only a factor of {readable(lead)}")
+        reasons.append(
+            f"another map that was tried is less likely by a factor of {readable(lead)}, and {readable(CLEAR)} is needed"
+        )
     return Verdict(not reasons, tuple(reasons), lead, len(competition.ends), agreeing, spread(best))
