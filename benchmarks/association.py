@@ -4,12 +4,13 @@
     python benchmarks/association.py real sample woods mrclam-1 mrclam-3 huang victoria
     python benchmarks/association.py real mrclam-1 mrclam-3 --front-end best --particles 100
     python benchmarks/association.py limit 1 3
+    python benchmarks/association.py verdict --first 3000 --worlds 200
 
 The simulated logs are 62 steps among thirty landmarks, at least so many standard deviations of the range (at 6 m) apart. One
 sighting in ten is missing, and one in ten is a false one, uniform over the field of view. "Number exact" counts the logs
 whose number of landmarks is that of the landmarks seen at least twice. The error is compared with that of the same graph
 with the true ids and without the false sightings. "limit" says for robots of MR.CLAM 6 how many sightings could be
-told apart if trajectory and map were known.
+told apart if trajectory and map were known. "verdict" compares `Association.verdict` with the truth in random worlds.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import numpy as np
 
 from comparisons.association import identified
 from comparisons.options import RunOptions
-from graphslam import Graph, Log, MotionModel, SensorModel, associate, load, sample_log_path, simulate, solve
+from graphslam import Graph, Log, MotionModel, SensorModel, SlamError, associate, load, sample_log_path, simulate, solve
 from graphslam.association import score
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate
@@ -37,6 +38,8 @@ MOTION = MotionModel(nn=0.19 / PART, no=0.001 / PART, on=0.13 / PART, oo=0.2 / P
 SENSOR = SensorModel(range_rate=0.14 / PART, bearing_std=0.05 / PART, orientation_std=0.05 / PART)
 #: the squared distance within which 0.999 of the sightings of a landmark are
 GATE = 13.8
+#: a map is good up to this ratio of its ATE to that of the graph with the true ids
+GOOD = 1.5
 BY_HAND = {"motion": MotionModel.constant(0.1, 0.3, epsilon=1e-8), "sensor": SensorModel.constant(0.12, 0.02)}
 
 
@@ -158,6 +161,93 @@ def limit(robot: int) -> None:
     )
 
 
+def book(part: float) -> tuple[MotionModel, SensorModel]:
+    """This part of the book's noise."""
+    motion = MotionModel(
+        nn=0.19 * part, no=0.001 * part, on=0.13 * part, oo=0.2 * part, epsilon=max(1e-4 * part**2, 1e-8)
+    )
+    return motion, SensorModel(range_rate=0.14 * part, bearing_std=0.05 * part, orientation_std=0.05 * part)
+
+
+def random_world(seed: int) -> Log:
+    """A short drive in a world of random size, density, noise and view; its log has true ids, and -1 for clutter.
+
+    In 35 % of the worlds two or three places look alike, a quarter has psi, and in 60 % the noise models are off by a factor
+    of 0.6 to 2, of motion and sensor each.
+    """
+    rng = np.random.default_rng([77, seed])
+    size = float(np.exp(rng.uniform(np.log(3.5), np.log(12))))
+    count = int(np.clip((2 * size) ** 2 * np.exp(rng.uniform(np.log(0.03), np.log(0.4))), 4, 70))
+    alike = rng.random() < 0.35
+    marks = rng.uniform(-size, size, (count, 2))
+    if alike:
+        k, side = int(rng.integers(3, 7)), rng.uniform(1.0, 2.0)
+        patch, copies = rng.uniform(-side, side, (k, 2)), int(rng.integers(2, 4))
+        for _ in range(copies):
+            a = rng.choice([0, np.pi / 2, np.pi])
+            turn = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+            marks = np.concatenate([marks, patch @ turn.T + rng.uniform(-size * 0.8, size * 0.8, 2)])
+        if rng.random() < 0.3:
+            marks = marks[rng.permutation(len(marks))[: max(len(marks) - count // 2, 4)]]
+    psi = bool(rng.random() < 0.25)
+    of_motion, of_sensor = (float(np.exp(rng.uniform(np.log(a), np.log(b)))) for a, b in ((0.1, 1.5), (0.05, 0.7)))
+    told = np.exp(rng.uniform(np.log(0.6), np.log(2), 2)) if rng.random() < 0.6 else np.ones(2)
+    route = rng.uniform(-size * 0.8, size * 0.8, (int(rng.integers(3, 7)), 2))
+    view, far = float(rng.choice([np.pi / 3 * 2, np.pi, 2 * np.pi])), float(rng.uniform(2.5, 6))
+    steps, speed = int(rng.integers(50, 121)), float(rng.uniform(0.3, 0.7))
+    log = simulate(
+        seed=seed + 5000, clean=True, orientation=psi, motion=book(of_motion)[0], sensor=book(of_sensor)[1], steps=steps,
+        dt=1.0, speed=speed, turn_rate=0.6, way_points=route, start=(*route[0], 0.0), max_range=far, field_of_view=view,
+        landmarks=np.column_stack([marks, rng.uniform(-np.pi, np.pi, len(marks))]), arena=size,
+    )  # fmt: skip
+    missed, clutter = float(rng.uniform(0, 0.3)), float(rng.choice([0, rng.uniform(0, 0.2)]))
+    kept = rng.random(len(log.steps)) >= missed
+    n = int(rng.binomial(kept.sum(), clutter))
+    false = np.column_stack([np.maximum(0.5, far * np.sqrt(rng.random(n))), rng.uniform(-view / 2, view / 2, n)])
+    if psi:
+        false = np.column_stack([false, rng.uniform(-np.pi, np.pi, n)])
+    at = np.concatenate([log.steps[kept], rng.integers(0, log.num_poses, n)])
+    order = np.argsort(at, kind="stable")
+    return replace(
+        log, steps=at[order], landmarks=np.concatenate([log.landmarks[kept], np.full(n, UNIDENTIFIED)])[order],
+        sightings=np.concatenate([log.sightings[kept], false])[order],
+        motion=book(of_motion * told[0])[0], sensor=book(of_sensor * told[1])[1],
+    )  # fmt: skip
+
+
+def verdicts(first: int, worlds: int) -> None:
+    """How often a map that is called reliable is bad, and a good one reliable; worlds with 20 to 320 sightings count."""
+    rows: list[tuple[bool, bool, int, float]] = []
+    seed = first
+    while len(rows) < worlds:
+        log, seed = random_world(seed), seed + 1
+        if not 20 <= len(log.steps) <= 320:
+            continue
+        hidden = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+        begin = time.process_time()
+        try:
+            _, a = identified(hidden, RunOptions.of(seed=(seed - 1) % 97))
+        except SlamError as error:
+            print(f"{seed - 1}: {error}")
+            continue
+        assert a is not None
+        best = ate(log.true_poses, solved(known(log), {}))
+        ratio = ate(log.true_poses, a.poses) / best
+        v = a.verdict
+        rows.append((v.reliable, ratio <= GOOD, v.starts, time.process_time() - begin))
+        print(
+            f"{seed - 1}: ATE / with ids {ratio:.2f}, lead {v.lead:.1f}, {v.agreeing} of {v.starts}, {v.reliable}",
+            flush=True,
+        )
+    reliable, good, starts, seconds = np.array(rows, dtype=float).T
+    both = np.sum(reliable * good)
+    print(
+        f"{worlds} worlds from seed {first} on: {good.sum():.0f} good; called reliable {reliable.sum():.0f}, of which "
+        f"{reliable.sum() - both:.0f} are bad; {both / good.sum():.2f} of the good ones are called reliable; starts "
+        f"{np.mean(starts):.2f}, {np.mean(seconds):.2f} s of processor time (mean)"
+    )
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     verbs = parser.add_subparsers(dest="verb", required=True)
@@ -171,9 +261,14 @@ if __name__ == "__main__":
     sub.add_argument("--particles", type=int, default=30)
     sub = verbs.add_parser("limit")
     sub.add_argument("robots", nargs="+", type=int)
+    sub = verbs.add_parser("verdict")
+    sub.add_argument("--first", type=int, default=3000)
+    sub.add_argument("--worlds", type=int, default=200)
     given = parser.parse_args()
     if given.verb == "simulated":
         simulated(given.logs, given.apart, given.psi)
+    elif given.verb == "verdict":
+        verdicts(given.first, given.worlds)
     elif given.verb == "limit":
         for robot in given.robots:
             limit(robot)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -16,8 +17,10 @@ from graphslam.se2 import Array
 
 from .options import RunOptions
 
-#: runs of FastSLAM 2.0 with which the front end best begins, beside the drive
+#: runs of FastSLAM 2.0 that may compete
 STARTS = 3
+#: up to so many poses the drive with the local filter competes with two of them; on longer logs it takes far longer than they
+LONG = 4_000
 #: what was found for a log, or why nothing was, by what it was found with
 _FOUND: WeakKeyDictionary[Log, dict[tuple[object, ...], Association | SlamError]] = WeakKeyDictionary()
 
@@ -58,20 +61,31 @@ def _associated(log: Log, options: RunOptions) -> Association:
         # without controls or sightings this refuses the log
         return associate(log, **models, **ways)
     begin = time.perf_counter()
+
+    def filtered(seed: int) -> Callable[[], tuple[np.ndarray, Array]]:
+        return lambda: _filtered(log, replace(front, seed=seed), models)
+
     front = replace(options.filter, particles=options.front_particles, association="maximum-likelihood")
-    if options.front_end == "best":
-        seeds = np.random.default_rng(front.seed).integers(2**31, size=STARTS).tolist()
-        starts = [None, *(_filtered(log, replace(front, seed=seed), models) for seed in seeds)]
-        note = f"the ids began with those of a drive with the local filter, and of {STARTS} runs of FastSLAM 2.0"
-    elif options.filter.uses_ids and np.any(log.landmarks != UNIDENTIFIED):
+    best, rng = options.front_end == "best", np.random.default_rng(front.seed)
+    # the first of two runs has the seed of the filters themselves
+    others = rng.integers(2**31, size=STARTS if best else STARTS - 1).tolist()
+    starts: list[Callable[[], tuple[np.ndarray, Array]] | None] = []
+    starts += [filtered(seed) for seed in (others if best else [front.seed, *others])]
+    if options.front_end == "fastslam2":
+        starts = starts[:1]
+    elif not best and log.num_poses <= LONG:
+        starts[2:] = [None]
+    if best or (options.filter.uses_ids and np.any(log.landmarks != UNIDENTIFIED)):
         # the filter does not use the ids that some sightings have
-        starts = [None, _filtered(log, front, models)]
-        note = "the ids began with those of a drive with the local filter, and of FastSLAM 2.0"
-    else:
-        starts = [_filtered(log, front, models)]
-        note = "the ids began with those of FastSLAM 2.0"
+        starts = [None, *(each for each in starts if each is not None)]
+    ways["agreeing"] = 0 if best else 2
     found = associate(log, start=starts, **models, **ways)
-    note += f" with {front.particles} particles, and were found anew in the graph"
+    which = ", ".join(
+        "the drive with the local filter" if each is None else "FastSLAM 2.0" for each in starts[: found.verdict.starts]
+    )
+    note = (
+        f"the ids began with those of {which}, with {front.particles} particles each, and were found anew in the graph"
+    )
     return replace(found, seconds=time.perf_counter() - begin, notes=(*found.notes, note))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from graphslam import AssociationScore, Log
 from graphslam.log import UNIDENTIFIED
 
-from .documents import AssociationDocument, DoubtDocument, document
+from .documents import AssociationDocument, DoubtDocument, VerdictDocument, document
 from .results import EstimatorResult
 
 #: what a sighting is to an estimator that gave it an id itself
@@ -86,4 +86,5 @@ def association_document(log: Log, result: EstimatorResult, scores: AssociationS
         unconfirmed=None if result.unconfirmed is None else int(np.sum(result.unconfirmed & given)),
         evidence=None if found is None else found.evidence,
         doubts=None if found is None else [document(DoubtDocument, each) for each in found.doubts],
+        verdict=None if found is None else document(VerdictDocument, found.verdict),
     )

@@ -11,6 +11,7 @@ from .runs import (
     DoubtDocument,
     EstimatorDocument,
     RunDocument,
+    VerdictDocument,
     certificate_document,
     parameters_document,
 )
@@ -35,6 +36,7 @@ DOCUMENTS: dict[str, type[Document]] = {
 }
 
 __all__ = [
-    "DOCUMENTS", "AssociationDocument", "Document", "DoubtDocument", "EstimatorDocument", "certificate_document", "describe",
+    "DOCUMENTS", "AssociationDocument", "Document", "DoubtDocument", "EstimatorDocument", "VerdictDocument",
+    "certificate_document", "describe",
     "document", "parameters_document",
 ]  # fmt: skip

@@ -84,6 +84,22 @@ class DoubtDocument(Document):
     ]
 
 
+class VerdictDocument(Document):
+    """Whether a map that was found without ids can be relied on; see docs/association.md."""
+
+    reliable: Annotated[bool, about("whether the ids are unlikely to have led to a wrong trajectory")]
+    reasons: Annotated[list[str], about("why not; empty where it is reliable")]
+    lead: Annotated[
+        float | None,
+        about(
+            "logarithm of the evidence over that for the best rival with another trajectory; null where none was found"
+        ),
+    ]
+    starts: Annotated[Count, about("starts of the search that were used")]
+    agreeing: Annotated[Count, about("starts that ended with this trajectory")]
+    deviation: Annotated[float, about("standard deviation of the positions of the aligned trajectory [m]")]
+
+
 class AssociationDocument(Document):
     """The ids that an estimator gave sightings itself; what needs true ids is null where there are none."""
 
@@ -108,6 +124,7 @@ class AssociationDocument(Document):
         float | None, about("logarithm of the evidence for the ids; compares associations of one log; null for filters")
     ]
     doubts: Annotated[list[DoubtDocument] | None, about("places that may be others; null for filters")]
+    verdict: Annotated[VerdictDocument | None, about("whether the map can be relied on; null for filters")]
 
 
 class EstimatorDocument(Document):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -17,19 +17,19 @@ from ..models import MotionModel, SensorModel
 from ..parameters.declared import ParameterEstimate
 from ..precision import check_log
 from ..se2 import Array
-from .adapting import Robot, adapted, again, wanted
+from .adapting import Robot, wanted
 from .classes import Classes
-from .climbing import ROUNDS, Climbed, climb
+from .climbing import ROUNDS
+from .competing import Competition, Start, compete
 from .densities import Densities, Field
 from .doubts import Doubt, doubts
 from .driving import drive
-from .evidence import evidence
 from .known import names as names_of
 from .options import AssociationOptions
-from .refining import Refined, refine
+from .verdict import Verdict, verdict
 
-#: ids (M,) and poses (T+1, 3)
-Start = tuple[np.ndarray, Array]
+#: a function that finds a start when it is needed
+Begin = Callable[[], Start]
 #: so many doubts become notes of their own
 MOST_NOTES = 3
 
@@ -51,6 +51,7 @@ class Association:
         motion: the noise model of the graph, with the slip that the log shows, where it does (`association.adapting`).
         parameters: the estimated parameters of vehicle and sensor, or None. ``poses`` are those of the corrected log.
         doubts: places that may have been taken for others, the most doubtful first.
+        verdict: whether the map can be relied on, and why not.
         evidence: E of `association.evidence`, the logarithm of the evidence for these ids, to compare associations of one
             log.
         options: what was used.
@@ -68,15 +69,17 @@ class Association:
     motion: MotionModel
     parameters: ParameterEstimate | None
     doubts: tuple[Doubt, ...]
+    verdict: Verdict
     evidence: float
     options: AssociationOptions
     seconds: float
     notes: tuple[str, ...]
 
     def __repr__(self) -> str:
+        which = "reliable" if self.verdict.reliable else "not reliable"
         return (
             f"<Association of {self.of.name}: {_counted(self.landmarks, 'landmark')}, {self.clutter} of "
-            f"{_counted(len(self.ids), 'sighting')} are clutter, {self.ambiguous} ambiguous, {self.seconds:.3g} s>"
+            f"{_counted(len(self.ids), 'sighting')} are clutter, {which}, {self.seconds:.3g} s>"
         )
 
     @property
@@ -126,7 +129,7 @@ def associate(
     motion: MotionModel | None = None,
     sensor: SensorModel | None = None,
     options: AssociationOptions | None = None,
-    start: Start | list[Start | None] | None = None,
+    start: Start | Begin | Sequence[Start | Begin | None] | None = None,
     estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None,
     **changes: Any,
 ) -> Association:
@@ -146,7 +149,8 @@ def associate(
         motion, sensor: the noise models; default: those of the log, else the book's.
         options: the options; ``changes`` replace single fields of `AssociationOptions`.
         start: (ids (M,), poses (T+1, 3)) that another front end found, such as a particle filter; instead of the drive.
-            Of a list of such starts, with None for the drive, the one that ends with the highest evidence is the result.
+            Of a list of such starts, or functions that find them, with None for the drive, the one that ends with the
+            highest evidence is the result. Once ``agreeing`` of them end alike the others are not used.
         estimate: parameters of vehicle and sensor to estimate on the way, as in `Graph.from_log`; sightings are then
             assigned in the corrected log.
 
@@ -176,41 +180,28 @@ def associate(
     if log.identified or not options.keep_ids:
         log = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
     names, robot = wanted(estimate), Robot(log, motion, sensor)
-    backbone, field = robot.backbone, Field.of(log, sensor)
-    densities = Densities.of(log, field, options.clutter)
+    densities = Densities.of(log, Field.of(log, sensor), options.clutter)
     classes = Classes.of(log, options.confusion)
-    firsts: list[Refined] = []
-    for labels, poses in _starts(log, start):
-        if labels is None or poses is None:
-            driven = drive(log, motion, sensor, backbone, densities, classes, options)
-            labels, poses = driven.labels, driven.poses
-        if (end := refine(log, backbone, labels, poses, field, densities, classes, options)) is not None:
-            firsts.append(end)
-    if not firsts:
+
+    def driven() -> Start:
+        found = drive(log, motion, sensor, robot.backbone, densities, classes, options)
+        return found.labels, found.poses
+
+    competition = compete(robot, _starts(log, start, driven), names, densities, classes, options)
+    if competition is None:
         raise GraphError(
             f"no landmark of {log.name} was seen often enough to be one: all its "
             f"{_counted(len(log.steps), 'sighting')} may be clutter"
         )
-    # what the best of them says about the robot counts for all
-    shared = Densities.mean([end.densities for end in firsts])
-    likely = int(np.argmax([evidence(log, backbone, end.solved, field, shared) for end in firsts]))
-    given, robot = robot, adapted(robot, firsts[likely], names, classes, options)
-    if robot is not given:
-        log, backbone, field = robot.log, robot.backbone, Field.of(robot.log, robot.sensor)
-        firsts = [end for first in firsts if (end := again(robot, first, classes, options)) is not None] or firsts
-    ends = [climb(log, backbone, end, field, classes, options) for end in firsts]
-    densities = Densities.mean([end.refined.densities for end in ends])
-    values = [evidence(log, backbone, end.refined.solved, field, densities) for end in ends]
-    return _report(recorded, given, robot, ends[int(np.argmax(values))], values, options, time.perf_counter() - begin)
+    return _report(recorded, robot, competition, options, time.perf_counter() - begin)
 
 
-def _starts(log: Log, start: Start | list[Start | None] | None) -> list[tuple[np.ndarray | None, Array | None]]:
-    """The given starts, (None, None) for the drive."""
-    found: list[tuple[np.ndarray | None, Array | None]] = []
-    for each in start if isinstance(start, list) else [start]:
-        if each is None:
-            found.append((None, None))
-            continue
+def _starts(
+    log: Log, start: Start | Begin | Sequence[Start | Begin | None] | None, driven: Begin
+) -> list[Start | Begin]:
+    """The given starts, ``driven`` for None; what functions return is checked when they are called."""
+
+    def checked(each: Start) -> Start:
         if not isinstance(each, tuple) or len(each) != 2:
             raise OptionError(f"a start must be a pair (ids, poses), not {quoted(each)}")
         labels, poses = array_of("the ids of a start", each[0]), array_of("the poses of a start", each[1])
@@ -218,16 +209,25 @@ def _starts(log: Log, start: Start | list[Start | None] | None) -> list[tuple[np
             raise OptionError(f"start must be {len(log.steps)} ids and poses of shape {log.initial_poses.shape}")
         if not np.array_equal(labels, labels.astype(np.int64)) or not np.isfinite(poses).all():
             raise OptionError("the ids of a start must be whole numbers, and its poses finite")
-        found.append((labels.astype(np.int64), poses))
+        return labels.astype(np.int64), poses
+
+    def later(each: Begin) -> Begin:
+        return lambda: checked(each())
+
+    found: list[Start | Begin] = []
+    # a tuple is one start
+    for each in [start] if start is None or callable(start) or isinstance(start, tuple) else start:
+        found.append(driven if each is None else later(each) if callable(each) else checked(each))
     if not found:
         raise OptionError("start holds no start; leave it out for the drive")
     return found
 
 
 def _report(
-    log: Log, given: Robot, robot: Robot, end: Climbed, values: list[float], options: AssociationOptions, seconds: float
+    log: Log, given: Robot, competition: Competition, options: AssociationOptions, seconds: float
 ) -> Association:
     """The association of the log as it was recorded, found with another robot."""
+    robot, values, end = competition.robot, competition.values, competition.ends[competition.best]
     refined, graph = end.refined, end.refined.solved.graph
     name = np.append(names_of(refined.labels, given.log.landmarks), UNIDENTIFIED)
     doubtful = (
@@ -239,7 +239,8 @@ def _report(
         margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solved.poses, rounds=refined.rounds,
         settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), motion=robot.motion,
         parameters=robot.estimate, doubts=tuple(doubtful),
-        evidence=max(values), options=options, seconds=seconds, notes=(),
+        verdict=verdict(competition, Field.of(robot.log, robot.sensor)), evidence=max(values), options=options,
+        seconds=seconds, notes=(),
     )  # fmt: skip
     kept = int(np.count_nonzero(found.kept))
     which = "of which some have no id" if kept else "without ids"
@@ -257,11 +258,7 @@ def _report(
         )
     if found.parameters is not None:
         notes.append(f"ids were found with estimated parameters: {found.parameters.sentence}")
-    if found.ambiguous:
-        notes.append(
-            f"the landmark of {_counted(found.ambiguous, 'sighting')} is ambiguous: the evidence for it is less than "
-            f"{options.factor:g} times that for another one, or for clutter"
-        )
+    notes.append(str(found.verdict))
     if len(values) > 1:
         ends = ", ".join(str(round(value - max(values))) for value in values)
         notes.append(

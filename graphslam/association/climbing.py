@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..log import Log
+from ..se2 import Array
 from .accounts import Account, all_accounts
 from .classes import Classes
 from .densities import Field
 from .evidence import evidence
 from .options import AssociationOptions
 from .refining import Refined, refine, unrefined
-from .solved import Backbone
+from .solved import Backbone, Solved
 
 #: accounts are tried whose linearised evidence is at most this much lower [nats]
 PROMISING = 30.0
@@ -34,6 +35,8 @@ class Climbed:
         accounts: the other accounts of it.
         tried, unsettled: how many accounts were tried, and how many of them had not settled after `ROUNDS` rounds.
         left: how many accounts of the result are promising and were not tried, because no tries were left.
+        rivals: what else was solved on the way, the promising accounts of the result as they are among it: the evidence
+            for the association over that for the rival [nats], and its poses (T+1, 3).
     """
 
     refined: Refined
@@ -41,6 +44,7 @@ class Climbed:
     tried: int
     unsettled: int
     left: int
+    rivals: list[tuple[float, Array]]
 
 
 def climb(
@@ -51,6 +55,7 @@ def climb(
     densities, brief = refined.densities, replace(options, rounds=min(options.rounds, ROUNDS))
     best = evidence(log, backbone, refined.solved, field, densities)
     tried: set[bytes] = set()
+    solved: list[tuple[float, Array]] = []
     while True:
         found = all_accounts(
             log, backbone, refined.solved, field, densities, classes, options, most=MOST, events=events
@@ -66,10 +71,17 @@ def climb(
                 trials.append(unrefined(log, backbone, account.labels, account.poses, densities, classes, brief))
             unsettled += any(not trial.settled for trial in trials if trial is not None)
             ends = [(evidence(log, backbone, t.solved, field, densities), t) for t in trials if t is not None]
+            solved += [(value, end.solved.poses) for value, end in ends]
             value, end = max(ends, key=lambda each: each[0], default=(-np.inf, refined))
             if value > best + np.log(options.factor):
+                solved.append((best, refined.solved.poses))
                 refined, best = end, value
                 break
         else:
             left = len({account.labels.tobytes() for account in promising} - tried)
-            return Climbed(refined, found, len(tried), unsettled, left)
+            for account in promising[: options.tries]:
+                # refining may end at the association itself, though the account is nearly as likely
+                other = Solved.of(backbone, account.labels, account.poses)
+                solved.append((evidence(log, backbone, other, field, densities), other.poses))
+            rivals = [(best - value, poses) for value, poses in solved if np.isfinite(value)]
+            return Climbed(refined, found, len(tried), unsettled, left, rivals)

@@ -53,8 +53,8 @@ class Doubt:
         else:
             other = f"for {_listed(self.others)} instead" if self.others else "for a place not seen before"
         if self.log_factor >= 0:
-            return f"{begin}: the evidence {mine} is only {self.factor:.3g} times that {other}"
-        more = f"the evidence {other} is {1 / self.factor:.3g} times that {mine}"
+            return f"{begin}: the evidence {mine} is only {readable(self.log_factor)} times that {other}"
+        more = f"the evidence {other} is {readable(-self.log_factor)} times that {mine}"
         return f"{begin}: taken by itself, {more}; for the drive as a whole no higher evidence was found"
 
 
@@ -71,6 +71,13 @@ def doubts(accounts: list[Account], factor: float) -> tuple[Doubt, ...]:
         mine, others = tuple(each.back.landmarks.tolist()), tuple(each.others.tolist())
         found.append(Doubt(step, each.back.last, mine, others, each.back.new, each.log_factor))
     return tuple(sorted(found, key=lambda doubt: doubt.log_factor))
+
+
+def readable(log_factor: float) -> str:
+    """A factor of evidence in words, from its logarithm: three digits, or the power of ten above a million."""
+    if log_factor < np.log(1e6):
+        return f"{np.exp(log_factor):,.3g}" if log_factor < np.log(1000) else f"{np.exp(log_factor):,.0f}"
+    return f"10^{log_factor / np.log(10):.0f}"
 
 
 def _listed(landmarks: tuple[int, ...]) -> str:

@@ -39,6 +39,8 @@ class AssociationOptions:
         40, "The most other accounts of the drive that are tried in full where some are not much less likely"
     )
 
+    agreeing: int = option(2, "Of several starts, the others are left out once this many of them end alike; 0: none is")
+
     def __post_init__(self) -> None:
         check_choice("method", self.method, METHODS)
         for name in ("gate", "clutter", "confusion"):
@@ -50,6 +52,6 @@ class AssociationOptions:
         for name in ("slip", "keep_ids"):
             if not isinstance(value := getattr(self, name), bool):
                 raise OptionError(f"{name} must be True or False, not {quoted(value)}")
-        check_count(window=self.window, rounds=self.rounds, tries=self.tries)
+        check_count(window=self.window, rounds=self.rounds, tries=self.tries, agreeing=self.agreeing)
         if not 1 <= self.window < 2**31:
             raise OptionError(f"window must lie between 1 and 2^31, not {quoted(self.window)}")

@@ -32,6 +32,5 @@ def with_found_ids(
     # landmarks that were found are not those of the true map
     named = log.with_sightings(kept, landmarks=found.ids[kept], initial_poses=found.poses, true_landmarks=None)
     return named, (
-        f"{log.name} has sightings without ids: {found.landmarks} landmarks were found in them, and the landmark of "
-        f"{found.ambiguous} of {len(kept)} sightings is ambiguous"
+        f"{log.name} has sightings without ids: {found.landmarks} landmarks were found in them; {found.verdict}"
     )

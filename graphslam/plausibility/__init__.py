@@ -3,7 +3,7 @@
 `plausibility` runs them all; no graph is solved. Beside it:
 
 sizes     numbers that are too large or zero
-ids       landmarks that are seen once, or twice at one time
+ids       single ids that are misread, and landmarks that are seen once, or twice at one time
 renamed   landmarks that have other ids from some time on
 readings  whether the odometry predicts the next sighting of a landmark, and better if the numbers are read another way
 truth     the odometry against true poses
@@ -15,10 +15,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import chain
 
+import numpy as np
+
 from ..log import Log
 from .distances import distances_of
 from .finding import Finding
-from .ids import ids_of
+from .ids import ids_of, misread, misread_ids
 from .map import against_map
 from .readings import readings_of
 from .renamed import renamed
@@ -37,11 +39,18 @@ def plausibility(log: Log) -> tuple[Finding, ...]:
     found: dict[str, Finding] = {}
     doubts: Iterable[Finding] = (Finding(check, message) for check, message in log.doubts)
     readings, truth = tuple(readings_of(log)), tuple(against_truth(log))
-    checks: list[Iterable[Finding]] = [doubts, sizes(log), ids_of(log), readings, truth]
+    checks: list[Iterable[Finding]] = [doubts, sizes(log), readings, truth]
+    # where another reading fits better, ids and map may be right, and the sightings wrong
+    wrong = np.zeros(len(log.steps), dtype=bool) if readings else misread(log)
+    # what single misread ids look like is told once
+    right = log.with_sightings(~wrong)
+    checks += [misread_ids(log, wrong), ids_of(right)]
     if not readings:
-        # else ids and map may be right, and the sightings wrong
-        distances = distances_of(log)
-        checks += [renamed(log, distances, trusted=not truth), against_map(log, distances, trusted=not truth)]
+        distances, trusted = distances_of(right), not truth
+        checks += [
+            renamed(log, distances, trusted=trusted, wrong=wrong),
+            against_map(right, distances, trusted=trusted),
+        ]
     for finding in chain.from_iterable(checks):
         found.setdefault(finding.check, finding)
     return tuple(found.values())

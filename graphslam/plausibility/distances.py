@@ -1,4 +1,7 @@
-"""Distances between landmarks that are seen shortly after one another, which hardly depend on the drift of the odometry."""
+"""Where the odometry puts sightings, and distances between landmarks that are seen shortly after one another.
+
+Over a short way both hardly depend on the drift of the odometry.
+"""
 
 from __future__ import annotations
 
@@ -40,10 +43,8 @@ def distances_of(log: Log) -> Distances:
     steps, ids, sightings = log.steps[known], log.landmarks[known], log.sightings[known, :2]
     # without controls poses are too far apart
     way, poses = 2 * _WAY * np.arange(log.num_poses), np.zeros((log.num_poses, 3))
-    if log.controls is not None and log.dt is not None and len(known):
-        driven = np.abs(log.controls) @ [1 / float(np.median(sightings[:, 0])), 1.0] * log.dt
-        way = np.concatenate([[0.0], np.cumsum(driven)])[log.control_starts]
-        poses = log.dead_reckoning()
+    if log.controls is not None and len(known):
+        way, poses = ways(log, known), log.dead_reckoning()
     seen_from = (log.sensor or SensorModel()).mount(poses)
     every = max(1, len(ids) * _BACK // _ENOUGH)
     parts: list[tuple[np.ndarray, ...]] = []
@@ -56,6 +57,13 @@ def distances_of(log: Log) -> Distances:
         pair = np.sort(np.column_stack([ids[a], ids[b]]), axis=1)
         parts.append((pair, steps[b], np.linalg.norm(apart, axis=1), (sightings[a, 0] + sightings[b, 0]) / 2))
     return Distances(*map(np.concatenate, zip(*parts)))
+
+
+def ways(log: Log, known: np.ndarray) -> Array:
+    """The way (T+1,) to each pose, [rad] turned plus [ranges] driven; a range is the median of the sightings ``known``."""
+    assert log.controls is not None and log.dt is not None
+    driven = np.abs(log.controls) @ [1 / float(np.median(log.sightings[known, 0])), 1.0] * log.dt
+    return np.asarray(np.concatenate([[0.0], np.cumsum(driven)])[log.control_starts])
 
 
 def _places(sightings: Array) -> Array:

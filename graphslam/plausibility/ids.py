@@ -1,4 +1,4 @@
-"""Ids: landmarks that are seen once, or twice at one time."""
+"""Ids: single ones that are misread, and landmarks that are seen once, or twice at one time."""
 
 from __future__ import annotations
 
@@ -7,11 +7,72 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..log import Log
+from ..models import SensorModel
 from ..reading import UNIDENTIFIED
+from .distances import ways
 from .finding import Finding
 
 #: fewer sightings tell nothing about their ids
 _FEWEST = 20
+#: a sighting is compared with those within this way before and after it, [rad] turned plus [ranges] driven, so many each
+_WAY, _AROUND = 2.0, 40
+#: two sightings of one id show one place up to the first number [ranges], those of two ids up to the second, because
+#: landmarks may be close to each other, or up to the third times the median error
+_NEAR, _CLOSE, _TIMES = 0.1, 0.03, 3.0
+#: so many sightings of the place have to show other ids, which are seen again there
+_OTHERS = 2
+#: misread ids are told from so many on, and from this share of the sightings; above the second share something else is wrong
+_LEAST, _FEW, _MOST = 3, 0.004, 1 / 3
+
+
+def misread(log: Log) -> np.ndarray:
+    """Which sightings (M,) have an id that the sightings of the same place contradict, shortly before and after them.
+
+    The odometry carries every sighting to its place over the short way. An id is misread where no other sighting shows it at
+    its place, and some show other ids there that are seen again. Where a detector counts landmarks anew, the new id is seen
+    again at the place, and so it is not misread.
+    """
+    found = np.zeros(len(log.steps), dtype=bool)
+    known = np.flatnonzero(log.landmarks != UNIDENTIFIED)
+    if log.controls is None or len(known) <= _FEWEST:
+        return found
+    steps, ids, ranges = log.steps[known], log.landmarks[known], log.sightings[known, 0]
+    way = ways(log, known)[steps]
+    places = (log.sensor or SensorModel()).h_inverse(log.dead_reckoning()[steps], log.sightings[known, :2])[:, :2]
+    pairs = []
+    for back in range(1, min(_AROUND, len(ids) - 1) + 1):
+        a = np.flatnonzero((way[back:] - way[:-back] <= _WAY) & (steps[back:] != steps[:-back]))
+        b = a + back
+        distance = np.linalg.norm(places[a] - places[b], axis=1) / np.maximum(ranges[a], ranges[b])
+        pairs.append(np.stack([a, b, ids[a] == ids[b]]))
+        pairs.append(distance)
+    a, b, same = np.concatenate(pairs[::2], axis=1)
+    distance = np.concatenate(pairs[1::2])
+    least = np.full(len(ids), np.inf)
+    np.minimum.at(least, b[same == 1], distance[same == 1])
+    if not np.isfinite(least).any():
+        return found
+    error = _TIMES * float(np.median(least[np.isfinite(least)]))
+    own, other = ((same == 1) & (distance <= max(_NEAR, error))), ((same == 0) & (distance <= max(_CLOSE, error)))
+    again = np.bincount(a[own], minlength=len(ids)) + np.bincount(b[own], minlength=len(ids)) > 0
+    others = sum(np.bincount(p[other & again[q]], minlength=len(ids)) for p, q in ((a, b), (b, a)))
+    wrong = ~again & (others >= _OTHERS)
+    if max(_LEAST, _FEW * len(ids)) <= np.sum(wrong) <= _MOST * len(ids):
+        found[known] = wrong
+    return found
+
+
+def misread_ids(log: Log, wrong: np.ndarray) -> Iterator[Finding]:
+    """How many ids are misread; ``wrong`` (M,) is what `misread` found."""
+    if (count := int(np.sum(wrong))) == 0:
+        return
+    total, k = int(np.sum(log.landmarks != UNIDENTIFIED)), int(np.argmax(wrong))
+    yield Finding(
+        "misread ids",
+        f"at least {count} of {total} sightings have ids that the sightings of the same place just before and after "
+        f"contradict, the first one landmark {log.landmarks[k]} at step {log.steps[k]}: single ids are probably misread; a "
+        "robust kernel or method gnc limits what they do",
+    )
 
 
 def ids_of(log: Log) -> Iterator[Finding]:

@@ -10,29 +10,36 @@ from ..log import Log
 from ..models import SensorModel
 from ..reading import UNIDENTIFIED
 from ..se2 import Array
-from .distances import Distances
+from .distances import Distances, ways
 from .finding import Finding
 
 #: a landmark is compared with those seen within this way before, [rad] turned plus [ranges] driven, among so many sightings
 _WAY, _BACK = 0.6, 40
 #: a landmark stays where it is up to the first number [ranges], or the second times the median error
 _NEAR, _TIMES = 0.1, 3.0
-#: landmarks that change their ids at one time at least, and how many times as many as those that keep theirs
+#: landmarks, or values, that change at one time at least, and how many times as many as those that stay
 _FEWEST, _MORE = 3, 2
 #: times that are tried at most
 _MOST = 2000
 #: a value changes if its means before and after differ by the first number [ranges] and the second times its spread; the
 #: number of times that are tried
 _CHANGE, _SPREAD, _TRIED = 0.25, 3.0, 100
+#: a value has to be measured so often before and after, because single ids may be misread
+_SEEN = 3
 #: values that are used at most
 _ENOUGH = 20_000
 #: the ids cannot be checked where sightings move by more than this [ranges, median]
 _COARSE = 0.15
 
 
-def renamed(log: Log, distances: Distances, *, trusted: bool) -> Iterator[Finding]:
-    """The time from which on ids are other ones: where landmarks are, by the true poses if ``trusted``, by distances."""
-    for change in (_in_one_place(log), _by_truth(log) if trusted else None, _by_distances(distances)):
+def renamed(log: Log, distances: Distances, *, trusted: bool, wrong: np.ndarray) -> Iterator[Finding]:
+    """The time from which on ids are other ones: where landmarks are, by the true poses if ``trusted``, by distances.
+
+    ``wrong`` (M,) sightings have misread ids, and ``distances`` are those without them.
+    """
+    known = log.with_sightings(~wrong)
+    # a landmark that is seen only once after the change looks misread, so the first one uses all
+    for change in (_in_one_place(log), _by_truth(known) if trusted else None, _by_distances(distances)):
         if change is not None:
             step, evidence = change
             when = f"step {step}"
@@ -85,12 +92,12 @@ def _change(keys: np.ndarray, steps: np.ndarray, values: Array, scale: Array) ->
     for k in np.unique(np.quantile(steps, np.linspace(0.02, 0.98, _TRIED), method="nearest")).tolist():
         until = np.add.reduceat(sums * (steps < k)[:, None], first)
         (n, before, spread), (m, after, spread_after) = _moments(until), _moments(total - until)
-        both = (n > 0) & (m > 0)
+        both = (n >= _SEEN) & (m >= _SEEN)
         noise = np.sqrt(np.maximum((spread + spread_after) / count, 0))
         changed = both & (np.linalg.norm(before - after, axis=1) > np.maximum(_CHANGE * size, _SPREAD * noise))
         if 2 * np.sum(changed) - np.sum(both) > 2 * best[1] - best[2]:
             best = k, int(np.sum(changed)), int(np.sum(both))
-    return best if best[1] > _FEWEST else None
+    return best if best[1] > max(_FEWEST, _MORE * (best[2] - best[1])) else None
 
 
 def _moments(sums: Array) -> tuple[Array, Array, Array]:
@@ -106,8 +113,7 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
     if log.controls is None or log.dt is None or len(known) < 10 * _FEWEST:
         return None
     steps, ids, sightings = log.steps[known], log.landmarks[known], log.sightings[known, :2]
-    driven = np.abs(log.controls) @ [1 / float(np.median(sightings[:, 0])), 1.0] * log.dt
-    way = np.concatenate([[0.0], np.cumsum(driven)])[log.control_starts][steps]
+    way = ways(log, known)[steps]
     places = (log.sensor or SensorModel()).h_inverse(log.dead_reckoning()[steps], sightings)[:, :2]
 
     def apart(a: np.ndarray, b: np.ndarray) -> Array:
@@ -122,12 +128,20 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
     stays = error <= near
     moved = np.flatnonzero(~stays)
     least, other = np.full(len(moved), np.inf), np.full(len(moved), -1)
+    # the places of each id, one id after the other
+    rank = np.unique(ids, return_inverse=True)[1]
+    sequence = np.sort(rank * len(ids) + np.arange(len(ids)))
     for back in range(1, _BACK + 1):
         before = np.maximum(moved - back, 0)
         close = np.flatnonzero((moved >= back) & (way[moved] - way[before] <= _WAY))
         if len(close) == 0:
             break
         close = close[ids[before[close]] != ids[moved[close]]]
+        # an id that is then seen again at its place is no other one: one of the two is misread, or two landmarks are close
+        place = np.searchsorted(sequence, rank[before[close]] * len(ids) + moved[close], side="right")
+        then = sequence[np.minimum(place, len(ids) - 1)]
+        stays_too = (then // len(ids) == rank[before[close]]) & (then > rank[before[close]] * len(ids) + moved[close])
+        close = close[~(stays_too & (apart(moved[close], then % len(ids)) <= near))]
         distance = apart(before[close], moved[close])
         nearer = distance < least[close]
         least[close[nearer]], other[close[nearer]] = distance[nearer], before[close[nearer]]
@@ -143,7 +157,7 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
         changed = after[new[after]]
         if len(changed) > 1:
             changed = changed[np.unique(ids[changed], return_index=True)[1]]
-            changed = changed[np.unique(partner[changed], return_index=True)[1]]
+            changed = changed[np.unique(ids[partner[changed]], return_index=True)[1]]
         times.append((len(changed), int(np.sum(stays[after])), np.sort(changed)))
     if not times:
         return None

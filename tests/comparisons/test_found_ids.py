@@ -50,14 +50,17 @@ def test_the_graph_finds_ids_that_the_log_lacks(log):
     assert known["graph"].association is None
 
 
-@pytest.mark.parametrize("front_end", ["fastslam2", "batch", "best"])
+@pytest.mark.parametrize("front_end", ["auto", "fastslam2", "batch", "best"])
 def test_ignored_ids_are_compared_with_those_found(log, front_end):
     comparison = run(log, estimators="graph", association="maximum-likelihood", front_end=front_end)
     row = comparison.table["graph"]
     assert (row.association.precision, row.association.recall, row.association.found) == (1.0, 1.0, 13)
     assert "1.000, 1.000" in str(comparison) and "13 0 0 0" in str(comparison)
     entry = json.loads(json.dumps(comparison.to_json()))["estimators"][0]["association"]
-    matches, evidence = entry.pop("matches"), entry.pop("evidence")
+    matches, evidence, verdict = (entry.pop(name) for name in ("matches", "evidence", "verdict"))
+    starts = {"auto": 2, "fastslam2": 1, "batch": 1, "best": 4}[front_end]
+    assert (verdict["starts"], verdict["agreeing"], verdict["reliable"]) == (starts, starts, starts > 1)
+    assert verdict["lead"] is None or verdict["lead"] > 40
     options = comparison["graph"].options
     assert (options["front_end"], options["front_particles"], options["class_confusion"]) == (front_end, 30, 0.05)
     assert entry == {

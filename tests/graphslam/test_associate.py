@@ -26,6 +26,7 @@ from graphslam import (
 )
 from graphslam.association import score
 from graphslam.association.densities import Densities, Field
+from graphslam.association.doubts import readable
 from graphslam.association.evidence import evidence
 from graphslam.association.geometry import differences, seen_from
 from graphslam.association.hypotheses import Candidates, log_density
@@ -33,6 +34,7 @@ from graphslam.association.solved import Backbone, Solved
 from graphslam.linear.cholesky import analyze
 from graphslam.linear.information import BlockSystem
 from graphslam.log import UNIDENTIFIED
+from graphslam.metrics import ate
 
 MOTION = MotionModel(nn=0.095, no=0.0005, on=0.065, oo=0.1, epsilon=2.5e-5)
 SENSOR = SensorModel(range_rate=0.07, bearing_std=0.025)
@@ -246,3 +248,43 @@ def test_classes_keep_neighbours_apart(tmp_path: Path) -> None:
     assert len(near.classes) == len(near.steps) < len(log.steps)
     with pytest.raises(LogError, match="classes must have one entry per sighting"):
         replace(log, classes=log.classes[1:])
+
+
+def test_starts_compete_until_two_end_alike() -> None:
+    log = load(sample_log_path())
+    poses = log.dead_reckoning(MotionModel())
+    called = []
+
+    def right() -> tuple[np.ndarray, np.ndarray]:
+        called.append("right")
+        return log.landmarks, poses
+
+    def never() -> tuple[np.ndarray, np.ndarray]:
+        raise AssertionError("two starts have ended alike")
+
+    found = associate(hidden(log), start=[right, right, never])
+    assert called == ["right", "right"] and score(found.ids, log.landmarks).precision == 1.0
+    verdict = found.verdict
+    assert verdict.reliable and (verdict.starts, verdict.agreeing, verdict.reasons) == (2, 2, ())
+    assert any(note.startswith("the map can be relied on: 2 starts") for note in found.notes)
+    # the positions of the aligned trajectory are as uncertain as they are wrong
+    assert 0.3 < ate(log.true_poses, found.poses) / verdict.deviation < 3
+    one = associate(hidden(log), start=[right]).verdict
+    assert not one.reliable and one.reasons[0].startswith("only one start")
+    every = associate(hidden(log), start=[right, right, right], agreeing=0).verdict
+    assert (every.starts, every.agreeing) == (3, 3)
+
+
+def test_a_wrong_start_brings_in_the_next_one() -> None:
+    """A wrong end is outdone by evidence, and the ends that agree are counted."""
+    log = load(sample_log_path()).without_orientation()
+    poses = log.dead_reckoning(MotionModel())
+    # each landmark is another one in the second round, and no other account of the drive is tried
+    apart = log.landmarks + 100 * (log.steps > 80)
+    found = associate(hidden(log), start=[(apart, poses + [0, 0, 0.0]), (log.landmarks, poses), None], tries=0)
+    assert score(found.ids, log.landmarks).precision == 1.0 and found.verdict.agreeing >= 2
+
+
+def test_factors_of_evidence_are_readable() -> None:
+    assert [readable(np.log(x)) for x in (1.5, 42.0, 12_345.0)] == ["1.5", "42", "12,345"]
+    assert readable(206.17) == "10^90"

@@ -1,5 +1,6 @@
 """Mistakes in a log are found before it is solved, each with its cause; correct logs are left alone."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -259,3 +260,26 @@ def test_a_range_that_means_nothing_measured_is_told(sample):
     assert "range without measurement" not in checks(sample.replace(sightings=sightings))
     rounded = np.round(sample.sightings, 0) + [1, 0, 0]
     assert "range without measurement" not in checks(sample.replace(sightings=rounded))
+
+
+@pytest.mark.parametrize("share", [0.01, 0.02, 0.05, 0.1])
+def test_single_misread_ids_are_counted(share):
+    """The sentence says how many at least, and not that a detector counted the landmarks anew."""
+    log, rng = load(sample_log_path()), np.random.default_rng(0)
+    ids, names = log.landmarks.copy(), log.landmark_ids
+    wrong = np.flatnonzero(rng.random(len(ids)) < share)
+    ids[wrong] = names[(np.searchsorted(names, ids[wrong]) + rng.integers(1, len(names), len(wrong))) % len(names)]
+    findings = {finding.check: finding.message for finding in plausibility(log.replace(landmarks=ids))}
+    assert set(findings) == {"misread ids"}
+    count, total = map(int, re.match(r"at least (\d+) of (\d+) sighting", findings["misread ids"]).groups())
+    assert total == len(ids) and 0.6 * len(wrong) <= count <= len(wrong) + 1
+    assert "single ids are probably misread" in findings["misread ids"]
+    assert not checks(log)
+
+
+def test_ids_that_change_are_told_among_misread_ones(own):
+    rng, ids, middle = np.random.default_rng(0), own.landmarks + 0, len(own.landmarks) // 2
+    ids[middle:] += 100
+    wrong = np.flatnonzero(rng.random(len(ids)) < 0.03)
+    ids[wrong] = rng.permutation(ids)[: len(wrong)]
+    assert "counted them anew" in message(own.replace(landmarks=ids, true_poses=None), "ids change")

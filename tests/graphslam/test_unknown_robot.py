@@ -8,7 +8,18 @@ from functools import cache
 import numpy as np
 import pytest
 
-from graphslam import Drive, Graph, Log, LogError, MotionModel, OptionError, RobotEstimate, SensorModel, estimate_robot, solve
+from graphslam import (
+    Drive,
+    Graph,
+    Log,
+    LogError,
+    MotionModel,
+    OptionError,
+    RobotEstimate,
+    SensorModel,
+    estimate_robot,
+    solve,
+)
 from graphslam.identification.restricted_likelihood import improve_variances
 from graphslam.identification.sighting_errors import LAGS, inflation, smoothed
 from graphslam.identification.unknowns import Unknowns
