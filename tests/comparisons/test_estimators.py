@@ -10,7 +10,6 @@ from comparisons.documents import parameters_document
 from comparisons.estimators import (
     ESTIMATORS,
     Estimator,
-    default_edges,
     default_estimators,
     make_graph,
     pair_count,
@@ -27,6 +26,7 @@ from graphslam import (
     solve,
     textbook,
 )
+from graphslam.defaults import suitable_edges
 from graphslam.graph import EDGES
 
 
@@ -250,7 +250,7 @@ def test_the_seed_decides(log: Log) -> None:
 
 def test_without_controls_there_are_no_motion_edges(log: Log) -> None:
     bare = log.replace(dt=None, controls=None)
-    assert (default_edges(log), default_edges(bare)) == ("virtual+motion", "virtual")
+    assert (suitable_edges(log), suitable_edges(bare)) == ("virtual+motion", "virtual")
     reckoned = ESTIMATORS["dead-reckoning"].run(bare, OPTIONS)
     np.testing.assert_allclose(reckoned.poses[:, :2], log.initial_poses[:, :2])
     assert "no controls" in reckoned.notes[0]
@@ -260,7 +260,7 @@ def test_without_controls_there_are_no_motion_edges(log: Log) -> None:
 
 def test_without_psi_landmarks_are_nodes_where_the_graph_can(log: Log) -> None:
     flat = log.without_orientation()
-    assert default_edges(flat) == ("landmark+motion" if "landmark+motion" in EDGES else "virtual+motion")
+    assert suitable_edges(flat) == ("landmark+motion" if "landmark+motion" in EDGES else "virtual+motion")
     assert ESTIMATORS["textbook"].run(flat, OPTIONS).options["edges"] == "virtual+motion"
     assert ESTIMATORS["graph"].run(flat, OPTIONS).converged
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from graphslam.calibration.parts import motion_parts, sensor_parts, variances_of
 
 from graphslam import (
     Graph,
@@ -26,6 +25,7 @@ from graphslam import (
 )
 from graphslam.association import score
 from graphslam.calibration.variances import fit_variances, standard_errors
+from graphslam.identification.parts import motion_parts, sensor_parts, variances_of
 from graphslam.log import UNIDENTIFIED
 from graphslam.uncertainty import Uncertainty
 
