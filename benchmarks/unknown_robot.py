@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import time
 import warnings
 from collections.abc import Callable, Iterable
@@ -73,14 +74,15 @@ Runner = Callable[[Log], Outcome]
 
 
 def default_run(log: Log, **options: Any) -> Outcome:
-    """`comparisons.run` with the estimator ``graph``; sightings below half their weight in the kernel count as found."""
+    """`comparisons.run` with the estimator ``graph``; its notes tell the share of the ids that contradict their place."""
     begin = time.process_time()
     found = comparisons.run(log, estimators=["graph"], **options)
     seconds = time.process_time() - begin
     result, said = found["graph"], [finding.message for finding in found.findings]
     if not result.converged:
         said.append(result.reason)
-    share = None if result.weighed_down is None else result.weighed_down / len(log.steps)
+    shares = [re.search(r"\((\d+\.\d+)%\) contradict their id", note) for note in found.log.notes]
+    share = next((float(each[1]) / 100 for each in shares if each), 0.0)
     return Outcome(result.poses, found.nees["graph"], share, tuple(said), seconds)
 
 

@@ -6,16 +6,20 @@ import numpy as np
 
 from .edges.robust import Kernel
 from .log import Log
+from .models import MotionModel
 
 
 def suitable_edges(log: Log) -> str:
     """The edges that suit a log: with motion edges wherever it has controls.
 
-    Without psi the information of a virtual-motion edge depends on the poses, and landmarks as nodes serve better.
+    Virtual-motion edges for logs that were made with the noise of the lectures, if they have psi. Landmarks as nodes
+    otherwise: without psi the information of a virtual-motion edge depends on the poses, and on real logs pairs count
+    sightings of a landmark that is seen often many times.
     """
     if log.controls is None:
         return "virtual"
-    return "virtual+motion" if log.has_orientation else "landmark+motion"
+    of_lectures = log.simulated or log.motion == MotionModel()
+    return "virtual+motion" if log.has_orientation and of_lectures else "landmark+motion"
 
 
 def suitable_kernel(log: Log) -> str:

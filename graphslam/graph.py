@@ -108,7 +108,7 @@ class Graph:
             motion, sensor: the noise models; default: as ``noise`` says.
             edges: "virtual" (poses that saw nothing are left out), "virtual+motion", or "landmark+motion", in which
                 landmarks are nodes and every sighting is one edge. Default: what suits the log, which is "virtual" without
-                controls, "virtual+motion" with psi, and "landmark+motion" otherwise.
+                controls, "virtual+motion" with psi and the noise of the lectures, and "landmark+motion" otherwise.
             frame: "world" (the lectures: information re-evaluated at every step) or "body" (constant information).
             weight: of virtual edges: "pairs" (the book: each of K sightings enters K-1 edges, so a landmark weighs up
                 to K/2 times what it should), "tempered" (each pair times 2/K: exact where sightings are alike) or
