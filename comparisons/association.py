@@ -74,7 +74,8 @@ def _associated(log: Log, options: RunOptions) -> Association:
     if options.front_end == "fastslam2":
         starts = starts[:1]
     elif not best and log.num_poses <= LONG:
-        starts[2:] = [None]
+        # two methods fail alike more rarely than two seeds of one
+        starts = [starts[0], None, starts[1]]
     if best or (options.filter.uses_ids and np.any(log.landmarks != UNIDENTIFIED)):
         # the filter does not use the ids that some sightings have
         starts = [None, *(each for each in starts if each is not None)]

@@ -26,6 +26,8 @@ from .solved import Solved
 #: a trajectory is another one if, aligned, it is this much of its standard deviation away, root mean square, but at least
 #: this part of the greatest range
 APART, LEAST = 0.5, 1e-3
+#: fewer sightings with a landmark, and one more for each parameter, are no association where most are clutter
+LEAST_SEEN = 3
 #: the standard deviation is that of at most so many poses
 EXAMINED = 24
 
@@ -138,6 +140,10 @@ def compete(
             for value, end in zip(values, ends, strict=True)
         ]
         if sum(alike) >= options.agreeing > 0 or not waiting:
+            labels = ends[int(np.argmax(values))].refined.labels
+            if np.count_nonzero(labels >= 0) < LEAST_SEEN + len(names) and np.mean(labels < 0) > 0.5:
+                # a pair among many sightings that agree with none may agree by chance
+                return None
             return Competition(robot, ends, values, len(waiting))
         end = first(waiting.pop(0))
         firsts = [] if end is None else [end]
