@@ -31,7 +31,7 @@ def certify(graph: Graph | gtsam.NonlinearFactorGraph, solution: Solution | Arra
         OptionError: an argument is of another type, the state has another shape or is not finite, or the values lack a key.
     """
     if not isinstance(graph, Graph):
-        if not hasattr(graph, "keyVector") or not hasattr(solution, "at"):
+        if not hasattr(graph, "keyVector") or not hasattr(solution, "atPose2"):
             raise OptionError(
                 "certify takes a Graph and its solution, or a gtsam.NonlinearFactorGraph and its gtsam.Values, not "
                 f"{quoted(graph, 40)} and {quoted(solution, 40)}"

@@ -18,7 +18,7 @@ def suitable_edges(log: Log) -> str:
     """
     if log.controls is None:
         return "virtual"
-    of_lectures = log.simulated or log.motion == MotionModel()
+    of_lectures = log.simulated or log.motion in (None, MotionModel())
     return "virtual+motion" if log.has_orientation and of_lectures else "landmark+motion"
 
 

@@ -214,6 +214,10 @@ def _starts(
     def later(each: Begin) -> Begin:
         return lambda: checked(each())
 
+    if not (start is None or callable(start) or isinstance(start, Sequence)):
+        raise OptionError(
+            f"start must be a pair (ids, poses), a function that finds one, or a list, not {quoted(start)}"
+        )
     found: list[Start | Begin] = []
     # a tuple is one start
     for each in [start] if start is None or callable(start) or isinstance(start, tuple) else start:

@@ -22,7 +22,6 @@ import numpy as np
 from ..errors import FormatError, quoted
 from ..files import read_text, write_whole
 from ..log import Log
-from ..models import MotionModel, SensorModel
 from ..reading import Fault, ReadOptions, sound_rows
 from .base import Format, errors_name
 from .text import number, whole
@@ -137,9 +136,6 @@ class _Reader:
             landmarks=landmarks,
             sightings=np.array(self.sightings),
             initial_poses=np.array(self.poses),
-            # the book's programs made these logs, with its noise
-            motion=MotionModel() if controlled else None,
-            sensor=SensorModel() if controlled else None,
             name=self.path.stem,
             notes=tuple(notes),
         )

@@ -45,7 +45,7 @@ DEPENDENT, HARDLY = 0.2, 0.15
 #: how the sentence on the noise begins
 TAKEN = "noise estimated from this log"
 #: the fewest sightings and motions from which noise and biases are estimated
-FEWEST = 50
+FEWEST = {"sightings": 150, "poses": 50}
 #: logs with more sightings are thinned to about so many for the search
 MOST = 6000
 
@@ -203,10 +203,10 @@ def _check(log: Log) -> None:
         raise LogError(f"{log.name} has no odometry, without which sightings do not tell the noise; give it by hand")
     if not log.identified:
         raise LogError(f"{log.name} has sightings without ids; find them first, for example with graphslam.associate")
-    if len(log.steps) < FEWEST or log.num_poses < FEWEST:
+    if len(log.steps) < FEWEST["sightings"] or log.num_poses < FEWEST["poses"]:
         raise LogError(
             f"{log.name} has {len(log.steps)} sightings from {log.num_poses} poses; noise and biases are estimated from at "
-            f"least {FEWEST} of both"
+            f"least {FEWEST['sightings']} sightings and {FEWEST['poses']} poses"
         )
 
 

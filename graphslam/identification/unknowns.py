@@ -49,6 +49,8 @@ TYPICAL = {
 SPREAD = 2.5
 #: the variance of a motion in every direction [m², rad²], because A M A' has rank 2
 LEAST_MOTION = 1e-8
+#: motion without noise of its own
+STILL = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0, epsilon=LEAST_MOTION)
 #: degrees of freedom of Student's t: of sightings, among which some are wrong, and of motions
 DEGREES_SIGHTINGS, DEGREES_MOTIONS = 4.0, 8.0
 #: the least distance between sensor and landmark [m], where the bearing is undefined
@@ -126,6 +128,8 @@ class Unknowns:
         self.before, self.after = np.arange(self.poses - 1), np.arange(1, self.poses)
         self.motion_parts = {name: C for name, C in motion_parts(log).items() if name in TYPICAL}
         self.sensor_parts = sensor_parts(self.sightings)
+        # what the log itself says of the noise of single controls, such as across a silence of the odometry
+        self._of_gaps = STILL.accumulate(log.controls, log.dt, log.control_starts, log.control_variances)[1]
         self.centres = self._centres()
         if start is None:
             names = tuple(PRIORS)
@@ -166,10 +170,9 @@ class Unknowns:
     def models(self) -> tuple[MotionModel, SensorModel]:
         """The noise models with the variances, and the estimated place of the sensor."""
         variances = self.variances
-        motion = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0, epsilon=LEAST_MOTION)
         sensor = replace(corrected_sensor(self.parameters), range_rate=0.0, range_std=1.0)
         return (
-            with_variances(motion, {name: variances[name] for name in self.motion_parts}),
+            with_variances(STILL, {name: variances[name] for name in self.motion_parts}),
             with_variances(sensor, {name: variances[name] for name in self.sensor_parts}),
         )
 
@@ -276,7 +279,7 @@ class Unknowns:
         """C (E, d, d) of edges."""
         total = sum(np.exp(self.logarithms[name]) * C for name, C in edges.parts.items())
         if edges.parts is self.motion_parts:
-            total = total + LEAST_MOTION * np.eye(3)
+            total = total + self._of_gaps
         return np.asarray(total)
 
     def linearized(self) -> Linear:

@@ -111,7 +111,9 @@ class TableOptions:
         except (TypeError, ValueError, OverflowError):
             seconds = math.nan
         if not abs(seconds) <= _MOST_SECONDS:
-            raise OptionError(f"clocks: {table} should be a number of seconds, not {quoted(value)}")
+            raise OptionError(
+                f"clocks: {table} should be a number of seconds that 64 bits hold in nanoseconds, not {quoted(value)}"
+            )
         return round(seconds * 1e9)
 
     def columns_of(self, table: str) -> Mapping[str, str | int]:

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-import comparisons
 from comparisons.cli import app
 from comparisons.config import read_config
 from comparisons.noise_files import read_noise, write_noise
 from comparisons.options import NoiseOptions, RunOptions
 from comparisons.reading import prepare
-from graphslam import FormatError, LogError, MotionModel, SensorModel, load, save, simulate
+from graphslam import Drive, FormatError, Log, LogError, MotionModel, SensorModel, estimate_robot, load, save, simulate
 from graphslam.calibration import calibrate
 from graphslam.log import UNIDENTIFIED
 
@@ -183,38 +182,36 @@ def test_corrections_go_from_the_file_to_the_log(invoke: Invoke, log_file: Path)
         prepare(still, RunOptions.of(wheel_scale=1.1))
 
 
-def test_noise_auto_says_what_it_took(invoke: Invoke, tmp_path: Path) -> None:
-    log = simulate(seed=2, steps=80, clean=True, orientation=False)
-    save(log, tmp_path / "own.npz")
-    result = invoke("run", "own.npz", "--noise", "auto", "--estimators", "graph", "--out", "a", "--json", "-")
+def drive_of_a_robot(folder: Path) -> Log:
+    log, _ = Drive(seed=5, duration=120.0, landmarks=20).simulate()
+    save(log, folder / "own.npz")
+    return log
+
+
+def test_the_noise_of_a_robot_is_estimated_and_told(invoke: Invoke, tmp_path: Path) -> None:
+    log = drive_of_a_robot(tmp_path)
+    result = invoke("run", "own.npz", "--estimators", "graph", "--out", "a", "--json", "a.json")
     assert result.exit_code == 0, result.output
-    run = json.loads(result.stdout)
-    (note,) = [note for note in run["log"]["notes"] if note.startswith("noise auto")]
-    found = calibrate(log, source="residuals")
-    assert not found.doubts and f"bearing_std {found.sensor.bearing_std:.3g}" in note
+    assert "Noise models: estimated from this log." in result.stdout
+    run = json.loads(Path("a.json").read_text())
+    found = estimate_robot(log)
+    assert run["noise"]["sensor"] == {"source": "estimated", "model": run["noise"]["sensor"]["model"]}
     assert run["noise"]["sensor"]["model"]["bearing_std"] == found.sensor.bearing_std
-    # the saved configuration has the numbers
-    assert read_config(Path("a/config.toml"))["bearing_std"] == found.sensor.bearing_std
-    text = str(comparisons.run(log, noise="auto", estimators="graph"))
-    assert "Noise models: calibrated from the residuals of this log." in text
+    assert [note for note in run["log"]["notes"] if note.startswith("biases estimated from this log: wheel_scale")]
+    # the saved configuration repeats it
+    again = invoke("run", "--config", "a/config.toml", "--out", "b", "--json", "b.json")
+    assert again.exit_code == 0, again.output
+    assert json.loads(Path("b.json").read_text())["estimators"][0]["cost"] == run["estimators"][0]["cost"]
 
 
-def test_noise_auto_heeds_the_place_of_the_sensor() -> None:
-    ahead = SensorModel(range_rate=0.02, bearing_std=0.01, offset=(0.5, 0.2))
-    log = simulate(
-        seed=2,
-        steps=80,
-        clean=True,
-        orientation=False,
-        motion=MotionModel(nn=0.02, no=0.001, on=0.01, oo=0.02),
-        sensor=ahead,
-    )
-    found = comparisons.run(
-        log.replace(motion=None, sensor=None), noise="auto", sensor_offset=(0.5, 0.2), estimators="dead-reckoning"
-    ).options
-    known = calibrate(log.replace(motion=None, sensor=None), source="residuals", sensor=SensorModel(offset=(0.5, 0.2)))
-    assert found.sensor == known.sensor and found.sensor.offset == (0.5, 0.2)
-    assert found.sensor.bearing_std == pytest.approx(0.01, rel=0.2)
+def test_the_noise_of_the_book_is_taken_where_it_is_asked_for(invoke: Invoke, tmp_path: Path) -> None:
+    drive_of_a_robot(tmp_path)
+    result = invoke("run", "own.npz", "--noise", "book", "--estimators", "graph", "--out", "a", "--json", "-")
+    noise = json.loads(result.stdout)["noise"]
+    assert noise["sensor"]["source"] == "book" and noise["sensor"]["model"]["range_rate"] == 0.14
+    # numbers that are given are used, and nothing else is estimated
+    given = invoke("run", "own.npz", "--range-std", "0.1", "--estimators", "graph", "--out", "b", "--json", "-")
+    assert json.loads(given.stdout)["noise"]["sensor"]["model"]["range_std"] == 0.1
 
 
 def test_better_noise_is_offered_where_that_of_the_book_does_not_fit(invoke: Invoke, tmp_path: Path) -> None:
@@ -236,26 +233,6 @@ def test_better_noise_is_offered_where_that_of_the_book_does_not_fit(invoke: Inv
     assert "Noise of this robot: slam-compare calibrate calibrate.npz --out noise.toml" in outputs[calibrate_it]
     assert "Noise of this robot: slam-compare run auto.npz --noise auto" in outputs[auto]
     assert "With noise estimated from this log: slam-compare run trees.npz --noise auto" in outputs[trees]
-
-
-def test_noise_auto_keeps_the_models_where_its_checks_fail(tmp_path: Path) -> None:
-    log, rng = simulate(seed=2, steps=120, clean=True, orientation=False), np.random.default_rng(0)
-    shared = np.cumsum(rng.normal(size=(121, 40)), axis=0) * 0.05
-    sightings = log.sightings.copy()
-    sightings[:, 1] += shared[log.steps, log.landmarks % 40]
-    data, _, options = prepare(log.replace(sightings=sightings), RunOptions.of(noise="auto"))
-    assert options.sensor == SensorModel() and options.range_scale is None
-    assert any("kept the book's noise models" in note and "correlated" in note for note in data.notes)
-
-
-def test_noise_auto_does_not_guess_which_scale_is_wrong(tmp_path: Path) -> None:
-    """Wheels that measure 10 % too much, or ranges 10 % too short: the log alone does not tell."""
-    precise = SensorModel(range_rate=0.02, bearing_std=0.02)
-    log = simulate(seed=3, steps=120, clean=True, orientation=False, sensor=precise)
-    sightings = log.sightings * [0.8, 1.0]
-    data, _, options = prepare(log.replace(sightings=sightings), RunOptions.of(noise="auto"))
-    assert options.range_scale is None and options.sensor == SensorModel()
-    assert any("differ by a factor of 0.8" in note or "differ by a factor of 0.7" in note for note in data.notes)
 
 
 def test_a_failed_check_leads_to_the_truth_of_others(invoke: Invoke, tmp_path: Path) -> None:

@@ -292,7 +292,7 @@ def test_one_that_cannot_run_is_a_row(invoke: Invoke, log: Log, tmp_path: Path) 
     result = invoke("run", "log.npz", "--particles", 20, "--out", "here")
     assert result.exit_code == 0
     assert "mcl left out" in result.stdout
-    named = invoke("run", "log.npz", "--estimators", "graph,mcl", "--json", "-")
+    named = invoke("run", "log.npz", "--estimators", "graph,mcl", "--json", "-", "--out", "there")
     assert named.exit_code == 0
     graph, mcl = json.loads(named.stdout)["estimators"]
     assert graph["converged"]

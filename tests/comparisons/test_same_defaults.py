@@ -37,14 +37,14 @@ KINDS = {
     "the sample": (lambda _: sample_log_path(), "virtual+motion", "none"),
     "simulated, psi": (lambda folder: written(folder, SHORT), "virtual+motion", "none"),
     "simulated, no psi": (lambda folder: written(folder, SHORT.without_orientation()), "landmark+motion", "none"),
-    "real, psi": (lambda folder: written(folder, REAL), "landmark+motion", "cauchy"),
+    "real, psi": (lambda folder: written(folder, REAL), "virtual+motion", "cauchy"),
     "real, no psi": (lambda folder: written(folder, REAL.without_orientation()), "landmark+motion", "cauchy"),
     "no controls": (lambda folder: written(folder, STILL), "virtual", "cauchy"),
     "several controls a pose": (
         lambda folder: written(folder, REAL.without_orientation().at_steps(np.arange(0, 25, 2))),
         "landmark+motion", "cauchy",
     ),
-    "tables, psi": (lambda folder: tables(folder / "drive", load(sample_log_path())), "landmark+motion", "cauchy"),
+    "tables, psi": (lambda folder: tables(folder / "drive", load(sample_log_path())), "virtual+motion", "cauchy"),
     "tables, no psi": (
         lambda folder: tables(folder / "drive", load(sample_log_path()).without_orientation()), "landmark+motion", "cauchy",
     ),

@@ -103,7 +103,7 @@ def test_simulated_logs_are_those_of_the_simulator() -> None:
 
 
 def test_a_study_knows_every_option_of_a_run(folder: Path) -> None:
-    values: dict[type, object] = {str: None, int: 2, float: 0.5}
+    values: dict[type, object] = {str: None, int: 2, float: 0.5, bool: True}
     estimators = ["graph", "fastslam1", "particle-gibbs", "online"]
     for name, each in options_of(RunOptions).items():
         if name in ("seed", "noise", "sensor_offset", "truth_offset", "threads", "estimate") or each.only == "python":
@@ -112,7 +112,8 @@ def test_a_study_knows_every_option_of_a_run(folder: Path) -> None:
         value = each.choices[-1] if each.choices else named.get(name, values[each.each])
         line = f"{each.model}.{each.field}" if each.model in MODELS else name
         for table in ("options", "options.vary"):
-            shown = f"[{value!r}]" if table.endswith("vary") else repr(value)
+            written = "true" if value is True else repr(value)
+            shown = f"[{written}]" if table.endswith("vary") else written
             text = f"logs = ['a.npz']\nestimators = {estimators}\n[{table}]\n{line} = {shown}\n"
             assert {run.options.get(name) for run in study_of(folder, text)} - {None} == {value}, name
 

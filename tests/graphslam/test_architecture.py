@@ -126,7 +126,8 @@ def test_the_two_solvers_share_only_their_start():
         "AndersonMixing",
         "FIRST",
         "solve_jointly",
-        "without_parameters",
+        "PROMISE",
+        "best_of_starts",
     }
     for name in MODULES:
         if name.startswith("graphslam.solvers.") and not name.startswith(USES_GTSAM):

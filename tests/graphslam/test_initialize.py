@@ -150,7 +150,7 @@ def random_problem(seed):
     )
     options = {"edges": str(rng.choice(["virtual", "virtual+motion", "landmark+motion"]))}
     options |= {"frame": str(rng.choice(["world", "body"])), "weight": str(rng.choice(["pairs", "marginal"]))}
-    return log, {"motion": motion, "sensor": sensor, **options}
+    return log, {"motion": motion, "sensor": sensor, "kernel": "none", **options}
 
 
 @pytest.mark.parametrize("solver", [solve, solve_with_gtsam])

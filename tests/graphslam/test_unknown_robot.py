@@ -166,12 +166,12 @@ def test_inflation_is_one_plus_the_correlations_of_the_others() -> None:
 def test_what_cannot_tell_its_noise_keeps_the_books(tmp_path: object) -> None:
     log = warehouse()[0]
     few = log.with_sightings(np.arange(20))
-    with pytest.raises(LogError, match="noise and biases are estimated from at least 50"):
+    with pytest.raises(LogError, match="noise and biases are estimated from at least 150"):
         estimate_robot(few)
     graph = Graph.from_log(few)
     assert graph.log is not None
     assert any("the noise models are the book's" in note for note in graph.log.notes)
-    with pytest.raises(LogError, match="at least 50"):
+    with pytest.raises(LogError, match="at least 150"):
         Graph.from_log(few, noise="auto")
     with pytest.raises(OptionError, match="noise"):
         Graph.from_log(log, noise="perfect")
