@@ -36,7 +36,12 @@ def config_text(
         "estimators": estimators,
         "time_limit": time_limit,
         **{each.name: value for each, value in options.changed() if each.only != "python"},
-        **{name: asdict(model) for name in MODELS if (model := getattr(options, name)) is not None},
+        # what was estimated from the log is estimated again
+        **{
+            name: asdict(model)
+            for name in MODELS
+            if (model := getattr(options, name)) is not None and options.noise != AUTO
+        },
     }
     return to_toml(table, f"Repeat this run: slam-compare run --config config.toml\nmade with {', '.join(versions())}")
 

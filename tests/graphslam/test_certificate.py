@@ -328,7 +328,7 @@ def test_edges_choose_their_splits():
     folder = data_folder() / "mrclam6"
     if not folder.exists():
         pytest.skip(f"needs {folder}")
-    graph = Graph.from_log(load(folder, robot=3), edges="landmark+motion", kernel="none")
+    graph = Graph.from_log(load(folder, robot=3), edges="landmark+motion", kernel="none", noise="book")
     solution = solve(graph)
     quick = prove(graph, solution.state, thorough=False)
     assert quick.status == "not proven" and quick.direction is not None
