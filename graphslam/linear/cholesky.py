@@ -1,0 +1,288 @@
+"""Sparse Cholesky factorisation of symmetric positive definite matrices of 3x3 blocks: analyse, factorise, solve.
+
+The engine computes (``engine/include/vmslam/sparse``): the structure once per graph, the factor once per iteration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..engine import engine
+from ..threads import available_threads
+
+if TYPE_CHECKING:
+    import scipy.sparse as sp
+
+COMPONENTS = ("x", "y", "heading")
+
+
+class FactorizationError(ValueError):
+    """A matrix has no Cholesky factor; ``node`` is where."""
+
+    node: int
+
+
+class NotFinite(FactorizationError):
+    """The matrix holds NaN or infinity.
+
+    Attributes:
+        node: column of the first such block, in node order.
+    """
+
+    def __init__(self, row: int, node: int) -> None:
+        self.node = node
+        super().__init__(f"values hold NaN or infinity in block ({row}, {node})")
+
+
+class SingularPivot(FactorizationError):
+    """A pivot vanished or was negative: the matrix is not positive definite.
+
+    Attributes:
+        node: node of the pivot, in node order.
+        component: scalar component 0, 1 or 2 of that node.
+        null_vector: (n, 3) direction, largest entry 1 in magnitude, along which x' Omega x is the bad pivot: zero up
+            to rounding for a singular matrix, so the direction in which nothing holds the graph. Where the direction
+            itself cannot be computed, it is the coordinate of the pivot.
+    """
+
+    def __init__(self, node: int, component: int, null_vector: NDArray[np.float64]) -> None:
+        self.node = node
+        self.component = component
+        self.null_vector = null_vector
+        super().__init__(
+            f"the matrix is not positive definite: pivot of node {node}, component {component} "
+            f"({COMPONENTS[component]}), is zero or negative; null_vector holds the direction"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Symbolic:
+    """Symbolic analysis of a symmetric pattern of 3x3 blocks; made by :func:`analyze`, valid for any values.
+
+    Attributes:
+        indptr, indices: the pattern.
+        structure: that of the factor, in the engine.
+    """
+
+    indptr: NDArray[Any]
+    indices: NDArray[Any]
+    structure: Any
+
+    @property
+    def order(self) -> NDArray[np.int32]:
+        """(n,) the node eliminated k-th."""
+        return self.structure.order
+
+    @property
+    def blocks(self) -> int:
+        """The structural blocks of L, without the zeros of relaxed supernodes."""
+        return self.structure.blocks
+
+    def factorize(self, values: NDArray[Any], *, damping: float = 0.0) -> Factor:
+        """A new factor of values on the pattern; see :meth:`Factor.refactorize`."""
+        return Factor(self).refactorize(values, damping=damping)
+
+
+def symmetric(indptr: NDArray[Any], indices: NDArray[Any], values: NDArray[Any]) -> sp.csc_matrix:
+    """The whole matrix, both triangles (3n, 3n), of blocks in upper block-CSC."""
+    import scipy.sparse as sp
+
+    # the transpose of the upper blocks, column by column: rows are columns
+    lower = sp.tril(sp.bsr_matrix((values.transpose(0, 2, 1), indices, indptr)))
+    return (lower + sp.tril(lower, k=-1).T).tocsc()
+
+
+class Factor:
+    """Cholesky factor of Omega. ``refactorize`` reuses all memory for new values; not to be shared by threads."""
+
+    def __init__(self, symbolic: Symbolic) -> None:
+        self.symbolic = symbolic
+        self._num_nodes = len(symbolic.indptr) - 1
+        self._factor = engine.RealFactor(symbolic.structure)
+        self._inverse: Any = None
+        self._valid = False
+
+    def refactorize(self, values: NDArray[Any], *, damping: float = 0.0) -> Factor:
+        """Cholesky factorisation Omega + damping diag(Omega) = L L' of new values on the same pattern, in place.
+
+        Args:
+            values: (nnzb, 3, 3) blocks; of the diagonal blocks only the upper triangle is read.
+            damping: lambda >= 0 of a Levenberg-Marquardt step.
+
+        Raises:
+            ValueError: wrong shape, negative damping.
+            NotFinite: the values hold NaN or infinity.
+            SingularPivot: a pivot is not greater than 1e-12 times the (damped) diagonal entry it came from.
+        """
+        expected = (self.symbolic.indices.size, 3, 3)
+        values = np.ascontiguousarray(values, dtype=np.float64)
+        if values.shape != expected:
+            raise ValueError(f"values must have shape {expected}, not {values.shape}")
+        if not (damping >= 0.0 and np.isfinite(damping)):
+            raise ValueError(f"damping must be finite and not negative, not {damping}")
+        self._inverse = None
+        self._valid = False
+        bad = self._factor.factorize(values, damping)
+        if bad >= 0:
+            self._raise(values, bad)
+        self._valid = True
+        return self
+
+    def _raise(self, values: NDArray[np.float64], bad: int) -> None:
+        # NaN and inf always end in a bad pivot, so that values need no check before
+        finite = np.isfinite(values).all(axis=(1, 2))
+        if not finite.all():
+            p = int(np.argmin(finite))
+            j = int(np.searchsorted(self.symbolic.indptr, p, side="right")) - 1
+            raise NotFinite(int(self.symbolic.indices[p]), j)
+        node, component = int(self.symbolic.order[bad // 3]), bad % 3
+        vector = self._factor.null_vector(bad)
+        if not np.isfinite(vector).all():
+            vector = np.zeros_like(vector)
+            vector[node, component] = 1.0
+        raise SingularPivot(node, component, vector / np.abs(vector).max())
+
+    def _check(self) -> None:
+        if not self._valid:
+            raise ValueError("no valid factorisation: the last one failed or none was made")
+
+    def solve(self, rhs: NDArray[Any]) -> NDArray[np.float64]:
+        """Solve (Omega + damping) x = rhs.
+
+        Args:
+            rhs: (n, 3) or (n, 3, k), node order.
+
+        Returns:
+            Solution of the same shape.
+
+        Raises:
+            ValueError: wrong shape, or rhs not finite.
+        """
+        self._check()
+        n = self._num_nodes
+        rhs = np.asarray(rhs, dtype=np.float64)
+        if rhs.shape[:2] != (n, 3) or rhs.ndim not in (2, 3):
+            raise ValueError(f"rhs must have shape ({n}, 3) or ({n}, 3, k), not {rhs.shape}")
+        if rhs.ndim == 3:
+            return np.stack([self.solve(rhs[:, :, k]) for k in range(rhs.shape[2])], axis=2)
+        out = np.empty((n, 3))
+        if not self._factor.solve(np.ascontiguousarray(rhs), out):
+            raise ValueError("rhs holds NaN or infinity")
+        return out
+
+    @property
+    def log_determinant(self) -> float:
+        """log det(Omega + damping diag(Omega))."""
+        self._check()
+        return self._factor.log_determinant()
+
+    def diagonal_covariances(self) -> NDArray[np.float64]:
+        """Diagonal blocks (n, 3, 3) of Omega^-1: the marginal covariance of every node.
+
+        Selected inversion on the pattern of L (Takahashi, Fagan & Chen 1973; Erisman & Tinney 1975), kept until the
+        next factorisation; Omega^-1 itself is never formed.
+        """
+        self._check()
+        if self._inverse is None:
+            self._inverse = engine.SelectedInverse(self._factor)
+        return self._inverse.diagonal()
+
+    def covariance(self, i: int, j: int) -> NDArray[np.float64]:
+        """Block (i, j) (3, 3) of Omega^-1: read where the pattern of L has it, else by a solve.
+
+        Raises:
+            IndexError: no such node.
+        """
+        self._check()
+        n = self._num_nodes
+        if not (0 <= i < n and 0 <= j < n):
+            raise IndexError(f"nodes {i} and {j}: the graph has {n}")
+        if self._inverse is not None:
+            blocks = self._inverse.blocks(np.array([i, j]))
+            if blocks is not None:
+                return blocks[0, :, 1].copy()
+        unit = np.zeros((n, 3, 3))
+        unit[j] = np.eye(3)
+        return self.solve(unit)[i].copy()
+
+    def joint_covariance(self, nodes: NDArray[Any]) -> NDArray[np.float64]:
+        """The covariance (3 k, 3 k) of nodes (k,) together: read where the pattern of L has it, else by solves.
+
+        An ``ordering`` that ends with these nodes makes their blocks part of the pattern where the graph is connected.
+        """
+        nodes = np.ascontiguousarray(nodes, dtype=np.int64)
+        self.diagonal_covariances()
+        blocks = self._inverse.blocks(nodes)
+        if blocks is None:
+            units = np.zeros((self._num_nodes, 3, nodes.size, 3))
+            units[nodes, :, np.arange(nodes.size), :] = np.eye(3)
+            blocks = self.solve(units.reshape(len(units), 3, -1)).reshape(units.shape)[nodes]
+        return blocks.reshape(3 * nodes.size, 3 * nodes.size)
+
+
+def analyze(indptr: NDArray[Any], indices: NDArray[Any], *, ordering: NDArray[Any] | None = None) -> Symbolic:
+    """Symbolic analysis of a symmetric positive definite matrix of 3x3 blocks.
+
+    Args:
+        indptr: (n+1,) column pointers of the upper triangle in block-CSC.
+        indices: (nnzb,) row nodes i <= j, ascending in each column j, the diagonal last.
+        ordering: an elimination order (n,); default: that of `fill_reducing`.
+
+    Raises:
+        ValueError: malformed pattern or order.
+    """
+    indptr, indices = _pattern(indptr, indices)
+    n = indptr.size - 1
+    # the engine trusts its indices: rows must ascend in each column, so that (column, row) ascends as a whole
+    if n < 1 or indptr[0] != 0 or indptr[-1] != indices.size or np.any(np.diff(indptr) < 1):
+        raise ValueError("the pattern needs at least one node, and at least the diagonal in every column")
+    if (fault := engine.pattern_fault(indptr, indices)) >= 0:
+        raise ValueError(f"column {fault}: rows must ascend and end with the diagonal")
+    order = None
+    if ordering is not None:
+        order = np.ascontiguousarray(ordering, dtype=np.int32)
+        if not np.array_equal(np.sort(order), np.arange(n)):
+            raise ValueError(f"ordering must be a permutation of {n} nodes")
+    structure = engine.analyze(indptr, indices, order, hermitian=False, threads=available_threads())
+    return Symbolic(indptr, indices, structure)
+
+
+def _pattern(indptr: NDArray[Any], indices: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    return np.ascontiguousarray(indptr, dtype=np.int64), np.ascontiguousarray(indices, dtype=np.int32)
+
+
+def amd(indptr: NDArray[Any], indices: NDArray[Any], *, dense: float = 10.0) -> NDArray[np.int32]:
+    """Approximate minimum degree ordering of a symmetric pattern (Amestoy, Davis & Duff 1996).
+
+    Nodes with more than ``max(16, dense * sqrt(n))`` neighbours, such as a landmark seen from every pose, are put last.
+
+    Args:
+        indptr: (n+1,) column pointers of the upper triangle.
+        indices: (nnzb,) row nodes.
+        dense: factor of the dense-row rule; negative switches the rule off.
+
+    Returns:
+        (n,) elimination order: ``order[k]`` is the node eliminated k-th.
+    """
+    return engine.minimum_degree(*_pattern(indptr, indices), dense)
+
+
+def fill_reducing(
+    indptr: NDArray[Any], indices: NDArray[Any], *, smallest: int = 5_000, worth: float = 10_000.0
+) -> NDArray[np.int32]:
+    """An elimination order (n,) for the pattern of `amd`: approximate minimum degree, or nested dissection if it is better.
+
+    Both begin with the nodes of degree two and less. The parts of a dissection are ordered by minimum degree together with
+    the separators around them, and each separator likewise. Which is better is counted on the structure of L.
+
+    Args:
+        indptr: (n+1,) column pointers of the upper triangle.
+        indices: (nnzb,) row nodes.
+        smallest: the number of nodes from which on dissection is tried,
+        worth: and the flops of the order by minimum degree for each node and adjacency entry.
+    """
+    return engine.fill_reducing(*_pattern(indptr, indices), smallest, worth)
