@@ -88,7 +88,7 @@ def checked_ids(log: Log, unknowns: Unknowns, rng: np.random.Generator) -> Ids:
     own[known] = predictions.distances(log, known, np.searchsorted(ids, landmarks[known]))
     supported = np.isin(landmarks, ids[strong])
     tried = np.flatnonzero((own > CONTRADICTS) | ~supported)
-    if len(tried) == 0:
+    if len(tried) == 0 or len(strong) == 0:
         return Ids(landmarks, changed, dropped)
     others = np.stack([predictions.distances(log, tried, np.full(len(tried), j)) for j in strong.tolist()])
     best = others.argmin(axis=0)

@@ -118,6 +118,8 @@ class Unknowns:
         self.log, self.sensor = log, sensor
         _, group, count = np.unique(groups, return_inverse=True, return_counts=True)
         self.used = count[group] > 1
+        if not self.used.any():
+            raise GraphError(f"{log.name}: no landmark is seen twice, so that nothing tells the noise")
         #: the numbers of the landmarks that are nodes
         self.ids, group = np.unique(groups[self.used], return_inverse=True)
         self.poses = log.num_poses

@@ -11,6 +11,7 @@ import pytest
 from graphslam import (
     Drive,
     Graph,
+    GraphError,
     Log,
     LogError,
     MotionModel,
@@ -178,3 +179,13 @@ def test_the_same_numbers_again() -> None:
     again = estimate_robot(log)
     assert again.parameters.values.tolist() == found.parameters.values.tolist()
     assert again.sensor == found.sensor
+
+
+def test_landmarks_that_are_seen_once_tell_nothing() -> None:
+    log = warehouse()[0]
+    once = log.replace(landmarks=np.arange(len(log.steps)))
+    with pytest.raises(GraphError, match="no landmark is seen twice"):
+        estimate_robot(once)
+    graph = Graph.from_log(once)
+    assert graph.log is not None
+    assert any("the noise models are the book's" in note for note in graph.log.notes)
