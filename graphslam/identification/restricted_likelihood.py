@@ -30,38 +30,39 @@ LONGEST = 1.5
 def improve_variances(unknowns: Unknowns, rng: np.random.Generator) -> tuple[float, Array]:
     """Take one step of the variances: the predicted gain of the log likelihood, and the standard errors of the logarithms.
 
-    The unknowns should be at their optimum for the present variances.
+    The unknowns should be near their optimum for the present variances; they take the Gauss-Newton step of this problem, too.
 
     Raises:
-        GraphError: the problem determines no solution.
+        GraphError: the problem determines no solution, or the values became infinite.
     """
     linear = unknowns.linearized()
     names = [*unknowns.motion_parts, *unknowns.sensor_parts]
     nodes, values = linear.samples(SAMPLES, rng)
-    terms: list[tuple[Edges, Array, Array]] = []
+    # of each variance: its edges, C_p / u, r_p and W r_p
+    terms: list[tuple[Edges, Array, Array, Array]] = []
     right, right_values = np.zeros((*linear.xi.shape, len(names))), np.zeros((len(linear.prior), len(names)))
     for edges in linear.edges:
-        pulled = np.einsum("eij,ej->ei", edges.information, edges.residuals)
+        pulled = edges.information @ edges.residuals[:, :, None]
         for name, C in edges.parts.items():
-            part = np.exp(unknowns.logarithms[name]) * C / edges.weights[:, None, None]
-            k, r = len(terms), np.einsum("eij,ej->ei", part, pulled)
+            part = C * (np.exp(unknowns.logarithms[name]) / edges.weights)[:, None, None]
+            r = part @ pulled
+            weighted, k = edges.information @ r, len(terms)
             column = right[:, :, k : k + 1]
-            right_values[:, k : k + 1] = edges.pull((edges.information @ r[:, :, None]), column)
-            terms.append((edges, part, r))
+            right_values[:, k : k + 1] = edges.pull(weighted, column)
+            terms.append((edges, part, r, weighted))
     solved, solved_values = linear.solve(right, right_values)
     gradient, information = np.zeros(len(names)), np.zeros((len(names), len(names)))
     for edges in linear.edges:
         rows = [k for k, term in enumerate(terms) if term[0] is edges]
-        pulled = np.einsum("eij,ej->ei", edges.information, edges.residuals)
+        pulled = edges.information @ edges.residuals[:, :, None]
         spread = edges.information @ edges.moved(nodes, values)
         follows = edges.moved(solved, solved_values)
         for k in rows:
-            _, part, r = terms[k]
-            fitted = np.einsum("eis,eij,ejs->", spread, part, spread, optimize=True) / SAMPLES
-            whole = np.einsum("eij,eji->", edges.information, part)
-            gradient[k] = 0.5 * (np.einsum("ei,eij,ej->", pulled, part, pulled) - whole + fitted)
-            weighted = np.einsum("eij,ej->ei", edges.information, r)
-            information[k] -= 0.5 * np.einsum("ei,eik->k", weighted, follows)
+            _, part, r, weighted = terms[k]
+            # all matrices are symmetric, so that tr(W C) is the sum of the products of their elements
+            fitted = np.sum(spread * (part @ spread)) / SAMPLES
+            gradient[k] = 0.5 * (np.sum(pulled * r) - np.sum(edges.information * part) + fitted)
+            information[k] -= 0.5 * np.einsum("ei,eik->k", weighted[:, :, 0], follows)
             for other in rows:
                 information[k, other] += 0.5 * np.sum(weighted * terms[other][2])
     prior = SPREAD**-2
@@ -70,5 +71,6 @@ def improve_variances(unknowns: Unknowns, rng: np.random.Generator) -> tuple[flo
     information = (information + information.T) / 2 + prior * np.eye(len(names))
     step = np.linalg.solve(information, gradient)
     after = now + np.clip(step, -LONGEST, LONGEST)
+    unknowns.take_step(linear)
     unknowns.logarithms = dict(zip(names, after.tolist()))
     return float(gradient @ step), np.sqrt(np.diag(np.linalg.inv(information)))

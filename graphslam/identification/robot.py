@@ -243,7 +243,7 @@ def _fitted(unknowns: Unknowns, rounds: int, rng: np.random.Generator) -> tuple[
     """Solve and improve the variances in turn; and the standard errors of the standard deviations, as parts of them."""
     errors = np.zeros(0)
     for k in range(rounds):
-        unknowns.iterate(2 if k else 4)
+        unknowns.iterate(1 if k else 4)
         gain, errors = improve_variances(unknowns, rng)
         unknowns.take_noise()
         if gain < GAIN:

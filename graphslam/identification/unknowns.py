@@ -88,7 +88,7 @@ class Edges:
     def weigh(self, covariances: Array, degrees: float) -> None:
         """Set the information and the weights."""
         inverse, d = np.linalg.inv(covariances), self.residuals.shape[1]
-        self.squares = np.einsum("ei,eij,ej->e", self.residuals, inverse, self.residuals)
+        self.squares = np.einsum("ei,ei->e", self.residuals, (inverse @ self.residuals[:, :, None])[:, :, 0])
         self.weights = (degrees + d) / (degrees + self.squares)
         self.information = self.weights[:, None, None] * inverse
 
@@ -302,12 +302,19 @@ class Unknowns:
             GraphError: the values became infinite, or the problem determines no solution.
         """
         for _ in range(steps):
-            linear = self.linearized()
-            nodes, values = linear.step()
-            self.state = self._moved(linear.edges[0], nodes)
-            self.parameters = self.parameters.at(self.parameters.values + values)
-            if not np.isfinite(self.state).all():
-                raise GraphError(f"{self.log.name}: the search for noise and biases diverged")
+            self.take_step(self.linearized())
+
+    def take_step(self, linear: Linear) -> None:
+        """The Gauss-Newton step of a linear problem at the current values.
+
+        Raises:
+            GraphError: the values became infinite.
+        """
+        nodes, values = linear.step()
+        self.state = self._moved(linear.edges[0], nodes)
+        self.parameters = self.parameters.at(self.parameters.values + values)
+        if not np.isfinite(self.state).all():
+            raise GraphError(f"{self.log.name}: the search for noise and biases diverged")
 
     def _moved(self, motions: Edges, step: Array) -> Array:
         """The state after a step (n, 3) of the nodes: each pose moves against the one before, and is added to it.
