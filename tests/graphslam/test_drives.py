@@ -232,7 +232,7 @@ def test_random_drives_cover_the_range():
 def test_whoever_knows_noise_and_ids_finds_the_biases(precise):
     """With single controls in place of their mean around each pose the delay is 0.038 +- 0.002 s for 0.05 s."""
     biases = {name: value for name, value in BIASES.items() if name != "range_scale"}
-    drive = Drive(seed=0, duration=150, odometry_rate=20, parameters=biases, clutter=0.01)
+    drive = Drive(seed=0, duration=80, odometry_rate=20, parameters=biases, clutter=0.01)
     if precise:
         # a long mean of controls blurs turns: over 0.3 s to each side it takes the delay off
         wheels = replace(drive.motion, nn=0.002, no=0.0002, on=0.001, oo=0.002, slip=0.001)
