@@ -228,6 +228,7 @@ def test_random_drives_cover_the_range():
     assert any(d.motion.sigma_omega > 0 for d in drives) and any(d.motion.oo > 0 for d in drives)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precise", [False, True])
 def test_whoever_knows_noise_and_ids_finds_the_biases(precise):
     """With single controls in place of their mean around each pose the delay is 0.038 +- 0.002 s for 0.05 s."""
