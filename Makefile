@@ -9,8 +9,8 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 compare: .venv/.compiled
 	$(BIN)/slam-compare run
 
-# two processes; the tests of a file stay together, because they share its fixtures
-PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+# two processes; the tests of a file stay together, because they share its fixtures, in the order of tests/conftest.py
+PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
 test: lint .venv/.compiled-all
 	$(PYTEST)

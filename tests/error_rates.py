@@ -32,9 +32,8 @@ def chi_square_bounds(degrees: float, comparisons: int = 1) -> tuple[float, floa
     return float(chi2.isf(1 - tail, degrees)), float(chi2.isf(tail, degrees))
 
 
-def share_bound(probability: float, trials: int, comparisons: int = 1) -> float:
+def share_bound(trials: int, comparisons: int = 1) -> float:
     """How far the share of successes of independent trials may be from its probability (Hoeffding's inequality)."""
-    del probability  # the inequality holds for all of them
     return float(np.sqrt(np.log(2 * comparisons / ERROR_RATE) / (2 * trials)))
 
 
@@ -53,6 +52,18 @@ def batch_errors(chains: Array, batches: int = 30) -> tuple[Array, Array]:
     of_means = parts.mean(axis=1).std(axis=0, ddof=1) / np.sqrt(count)
     of_variances = (parts**2).mean(axis=1).std(axis=0, ddof=1) / np.sqrt(count)
     return of_means, of_variances / (2 * variance)
+
+
+def mean_error(values: ArrayLike) -> Array:
+    """The standard error of the mean of independent values, along the first axis."""
+    values = np.asarray(values)
+    return values.std(axis=0, ddof=1) / np.sqrt(len(values))
+
+
+def check_mean(values: ArrayLike, expected: ArrayLike) -> None:
+    """Fail if the mean of independent estimates (runs, numbers) is farther from the expected one than their spread allows."""
+    values = np.asarray(values)
+    check_normal(values.mean(axis=0) - expected, mean_error(values), len(values) - 1)
 
 
 def check_normal(differences: ArrayLike, errors: ArrayLike, degrees: float = np.inf) -> None:

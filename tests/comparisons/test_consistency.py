@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from error_rates import bound
+from error_rates import bound, chi_square_bounds
 from scipy.stats import chi2
 
 from comparisons.consistency import Consistency, band, models, study_consistency
@@ -57,8 +57,12 @@ def test_joint_nees_is_that_of_the_dense_covariance():
 def test_exact_variants_are_consistent_and_pairs_are_not(outcome):
     of = {r.name: r for r in outcome.results}
     for name in ("landmark nodes", "marginal"):
-        assert of[name].consistent, (of[name].anees, of[name].joint_band)
+        # J of 30 logs of 40 poses is a chi-square of 3,600 degrees of freedom; the noise is a tenth, so that all is linear
+        low, high = chi_square_bounds(3600, 2)
+        assert low < 3600 * of[name].anees < high, (of[name].anees, of[name].joint_band)
+        # 95 % are expected; errors of steps are correlated, but the solver gives the same numbers on every machine
         assert of[name].steps_inside > 0.8
+    # an approximation, which is 10 % off at most on these logs
     assert of["tempered"].anees == pytest.approx(1, abs=0.1)
     assert of["pairs"].anees > 3 and not of["pairs"].consistent
     assert all(r.failed == 0 for r in outcome.results)

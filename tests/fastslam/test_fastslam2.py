@@ -143,6 +143,7 @@ def test_prediction_is_the_motion_models_gaussian(omega: float) -> None:
 
 
 def test_more_effective_particles_with_a_sharp_sensor() -> None:
+    """The ratio is 43; over seeds its logarithm has a standard deviation of 0.23, and the limit is 2.7 away."""
     ratios = []
     for seed in range(4):
         log = simulate(seed=seed, clean=True, sensor=SHARP)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from error_rates import bound, check_normal, mean_error
 from importance_sampling import importance
 from test_gibbs import MOTION, small
 
@@ -22,7 +23,7 @@ def test_moments_and_likelihood_of_an_update(columns: int, range_noise: str) -> 
     landmark, pose = np.array([3.0, 2.0, 0.4])[:columns], np.array([0.2, -0.1, 0.3])
     z = SENSOR.h(pose, landmark) + np.array([[0.3, 0.04, -0.03], [-0.3, -0.03, 0.05]])[:, :columns]
     q = np.diagonal(SENSOR.Q(z[1:]), axis1=1, axis2=2).copy()
-    normals = np.random.default_rng(0).standard_normal((200_000, columns))
+    normals = np.random.default_rng(0).standard_normal((2_000_000, columns))
     slam = FastSLAM1(particles=1, start=pose, landmark_update="moments", range_noise=range_noise)
     slam.observe([0], z[:1])
     prior = slam.state.map(0)[0]
@@ -41,7 +42,10 @@ def test_moments_and_likelihood_of_an_update(columns: int, range_noise: str) -> 
     estimate, std = slam.state.map(0)[0], np.sqrt(np.diag(covariance))
     scaled = (estimate.covariance - covariance) / np.outer(std, std)
     errors = np.array([np.abs((estimate.mean - mean) / std).max(), np.abs(scaled).max(), found[0] - likelihood])
-    assert np.all(np.abs(errors) < [0.03, 0.06, 0.03])
+    # Q at the estimated range makes the density less Gaussian, and the moments are approximations
+    allowed = np.array([0.02, 0.05, 0.01]) if range_noise == "estimated" else np.zeros(3)
+    sampling = np.sqrt(np.sum(weights**2)) * np.array([1.0, np.sqrt(2), np.sqrt(1 - 1 / np.sum(weights**2) / len(m))])
+    assert np.all(np.abs(errors) < allowed + bound(13) * sampling)
 
 
 def test_first_sighting_has_the_moments_of_its_posterior() -> None:
@@ -54,8 +58,11 @@ def test_first_sighting_has_the_moments_of_its_posterior() -> None:
     mean, estimate = weights @ samples, slam.state.map(0)[0]
     covariance = (samples - mean).T @ (weights[:, None] * (samples - mean))
     std = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose((estimate.mean - mean) / std, 0, atol=0.01)
-    np.testing.assert_allclose(estimate.covariance / np.outer(std, std), covariance / np.outer(std, std), atol=0.01)
+    # a mean and a covariance of three numbers, by weighted samples
+    many = bound(12) * np.sqrt(np.sum(weights**2))
+    np.testing.assert_allclose((estimate.mean - mean) / std, 0, atol=many)
+    scale = np.outer(std, std)
+    np.testing.assert_allclose(estimate.covariance / scale, covariance / scale, atol=np.sqrt(2) * many)
 
 
 @pytest.mark.parametrize("columns", [2, 3])
@@ -87,13 +94,16 @@ def test_evidence_and_moments_of_all_sightings(columns: int, range_noise: str) -
         log_weights -= 0.5 * np.sum(r * r / variances + np.log(2 * np.pi * variances), axis=1)
     weights = np.exp(log_weights)
     # of the first sighting alone it is the range
-    assert found == pytest.approx(np.log(weights.mean() / z[0, 0]), abs=0.01)
+    assert found == pytest.approx(
+        np.log(weights.mean() / z[0, 0]), abs=bound(13) * mean_error(weights) / weights.mean()
+    )
     weights /= weights.sum()
     mean = weights @ m
     covariance = (m - mean).T @ (weights[:, None] * (m - mean))
     std = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose((estimate.mean - mean) / std, 0, atol=0.01)
-    np.testing.assert_allclose((estimate.covariance - covariance) / np.outer(std, std), 0, atol=0.02)
+    many = bound(13) * np.sqrt(np.sum(weights**2))
+    np.testing.assert_allclose((estimate.mean - mean) / std, 0, atol=many)
+    np.testing.assert_allclose((estimate.covariance - covariance) / np.outer(std, std), 0, atol=np.sqrt(2) * many)
 
 
 def test_joint_landmarks_through_resampling_repeated_sightings_and_threads(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,21 +139,23 @@ def test_moments_reach_the_exact_posterior() -> None:
     gibbs = ParticleGibbs(log, motion=MOTION, density="exact", particles=8, iterations=500, warm_up=60, chains=2).run()
     reference = importance(log, SENSOR, MOTION, gibbs.trajectories[:, ::4].reshape(-1, 4, 3))
     # the last pose and the landmarks
-    mean, std = reference.mean[6:], reference.std[6:]
-    errors = {}
+    mean, std, of_reference = reference.mean[6:], reference.std[6:], reference.mean_errors[6:] / reference.std[6:]
     for kind in (FastSLAM1, FastSLAM2):
+        errors, spreads = {}, {}
         for update in ("kalman", "moments", "joint"):
             means = []
-            for seed in range(2):
-                slam = kind(log, particles=20_000, seed=seed, motion=MOTION, landmark_update=update)
+            for seed in range(24):
+                slam = kind(log, particles=4000, seed=seed, motion=MOTION, landmark_update=update)
                 slam.run()
                 mixture = slam.state.mixture_map()
                 means.append(np.concatenate([slam.state.mean_pose, mixture[0].mean, mixture[1].mean]))
-            errors[update] = np.abs((np.mean(means, axis=0) - mean) / std).max()
-        assert errors["kalman"] > 0.4
-        assert errors["moments"] < 0.15
-        # the rest is sampling error, of the filter and of the importance sampling: 0.02 for 1.0
-        assert errors["joint"] < 0.05
+            scaled = (np.array(means) - mean) / std
+            errors[update], spreads[update] = scaled.mean(axis=0), np.hypot(mean_error(scaled), of_reference)
+        check_normal(errors["joint"], spreads["joint"], 23)
+        # the others by how much these approximations are off, with the same error rate
+        error = bound(14, 23) * max(spreads["kalman"].max(), spreads["moments"].max())
+        assert np.abs(errors["kalman"]).max() > 0.55 - error
+        assert np.abs(errors["moments"]).max() < 0.1 + error
 
 
 @pytest.mark.parametrize("cls", [FastSLAM1, FastSLAM2, MonteCarloLocalization])

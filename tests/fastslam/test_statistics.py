@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from error_rates import bound, check_normal, mean_error
 from exact_posterior import exact_posterior
 
 from fastslam import FastSLAM1, FastSLAM2, ParticleFilter
@@ -64,14 +65,16 @@ def linear_posterior(log: Log) -> list[tuple[np.ndarray, np.ndarray]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
 def test_convergence_to_the_closed_form_as_one_over_root_n(kind: type[ParticleFilter]) -> None:
-    """Mean and covariance of pose and map: errors in standard deviations fall as N to the power of -0.4 to -0.6."""
-    numbers = np.array([100, 316, 1000, 3162, 10_000, 31_623, 100_000])
-    errors = np.empty((len(numbers), 4))
+    """Mean and covariance of pose and map: the slope of the errors over the number of particles is -1/2 in logarithms.
+
+    The error of the slope follows from the spread of the squared errors over the logs.
+    """
+    numbers, logs = np.array([100, 316, 1000, 3162, 10_000]), 100
+    squares = np.empty((len(numbers), logs, 4))
     for n, particles in enumerate(numbers):
-        squares = []
-        for seed in range(20 if particles <= 10_000 else 10):
+        for seed in range(logs):
             log = linear_log(seed)
-            slam = kind(log, particles=int(particles), seed=100 + seed, **LINEAR)
+            slam = kind(log, particles=int(particles), seed=logs * n + seed, **LINEAR)
             slam.run()
             state = slam.state
             estimates = [(state.mean_pose[:2], state.pose_covariance[:2, :2])]
@@ -82,11 +85,15 @@ def test_convergence_to_the_closed_form_as_one_over_root_n(kind: type[ParticleFi
                 off.append(
                     [np.mean(((mean - m) / scale) ** 2), np.mean(((covariance - C) / np.outer(scale, scale)) ** 2)]
                 )
-            squares.append([*off[0], *np.mean(off[1:], axis=0)])
-        errors[n] = np.sqrt(np.mean(squares, axis=0))
-    slopes = np.polyfit(np.log(numbers), np.log(errors), 1)[0]
-    assert np.all((slopes > -0.6) & (slopes < -0.4)), slopes
-    assert np.all(errors[-1] < 0.02)
+            squares[n, seed] = [*off[0], *np.mean(off[1:], axis=0)]
+    means = squares.mean(axis=1)
+    log_errors = mean_error(np.swapaxes(squares, 0, 1)) / (2 * means)
+    x = np.log(numbers) - np.log(numbers).mean()
+    slopes, slope_errors = x @ np.log(means) / 2 / (x @ x), np.sqrt(x**2 @ log_errors**2) / (x @ x)
+    check_normal(slopes + 0.5, slope_errors, len(numbers) * (logs - 1))
+    # independent samples of the posterior would have 1; resampling costs some of them
+    inflation = np.sqrt(numbers[-1] * means[-1])
+    assert np.all(inflation < 2.5 * np.exp(bound(4, logs - 1) * log_errors[-1])), inflation
 
 
 def test_exact_weights_stay_equal_in_a_linear_world_without_epsilon() -> None:
@@ -97,10 +104,11 @@ def test_exact_weights_stay_equal_in_a_linear_world_without_epsilon() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "seed", "last"), [(FastSLAM2, 0, 60), (FastSLAM2, 4, 60), (FastSLAM1, 1, 30)])
-def test_the_grown_graphs_posterior(kind: type[ParticleFilter], seed: int, last: int) -> None:
-    """A fifth of the book's noise: within 0.3 standard deviations, and those within 25 %, at every tenth step.
+@pytest.mark.parametrize(("kind", "seed", "last", "particles"), [(FastSLAM2, 0, 60, 4000), (FastSLAM1, 1, 30, 8000)])
+def test_the_grown_graphs_posterior(kind: type[ParticleFilter], seed: int, last: int, particles: int) -> None:
+    """A fifth of the book's noise: means and standard deviations at every tenth step, as a mean over 40 runs.
 
+    Linearised landmarks and so many particles are off by up to 0.1 standard deviations; the rest is the spread of runs.
     The bootstrap proposal of 1.0 meets this for half of the log only: resampled sixty times, by whatever scheme, its
     histories are of few families, and its worst landmark is 0.2 to 0.7 off (`benchmarks/fastslam_depletion.py`).
     """
@@ -109,24 +117,28 @@ def test_the_grown_graphs_posterior(kind: type[ParticleFilter], seed: int, last:
         "sensor": SensorModel(range_rate=0.028, bearing_std=0.01),
     }
     log = simulate(seed=seed, steps=last, clean=True, orientation=False, **models)
-    for state in kind(log, particles=100_000, seed=seed, **models):
-        if state.step == 0 or state.step % 10:
-            continue
-        exact, mixture = exact_posterior(log, state.step, **models), state.mixture_map()
-        assert mixture.keys() == exact.landmarks.keys()
-        off, P = state.mean_pose - exact.poses[-1], exact.pose_covariance(state.step)
-        off[2] = wrap(off[2])
-        errors, ratios = [off / np.sqrt(np.diag(P))], [np.sqrt(np.diag(state.pose_covariance) / np.diag(P))]
-        for j, mean in exact.landmarks.items():
-            C = exact.landmark_covariance(j)
-            errors.append((mixture[j].mean - mean) / np.sqrt(np.diag(C)))
-            ratios.append(np.sqrt(np.diag(mixture[j].covariance) / np.diag(C)))
-        assert np.abs(np.concatenate(errors)).max() < 0.3
-        assert np.abs(np.concatenate(ratios) - 1).max() < 0.25
+    posteriors, runs = {t: exact_posterior(log, t, **models) for t in range(10, last + 1, 10)}, []
+    for run in range(40):
+        numbers = []
+        for state in kind(log, particles=particles, seed=run, **models):
+            if state.step not in posteriors:
+                continue
+            exact, mixture = posteriors[state.step], state.mixture_map()
+            assert mixture.keys() == exact.landmarks.keys()
+            off, P = state.mean_pose - exact.poses[-1], exact.pose_covariance(state.step)
+            off[2] = wrap(off[2])
+            both = [(off, state.pose_covariance, P)]
+            for j, mean in exact.landmarks.items():
+                both.append((mixture[j].mean - mean, mixture[j].covariance, exact.landmark_covariance(j)))
+            for off, found, expected in both:
+                numbers += [*(off / np.sqrt(np.diag(expected))), *np.log(np.diag(found) / np.diag(expected)) / 2]
+        runs.append(numbers)
+    errors = np.abs(np.mean(runs, axis=0))
+    assert np.all(errors < 0.1 + bound(errors.size, 39) * mean_error(runs))
 
 
 def test_the_exact_weight_makes_1_and_2_agree() -> None:
-    """Two landmarks, three motions at the book's noise: means within 0.03 standard deviations; linearised they are not."""
+    """Two landmarks, three motions at the book's noise: the same means; linearised they are not."""
     motion, sensor, rng = MotionModel(), SensorModel(), np.random.default_rng(0)
     marks, u, dt = np.array([[2.9, 1.2], [1.8, -1.9]]), np.array([0.3, 0.25]), 3.0
     poses = motion.dead_reckoning(np.zeros(3), np.tile(u, (3, 1)), dt)
@@ -135,19 +147,19 @@ def test_the_exact_weight_makes_1_and_2_agree() -> None:
     sightings = exact + np.sqrt(np.diagonal(sensor.Q(exact), axis1=1, axis2=2)) * rng.standard_normal(exact.shape)
     log = Log(dt=np.full(3, dt), controls=np.tile(u, (3, 1)), steps=steps, landmarks=ids, sightings=sightings)
 
-    def mean(kind: type[ParticleFilter], **options: str) -> tuple[np.ndarray, np.ndarray]:
-        means, variances = [], []
-        for seed in range(6):
-            slam = kind(log, particles=60_000, seed=seed, **options)
+    def run(kind: type[ParticleFilter], **options: str) -> np.ndarray:
+        means = []
+        for seed in range(24):
+            slam = kind(log, particles=15_000, seed=seed, **options)
             slam.run()
             mixture = slam.state.mixture_map()
             means.append(np.concatenate([slam.state.mean_pose, mixture[0].mean, mixture[1].mean]))
-            covariances = [slam.state.pose_covariance, mixture[0].covariance, mixture[1].covariance]
-            variances.append(np.concatenate([np.diag(C) for C in covariances]))
-        return np.mean(means, axis=0), np.sqrt(np.mean(variances, axis=0))
+        return np.array(means)
 
-    reference, std = mean(FastSLAM1)
-    error = np.abs(mean(FastSLAM2)[0] - reference) / std
-    linearised = np.abs(mean(FastSLAM2, proposal_weight="linearised")[0] - reference) / std
-    assert error.max() < 0.03
-    assert linearised.max() > 0.05
+    reference, second = run(FastSLAM1), run(FastSLAM2)
+    off = second.mean(axis=0) - reference.mean(axis=0)
+    check_normal(off, np.hypot(mean_error(second), mean_error(reference)), 23)
+    linearised = run(FastSLAM2, proposal_weight="linearised")
+    off = np.abs(linearised.mean(axis=0) - reference.mean(axis=0))
+    # the farthest is 9 standard errors off, and `bound(1, 23)` is 6.6
+    assert np.any(off > 2 * np.hypot(mean_error(linearised), mean_error(reference)))

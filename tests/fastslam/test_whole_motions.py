@@ -105,7 +105,10 @@ def test_moves_by_hand_carry_the_sensor() -> None:
         landmarks=PLACES, particles=100_000, start=[0.5, 0.2, 0.3], motion=MOTION, sensor=AHEAD
     )
     slam.move([0.5, 0.8], 1.0)
-    np.testing.assert_allclose(slam.state.mean_pose, MOTION.f([0.5, 0.2, 0.3], [0.5, 0.8], 1.0), atol=1e-3)
+    scale = np.sqrt(np.diag(slam.state.pose_covariance))
+    off = slam.state.mean_pose - MOTION.f([0.5, 0.2, 0.3], [0.5, 0.8], 1.0)
+    # the mean of curved motions is off the noise-free one by half of the variance of the heading, 1 / 800 of their length
+    assert np.all(np.abs(off) < bound(3) * scale / np.sqrt(100_000) + [1e-3, 1e-3, 0.0])
     slam.move([9.0, 9.0], 0.0)
     np.testing.assert_allclose(slam.trajectory()[0], [0.5, 0.2, 0.3], atol=1e-12)
 
@@ -167,7 +170,7 @@ def test_particles_spread_as_far_where_sightings_cut_the_controls(kind: type[Par
     slam = kind(log, particles=20_000, seed=1)
     slam.run()
     headings = slam.state.poses[:, 2]
-    assert np.var(wrap(headings - np.mean(headings))) == pytest.approx(50 * 0.03**2, rel=0.05)
+    assert np.var(wrap(headings - np.mean(headings))) == pytest.approx(50 * 0.03**2, rel=bound() * np.sqrt(2 / 20_000))
     np.testing.assert_allclose(np.sum(log.motions()[1][:, 2, 2]), 50 * 0.03**2, rtol=1e-4)
 
 
