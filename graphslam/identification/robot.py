@@ -39,7 +39,7 @@ CONTRADICTS = 30.0
 #: times between the sightings of a landmark [s] that are tried first, and the fewest sightings that are enough
 INTERVALS, ENOUGH = (5.0, 2.0, 1.0, 0.5, 0.2), 100
 #: rounds of solving and improving the variances, and the gain of the log likelihood below which they end
-ROUNDS, GAIN = (5, 3, 6, 6), 0.3
+ROUNDS, GAIN = (8, 4, 8, 8), 0.3
 #: sightings correlated by more than this are thinned for the last round, and by less than that are all kept
 DEPENDENT, HARDLY = 0.2, 0.15
 #: how the sentence on the noise begins
@@ -153,7 +153,7 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
     Args:
         log: with controls and ids.
         sensor: where the sensor is believed to be, and what it can see; default: that of the log, else at the robot's pose.
-        seed: of the random signs with which traces are estimated.
+        seed: of the random signs with which covariances of predictions are estimated.
 
     Raises:
         LogError: the log has too few sightings, no controls, or sightings without ids.
@@ -162,13 +162,13 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
     sensor = sensor or log.sensor or SensorModel()
     _check(log)
     rng = np.random.default_rng(seed)
-    local, doubtful = _local(log, sensor, rng)
+    local, doubtful = _local(log, sensor)
     kept = log.with_sightings(~doubtful)
-    first = _fitted(Unknowns(kept, kept.landmarks, sensor, local), ROUNDS[1], rng)[0]
+    first = _fitted(Unknowns(kept, kept.landmarks, sensor, local), ROUNDS[1])[0]
     ids = checked_ids(log, first, rng)
     named = log.with_sightings(~ids.dropped, landmarks=ids.landmarks[~ids.dropped])
     sparse, used = _sparse(named)
-    second = _fitted(Unknowns(sparse, sparse.landmarks, sensor, first), ROUNDS[2], rng)[0]
+    second = _fitted(Unknowns(sparse, sparse.landmarks, sensor, first), ROUNDS[2])[0]
     rho = smoothed(correlations(named, second, used, rng))
     factor = inflation(named, rho) if rho[:3].max() >= HARDLY else 1.0
     chosen = named
@@ -177,7 +177,7 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
         chosen = _thinned(named, LAGS[below[0]] if len(below) else LAGS[-2])[0]
     else:
         rho = np.zeros_like(rho)
-    last, errors = _fitted(Unknowns(chosen, chosen.landmarks, sensor, first if factor == 1 else second), ROUNDS[3], rng)
+    last, errors = _fitted(Unknowns(chosen, chosen.landmarks, sensor, first if factor == 1 else second), ROUNDS[3])
     motion, seen = last.models
     seen = replace(
         seen, range_rate=seen.range_rate * factor**0.5, range_std=seen.range_std * factor**0.5,
@@ -210,7 +210,7 @@ def _check(log: Log) -> None:
         )
 
 
-def _local(log: Log, sensor: SensorModel, rng: np.random.Generator) -> tuple[Unknowns, np.ndarray]:
+def _local(log: Log, sensor: SensorModel) -> tuple[Unknowns, np.ndarray]:
     """The problem of episodes, solved; and the sightings (M,) bool that stand alone in time, or contradict their episode."""
     for pause in PAUSES:
         episodes = _episodes(log, pause)
@@ -220,7 +220,7 @@ def _local(log: Log, sensor: SensorModel, rng: np.random.Generator) -> tuple[Unk
     else:
         # single sightings are normal
         alone = np.zeros(len(log.steps), dtype=bool)
-    local = _fitted(Unknowns(log, episodes, sensor), ROUNDS[0], rng)[0]
+    local = _fitted(Unknowns(log, episodes, sensor), ROUNDS[0])[0]
     doubtful = alone.copy()
     doubtful[np.flatnonzero(local.used)] |= local.linearized().edges[1].squares > CONTRADICTS
     return local, doubtful
@@ -239,12 +239,12 @@ def _episodes(log: Log, pause: float) -> np.ndarray:
     return episodes
 
 
-def _fitted(unknowns: Unknowns, rounds: int, rng: np.random.Generator) -> tuple[Unknowns, dict[str, float]]:
+def _fitted(unknowns: Unknowns, rounds: int) -> tuple[Unknowns, dict[str, float]]:
     """Solve and improve the variances in turn; and the standard errors of the standard deviations, as parts of them."""
     errors = np.zeros(0)
     for k in range(rounds):
         unknowns.iterate(1 if k else 4)
-        gain, errors = improve_variances(unknowns, rng)
+        gain, errors = improve_variances(unknowns)
         unknowns.take_noise()
         if gain < GAIN:
             break

@@ -47,6 +47,8 @@ TYPICAL = {
 }  # fmt: skip
 #: the standard deviation of the logarithm of a variance about its typical value
 SPREAD = 2.5
+#: the most that the logarithm of a variance changes in one step
+LONGEST = 1.5
 #: the variance of a motion in every direction [m², rad²], because A M A' has rank 2
 LEAST_MOTION = 1e-8
 #: motion without noise of its own
@@ -144,6 +146,7 @@ class Unknowns:
             self.parameters = replace(start.parameters, recorded=log)
             self.logarithms = {name: start.logarithms[name] for name in self.centres}
             poses = start.state[: start.poses]
+        self.longest, self.last_change = np.full(len(self.centres), LONGEST), np.zeros(len(self.centres))
         self.state: Array = np.concatenate([poses, self._places(poses, group)])
         self.take_noise()
         self.system = BlockSystem.from_cliques(
@@ -392,6 +395,24 @@ class Linear:
         """The Gauss-Newton step of the nodes (n, 3) and the parameters (K,)."""
         nodes, values = self.solve(self.xi[:, :, None].copy(), self.gradient[:, None])
         return nodes[:, :, 0], values[:, 0]
+
+    def fitted(self, edges: Edges) -> Array:
+        """The covariance (E, d, d) of the residuals of edges that is due to that of the solution.
+
+        With A = (B, J) the Jacobians by nodes and parameters, and X = Omega^-1 times their common blocks, it is
+        B Omega^-1 B' + (J - B X) S^-1 (J - B X)', S the information of the parameters alone.
+        """
+        diagonal, mixed = self.factor.diagonal_covariances(), self.factor.covariances_between(edges.first, edges.second)
+        # the first pose is known
+        diagonal[0], mixed[edges.first == 0] = 0.0, 0.0
+        one, two = edges.by_first, edges.by_second
+        crossed = one @ mixed @ np.swapaxes(two, 1, 2)
+        total = one @ diagonal[edges.first] @ np.swapaxes(one, 1, 2) + two @ diagonal[edges.second] @ np.swapaxes(
+            two, 1, 2
+        )
+        of_parameters = edges.moved(-self.reach, np.eye(len(self.schur)))
+        spread = of_parameters @ np.linalg.cholesky(self.parameter_covariance)
+        return total + crossed + np.swapaxes(crossed, 1, 2) + spread @ np.swapaxes(spread, 1, 2)
 
     def samples(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Errors of nodes (n, 3, count) and parameters (K, count), drawn from the covariance of the solution.

@@ -73,6 +73,10 @@ class DenseStore:
             return _symmetric(block)
         return block.copy() if i < j else block.T.copy()
 
+    def inverse_pairs(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
+        """The blocks (E, 3, 3) between pairs of nodes; ``invert`` has run."""
+        return np.array([self.inverse_block(i, j) for i, j in zip(first, second)]).reshape(-1, 3, 3)
+
     def inverse_blocks(self, nodes: NDArray[np.int64]) -> NDArray[np.float64]:
         """The blocks (k, 3, k, 3) between all pairs of nodes; ``invert`` has run."""
         return np.array([[self.inverse_block(i, j) for j in nodes] for i in nodes]).transpose(0, 2, 1, 3)

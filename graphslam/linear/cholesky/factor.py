@@ -180,6 +180,17 @@ class Factor:
         unit[j] = np.eye(3)
         return self.solve(unit)[i].copy()
 
+    def covariances_between(self, first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.float64]:
+        """The blocks (E, 3, 3) of Omega^-1 in rows ``first`` and columns ``second`` (E,), such as the nodes of edges."""
+        first, second = np.asarray(first, dtype=np.int64), np.asarray(second, dtype=np.int64)
+        self.diagonal_covariances()
+        blocks = self._store.inverse_pairs(first, second)
+        if blocks is None:
+            blocks = np.array([self.covariance(i, j) for i, j in zip(first.tolist(), second.tolist())]).reshape(
+                -1, 3, 3
+            )
+        return blocks
+
     def joint_covariance(self, nodes: NDArray[Any]) -> NDArray[np.float64]:
         """The covariance (3 k, 3 k) of nodes (k,) together: read where the pattern of L has it, else by solves.
 

@@ -91,6 +91,11 @@ class MultifrontalStore:
             return None
         return block.T if turned else block
 
+    def inverse_pairs(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64] | None:
+        """The blocks (E, 3, 3) between pairs of nodes if they lie on the pattern of L; ``invert`` has run."""
+        out = np.empty((first.size, 3, 3))
+        return out if selected_inverse.stored_pairs(first, second, self.layout, self.z, out) else None
+
     def inverse_blocks(self, nodes: NDArray[np.int64]) -> NDArray[np.float64] | None:
         """The blocks (k, 3, k, 3) between all pairs of nodes if they lie on the pattern of L; ``invert`` has run."""
         out = np.empty((nodes.size, 3, nodes.size, 3))

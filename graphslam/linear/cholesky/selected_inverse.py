@@ -192,6 +192,19 @@ def stored_block(i, j, layout, z, block):
 
 
 @njit(cache=True, error_model="numpy")
+def stored_pairs(first, second, layout, z, out):
+    """The blocks (first, second) of pairs of nodes (E,) into ``out`` (E, 3, 3); False where one is outside the pattern of L."""
+    block = np.empty((3, 3))
+    for e in range(first.size):
+        turned = layout.position[first[e]] < layout.position[second[e]]
+        i, j = (second[e], first[e]) if turned else (first[e], second[e])
+        if not stored_block(i, j, layout, z, block):
+            return False
+        out[e] = block.T if turned else block
+    return True
+
+
+@njit(cache=True, error_model="numpy")
 def stored_blocks(nodes, layout, z, out):
     """The blocks between all pairs of nodes (k,) into ``out`` (k, 3, k, 3); False where one is outside the pattern of L."""
     block = np.empty((3, 3))
