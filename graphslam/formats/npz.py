@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import real_array
 from ..errors import FormatError, SlamError, shortened
 from ..files import MOST_BYTES, check_file, write_whole
 from ..log import Log
@@ -66,7 +67,7 @@ def _read(path: Path, options: ReadOptions) -> Log:
             if name in content:
                 if content[name].ndim != 1:
                     raise ValueError(f"{name} must be numbers, one for each field of the model")
-                numbers = iter(content[name].astype(float).tolist())
+                numbers = iter(real_array(content[name]).tolist())
                 # files of earlier versions lack the last fields
                 values: dict[str, Any] = {
                     f.name: (next(numbers, 0.0), next(numbers, 0.0)) if f.name == "offset" else next(numbers, f.default)
@@ -78,7 +79,7 @@ def _read(path: Path, options: ReadOptions) -> Log:
             **{name: content[name] for name in _REQUIRED},
             **{name: content[name] for name in _OPTIONAL if name in content},
             true_landmarks=_true_landmarks(content) if "true_landmark_ids" in content else None,
-            start_time=float(content.get("start_time", 0.0)),
+            start_time=float(real_array(content.get("start_time", 0.0))),
             notes=notes,
             doubts=tuple((str(check), str(message)) for check, message in content.get("doubts", np.empty((0, 2)))),
             simulated=bool(content.get("simulated", False)),

@@ -9,23 +9,27 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fastslam import FastSLAM1
 from graphslam import (
     FormatError,
     Graph,
     Log,
     MotionModel,
+    OnlineSolver,
     OptionError,
     SensorModel,
     SlamError,
     associate,
     calibrate,
     certify,
+    estimate_map,
     load,
     save,
     simulate,
     solve,
 )
 from graphslam.errors import named, quoted
+from graphslam.relative import relative_graph
 from graphslam.tables import TableOptions
 from graphslam.toml_file import TomlFile
 
@@ -132,7 +136,8 @@ def test_table_options_of_wrong_types_are_refused(options: dict[str, Any]) -> No
         ("true_landmark_ids", np.arange(20)), ("true_landmark_ids", np.array(1.0)),
         ("true_landmark_poses", np.zeros((20, 1))),
         ("true_landmark_poses", np.zeros(3)), ("true_landmark_poses", np.array(["x"])), ("sensor", np.zeros(1)),
-        ("sensor", np.array(["x"])), ("motion", np.zeros((2, 2))), ("doubts", np.array(["a"])), ("steps", np.array(["x"])),
+        ("sensor", np.array(["x"])), ("sensor", np.ones(7, dtype=complex)), ("start_time", np.array(1j)),
+        ("motion", np.zeros((2, 2))), ("doubts", np.array(["a"])), ("steps", np.array(["x"])),
     ],
 )  # fmt: skip
 def test_archives_with_odd_or_short_arrays_are_refused(tmp_path: Path, log: Log, name: str, value: np.ndarray) -> None:
@@ -214,7 +219,9 @@ def test_the_line_of_a_key_in_arrays_of_tables(tmp_path: Path) -> None:
 
 
 #: values of types that are right nowhere
-WRONG: list[Any] = [object(), "x", {"a": 1}, 10**400, [[1, 2], [3]], b"x", 1j, lambda: 1, np.zeros((2, 2))]
+WRONG: list[Any] = [
+    object(), "x", {"a": 1}, 10**400, [[1, 2], [3]], b"x", 1j, lambda: 1, np.zeros((2, 2)), np.timedelta64(3, "s"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("value", WRONG, ids=lambda value: type(value).__name__)
@@ -237,6 +244,28 @@ def test_wrong_python_types_are_refused(tmp_path: Path, log: Log, value: Any) ->
         with pytest.raises(SlamError) as raised:
             call()
         assert len(str(raised.value)) < 700
+
+
+@pytest.mark.parametrize("kind", ["complex", "M8[s]", "m8[s]"])
+def test_complex_numbers_and_times_are_no_numbers(log: Log, kind: str) -> None:
+    """NumPy drops imaginary parts with a warning, and counts seconds since 1970 without one."""
+    graph, pose = Graph.from_log(log), np.ones(3).astype(kind)
+    calls = [
+        *(
+            lambda n=n: log.replace(**{n: np.resize(pose, np.shape(getattr(log, n)))})
+            for n in ("dt", "controls", "initial_poses", "sightings", "steps", "landmarks", "true_poses")
+        ),
+        lambda: log.replace(true_landmarks={1: pose}), lambda: SensorModel(offset=pose[:2]),
+        lambda: MotionModel(nn=pose[0]), lambda: OnlineSolver(motion_weight=pose[0]),
+        lambda: certify(graph, np.resize(pose, graph.initial.shape)),
+        lambda: graph.with_initial(np.resize(pose, graph.initial.shape)),
+        lambda: relative_graph(graph, state=np.resize(pose, graph.initial.shape)),
+        lambda: estimate_map(log, log.initial_poses, trust=np.resize(pose, len(log.steps))),
+        lambda: OnlineSolver().step(motion=pose, covariance=np.eye(3)), lambda: FastSLAM1(log).observe([1], [pose[:2]]),
+    ]  # fmt: skip
+    for call in calls:
+        with pytest.raises(SlamError):
+            call()
 
 
 @pytest.mark.parametrize("path", [3, None, b"x", [1], 1.5, object()])
