@@ -355,7 +355,7 @@ class OnlineSolver:
         looks at all edges; where all edges needed second derivatives, it takes the time of `relinearize`.
 
         Raises:
-            GraphError: a pose or landmark is unknown, or the pose is final.
+            GraphError: a pose or landmark is unknown, the pose is final, or the edges do not determine the covariance.
             OptionError: ``landmarks`` is no list of ids.
         """
         pose = self.num_poses - 1 if pose is None else pose

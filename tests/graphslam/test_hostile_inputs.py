@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import time
+from copy import copy
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import graphslam.incremental.system
 from fastslam import FastSLAM1
 from graphslam import (
     FormatError,
     Graph,
+    GraphError,
     Log,
     MotionModel,
     OnlineSolver,
@@ -247,6 +250,54 @@ def test_wrong_python_types_are_refused(tmp_path: Path, log: Log, value: Any) ->
         with pytest.raises(SlamError) as raised:
             call()
         assert len(str(raised.value)) < 700
+
+
+@pytest.mark.parametrize("lag", [None, 4])
+def test_an_online_solver_goes_on_where_no_factor_exists(monkeypatch: pytest.MonkeyPatch, lag: int | None) -> None:
+    """Steps after one where nothing could be eliminated once wrote beside the arrays of the tree."""
+    system, rng = graphslam.incremental.system.OnlineSystem, np.random.default_rng(0)
+    solver, eliminate = OnlineSolver(lag=lag), system._eliminate
+
+    def step() -> None:
+        control = [0.5, 0.2] + 0.01 * rng.standard_normal(2)
+        solver.step(control, 1.0, ids=[1, 2], sightings=[[3.0, 0.1], [4.0, -0.5]] + 0.01 * rng.standard_normal((2, 2)))
+
+    for _ in range(6):
+        step()
+    monkeypatch.setattr(system, "_eliminate", lambda *_: False)
+    with monkeypatch.context() as patch:
+        patch.setattr("graphslam.incremental.system.refactor", lambda *_: False)
+        solver.relinearize()
+    assert not solver.converged
+    with pytest.raises(GraphError, match="do not determine"):
+        solver.covariance()
+    before = solver.poses
+    with pytest.raises(GraphError):
+        step()
+    monkeypatch.setattr(system, "_eliminate", eliminate)
+    np.testing.assert_array_equal(solver.poses, before)
+    for _ in range(6):
+        step()
+    found = copy(solver)
+    found.relinearize()
+    # an increment of the state costs less than 1e-7 of J, and sightings are known to some centimetres
+    np.testing.assert_allclose(solver.poses, found.poses, atol=2e-3)
+    assert solver.converged and np.linalg.eigvalsh(solver.covariance()).min() > 0
+
+
+def test_a_covariance_beyond_double_precision_is_refused() -> None:
+    """A motion of 1e8 m, known to 3e-6 m, which the sightings contradict by as much; the answer was NaN."""
+    solver = OnlineSolver()
+    z = np.full((2, 3), 0.5)
+    for _ in range(2):
+        solver.step((0.5, 0.1), 1.0, ids=[1, 2], sightings=z)
+        solver.step(motion=[1e8, 0.0, 1e8], covariance=1e-11 * np.eye(3), ids=[1, 2], sightings=z)
+    try:
+        assert np.isfinite(solver.covariance()).all()
+    except GraphError as error:
+        assert "do not determine" in str(error)
+    solver.step((0.5, 0.1), 1.0)
+    assert np.isfinite(solver.poses).all()
 
 
 @pytest.mark.parametrize("kind", ["complex", "M8[s]", "m8[s]"])
