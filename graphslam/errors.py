@@ -31,6 +31,11 @@ def reason_of(error: Exception) -> str:
     return str(error) if isinstance(error, SlamError) else shortened(" ".join(str(error).split()))
 
 
+def decimals(value: float, digits: int = 3) -> str:
+    """A number with so many decimals, or with an exponent where it would have more than 15 digits before them."""
+    return f"{value:.{digits}f}" if abs(value) < 1e15 else f"{value:g}"
+
+
 def quoted(value: object, most: int = QUOTED) -> str:
     """How messages repeat what the user gave: its ``repr``, of at most ``most`` characters.
 
