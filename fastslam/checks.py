@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from graphslam.checks import real_array
 from graphslam.errors import OptionError, quoted
 from graphslam.se2 import Array, wrap
 
@@ -26,8 +27,8 @@ def whole(name: str, value: Any, expected: str = "a whole number") -> int:
 def finite(name: str, value: Any, expected: str, shapes: Sequence[tuple[int, ...]]) -> Array:
     """Return a new array of finite numbers with one of the shapes."""
     try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+        array = real_array(value).copy()
+    except (TypeError, ValueError, OverflowError):
         array = np.array(np.nan)
     if array.shape not in shapes or not np.all(np.isfinite(array)):
         raise OptionError(f"{name} must be {expected}, not {quoted(value)}")
@@ -45,13 +46,13 @@ def index(name: str, value: Any, count: int) -> int:
 def measurements(ids: Any, sightings: ArrayLike) -> tuple[np.ndarray, Array]:
     """Return ids (k,) and sightings (k, 2 or 3) as arrays, angles wrapped; ids None stands for k unknown ids."""
     try:
-        z = np.array(sightings, dtype=float)
+        z = real_array(sightings).copy()
         numbers = np.zeros(len(z), dtype=np.int64) if ids is None else np.asarray(ids)
         if numbers.size == 0 and z.size == 0:
             return numbers, np.empty((0, 2))
         if z.ndim != 2 or z.shape[1] not in (2, 3) or numbers.shape != (len(z),):
             raise ValueError
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         expected = "whole numbers (k,) and sightings (k, 2) or (k, 3)"
         raise OptionError(f"observe takes {expected}, not {quoted(ids)} and {quoted(sightings)}") from None
     if numbers.dtype.kind not in "iu":

@@ -44,10 +44,15 @@ def check_choice(name: str, value: str, allowed: Collection[str]) -> None:
         raise OptionError(f"{name} must be one of {', '.join(allowed)}, not {quoted(value)}")
 
 
+def _is_real(value: object) -> bool:
+    """Whether a value is a real number; NumPy's time spans count themselves among the whole numbers."""
+    return isinstance(value, Real) and not isinstance(value, np.timedelta64)
+
+
 def check_positive(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is a positive finite number."""
     for name, value in values.items():
-        if not isinstance(value, Real) or not 0 < value <= sys.float_info.max:
+        if not _is_real(value) or not 0 < value <= sys.float_info.max:
             raise OptionError(f"{name} must be a positive number, not {quoted(value)}")
 
 
@@ -55,7 +60,7 @@ def check_real(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is a number, which may be infinite or NaN."""
     for name, value in values.items():
         try:
-            known = isinstance(value, Real) and isinstance(float(value), float)
+            known = _is_real(value) and isinstance(float(value), float)
         except OverflowError:  # a whole number beyond 1e308
             known = False
         if not known:
@@ -65,7 +70,7 @@ def check_real(**values: float) -> None:
 def check_number(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is a finite number."""
     for name, value in values.items():
-        if not isinstance(value, Real) or isinstance(value, bool) or not abs(value) <= sys.float_info.max:
+        if not _is_real(value) or isinstance(value, bool) or not abs(value) <= sys.float_info.max:
             raise OptionError(f"{name} must be a finite number, not {quoted(value)}")
 
 
@@ -80,7 +85,7 @@ def check_not_negative(**values: float) -> None:
 def check_count(**values: int) -> None:
     """Raise `OptionError` unless every keyword's value is a whole number, 0 or above."""
     for name, value in values.items():
-        if not isinstance(value, Integral) or isinstance(value, bool):
+        if not isinstance(value, Integral) or not _is_real(value) or isinstance(value, bool):
             raise OptionError(f"{name} must be a whole number, not {quoted(value)}")
         if value < 0:
             raise OptionError(f"{name} must not be negative, but is {quoted(value)}")
@@ -93,7 +98,7 @@ def checked_offset(name: str, value: Any) -> tuple[float, float]:
         OptionError: it is neither, or not finite.
     """
     try:
-        offset = np.asarray(value, dtype=float)
+        offset = real_array(value)
     except (TypeError, ValueError, OverflowError):
         offset = np.empty(0)
     if offset.size == 1:
@@ -103,6 +108,18 @@ def checked_offset(name: str, value: Any) -> tuple[float, float]:
     return float(offset[0]), float(offset[1])
 
 
+def real_array(value: Any) -> np.ndarray:
+    """A value as an array of floating-point numbers; NumPy alone would also turn complex numbers and times into such.
+
+    Raises:
+        TypeError, ValueError, OverflowError: it is none.
+    """
+    array = np.asarray(value)
+    if array.dtype.kind in "cmM":
+        raise TypeError(f"numbers of the type {array.dtype} are not real")
+    return np.asarray(value, dtype=float)
+
+
 def array_of(name: str, value: Any) -> np.ndarray:
     """A value as an array of floating-point numbers of any shape.
 
@@ -110,7 +127,7 @@ def array_of(name: str, value: Any) -> np.ndarray:
         OptionError: it is none.
     """
     try:
-        return np.asarray(value, dtype=float)
+        return real_array(value)
     except (TypeError, ValueError, OverflowError):
         raise OptionError(f"{name} must be an array of numbers, not {quoted(value)}") from None
 

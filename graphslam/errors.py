@@ -26,6 +26,16 @@ def shortened(text: str, most: int = QUOTED) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
+def reason_of(error: Exception) -> str:
+    """What an error says. Messages of other packages may repeat a whole input, and are shortened."""
+    return str(error) if isinstance(error, SlamError) else shortened(" ".join(str(error).split()))
+
+
+def decimals(value: float, digits: int = 3) -> str:
+    """A number with so many decimals, or with an exponent where it would have more than 15 digits before them."""
+    return f"{value:.{digits}f}" if abs(value) < 1e15 else f"{value:g}"
+
+
 def quoted(value: object, most: int = QUOTED) -> str:
     """How messages repeat what the user gave: its ``repr``, of at most ``most`` characters.
 

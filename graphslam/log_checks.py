@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import array_of, first
+from .checks import array_of, first, real_array
 from .errors import LogError, OptionError, quoted, shortened
 from .se2 import Array
 
@@ -82,7 +82,7 @@ def _landmark(id: int, value: ArrayLike) -> Array:
 def finite_floats(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
     """A copy of an array of finite numbers of a shape, in which None stands for any length."""
     try:
-        array = np.array(value, dtype=float)
+        array = real_array(value).copy()
     except (TypeError, ValueError, OverflowError) as error:
         raise LogError(f"{name} must be an array of numbers: {shortened(str(error))}") from None
     if array.ndim != len(shape) or any(want is not None and want != have for want, have in zip(shape, array.shape)):
@@ -106,6 +106,8 @@ def whole_numbers(name: str, value: ArrayLike, length: int, wanted: str = "whole
         raise LogError(f"{name} must have one entry per sighting, shape ({length},), not {array.shape}")
     try:
         with np.errstate(invalid="ignore"):
+            if array.dtype.kind in "cmM":
+                raise TypeError
             whole = array.astype(np.int64)
     except (TypeError, ValueError, OverflowError):  # of a word, or None
         raise LogError(f"{name} must be {wanted}, not such as {quoted(array[0])}") from None

@@ -65,7 +65,7 @@ def estimate_map(
     trajectory = array_of("poses", getattr(poses, "poses", poses))
     if trajectory.shape != (log.num_poses, 3):
         raise OptionError(f"poses must have shape ({log.num_poses}, 3) for this log, not {trajectory.shape}")
-    trusted = np.ones(len(log.steps)) if trust is None else np.nan_to_num(np.asarray(trust, dtype=float), nan=1.0)
+    trusted = np.ones(len(log.steps)) if trust is None else np.nan_to_num(array_of("trust", trust), nan=1.0)
     if trusted.shape != log.steps.shape or np.any((trusted < 0) | (trusted > 1)):
         raise OptionError(f"trust must be {len(log.steps)} numbers from 0 to 1, one for each sighting of this log")
     known = np.flatnonzero(log.landmarks != UNIDENTIFIED)

@@ -21,6 +21,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from .checks import array_of
 from .edges import (
     AnchorEdges,
     CartesianObservationEdges,
@@ -53,7 +54,7 @@ def relative_graph(graph: Graph, *, state: Array | None = None) -> Graph:
     Raises:
         GraphError: the edges measure no relative pose: virtual-motion edges without psi, or ``weight="marginal"``.
     """
-    initial = graph.initial if state is None else np.array(state, dtype=float)
+    initial = graph.initial if state is None else array_of("state", state).copy()
     families = tuple(_relative(family, initial) for family in graph.families)
     if graph.log is None or graph.landmark_dimension == 2:
         return replace(graph, initial=initial, families=families, log=None, sensor=None, notes=())

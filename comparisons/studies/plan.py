@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from graphslam import FormatError, OptionError
-from graphslam.errors import printable, quoted, shortened
+from graphslam.errors import printable, quoted, reason_of, shortened
 
 from ..estimators import ESTIMATORS, default_estimators
 from ..noise_files import read_noise
@@ -209,7 +209,7 @@ def _check_world(file: TomlFile, settings: Mapping[str, Any], where: str) -> Non
     except OptionError as error:
         raise file.error(f"{where}.{str(error).split()[0]}", f"{where}: {error}") from None
     except (TypeError, ValueError) as error:
-        raise file.error(where, f"{where}: these settings make no world: {error}") from None
+        raise file.error(where, f"{where}: these settings make no world: {reason_of(error)}") from None
 
 
 def _methods(file: TomlFile, names: tuple[str, ...]) -> Iterator[tuple[str, str, dict[str, Any]]]:

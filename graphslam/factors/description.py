@@ -20,7 +20,7 @@ import gtsam
 import numpy as np
 
 from ..edges.robust import KERNELS
-from ..errors import FactorError, FormatError, OptionError, quoted
+from ..errors import FactorError, FormatError, OptionError, quoted, reason_of
 from ..files import write_whole
 from ..models import MotionModel, SensorModel
 
@@ -189,7 +189,7 @@ def load_factors(path: str | Path, functions: Functions | None = None) -> gtsam.
         if serialized is not None:
             natives.deserialize(serialized)
     except (RuntimeError, TypeError) as error:
-        raise FormatError(path, None, f"GTSAM cannot read its own factors: {error}") from None
+        raise FormatError(path, None, f"GTSAM cannot read its own factors: {reason_of(error)}") from None
     for number, each in described:
         name = f"factor {number}"
         try:
@@ -198,14 +198,14 @@ def load_factors(path: str | Path, functions: Functions | None = None) -> gtsam.
             elif isinstance(each, dict) and "gtsam" in each:
                 place = each["gtsam"]
                 if not isinstance(place, int) or not 0 <= place < natives.size():
-                    raise ValueError(f"there is no factor {place!r} among GTSAM's own")
+                    raise ValueError(f"there is no factor {quoted(place)} among GTSAM's own")
                 graph.add(natives.at(place))
             else:
                 description = FactorDescription.from_dict(each, functions)
                 name += f", {description}"
                 graph.add(description.build())
         except (OptionError, TypeError, ValueError, AttributeError) as error:
-            raise FormatError(path, None, f"{name}: {error}") from None
+            raise FormatError(path, None, f"{name}: {reason_of(error)}") from None
     return graph
 
 
@@ -214,7 +214,7 @@ def _serialized(graph: gtsam.NonlinearFactorGraph, name: str = "the graph") -> s
     try:
         return str(graph.serialize())
     except RuntimeError as error:
-        raise OptionError(f"{name} cannot be saved: GTSAM does not serialise it ({error})") from None
+        raise OptionError(f"{name} cannot be saved: GTSAM does not serialise it ({reason_of(error)})") from None
 
 
 def _plain(kind: str, name: str, value: Any, functions: Functions | None) -> Any:

@@ -44,7 +44,7 @@ def variables(data: bytes, *, names_only: bool = False) -> dict[str, np.ndarray]
     try:
         return dict(_variable(body, order, names_only) for body in _matrices(data[HEADER:], order))
     except (struct.error, zlib.error, IndexError, KeyError, OverflowError, RecursionError, UnicodeDecodeError) as error:
-        raise ValueError(f"the data are damaged: {error!r}") from None
+        raise ValueError(f"the data are damaged: {quoted(error)}") from None
 
 
 def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
@@ -93,7 +93,7 @@ def _variable(body: bytes, order: str, names_only: bool = False) -> tuple[str, n
         return name, np.empty(0, dtype=object)
     count = math.prod(sizes)
     if min(sizes, default=-1) < 0 or len(sizes) < 2:
-        raise ValueError(f"the shape of {quoted(name)} is impossible: {sizes}")
+        raise ValueError(f"the shape of {quoted(name)} is impossible: {quoted(sizes)}")
     if kind == CELL:
         cells = np.empty(len(values := [_variable(body, order)[1] for _, body in parts]), dtype=object)
         cells[:] = values

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import first
-from ..errors import FormatError, OptionError
+from ..errors import FormatError, OptionError, quoted
 from ..log import Log
 from ..reading import Fault, ReadOptions, range_faults
 from ..se2 import Array
@@ -62,7 +62,7 @@ def _robot(folder: Path, robot: int | None) -> int:
     if robot is None and len(there) > 1:
         raise OptionError(f"{folder} has robots {names}: say which (robot=N, or --robot N)")
     if robot is not None and there and robot not in there:
-        raise OptionError(f"{folder} has no files of robot {robot}; its robots are {names}")
+        raise OptionError(f"{folder} has no files of robot {quoted(robot)}; its robots are {names}")
     return robot if robot is not None else (there or [1])[0]
 
 

@@ -20,7 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, SlamError, shortened
+from ..checks import real_array
+from ..errors import FormatError, OptionError, SlamError, reason_of, shortened
 from ..files import MOST_BYTES, check_file, write_whole
 from ..log import Log
 from ..models import MotionModel, SensorModel
@@ -65,8 +66,8 @@ def _read(path: Path, options: ReadOptions) -> Log:
         for name, model in _MODELS.items():
             if name in content:
                 if content[name].ndim != 1:
-                    raise ValueError(f"{name} must be numbers, one for each field of the model")
-                numbers = iter(content[name].astype(float).tolist())
+                    raise OptionError(f"{name} must be numbers, one for each field of the model")
+                numbers = iter(real_array(content[name]).tolist())
                 # files of earlier versions lack the last fields
                 values: dict[str, Any] = {
                     f.name: (next(numbers, 0.0), next(numbers, 0.0)) if f.name == "offset" else next(numbers, f.default)
@@ -78,14 +79,14 @@ def _read(path: Path, options: ReadOptions) -> Log:
             **{name: content[name] for name in _REQUIRED},
             **{name: content[name] for name in _OPTIONAL if name in content},
             true_landmarks=_true_landmarks(content) if "true_landmark_ids" in content else None,
-            start_time=float(content.get("start_time", 0.0)),
+            start_time=float(real_array(content.get("start_time", 0.0))),
             notes=notes,
             doubts=tuple((str(check), str(message)) for check, message in content.get("doubts", np.empty((0, 2)))),
             simulated=bool(content.get("simulated", False)),
             name=path.stem,
         )
     except (SlamError, TypeError, ValueError) as error:
-        raise FormatError(path, None, str(error)) from None
+        raise FormatError(path, None, reason_of(error)) from None
 
 
 def _left_out(content: dict[str, np.ndarray], path: Path, strict: bool) -> tuple[str, ...]:
@@ -110,11 +111,11 @@ def _true_landmarks(content: Mapping[str, np.ndarray]) -> dict[int, Array]:
     """The true map, {id: (x, y) or (x, y, heading)}.
 
     Raises:
-        ValueError: there is not one row of three numbers for each id.
+        OptionError: there is not one row of three numbers for each id.
     """
     ids, poses = content["true_landmark_ids"], content.get("true_landmark_poses", np.empty(0))
     if ids.dtype.kind not in "iu" or ids.ndim != 1 or poses.shape != (len(ids), 3) or poses.dtype.kind not in "iuf":
-        raise ValueError(
+        raise OptionError(
             f"true_landmark_ids must be whole numbers (L,) and true_landmark_poses numbers (L, 3), but their shapes are "
             f"{ids.shape} and {poses.shape}"
         )

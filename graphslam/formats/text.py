@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..checks import first
-from ..errors import FormatError, quoted, shortened
+from ..errors import FormatError, decimals, quoted, shortened
 from ..files import read_text
 from ..reading import Fault, finite_fault, sound_rows
 from ..se2 import Array
@@ -94,7 +94,9 @@ def read_columns(
         rows, numbers = rows[kept], numbers[kept]
     if times and (k := first(disorder(rows[:, 0]) > MOST_DISORDER)) is not None:
         before = rows[:k, 0].max()
-        message = f"time runs backwards: {rows[k, 0]:.3f} s comes after {before:.3f} s; sort the lines by time"
+        message = (
+            f"time runs backwards: {decimals(rows[k, 0])} s comes after {decimals(before)} s; sort the lines by time"
+        )
         raise FormatError(path, line_of(path, int(numbers[k])), message)
     return rows
 

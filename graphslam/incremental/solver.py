@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_count, check_positive, check_type
+from ..checks import check_count, check_positive, check_type, real_array
 from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError, quoted
@@ -355,7 +355,7 @@ class OnlineSolver:
         looks at all edges; where all edges needed second derivatives, it takes the time of `relinearize`.
 
         Raises:
-            GraphError: a pose or landmark is unknown, or the pose is final.
+            GraphError: a pose or landmark is unknown, the pose is final, or the edges do not determine the covariance.
             OptionError: ``landmarks`` is no list of ids.
         """
         pose = self.num_poses - 1 if pose is None else pose
@@ -387,7 +387,7 @@ def _packed(information: Array) -> Array:
 def _array(value: ArrayLike) -> Array | None:
     """A value as an array of numbers, None if it is none."""
     try:
-        return np.array(value, dtype=float)
+        return real_array(value).copy()
     except (TypeError, ValueError, OverflowError):
         return None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -67,6 +68,8 @@ class OnlineSystem:
         self.passes, self.converged = 0, True
         #: whether nothing has changed since a covariance was asked for
         self._known = False
+        #: whether the tree is empty, because not all nodes could be eliminated where they are
+        self._lost = False
 
     def use_kernel(self, kernel: Kernel | None, dimension: int) -> None:
         """The robust kernel of sightings, and the dimension of their residuals."""
@@ -174,6 +177,8 @@ class OnlineSystem:
         """
         if self.num_nodes > GROWTH * self._whole + 50:
             self._whole, touched = self.num_nodes, self._all_nodes()
+        if self._lost:
+            touched, fresh = self._all_nodes(), self._all_edges()
         touched, fresh, newest = (np.asarray(part, dtype=np.int32) for part in (touched, fresh, newest))
         self.passes, before = 0, self.nodes["d"][touched]
         if not self._eliminate(touched, fresh, newest):
@@ -181,6 +186,7 @@ class OnlineSystem:
             every = self._all_nodes()
             if len(touched) == len(every) or not self._eliminate(every, fresh, newest):
                 raise GraphError("a node is not determined")
+        self._lost = False
         self.tree.counts[STEP] += 1
         self.converged = self._iterate(newest, fresh, touched, before)
         if not self.converged:
@@ -195,49 +201,61 @@ class OnlineSystem:
                     self.nodes, self.edges, self._all_nodes(), self._all_edges(), self._priors, self._kernel
                 )
             start = before if start is None else start
-            self._begin_at(start, newest)
-            self.converged = self._iterate(newest)
+            self.converged = self._begin_at(start, newest) and self._iterate(newest)
             if not self.converged:
                 self._begin_at(start, newest)
 
     def relinearize(self, newest: Any) -> None:
         """Linearise all edges where they are now and factorise again, in the order of the tree, and solve."""
+        newest = np.asarray(newest, dtype=np.int32)
         self._factorize_again(newest)
-        self.converged = self._iterate(np.asarray(newest, dtype=np.int32))
+        self.converged = not self._lost and self._iterate(newest)
+        if not self.converged:
+            self._begin_at(self.nodes["x"][: self.num_nodes].copy(), newest)
 
-    def _factorize_again(self, newest: Any) -> None:
-        """The factor of Gauss-Newton at the estimate, without second derivatives."""
+    def _factorize_again(self, newest: Any) -> bool:
+        """The factor of Gauss-Newton at the estimate, without second derivatives; returns whether there is one."""
         self.complete()
+        x, newest = self.nodes["x"][: self.num_nodes].copy(), np.asarray(newest, dtype=np.int32)
         self._memory[[CURVED_FROM, WORK]] = np.inf
         room, every = self._room(), self._all_edges()
-        if not refactor(every, len(every), self.nodes, self.edges, self.tree, self._robust, self._memory, room[0]):
-            self._eliminate(self._all_nodes(), NONE, np.asarray(newest, dtype=np.int32))
+        good = not self._lost and (
+            refactor(every, len(every), self.nodes, self.edges, self.tree, self._robust, self._memory, room[0])
+            or self._eliminate(self._all_nodes(), NONE, newest)
+        )
+        good = good or self._begin_at(x, newest)
         self._memory[CURVED_FROM] = CURVED
+        if not good:
+            # second derivatives may make it definite, so that steps can go on
+            self._begin_at(x, newest)
+        return bool(good)
 
-    def _linearize_late(self, newest: Any) -> None:
+    def _linearize_late(self, newest: Any) -> bool:
         """Put edges into the factor as Gauss-Newton has them, where covariances would be wrong otherwise.
 
         Second derivatives only help passes to converge: they are no information that the graph has, or take some away.
+        Returns whether the factor exists.
         """
-        if self._memory[CURVED_FROM] == 0.0:
-            self._factorize_again(newest)
+        if (self._lost or self._memory[CURVED_FROM] == 0.0) and not self._factorize_again(newest):
+            return False
         if self._known:
-            return
+            return True
         self._known = True
         late = not_gauss_newton(self.nodes, self.edges, self.num_edges, *self._robust[:2], KNOWN)
         if len(late) == 0:
-            return
+            return True
         curved = self._memory[CURVED_FROM]
         self._memory[CURVED_FROM] = np.inf
         good = refactor(late, len(late), self.nodes, self.edges, self.tree, self._robust, self._memory, self._room()[0])
         self._memory[CURVED_FROM] = curved
-        if not good:
-            self._factorize_again(newest)
+        self._known = bool(good) or self._factorize_again(newest)
+        return self._known
 
-    def _begin_at(self, x: Array, newest: np.ndarray) -> None:
-        """Build the tree anew with all nodes at x (n, 3)."""
+    def _begin_at(self, x: Array, newest: np.ndarray) -> bool:
+        """Build the tree anew with all nodes at x (n, 3); returns whether they are determined. It is empty otherwise."""
         self._restart(x)
-        self._eliminate(self._all_nodes(), self._all_edges(), newest)
+        self._lost = not self._eliminate(self._all_nodes(), self._all_edges(), newest)
+        return not self._lost
 
     def _all_nodes(self) -> np.ndarray:
         """The nodes that are not marginalised."""
@@ -266,7 +284,7 @@ class OnlineSystem:
         self._priors = [prior for prior in self._priors if prior not in mine]
         self._add_prior(members[1:], *without_first(information, rhs))
         newest = np.asarray(newest, dtype=np.int32)
-        if not self._eliminate(members[1:], NONE, newest, removed):
+        if self._lost or not self._eliminate(members[1:], NONE, newest, removed):
             self.complete()
             self._begin_at(nodes["x"][: self.num_nodes].copy(), newest)
         return np.asarray(value)
@@ -364,10 +382,17 @@ class OnlineSystem:
         return float(total_cost(self.nodes, self.edges, self.num_edges, *self._robust[:2]))
 
     def covariance(self, members: list[int], newest: Any) -> Array:
-        """The joint covariance (3k, 3k) of k nodes, in world axes."""
-        self._linearize_late(newest)
+        """The joint covariance (3k, 3k) of k nodes, in world axes.
+
+        Raises:
+            GraphError: the information is singular to double precision.
+        """
+        # making the factor of Gauss-Newton may fail where steps have not converged, and would cost the one that there is
+        system = self if self.converged else deepcopy(self)
+        if not system._linearize_late(newest):
+            raise GraphError("there is no covariance: the edges do not determine all nodes to double precision")
         # the axes of the members are those of the solution
-        self.values(members)
-        room = self._room()[0]
-        self.tree = with_room(self.tree, 0, len(room), 0)
-        return np.asarray(marginals(np.array(members, dtype=np.int32), self.nodes, self.tree, room))
+        system.values(members)
+        room = system._room()[0]
+        system.tree = with_room(system.tree, 0, len(room), 0)
+        return np.asarray(marginals(np.array(members, dtype=np.int32), system.nodes, system.tree, room))

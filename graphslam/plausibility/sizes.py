@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..errors import decimals
 from ..log import Log
 from ..se2 import Array
 from .finding import Finding
@@ -19,13 +20,13 @@ ENOUGH, REPEATED, BEYOND = 20, 3, 1.2
 def sizes(log: Log) -> Iterator[Finding]:
     """Ranges, speeds, turn rates and times that no robot has."""
     if len(log.sightings) and (far := float(np.median(log.sightings[:, 0]))) > FARTHEST:
-        yield Finding("range unit", f"half of the ranges are above {far:.0f} m; they may be in millimetres")
+        yield Finding("range unit", f"half of the ranges are above {decimals(far, 0)} m; they may be in millimetres")
     yield from nothing_measured(log.sightings[:, 0])
     if log.controls is None or log.dt is None or len(log.controls) == 0:
         return
     speed, turn = np.quantile(np.abs(log.controls), 0.95, axis=0)
     if speed > FASTEST:
-        yield Finding("speed unit", f"the speed reaches {speed:.0f} m/s; it may be in mm/s")
+        yield Finding("speed unit", f"the speed reaches {decimals(speed, 0)} m/s; it may be in mm/s")
     within = float(np.median(np.abs(log.controls[:, 1]) * log.dt))
     if turn > QUICKEST or within > np.pi:
         yield Finding("turn rate unit", f"the turn rate reaches {turn:.1f} rad/s; it may be in degrees per second")

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..errors import decimals
 from ..log import Log
 from ..se2 import Array, between, wrap
 from .finding import Finding
@@ -33,7 +34,8 @@ def against_truth(log: Log) -> Iterator[Finding]:
     if max(ours, theirs) > 1 and not 0.5 * theirs < ours < 2 * theirs:
         yield Finding(
             "truth scale",
-            f"the odometry drives {ours:.1f} m where the truth moves {theirs:.1f} m; one may be in another unit",
+            f"the odometry drives {decimals(ours, 1)} m where the truth moves {decimals(theirs, 1)} m; one may be in another "
+            "unit",
         )
     mirrored = _is_mirrored(path, truth, np.flatnonzero(placed))
     headed = steps[np.isfinite(truth[steps, 2]) & np.isfinite(truth[steps + 1, 2])]

@@ -3,7 +3,8 @@
 Graphs with a robust kernel have many more minima. Two further starts come first there: the optimum of the plain graph,
 without its kernel, and the end of a sequence of kernels that become narrower, from the plain optimum on (graduated
 non-convexity: Blake and Zisserman, *Visual reconstruction*, 1987). As rho(u) <= u, a kernel's J above that of the plain
-optimum proves a wrong minimum; such an end is never returned.
+optimum proves a wrong minimum. An end above the plain state that was tried is never returned; a lower plain minimum may exist
+where that state is not proven.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ PROVABLE, FURTHER = 1000, 2
 #: ends whose costs differ by less than this part are one minimum
 SAME = 1e-6
 #: the search after the first end takes at most so many steps for each step that led to that, ...
-MULTIPLE, SHORT = 10, 1e6
+MULTIPLE = 10
 #: ... or this number divided by the number of nodes, if that is more: some three seconds
 SHORT = 1_000_000
 #: the names of the two starts of graphs with a kernel: the plain optimum, and the sequence of kernels from there on, ...

@@ -34,7 +34,8 @@ class AndersonMixing:
 
     def next(self, x: Array, f: Array) -> Array:
         """The next iterate, from x and f = g(x) - x (same shape)."""
-        rms = float(np.sqrt(np.mean(f * f)))
+        with np.errstate(over="ignore"):  # an infinite mean is far from linear, too
+            rms = float(np.sqrt(np.mean(f * f)))
         if rms > self.begin_below or (self._f and rms > 2 * float(np.sqrt(np.mean(self._f[-1] ** 2)))):
             self._x, self._f = [], []
             return x + f

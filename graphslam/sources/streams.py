@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import first
-from ..errors import LogError, OptionError
+from ..errors import LogError, OptionError, decimals
 from ..models import MotionModel
 from ..reading import MOST_POSES, ReadOptions
 from ..se2 import Array, interpolate, mounted
@@ -87,7 +87,7 @@ def parts_of_streams(
     before, after = times[0] - odometry.times[0], odometry.times[-1] - times[-1]
     if before + after > UNUSED * (odometry.times[-1] - odometry.times[0]):
         ends = ((before, "before the first sighting"), (after, "after the last sighting"))
-        unseen = " and ".join(f"{lasting:.1f} s {where}" for lasting, where in ends if lasting > 0)
+        unseen = " and ".join(f"{decimals(lasting, 1)} s {where}" for lasting, where in ends if lasting > 0)
         remarks.append(f"the odometry of {unseen} is left out: poses are where something was seen")
     true_poses = None if truth is None else truth_at(times, truth)
     if truth is not None and true_poses is not None:
@@ -246,8 +246,8 @@ def gap_note(gaps: list[float]) -> str:
 
 def _lengths(gaps: list[float]) -> str:
     if len(gaps) == 1:
-        return f"1 gap of {gaps[0]:.1f} s in the odometry"
-    return f"{len(gaps)} gaps of {min(gaps):.1f} to {max(gaps):.1f} s in the odometry"
+        return f"1 gap of {decimals(gaps[0], 1)} s in the odometry"
+    return f"{len(gaps)} gaps of {decimals(min(gaps), 1)} to {decimals(max(gaps), 1)} s in the odometry"
 
 
 def truth_at(times: Array, truth: Stream) -> Array:

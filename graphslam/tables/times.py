@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from ..errors import LogError, quoted
+from ..errors import LogError, decimals, quoted, shortened
 from ..reading import Fault
 from .table import Table
 
@@ -95,7 +95,8 @@ def time_faults(values: np.ndarray, title: str, unit: str | None, stray: float =
         Fault(~finite, "no time", lambda k: f"{title} is {values[k]}; every row needs a time"),
         Fault(
             alone, "a time that is far from those of the rows before and after",
-            lambda k: f"{title} is {values[k]:.3f}, far from those of the rows before and after it; repair or remove the row",
+            lambda k: f"{title} is {decimals(values[k])}, far from those of the rows before and after it; "
+            "repair or remove the row",
         ),
     ]  # fmt: skip
 
@@ -129,7 +130,7 @@ def _of_dates(table: Table, column: int) -> np.ndarray | None:
 
 def _beyond(table: Table, row: int, column: int) -> LogError:
     """The error of a time that does not fit."""
-    word = str(table.words(column)[row])
+    word = shortened(str(table.words(column)[row]))
     return table.error(
         row,
         f"the time {table.title(column)} is {word}, but times are whole nanoseconds in 64 bits, from 1678 to 2262: is its "

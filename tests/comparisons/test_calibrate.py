@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
 from comparisons.cli import app
+from comparisons.cli.run import _noise_advice
 from comparisons.config import read_config
 from comparisons.noise_files import read_noise, write_noise
 from comparisons.options import NoiseOptions, RunOptions
@@ -233,6 +236,17 @@ def test_better_noise_is_offered_where_that_of_the_book_does_not_fit(invoke: Inv
     assert "Noise of this robot: slam-compare calibrate calibrate.npz --out noise.toml" in outputs[calibrate_it]
     assert "Noise of this robot: slam-compare run auto.npz --noise auto" in outputs[auto]
     assert "With noise estimated from this log: slam-compare run trees.npz --noise auto" in outputs[trees]
+
+
+def test_the_command_for_the_noise_names_the_robot_of_a_data_set() -> None:
+    """Without it, `calibrate` ends in "has robots 1, 2, 3: say which"."""
+    log = simulate(seed=2, steps=10, clean=True)
+    outcome: Any = SimpleNamespace(log=log, noise_ratio=(1.0, 0.01), findings=(), noise_source={"motion": "book"})
+    advice = _noise_advice(outcome, Path("mrclam6"), RunOptions.of(robot=3, keep_every=0.5, particles=7))
+    assert advice is not None and advice.startswith(
+        "Noise of this robot: slam-compare calibrate mrclam6 --out noise.toml"
+    )
+    assert "--robot 3" in advice and "--keep-every 0.5" in advice and "particles" not in advice
 
 
 def test_a_failed_check_leads_to_the_truth_of_others(invoke: Invoke, tmp_path: Path) -> None:

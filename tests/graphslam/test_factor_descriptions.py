@@ -204,6 +204,10 @@ def test_what_cannot_be_saved_or_loaded_says_why(tmp_path):
     path.write_text(json.dumps(data | {"factors": [{"gtsam": 7}]}))
     with pytest.raises(FormatError, match="factor 0: there is no factor 7"):
         load_factors(path, functions)
+    path.write_text(json.dumps(data | {"factors": [{"gtsam": "x" * 100_000}]}))
+    with pytest.raises(FormatError, match="there is no factor") as raised:
+        load_factors(path, functions)
+    assert len(str(raised.value)) < 200 + len(str(path))
 
 
 def test_prints_name_the_factor_types(capfd):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from graphslam import Graph, GraphError, Log, OptionError, load, simulate
+from graphslam import Graph, GraphError, Log, OptionError, load, simulate, solve
 
 
 def log_of(sightings, poses=4, psi=True, controls=True):
@@ -135,3 +135,18 @@ def test_a_weight_without_effect_is_a_note():
     graph = Graph.from_log(log, edges="landmark+motion", weight="marginal", kernel="none")
     assert any("'marginal' has no effect" in note for note in graph.notes)
     assert not any("no effect" in note for note in Graph.from_log(log, edges="landmark+motion", kernel="none").notes)
+
+
+def test_arrays_of_graphs_and_solutions_are_read_only(book_log):
+    """Both keep what they computed from their arrays, so that a change from outside would make them contradict each other."""
+    graph = Graph.from_log(book_log, edges="landmark+motion")
+    solution = solve(graph)
+    arrays = {
+        name: getattr(graph, name) for name in ("initial", "steps", "trajectory", "pose_ids", "landmark_ids", "fixed")
+    }
+    arrays |= {name: getattr(solution, name) for name in ("poses", "estimated", "costs", "step_norms", "state")}
+    arrays |= {f"landmark {j}": place for j, place in solution.landmarks.items()}
+    for name, array in arrays.items():
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+        assert not array.flags.writeable, name

@@ -20,6 +20,7 @@ from graphslam import (
     solve_with_gtsam,
 )
 from graphslam.se2 import wrap
+from graphslam.solvers import auto
 from graphslam.solvers.growing import grown
 from graphslam.solvers.solve import starting_state
 from graphslam.solvers.start import _followed, _held, _solve_headings, dead_reckoning, rotation_first
@@ -350,3 +351,28 @@ def test_auto_tries_other_turns_where_an_end_is_doubtful(hard_logs):
     assert solution.converged
     assert "other turns" in solution.reason
     assert solution.cost == pytest.approx(1767.2866734, rel=1e-8)
+
+
+def test_the_search_after_the_first_end_is_bounded(hard_logs, monkeypatch):
+    """By a multiple of the steps of the first end, and by a number over all nodes where that is more."""
+    graph = Graph.from_log(hard_logs.hard_log(48), edges="landmark+motion", kernel="none")
+
+    def steps_of_the_search(multiple, short):
+        monkeypatch.setattr(auto, "MULTIPLE", multiple)
+        monkeypatch.setattr(auto, "SHORT", short)
+        taken, run_from = [], auto._runs(graph)
+
+        def counted(*arguments, **options):
+            run = run_from(*arguments, **options)
+            taken.append(len(run.step_norms))
+            return run
+
+        assert auto.best_end(graph, counted, "gauss-newton").run.converged
+        return taken
+
+    whole, bounded = steps_of_the_search(auto.MULTIPLE, auto.SHORT), steps_of_the_search(1, 0)
+    # the run that reaches the bound ends, and none follows
+    assert sum(bounded[1:-1]) <= bounded[0] == whole[0]
+    assert len(bounded) < len(whole) and sum(bounded) < sum(whole)
+    # the other bound is for small graphs
+    assert len(steps_of_the_search(1, 1_000_000)) == len(whole)

@@ -106,6 +106,7 @@ def test_a_missing_map_is_said(folder):
             r":204: time runs backwards: 1248444170\.000 s comes after",
         ),
         ("Robot2_Measurement.dat", "1248444170.000 63 1.0 0.5", ":8: the time is 1248444170.000, far from those"),
+        ("Robot2_Odometry.dat", "-1e300 1.0 0.5\n-1e300 1.0 0.5", "-1e.300"),
         ("Robot2_Measurement.dat", "1248444178.900 63 0.0 0.5", ":8: the range is 0 m, but a range is above zero"),
         ("Robot2_Measurement.dat", "1248444178.900 63.7 1.0 0.5", ":8: the barcode should be a whole number, not 63.7"),
         ("Barcodes.dat", "9 1e308", "Barcodes.dat:7: expected two whole numbers, subject and barcode, not 9 and 1e.308"),
@@ -117,6 +118,18 @@ def test_damaged_lines_are_blamed(folder, name, line, message):
         stream.write(line + "\n")
     with pytest.raises(FormatError, match=message):
         load(folder)
+
+
+def test_large_numbers_are_written_with_an_exponent(folder):
+    path = folder / "Robot2_Odometry.dat"
+    lines = path.read_text().splitlines()
+    lines[7] = "1e300 1.0 0.5"
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(FormatError, match=r":8: the time is 1e\+300, far from those"):
+        load(folder, strict=True)
+    with pytest.raises(OptionError, match="no files of robot 1") as raised:
+        load(folder, robot=10**400)
+    assert len(str(raised.value)) < 200 + len(str(folder))
 
 
 def test_a_robot_that_saw_no_landmark(folder):
