@@ -81,7 +81,11 @@ class Uncertainty:
         first, second = edges.nodes
         by_first, by_second = edges.jacobians
         diagonal = self.diagonal
-        crossed = np.array([self.block(i, j) for i, j in zip(first.tolist(), second.tolist())]).reshape(-1, 3, 3)
+        crossed = self._factor.covariances_between(first, second)
+        if self._joint is not None:
+            reach = self._joint.reach
+            crossed += reach[first] @ self._joint.covariance @ np.swapaxes(reach[second], 1, 2)
+        crossed[np.isin(first, self._graph.fixed) | np.isin(second, self._graph.fixed)] = 0.0
         mixed = by_first @ crossed @ np.swapaxes(by_second, 1, 2)
         own = sum(B @ diagonal[k] @ np.swapaxes(B, 1, 2) for B, k in ((by_first, first), (by_second, second)))
         return own + mixed + np.swapaxes(mixed, 1, 2)

@@ -7,8 +7,8 @@ variance theta_p and the average of its observed and expected information are
 
 A_pq takes one solution of the normal equations for each variance. The trace needs the blocks of Omega^-1 between the nodes of
 each edge, which are those of the selected inverse: tr(P C_p) = tr(W C_p) - sum of tr(W F W C_p), F the covariance of the
-residuals due to that of the solution. Weights of Student's t act as W = u C^-1, and so C_p becomes C_p / u. The variables are the logarithms of the variances, with a normal prior, so that a variance that the
-log does not tell stays at its typical value.
+residuals due to that of the solution. Weights of Student's t act as W = u C^-1, and so C_p becomes C_p / u. The variables are
+the logarithms of the variances, with a normal prior: a variance that the log does not tell stays at its typical value.
 
 Source: Gilmour, Thompson and Cullis, *Average information REML*, Biometrics 51(4), 1995.
 """

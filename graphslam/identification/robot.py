@@ -42,11 +42,14 @@ INTERVALS, ENOUGH = (5.0, 2.0, 1.0, 0.5, 0.2), 100
 ROUNDS, GAIN = (8, 4, 8, 8), 0.3
 #: sightings correlated by more than this are thinned for the last round, and by less than that are all kept
 DEPENDENT, HARDLY = 0.2, 0.15
+#: where the errors of a landmark are correlated in time, those of several landmarks have parts in common, which do not show in
+#: residuals, because the trajectory follows them: sightings count less by this factor (docs/decisions.md)
+COMMON = 2.0
 #: how the sentence on the noise begins
 TAKEN = "noise estimated from this log"
 #: the fewest sightings and motions from which noise and biases are estimated
-FEWEST = {"sightings": 150, "poses": 50}
-#: logs with more sightings are thinned to about so many for the search
+FEWEST = {"sightings": 60, "poses": 20}
+#: of longer logs only so many sightings are used at once where this is enough
 MOST = 6000
 
 
@@ -164,19 +167,19 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
     rng = np.random.default_rng(seed)
     local, doubtful = _local(log, sensor)
     kept = log.with_sightings(~doubtful)
-    first = _fitted(Unknowns(kept, kept.landmarks, sensor, local), ROUNDS[1])[0]
+    fewer = _at_most(kept, MOST)
+    first = _fitted(Unknowns(fewer, fewer.landmarks, sensor, local), ROUNDS[1])[0]
     ids = checked_ids(log, first, rng)
     named = log.with_sightings(~ids.dropped, landmarks=ids.landmarks[~ids.dropped])
     sparse, used = _sparse(named)
     second = _fitted(Unknowns(sparse, sparse.landmarks, sensor, first), ROUNDS[2])[0]
     rho = smoothed(correlations(named, second, used, rng))
-    factor = inflation(named, rho) if rho[:3].max() >= HARDLY else 1.0
-    chosen = named
+    factor = COMMON * inflation(named, rho) if rho[:3].max() >= HARDLY else 1.0
     if factor > 1:
         below = np.flatnonzero(rho < DEPENDENT)
         chosen = _thinned(named, LAGS[below[0]] if len(below) else LAGS[-2])[0]
     else:
-        rho = np.zeros_like(rho)
+        chosen, rho = _at_most(named, MOST), np.zeros_like(rho)
     last, errors = _fitted(Unknowns(chosen, chosen.landmarks, sensor, first if factor == 1 else second), ROUNDS[3])
     motion, seen = last.models
     seen = replace(
@@ -220,7 +223,14 @@ def _local(log: Log, sensor: SensorModel) -> tuple[Unknowns, np.ndarray]:
     else:
         # single sightings are normal
         alone = np.zeros(len(log.steps), dtype=bool)
-    local = _fitted(Unknowns(log, episodes, sensor), ROUNDS[0])[0]
+    if len(log.steps) <= MOST:
+        local = _fitted(Unknowns(log, episodes, sensor), ROUNDS[0])[0]
+    else:
+        # noise and biases from the beginning, and with them all poses
+        beginning = log.at_steps(np.arange(log.steps[MOST] + 1))
+        part = _fitted(Unknowns(beginning, episodes[: len(beginning.steps)], sensor), ROUNDS[0])[0]
+        local = Unknowns(log, episodes, sensor, part)
+        local.iterate(4)
     doubtful = alone.copy()
     doubtful[np.flatnonzero(local.used)] |= local.linearized().edges[1].squares > CONTRADICTS
     return local, doubtful
@@ -266,6 +276,15 @@ def _thinned(log: Log, interval: float) -> tuple[Log, np.ndarray]:
     # the middle one of each interval
     used[order[starts + count // 2]] = True
     return log.with_sightings(used), used
+
+
+def _at_most(log: Log, count: int) -> Log:
+    """The log with so many sightings at most, `_thinned` by the shortest of `INTERVALS` that is enough, or the longest."""
+    for interval in (0.0, *reversed(INTERVALS)):
+        fewer = log if interval == 0 else _thinned(log, interval)[0]
+        if len(fewer.steps) <= count:
+            break
+    return fewer
 
 
 def _sparse(log: Log) -> tuple[Log, np.ndarray]:

@@ -112,7 +112,7 @@ class Unknowns:
         log: with controls and sightings.
         groups: (M,) the landmark of each sighting, in any numbers. Sightings of landmarks seen once are left out.
         sensor: where the sensor is believed to be.
-        start: what is known from an earlier problem of the same log: poses, parameters and variances.
+        start: what is known from an earlier problem of the same log, or of a part of it: poses, parameters and variances.
     """
 
     def __init__(self, log: Log, groups: np.ndarray, sensor: SensorModel, start: Unknowns | None = None) -> None:
@@ -145,7 +145,8 @@ class Unknowns:
         else:
             self.parameters = replace(start.parameters, recorded=log)
             self.logarithms = {name: start.logarithms[name] for name in self.centres}
-            poses = start.state[: start.poses]
+            # a part of the log tells nothing of the poses of the whole one
+            poses = start.trajectory if start.poses == self.poses else self.dead_reckoning()
         self.longest, self.last_change = np.full(len(self.centres), LONGEST), np.zeros(len(self.centres))
         self.state: Array = np.concatenate([poses, self._places(poses, group)])
         self.take_noise()

@@ -193,7 +193,7 @@ def stored_block(i, j, layout, z, block):
 
 @njit(cache=True, error_model="numpy")
 def stored_pairs(first, second, layout, z, out):
-    """The blocks (first, second) of pairs of nodes (E,) into ``out`` (E, 3, 3); False where one is outside the pattern of L."""
+    """The blocks of pairs of nodes (E,) into ``out`` (E, 3, 3); False where one is outside the pattern of L."""
     block = np.empty((3, 3))
     for e in range(first.size):
         turned = layout.position[first[e]] < layout.position[second[e]]
