@@ -42,9 +42,16 @@ INTERVALS, ENOUGH = (5.0, 2.0, 1.0, 0.5, 0.2), 100
 ROUNDS, GAIN = (8, 4, 8, 8), 0.3
 #: sightings correlated by more than this are thinned for the last round, and by less than that are all kept
 DEPENDENT, HARDLY = 0.2, 0.15
-#: where the errors of a landmark are correlated in time, those of several landmarks have parts in common, which do not show in
+#: where errors of a landmark are correlated in time, those of several landmarks have parts in common, which do not show in
 #: residuals, because the trajectory follows them: sightings count less by this factor (docs/decisions.md)
 COMMON = 2.0
+#: a calibrated robot has no biases of the one kind or of the other: they are held at their ideal values where the logarithmic
+#: evidence for that is above this number
+KINDS = {
+    "odometry": ("wheel_scale", "turn_scale", "turn_rate_bias", "curvature_bias"),
+    "sensor": ("range_bias", "bearing_bias", "sensor_ahead", "sensor_left", "sensor_delay"),
+}
+CONVINCING = 1.0
 #: how the sentence on the noise begins
 TAKEN = "noise estimated from this log"
 #: the fewest sightings and motions from which noise and biases are estimated
@@ -60,7 +67,7 @@ class RobotEstimate:
     Attributes:
         log: the log with the ids corrected, clutter left out, scales and biases taken out, and these noise models as its own.
         motion, sensor: the noise models. That of the sensor counts correlated sightings as `inflation` says.
-        parameters: scales, biases, delay and place of the sensor, with their covariance.
+        parameters: scales, biases, delay and place of the sensor with their covariance, without those that are held.
         errors: {name of a noise value: its standard error as a part of the value}.
         changed, dropped: (M,) bool, rows of the given log whose id was replaced, and that fit no landmark.
         correlations: (B,) of the errors of one landmark over the lags between `LAGS`.
@@ -96,7 +103,13 @@ class RobotEstimate:
         )
         lines = [
             f"{TAKEN}: {noise}",
-            f"biases estimated from this log: {self.parameters.sentence}",
+        ]
+        if self.parameters.names:
+            lines.append(f"biases estimated from this log: {self.parameters.sentence}")
+        lines += [
+            f"the log is for {kind} without biases, and these are held at their ideal values: {', '.join(names)}"
+            for kind, names in KINDS.items()
+            if not set(names) & set(self.parameters.names)
         ]
         wrong, dropped = int(self.changed.sum()), int(self.dropped.sum())
         if wrong or dropped:
@@ -173,6 +186,10 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
     named = log.with_sightings(~ids.dropped, landmarks=ids.landmarks[~ids.dropped])
     sparse, used = _sparse(named)
     second = _fitted(Unknowns(sparse, sparse.landmarks, sensor, first), ROUNDS[2])[0]
+    without = [kind for kind, names in KINDS.items() if second.evidence_against(names) > CONVINCING]
+    if without:
+        second.hold([name for kind in without for name in KINDS[kind]])
+        second = _fitted(second, ROUNDS[2])[0]
     rho = smoothed(correlations(named, second, used, rng))
     factor = COMMON * inflation(named, rho) if rho[:3].max() >= HARDLY else 1.0
     if factor > 1:
@@ -180,7 +197,7 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
         chosen = _thinned(named, LAGS[below[0]] if len(below) else LAGS[-2])[0]
     else:
         chosen, rho = _at_most(named, MOST), np.zeros_like(rho)
-    last, errors = _fitted(Unknowns(chosen, chosen.landmarks, sensor, first if factor == 1 else second), ROUNDS[3])
+    last, errors = _fitted(Unknowns(chosen, chosen.landmarks, sensor, second), ROUNDS[3])
     motion, seen = last.models
     seen = replace(
         seen, range_rate=seen.range_rate * factor**0.5, range_std=seen.range_std * factor**0.5,
@@ -189,10 +206,13 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
     parameters = replace(last.parameters, recorded=named)
     corrected = corrected_log(parameters).replace(motion=motion, sensor=seen)
     corrected = corrected.replace(initial_poses=corrected.dead_reckoning())
-    linear = last.linearized()
+    free = [k for k, name in enumerate(parameters.names) if not any(name in KINDS[kind] for kind in without)]
+    names, means, deviations = (
+        np.array(each)[free].tolist() for each in (parameters.names, parameters.means, parameters.deviations)
+    )
     estimate = ParameterEstimate(
-        parameters.names, parameters.values, linear.parameter_covariance,
-        {name: (float(m), float(s)) for name, m, s in zip(parameters.names, parameters.means, parameters.deviations)},
+        tuple(names), parameters.values[free], last.linearized().parameter_covariance[np.ix_(free, free)],
+        {name: (m, s) for name, m, s in zip(names, means, deviations)},
     )  # fmt: skip
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, changed=ids.changed,

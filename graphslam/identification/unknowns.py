@@ -18,7 +18,7 @@ Nodes and parameters are solved together: with C = sum B' W J, D = sum J' W J + 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -55,6 +55,8 @@ LEAST_MOTION = 1e-8
 STILL = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0, epsilon=LEAST_MOTION)
 #: degrees of freedom of Student's t: of sightings, among which some are wrong, and of motions
 DEGREES_SIGHTINGS, DEGREES_MOTIONS = 4.0, 8.0
+#: the standard deviation of the prior of a parameter that is held
+HELD = 1e-7
 #: the least distance between sensor and landmark [m], where the bearing is undefined
 NEAREST = 1e-3
 #: what Omega's diagonal is raised by, where rounding makes it singular
@@ -166,6 +168,26 @@ class Unknowns:
         interval = float(np.median(log.dt if log.recorded_dt is None else log.recorded_dt))
         typical = TYPICAL | {"sigma_omega": TYPICAL["sigma_omega"] / interval**0.5}
         return {name: 2 * np.log(typical[name]) for name in (*self.motion_parts, *self.sensor_parts)}
+
+    def evidence_against(self, names: Collection[str]) -> float:
+        """The logarithm of how much more probable the log is where these parameters have their ideal values.
+
+        It is p(ideal | log) / p(ideal), the density of the solution over that of the prior (Dickey, Annals of Mathematical
+        Statistics 42(1), 1971).
+        """
+        p = self.parameters
+        k = [p.names.index(name) for name in names]
+        covariance, away = self.linearized().parameter_covariance[np.ix_(k, k)], p.values[k] - p.means[k]
+        scaled = covariance / np.outer(p.deviations[k], p.deviations[k])
+        return float(-0.5 * away @ np.linalg.solve(covariance, away) - 0.5 * np.linalg.slogdet(scaled)[1])
+
+    def hold(self, names: Collection[str]) -> None:
+        """Keep parameters at their ideal values."""
+        p = self.parameters
+        held = np.isin(p.names, list(names))
+        self.parameters = replace(
+            p, values=np.where(held, p.means, p.values), deviations=np.where(held, HELD, p.deviations)
+        )
 
     @property
     def variances(self) -> dict[str, float]:
