@@ -55,6 +55,7 @@ class Graph:
         notes: what the user should know, one sentence each.
         sighting_rows: (M,) the row of the log's sightings that each sighting of the edges comes from.
         parameters: what is unknown about vehicle and sensor beside the nodes, or None; the edges are those at its values.
+        held: parameters that were estimated before and are not solved for; covariances contain their uncertainty.
     """
 
     initial: Array
@@ -71,6 +72,7 @@ class Graph:
     notes: tuple[str, ...] = ()
     sighting_rows: np.ndarray = field(default_factory=_none)
     parameters: Parameters | None = None
+    held: Parameters | None = None
 
     def __post_init__(self) -> None:
         make_read_only(self, "initial", "steps", "trajectory", "pose_ids", "landmark_ids", "fixed", "sighting_rows")
@@ -165,7 +167,10 @@ class Graph:
         if note:
             parts["notes"] = (*parts.get("notes", ()), note)
         parameters = declared(estimate, recorded, motion, sensor, edges, residual, motion_weight)
-        return cls(**parts, parameters=parameters)
+        held = None
+        if parameters is None and edges == "landmark+motion" and residual == RESIDUALS[0]:
+            held = declared(log.uncertain, log, motion, sensor, edges, residual, motion_weight)
+        return cls(**parts, parameters=parameters, held=held)
 
     @classmethod
     def from_g2o(cls, path: str | PathLike[str], *, format: str | None = None, unknown: str = "error") -> Graph:

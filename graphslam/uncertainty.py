@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -18,8 +19,8 @@ class Uncertainty:
     """Marginal covariances of the nodes of a graph at a state (n, 3), computed at the first use.
 
     Omega is the Gauss-Newton information at the state, so the covariances are those of the linearised problem. With
-    robust kernels it is that of their estimate (`Graph.information`). Fixed nodes have covariance zero. Where the graph has
-    parameters, their uncertainty is part of that of the nodes: Omega^-1 + (Omega^-1 C) S^-1 (Omega^-1 C)'.
+    robust kernels it is that of their estimate (`Graph.information`). Fixed nodes have covariance zero. The
+    uncertainty of parameters, solved for or held, is part of that of the nodes: Omega^-1 + (Omega^-1 C) S^-1 (Omega^-1 C)'.
 
     Raises:
         GraphError: (all methods) the edges do not determine the nodes.
@@ -40,10 +41,13 @@ class Uncertainty:
     @cached_property
     def _joint(self) -> JointFactor | None:
         """The factor of the system with its parameters."""
-        if self._graph.parameters is None:
-            return None
-        joint = JointGraph(self._graph)
-        border = joint.border(self._graph, self._state, self._state, scaled=True)
+        graph = self._graph
+        if graph.parameters is None:
+            if graph.held is None:
+                return None
+            graph = replace(graph, parameters=graph.held)
+        joint = JointGraph(graph)
+        border = joint.border(graph, self._state, self._state, scaled=True)
         return JointFactor(joint, self._factor, border)
 
     @property

@@ -204,12 +204,12 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
         bearing_std=seen.bearing_std * factor**0.5, orientation_std=seen.orientation_std * factor**0.5,
     )  # fmt: skip
     parameters = replace(last.parameters, recorded=named)
-    corrected = corrected_log(parameters).replace(motion=motion, sensor=seen)
-    corrected = corrected.replace(initial_poses=corrected.dead_reckoning())
     free = [k for k, name in enumerate(parameters.names) if not any(name in KINDS[kind] for kind in without)]
     names, means, deviations = (
         np.array(each)[free].tolist() for each in (parameters.names, parameters.means, parameters.deviations)
     )
+    corrected = corrected_log(parameters).replace(motion=motion, sensor=seen, uncertain=dict(zip(names, deviations)))
+    corrected = corrected.replace(initial_poses=corrected.dead_reckoning())
     estimate = ParameterEstimate(
         tuple(names), parameters.values[free], last.linearized().parameter_covariance[np.ix_(free, free)],
         {name: (m, s) for name, m, s in zip(names, means, deviations)},

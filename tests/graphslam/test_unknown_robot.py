@@ -28,6 +28,7 @@ from graphslam.identification.sighting_errors import LAGS, inflation, smoothed
 from graphslam.identification.unknowns import Unknowns
 from graphslam.metrics import evaluate
 from graphslam.sources.drives import DriveTruth
+from graphslam.uncertainty import Uncertainty
 
 
 @cache
@@ -227,3 +228,18 @@ def test_covariances_of_residuals_are_those_of_many_samples() -> None:
         exact = np.sum(edges.information * linear.fitted(edges))
         # a sample's sum of squares has the variance 2 tr(M²) <= 2 tr(M) at most, and the rate is that of `error_rates`
         assert abs(sampled - exact) < bound(2) * (2 * exact / moved.shape[2]) ** 0.5
+
+
+def test_covariances_contain_the_uncertainty_of_the_biases() -> None:
+    """Those of a graph that estimates the biases; without them the normalised error of seed 1048 was 31 instead of 1.7."""
+    found = warehouse()[2]
+    graph = Graph.from_log(found.log)
+    state = solve(graph).state
+    joint = Graph.from_log(found.log, estimate=found.log.uncertain)
+    alone = Graph.from_log(found.log.replace(uncertain=None))
+    expected, without = Uncertainty(joint, state), Uncertainty(alone, state).diagonal
+    own = Uncertainty(graph, state)
+    np.testing.assert_allclose(own.diagonal, expected.diagonal, rtol=1e-9)
+    np.testing.assert_allclose(own.block(3, 7), expected.block(3, 7), rtol=1e-9, atol=1e-15)
+    assert np.all(np.linalg.eigvalsh(own.diagonal[1:] - without[1:]) > -1e-12)
+    assert np.trace(own.diagonal[-1]) > 1.05 * np.trace(without[-1])
