@@ -55,6 +55,8 @@ LEAST_MOTION = 1e-8
 STILL = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0, epsilon=LEAST_MOTION)
 #: degrees of freedom of Student's t: of sightings, among which some are wrong, and of motions
 DEGREES_SIGHTINGS, DEGREES_MOTIONS = 4.0, 8.0
+#: parameters that differ by less than this part of the standard deviations of their priors are near
+NEAR = 0.2
 #: the standard deviation of the prior of a parameter that is held
 HELD = 1e-7
 #: the least distance between sensor and landmark [m], where the bearing is undefined
@@ -132,7 +134,13 @@ class Unknowns:
         # sightings are in the order of time
         self._first_sightings = np.unique(group, return_index=True)[1]
         self.before, self.after = np.arange(self.poses - 1), np.arange(1, self.poses)
-        self.motion_parts = {name: C for name, C in motion_parts(log).items() if name in TYPICAL}
+        same = start is not None and start.poses == self.poses
+        self._evaluated: tuple[Array, Array, Array] | None = start._evaluated if start is not None and same else None
+        self.motion_parts: Mapping[str, Array] = (
+            start.motion_parts
+            if start is not None and same
+            else {name: C for name, C in motion_parts(log).items() if name in TYPICAL}
+        )
         self.sensor_parts = sensor_parts(self.sightings)
         # what the log itself says of the noise of single controls, such as across a silence of the odometry
         self._of_gaps = STILL.accumulate(log.controls, log.dt, log.control_starts, log.control_variances)[1]
@@ -230,7 +238,7 @@ class Unknowns:
 
     def motions(self) -> Edges:
         """The edges of all motions."""
-        measured, slopes = motion_slopes(self.parameters, corrected_controls(self.parameters))
+        measured, slopes = self._measured()
         a, b = self.trajectory[:-1], self.trajectory[1:]
         turn = np.swapaxes(rotation(a[:, 2]), 1, 2)
         moved = np.einsum("eij,ej->ei", turn, b[:, :2] - a[:, :2])
@@ -240,6 +248,21 @@ class Unknowns:
         by_first[:, 0, 2], by_first[:, 1, 2] = moved[:, 1], -moved[:, 0]
         by_first[:, 2, 2], by_second[:, 2, 2] = -1.0, 1.0
         return Edges(self.before, self.after, residuals, by_first, by_second, -slopes, self.motion_parts)
+
+    def _measured(self) -> tuple[Array, Array]:
+        """The motions (T, 3) of the corrected controls, and their derivative (T, 3, K) by the parameters.
+
+        Logs may have fifty controls for each motion. Where the parameters are `NEAR` those of the last time, that derivative
+        is enough: what it leaves out of a motion is of the second order, some 1e-5 of it.
+        """
+        now = self.parameters
+        if self._evaluated is not None:
+            at, measured, slopes = self._evaluated
+            change = now.values - at
+            if np.all(np.abs(change) <= NEAR * now.deviations):
+                return measured + slopes @ change, slopes
+        self._evaluated = (now.values, *motion_slopes(now, corrected_controls(now)))
+        return self._evaluated[1:]
 
     def sighted(
         self, steps: np.ndarray | None = None, seen: np.ndarray | None = None, sightings: Array | None = None
