@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-CASES = {"graphs": 160, "files": 390, "commands": 30}
+CASES = {"graphs": 160, "files": 100, "commands": 30}
 
 
 @pytest.fixture(scope="module")

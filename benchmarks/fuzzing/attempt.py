@@ -20,10 +20,6 @@ class TooLong(BaseException):
     """A case has reached its limit of processor time, or waits for something that does not come."""
 
 
-def _too_long(*_: object) -> None:
-    raise TooLong
-
-
 def attempt(check: Callable[[], list[str]], limit: int = 20) -> tuple[str, list[str]]:
     """ "solved" or "refused", and what is wrong: problems that the check returned, an exception, or no end.
 
@@ -31,9 +27,16 @@ def attempt(check: Callable[[], list[str]], limit: int = 20) -> tuple[str, list[
         check: the case.
         limit: of its processor time [s]; it may take ten times as long by the clock.
     """
+    interrupted = False
+
+    def too_long(*_: object) -> None:
+        nonlocal interrupted
+        interrupted = True
+        raise TooLong
+
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        before = [signal.signal(each, _too_long) for each in (signal.SIGPROF, signal.SIGALRM)]
+        before = [signal.signal(each, too_long) for each in (signal.SIGPROF, signal.SIGALRM)]
         signal.setitimer(signal.ITIMER_PROF, limit)
         signal.alarm(10 * limit)
         try:
@@ -41,6 +44,9 @@ def attempt(check: Callable[[], list[str]], limit: int = 20) -> tuple[str, list[
         except TooLong:
             return "too long", [f"no end within {limit} s of processor time"]
         except SlamError as error:
+            if interrupted:
+                # a factor of GTSAM turns everything that interrupts it into an error
+                return "too long", [f"no end within {limit} s of processor time"]
             return "refused", wrong_with_message(str(error))
         except Exception as error:
             frames = [f for f in traceback.extract_tb(error.__traceback__) if "site-packages" not in f.filename]

@@ -46,9 +46,10 @@ def command_case(seed: int, number: int) -> Case:
     # what keeps a case short
     small = {"run": "--estimators=dead-reckoning,graph", "report": "--estimators=dead-reckoning",
              "particles": "--particles=5", "consistency": "--logs=2", "animate": "--max-frames=2",
-             "solvers": "--motion-weights=1", "simulate": "--steps=9"}  # fmt: skip
-    if verb in small and not any(word.startswith(small[verb].split("=")[0]) for word in words):
-        words += [small[verb]]
+             "solvers": "--motion-weights=1 --edges=landmark+motion", "simulate": "--steps=9"}  # fmt: skip
+    for option in small.get(verb, "").split():
+        if not any(word.startswith(option.split("=")[0]) for word in words):
+            words.append(option)
     if verb in ("particles", "sweep", "consistency", "solvers"):
         words += ["--jobs=1" if verb == "sweep" else "--jobs=0"]
 

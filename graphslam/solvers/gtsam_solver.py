@@ -27,6 +27,9 @@ from .mixing import AndersonMixing
 from .starting import starting_state
 from .with_parameters import FIRST, best_of_starts, solve_jointly
 
+#: after so many freezings of the information, and so many last steps of one of them, without a shorter step there is no end
+WAIT, WAIT_INSIDE = 12, 10
+
 
 def solve_with_gtsam(
     graph: Graph,
@@ -82,6 +85,8 @@ def solve_with_gtsam(
             run.reason = f"step norm {run.step_norms[-1]:.1e} below the tolerance {tolerance:g}"
         elif len(run.step_norms) >= max_iterations:
             run.reason = f"max_iterations = {max_iterations} reached"
+        elif graph.state_dependent_information:
+            run.reason = f"stuck: {WAIT} freezings of the information without a shorter step"
         else:
             run.reason = "stuck: gtsam finds no step that lowers the cost"
         return run
@@ -153,7 +158,7 @@ def _optimize(
     optimizer: gtsam.NonlinearOptimizer = gtsam.LevenbergMarquardtOptimizer(factors, values, parameters)
     state = from_values(graph, optimizer.values())
     norms: list[float] = []
-    polishing = False
+    polishing, damped = False, 0
     while len(norms) < max_iterations:
         before = optimizer.error()
         optimizer.iterate()
@@ -167,12 +172,14 @@ def _optimize(
         if not polishing and stalled:
             # The remaining decrease is below the rounding error of the cost, so Levenberg-Marquardt refuses to move.
             # Gauss-Newton, which compares no costs, takes the last steps; damping would hide how long they are.
-            polishing = True
+            polishing, damped = True, len(norms)
             plain = gtsam.GaussNewtonParams()
             plain.setLinearSolverType("MULTIFRONTAL_QR")
             optimizer = gtsam.GaussNewtonOptimizer(factors, optimizer.values(), plain)
-        elif polishing and len(norms) > 2 and norms[-1] > 1e3 * max(norms[-2], tolerance):
-            break
+        elif polishing:
+            grows = len(norms) > 2 and norms[-1] > 1e3 * max(norms[-2], tolerance)
+            if grows or _no_shorter(norms[damped:], WAIT_INSIDE):
+                break
     return state, norms, False
 
 
@@ -215,4 +222,11 @@ def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str)
         state = mixing.next(state, move)
         if norms[-1] < tolerance and settled:
             return state, norms, True
+        if _no_shorter(norms, WAIT):
+            break
     return state, norms, False
+
+
+def _no_shorter(norms: list[float], last: int) -> bool:
+    """Whether none of the last steps is clearly shorter than all before them: they wander about and do not converge."""
+    return len(norms) > last and min(norms[-last:]) > 0.9 * min(norms[:-last])

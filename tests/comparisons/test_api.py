@@ -68,16 +68,16 @@ def test_outcomes_show_themselves(comparison):
 @pytest.mark.slow
 def test_other_verbs_show_themselves_too(tmp_path):
     log = simulate(steps=15, seed=1, orientation=False)
+    particles = comparisons.study_particles(log, filters=("fastslam1",), particles=(10,), seeds=2, jobs=0)
     for outcome in (
-        comparisons.compare_solvers(log, edges=("virtual+motion",), motion_weights=(1.0,)),
-        comparisons.study_particles(log, filters=("fastslam1",), particles=(10,), seeds=2),
-        comparisons.study_consistency(logs=2, steps=10),
+        comparisons.compare_solvers(log, edges=("landmark+motion",), motion_weights=(1.0,), jobs=0),
+        particles,
+        comparisons.study_consistency(logs=2, steps=10, jobs=0),
         comparisons.survey(tmp_path),
     ):
         assert "<table>" in outcome._repr_html_()
         assert str(outcome)
-    figure = comparisons.study_particles(log, filters=("fastslam1",), particles=(10,), seeds=2).figure()
-    assert figure.axes
+    assert particles.figure().axes
 
 
 def test_the_page_of_a_comparison_says_what_it_was_told(tmp_path):

@@ -47,13 +47,13 @@ particles = 10
 @pytest.mark.slow
 def test_every_verb_writes_what_the_schema_says(write):
     valid("simulate", write("simulate", "log.npz", "--steps", 15, "--seed", 3))
-    found = write("run", "log.npz", "--particles", 20, "--out", "out")
+    found = write("run", "log.npz", "--particles", 20, "--noise", "book", "--out", "out")
     valid("run", found)
     assert json.loads(Path("out/comparison.json").read_text()) == found
-    valid("solvers", write("solvers", "log.npz", "--edges", "virtual+motion", "--motion-weights", 1, "--jobs", 1))
+    valid("solvers", write("solvers", "log.npz", "--edges", "virtual+motion", "--motion-weights", 1, "--jobs", 0))
     valid("backends", write("backends", "out/graph.g2o"))
-    valid("particles", write("particles", "log.npz", "--particles", "10,20", "--seeds", 2))
-    valid("consistency", write("consistency", "--logs", 2, "--steps", 15, "--jobs", 1))
+    valid("particles", write("particles", "log.npz", "--particles", "10,20", "--seeds", 2, "--jobs", 0))
+    valid("consistency", write("consistency", "--logs", 2, "--steps", 15, "--jobs", 0))
     valid(
         "animate", write("animate", "log.npz", "film.gif", "--estimator", "mcl", "--particles", 20, "--max-frames", 3)
     )

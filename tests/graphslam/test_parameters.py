@@ -93,6 +93,7 @@ def test_derivatives_are_those_of_the_corrections(biased: Log) -> None:
         np.testing.assert_allclose(moved, numeric, atol=1e-6, err_msg=ALL[k])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
