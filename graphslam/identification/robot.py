@@ -42,8 +42,6 @@ INTERVALS, ENOUGH = (5.0, 2.0, 1.0, 0.5, 0.2), 100
 ROUNDS, GAIN = (5, 3, 6, 6), 0.3
 #: sightings correlated by more than this are thinned for the last round, and by less than that are all kept
 DEPENDENT, HARDLY = 0.2, 0.15
-#: how the sentence on the noise begins
-TAKEN = "noise estimated from this log"
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = {"sightings": 150, "poses": 50}
 #: logs with more sightings are thinned to about so many for the search
@@ -92,7 +90,7 @@ class RobotEstimate:
             f"{name} {values[name]:.2g} +- {100 * error:.0f} %" for name, error in self.errors.items() if error < 1
         )
         lines = [
-            f"{TAKEN}: {noise}",
+            f"noise estimated from this log: {noise}",
             f"biases estimated from this log: {self.parameters.sentence}",
         ]
         wrong, dropped = int(self.changed.sum()), int(self.dropped.sum())
@@ -114,8 +112,8 @@ class RobotEstimate:
 AUTO, BOOK = "auto", "book"
 
 
-def known_robot(log: Log, noise: str | None = None) -> Log:
-    """The log with the noise of its robot: `RobotEstimate.log` where that is asked for, or where nothing else is known.
+def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate | None]:
+    """The log with the noise of its robot, and the estimate where that is asked for, or where nothing else is known.
 
     Args:
         noise: "auto" estimates noise, biases and misread ids; "book" takes the values of the lectures. Default: the models of
@@ -126,17 +124,17 @@ def known_robot(log: Log, noise: str | None = None) -> Log:
     """
     if noise == BOOK:
         place = {name: getattr(log.sensor or SensorModel(), name) for name in SensorModel.GEOMETRY}
-        return log.replace(motion=MotionModel(), sensor=SensorModel(**place))
+        return log.replace(motion=MotionModel(), sensor=SensorModel(**place)), None
     if noise is None and not unknown_noise(log):
-        return log
+        return log, None
     try:
         found = estimate_robot(log)
     except (GraphError, LogError, np.linalg.LinAlgError) as error:
         if noise == AUTO:
             raise
         reason = f"the noise models are the book's, because noise cannot be estimated: {error}"
-        return log.replace(notes=(*log.notes, reason))
-    return found.log.replace(notes=(*log.notes, *found.sentences))
+        return log.replace(notes=(*log.notes, reason)), None
+    return found.log.replace(notes=(*log.notes, *found.sentences)), found
 
 
 def unknown_noise(log: Log) -> bool:
