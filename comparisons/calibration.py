@@ -16,11 +16,11 @@ from .reading import read_log
 def calibrate(
     log: Log | str | PathLike[str] | None = None, *others: Log | str | PathLike[str], **options: Any
 ) -> Calibration:
-    """Estimate the noise of motion and sensor, and what is wrong with all ranges and controls, by maximum likelihood.
+    """Estimate the noise of motion and sensor, and what is wrong with all sightings and controls.
 
     Args:
         log, others: logs, or files or folders of such; all of one kind of robot. None stands for the sample log.
-        options: the fields of `options.CalibrationOptions`: source, scale, gaussian, robots, sensor_offset, and
+        options: the fields of `options.CalibrationOptions`: source, gaussian, robots, sensor_offset, and
             those that read a log.
 
     Raises:
@@ -35,4 +35,4 @@ def calibrate(
     logs = [read_log(each, reading)[0] for each in (log, *others) for reading in readings]
     sensor = (logs[0].sensor or SensorModel()).changed(**given.of_component("sensor"))
     degrees = float("inf") if given.gaussian else None
-    return graphslam.calibrate(*logs, source=given.source, sensor=sensor, degrees=degrees, scale=given.scale)
+    return graphslam.calibrate(*logs, source=given.source, sensor=sensor, degrees=degrees)

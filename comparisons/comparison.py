@@ -33,6 +33,7 @@ from .estimators import ESTIMATORS, check_estimators, default_estimators
 from .exchange import texts, write_pose_graph
 from .failures import noted
 from .memory import Announce, announce_memory
+from .noise_files import write_noise
 from .options import AUTO, MODELS, LimitOptions, OutputOptions, RunOptions
 from .reading import prepare
 from .results import EstimatorResult
@@ -252,7 +253,8 @@ class Comparison(Displayed):
         A file that cannot be made for another reason, such as the figure, is left out with a note.
 
         comparison.json (docs/json.md), the figure, trajectories NAME.tum and maps NAME-map.csv (see `exchange`), the
-        graph as graph.g2o where pose-graph files can hold it, and the configuration as config.toml.
+        graph as graph.g2o where pose-graph files can hold it, noise and biases that were estimated from the log as
+        noise.toml, for ``--noise`` with other logs of the robot, and the configuration as config.toml.
 
         Args:
             directory: made where it does not exist; default: a new ``results/<time>/``, to which ``results/latest``
@@ -281,6 +283,10 @@ class Comparison(Displayed):
                 with noted(files.notes, f"there is no {name}"):
                     (folder / name).write_text(text(), encoding="utf-8")
                     files["config" if name == "config.toml" else name] = directory / name
+            if self.options.calibration is not None:
+                with noted(files.notes, "there is no noise.toml"):
+                    write_noise(self.options.calibration, folder / "noise.toml", self.log.name)
+                    files["noise.toml"] = directory / "noise.toml"
             with noted(files.notes, "there is no graph.g2o"):
                 if write_pose_graph(self, folder / "graph.g2o") is None:
                     files["graph.g2o"] = directory / "graph.g2o"

@@ -1,4 +1,4 @@
-"""Noise models as a small TOML file: ``slam-compare calibrate`` writes it, ``slam-compare run --noise`` reads it.
+"""Noise models and biases as a small TOML file: ``slam-compare calibrate`` writes it, ``slam-compare run --noise`` reads it.
 
     [motion]        # the numbers of `graphslam.MotionModel`; absent where the log has no controls
     nn = 0.19
@@ -7,9 +7,14 @@
     [ranges]        # measured range = scale * range + bias [m]
     scale = 1.02
     bias = 0.03
-    [odometry]      # recorded speed = wheel_scale * speed, recorded turn rate = turn rate + turn_rate_bias [rad/s]
-    wheel_scale = 1.01
+    [odometry]      # recorded speed = wheel_scale * speed, recorded turn rate = turn_scale * turn rate + turn_rate_bias
+    wheel_scale = 1.01                                                     # [rad/s] + curvature_bias [rad/m] * speed
+    turn_scale = 1.02
     turn_rate_bias = 0.001
+    curvature_bias = 0.002
+    [sightings]     # measured bearing = bearing + bearing_bias [rad]; times that are late by sensor_delay [s]
+    bearing_bias = 0.003
+    sensor_delay = 0.03
 
 Every table may be absent, and so may every number: then it is that of the log, else the book's.
 """
@@ -32,7 +37,8 @@ from .toml_files import TomlFile, to_toml
 #: the tables of corrections, whose keys are options: {table: {key: option}}
 _CORRECTIONS = {
     "ranges": {"scale": "range_scale", "bias": "range_bias"},
-    "odometry": {"wheel_scale": "wheel_scale", "turn_rate_bias": "turn_rate_bias"},
+    "odometry": {name: name for name in ("wheel_scale", "turn_scale", "turn_rate_bias", "curvature_bias")},
+    "sightings": {name: name for name in ("bearing_bias", "sensor_delay")},
 }
 
 

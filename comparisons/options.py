@@ -65,8 +65,15 @@ class ReadingOptions(Options):
 AUTO, BOOK = Path("auto"), Path("book")
 #: J per degree of freedom above this, or below its inverse, says that the noise models do not fit
 DOUBTFUL = 2.0
-#: the options that correct all measurements, and their ideal values
-CORRECTIONS = {"range_scale": 1.0, "range_bias": 0.0, "wheel_scale": 1.0, "turn_rate_bias": 0.0}
+
+
+def _correction(name: str) -> Any:
+    """The option that takes one of `graphslam.PARAMETERS` out of a log."""
+    known = PARAMETERS[name]
+    return option(
+        None, f"{known.help}; corrected before anything else.", unit=known.unit, default_text=f"{known.ideal:g}",
+        positive=name.endswith("_scale"),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,19 +92,18 @@ class NoiseOptions(Options):
         "noise, biases and misread ids from this log. book: the values of the lectures.",
         metavar="FILE|auto|book", default_text="the log's models, else auto where the log can tell",
     )  # fmt: skip
-    range_scale: float | None = option(
-        None, "Measured range = scale * range + bias; corrected before anything else.", default_text="1", positive=True,
-    )  # fmt: skip
-    range_bias: float | None = option(None, "The bias of the measured range.", unit="m", default_text="0")
-    wheel_scale: float | None = option(
-        None, "Recorded speed = scale * speed; corrected before anything else.", default_text="1", positive=True,
-    )  # fmt: skip
-    turn_rate_bias: float | None = option(
-        None, "Recorded turn rate = turn rate + bias, as of a gyroscope; corrected before anything else.", unit="rad/s",
-        default_text="0",
-    )  # fmt: skip
+    wheel_scale: float | None = _correction("wheel_scale")
+    turn_scale: float | None = _correction("turn_scale")
+    turn_rate_bias: float | None = _correction("turn_rate_bias")
+    curvature_bias: float | None = _correction("curvature_bias")
+    range_scale: float | None = _correction("range_scale")
+    range_bias: float | None = _correction("range_bias")
+    bearing_bias: float | None = _correction("bearing_bias")
+    sensor_delay: float | None = _correction("sensor_delay")
     motion: MotionModel | None = option(None, "The motion model.", only="python")
     sensor: SensorModel | None = option(None, "The sensor model.", only="python")
+    # a `Calibration`, whose import takes seconds
+    calibration: Any = option(None, "What was estimated from the log; a result of reading.", only="python")
 
     def models(
         self, motion: MotionModel | None = None, sensor: SensorModel | None = None
@@ -375,16 +381,14 @@ class CalibrationOptions(ReadingOptions):
         panel=ReadingOptions.panel,
     )  # fmt: skip
     source: str = option(
-        "auto", "Where the noise is measured: against the ground truth, or from residuals of the solved graph. auto "
+        "auto", "Where the noise is measured: against the ground truth, or from the log alone (residuals). auto "
         "takes the ground truth where there is one; without a true map for the motion only.",
         choices=("auto", "truth", "residuals"),
     )  # fmt: skip
-    scale: str = option(
-        "odometry", "What has the right scale where only residuals tell; what has not is corrected.",
-        choices=("odometry", "ranges", "both"),
-    )  # fmt: skip
     gaussian: bool = option(
-        False, "Count every residual fully, those of wrong sightings too; the default is Student's t distribution."
+        False,
+        "With the ground truth, count every residual fully, those of wrong sightings too; the default is Student's t "
+        "distribution.",
     )
 
 

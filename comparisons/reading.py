@@ -19,19 +19,20 @@ from graphslam import (
     LogError,
     OptionError,
     SensorModel,
-    calibrate,
     load,
     sample_log_path,
 )
-from graphslam.calibration.from_truth import knows_enough
+from graphslam.calibration.unidentified import robot_of
 from graphslam.errors import quoted
 from graphslam.files import check_file
-from graphslam.identification.robot import TAKEN, known_robot
+from graphslam.identification.robot import known_robot
 from graphslam.keyframes import with_poses_every
+from graphslam.parameters.corrections import without_biases
+from graphslam.parameters.declared import CORRECTIONS, of_sensor_alone
 
 from .noise_files import read_noise
 from .option import options_of
-from .options import AUTO, BOOK, CORRECTIONS, LogOptions, NoiseOptions, ReadingOptions
+from .options import AUTO, BOOK, LogOptions, NoiseOptions, ReadingOptions
 
 Given = TypeVar("Given", bound=LogOptions)
 
@@ -49,7 +50,8 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
     Returns:
         The log; where it came from, None for a `Log`; the options, whose noise models are those of the options, else
         those of the noise file, else those of the log, else those estimated from it, else the book's. Its ``noise`` is
-        `AUTO` where they were estimated and None otherwise, and its ``numbers`` are those of the filters.
+        `AUTO` where they were estimated, with what was found as its ``calibration``, and None otherwise; its ``numbers``
+        are those of the filters.
 
     Raises:
         FormatError: a file cannot be read.
@@ -57,25 +59,26 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
         OptionError: an option does not apply to this log.
     """
     data, source = read_log(log, options)
-    recorded = data
-    data, values = _with_noise(data, options)
+    data, values, found = _with_noise(data, options)
     values |= {name: value for name in values if (value := getattr(options, name)) is not None}
-    data = data.corrected(**values)
     corrected: dict[str, Any] = {n: None if value == CORRECTIONS[n] else value for n, value in values.items()}
-    estimated = data is not recorded and any(note.startswith(TAKEN) for note in data.notes[len(recorded.notes) :])
     # the place of the sensor that was given is where the estimate began
-    numbers = {n: v for n, v in options.numbers.items() if not (estimated and n in SensorModel.GEOMETRY)}
+    numbers = {n: v for n, v in options.numbers.items() if not (found and n in SensorModel.GEOMETRY)}
     motion, sensor = replace(options, numbers=numbers).models(data.motion, data.sensor)
+    data = without_biases(data, motion=motion, sensor=sensor, **values)
     if options.max_range is not None:
         # what is farther away has been left out, so that the sensor does not see it
         sensor = replace(sensor, max_range=min(sensor.max_range, options.max_range))
     others = {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)}
-    noise = AUTO if estimated else None
-    return data, source, replace(options, motion=motion, sensor=sensor, noise=noise, numbers=others, **corrected)
+    models: dict[str, Any] = {"motion": motion, "sensor": sensor, "calibration": found}
+    return data, source, replace(options, noise=AUTO if found else None, numbers=others, **models, **corrected)
 
 
-def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float]]:
-    """The log with the noise models that the option ``noise`` asks for as its own, and its corrections."""
+def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], Calibration | None]:
+    """The log with the noise models that the option ``noise`` asks for as its own, its biases, and what was estimated.
+
+    A log from which noise was estimated has no biases left.
+    """
     values = dict(CORRECTIONS)
     if options.noise not in (None, AUTO, BOOK):
         assert options.noise is not None
@@ -83,21 +86,24 @@ def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float]]:
         motion, sensor = NoiseOptions.of(**numbers).models(log.motion, log.sensor)
         if log.controls is None:
             # a noise file of other logs of the robot may correct odometry that this one has not
-            of_file = {name: value for name, value in of_file.items() if name.startswith("range")}
-        return log.replace(motion=motion, sensor=sensor), values | of_file
+            of_file = of_sensor_alone(of_file)
+        return log.replace(motion=motion, sensor=sensor), values | of_file, None
     if options.noise is None and _gives_noise(options):
-        return log, values
-    if options.noise == AUTO and not log.identified:
-        # the sensor of the options has the place of the sensor
-        log, found = _calibrated(log, options.models(log.motion, log.sensor)[1])
-        return log, values if found is None else values | found.corrections
-    place = {name: value for name, value in options.of_component("sensor").items() if name in SensorModel.GEOMETRY}
-    if place:
-        log = log.replace(sensor=replace(log.sensor or SensorModel(), **place))
+        return log, values, None
     try:
-        return known_robot(log, None if options.noise is None else str(options.noise)), values
+        if options.noise == AUTO and not log.identified:
+            # the models of the options have the place of the sensor
+            found, notes = robot_of(log, *options.models(log.motion, log.sensor))
+            known = Calibration.of(found).apply(log)
+            known = known.replace(uncertain=found.log.uncertain, notes=(*known.notes, *found.sentences, *notes))
+            return known, values, Calibration.of(found)
+        place = {name: value for name, value in options.of_component("sensor").items() if name in SensorModel.GEOMETRY}
+        if place:
+            log = log.replace(sensor=replace(log.sensor or SensorModel(), **place))
+        known, estimate = known_robot(log, None if options.noise is None else str(options.noise))
+        return known, values, None if estimate is None else Calibration.of(estimate)
     except (GraphError, LogError) as error:
-        return log.replace(notes=(*log.notes, f"noise auto kept {_kept(log)}: {error}")), values
+        return log.replace(notes=(*log.notes, f"noise auto kept {_kept(log)}: {error}")), values, None
 
 
 def _gives_noise(options: LogOptions) -> bool:
@@ -109,31 +115,6 @@ def _gives_noise(options: LogOptions) -> bool:
 
 def _kept(log: Log) -> str:
     return "the noise models of the log" if log.motion or log.sensor else "the book's noise models"
-
-
-def _calibrated(log: Log, sensor: SensorModel) -> tuple[Log, Calibration | None]:
-    """The log without ids with noise from its own residuals, and a note that says so or why its checks fail."""
-    found = None
-    try:
-        found = calibrate(log, source="residuals", sensor=sensor)
-        reason = "; ".join(found.doubts)
-        if found.range_scale != 1 and not reason:
-            reason = (
-                f"ranges and odometry differ by a factor of {found.range_scale:.3f} in scale, and residuals do not tell "
-                "which is wrong; "
-            )
-            reason += (
-                "the true poses do: slam-compare calibrate this log, and run with that noise file"
-                if knows_enough(log)
-                else "calibrate with --scale odometry or ranges, and run with that noise file"
-            )
-    except (GraphError, LogError) as error:
-        reason = str(error)
-    if found is None or reason:
-        return log.replace(notes=(*log.notes, f"noise auto kept {_kept(log)}: {reason}")), None
-    numbers = ", ".join(f"{n} {v:.3g}" for n, v in found.numbers.items() if v != CORRECTIONS.get(n, 0.0))
-    note = f"{TAKEN}: {numbers}"
-    return log.replace(notes=(*log.notes, note), motion=found.motion, sensor=found.sensor), found
 
 
 def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> tuple[Log, Path | None]:

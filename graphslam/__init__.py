@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from .mapping import LandmarkMap, estimate_map
     from .models import MotionModel, SensorModel
     from .parameters import PARAMETERS, Parameter, ParameterEstimate
+    from .parameters.corrections import without_biases
     from .solution import Solution
     from .solvers.gnc import solve_gnc
     from .solvers.gtsam_solver import solve_with_gtsam
@@ -61,6 +62,7 @@ _PUBLIC = {
     "mapping": "LandmarkMap estimate_map",
     "models": "MotionModel SensorModel",
     "parameters": "PARAMETERS Parameter ParameterEstimate",
+    "parameters.corrections": "without_biases",
     "solution": "Solution",
     "solvers.gnc": "solve_gnc",
     "solvers.gtsam_solver": "solve_with_gtsam",

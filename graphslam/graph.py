@@ -149,7 +149,7 @@ class Graph:
             check_choice("noise", noise, (AUTO, BOOK))
         log = _with_dimensions(log, dimensions)
         if motion is None and sensor is None:
-            log = known_robot(log, noise)
+            log, _ = known_robot(log, noise)
         recorded = log
         edges = suitable_edges(log) if edges is None else edges
         kernel = suitable_kernel(log) if kernel is None else kernel

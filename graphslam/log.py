@@ -362,62 +362,6 @@ class Log:
         kept = self.sightings[:, 0] <= most
         return self.with_sightings(kept)
 
-    def with_corrected_ranges(self, scale: float, bias: float) -> Log:
-        """The same log with ranges (l - bias) / scale, from a sensor that measured ranges as scale * l + bias [m].
-
-        Raises:
-            LogError: a corrected range would not be above zero.
-            OptionError: the scale is not positive, or the bias not finite.
-        """
-        check_positive(range_scale=scale)
-        if not np.isfinite(bias):
-            raise OptionError(f"range_bias must be a finite number, not {quoted(bias)}")
-        sightings = self.sightings.copy()
-        sightings[:, 0] = (sightings[:, 0] - bias) / scale
-        if (k := first(sightings[:, 0] <= 0)) is not None:
-            raise LogError(
-                f"{self.name}: sighting {k} has a range of {self.sightings[k, 0]:g} m, which a range bias of {bias:g} m "
-                "takes below zero; does the bias belong to another sensor?"
-            )
-        return replace(self, sightings=sightings)
-
-    def with_corrected_odometry(self, wheel_scale: float, turn_rate_bias: float) -> Log:
-        """The same log with controls (nu / wheel_scale, omega - turn_rate_bias), and dead reckoning as the initial poses.
-
-        Args:
-            wheel_scale: recorded speed = wheel_scale * speed.
-            turn_rate_bias: recorded turn rate = turn rate + turn_rate_bias [rad/s], as of a gyroscope.
-
-        Raises:
-            LogError: the log has no controls.
-            OptionError: the scale is not positive, or the bias not finite.
-        """
-        check_positive(wheel_scale=wheel_scale)
-        if not np.isfinite(turn_rate_bias):
-            raise OptionError(f"turn_rate_bias must be a finite number, not {quoted(turn_rate_bias)}")
-        controls, _, _ = self._driven(None)
-        corrected = replace(self, controls=(controls - [0.0, turn_rate_bias]) / [wheel_scale, 1.0])
-        return replace(corrected, initial_poses=corrected.dead_reckoning())
-
-    def corrected(
-        self,
-        *,
-        range_scale: float = 1.0,
-        range_bias: float = 0.0,
-        wheel_scale: float = 1.0,
-        turn_rate_bias: float = 0.0,
-    ) -> Log:
-        """The same log with what is wrong in all its ranges and controls taken out.
-
-        `with_corrected_ranges` and `with_corrected_odometry` have the equations and the exceptions.
-        """
-        log = self
-        if (range_scale, range_bias) != (1.0, 0.0):
-            log = log.with_corrected_ranges(range_scale, range_bias)
-        if (wheel_scale, turn_rate_bias) != (1.0, 0.0):
-            log = log.with_corrected_odometry(wheel_scale, turn_rate_bias)
-        return log
-
     def at_steps(self, steps: ArrayLike) -> Log:
         """The log with only these poses and the sightings from them; the motions between them are joined.
 

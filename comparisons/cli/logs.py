@@ -57,7 +57,7 @@ def calibrate(
         ),
     ] = None,
 ) -> None:
-    """Estimate motion and sensor noise, and scales and biases of ranges and odometry, by maximum likelihood.
+    """Estimate motion and sensor noise, and scales and biases of sightings and odometry, by maximum likelihood.
 
     Noise for a log without ground truth is best calibrated from the ground truth of other robots of the same kind.
     """
@@ -77,11 +77,11 @@ def calibrate(
         output.hint(f"Wrote {out}.")
     if result.doubts:
         output.hint(
-            "Next: calibrate from the ground truth of other robots of the same kind (calibrate LOG LOG ... --source "
-            "truth), or give the noise by hand."
+            "Next: calibrate the logs one by one, or from the ground truth of other robots of the same kind (calibrate LOG "
+            "LOG ... --source truth)."
         )
     elif out is not None:
-        leave_out = ("source", "scale", "gaussian", "robots")
+        leave_out = ("source", "gaussian", "robots")
         output.hint(f"Next: {command('run', log, '--noise', out, options=options, leave_out=leave_out)}")
 
 

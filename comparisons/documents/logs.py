@@ -187,16 +187,27 @@ class CalibrateDocument(Document):
     source: Annotated[Literal["truth", "residuals"], about("what the noise was estimated from")]
     motion: Annotated[dict[str, Any] | None, about("fields of `graphslam.MotionModel`; null without controls")]
     sensor: Annotated[dict[str, Any], about("fields of `graphslam.SensorModel`")]
+    wheel_scale: Annotated[float, about("recorded speed = wheel_scale * speed")]
+    turn_scale: Annotated[
+        float, about("recorded turn rate = turn_scale * turn rate + turn_rate_bias + curvature_bias * speed")
+    ]
+    turn_rate_bias: Annotated[float, about("the bias of that line [rad/s]")]
+    curvature_bias: Annotated[float, about("its part per speed [rad/m]")]
     range_scale: Annotated[float, about("measured range = range_scale * range + range_bias")]
     range_bias: Annotated[float, about("the bias of that line [m]")]
-    wheel_scale: Annotated[float, about("recorded speed = wheel_scale * speed")]
-    turn_rate_bias: Annotated[float, about("recorded turn rate = turn rate + turn_rate_bias [rad/s]")]
-    errors: Annotated[dict[str, float | None], about("standard error of each number, by its name; null near zero")]
+    bearing_bias: Annotated[float, about("measured bearing = bearing + bearing_bias [rad]")]
+    sensor_delay: Annotated[float, about("how late the times of sightings are [s]")]
+    errors: Annotated[
+        dict[str, float | None],
+        about("standard error of each number, by its name; null near zero, or where the log does not tell the number"),
+    ]
     bounds: Annotated[
         dict[str, float | None], about("upper 95 % bound of each number near zero; null where the log gives none")
     ]
-    degrees: Annotated[dict[str, float | None], about("degrees of freedom of Student's t; null: normal distribution")]
+    degrees: Annotated[
+        dict[str, float | None], about("degrees of freedom of Student's t, from the truth; null: normal distribution")
+    ]
     counts: Annotated[dict[str, Count], about("number of motions and sightings that were used")]
     logs: Annotated[list[str], about("names of the logs")]
     notes: Annotated[list[str], about("remarks of the calibration")]
-    doubts: Annotated[list[str], about("why the noise is not recommended; empty where the checks of residuals pass")]
+    doubts: Annotated[list[str], about("why the noise is not recommended: several logs disagree")]

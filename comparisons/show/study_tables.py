@@ -164,6 +164,8 @@ def survey_tables(survey: Survey) -> Tables:
 
 def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
     """The numbers of the noise models with their standard errors or upper bounds, a row each."""
+    from graphslam import PARAMETERS
+
     from ..option import options_of
     from ..options import NoiseOptions
 
@@ -178,12 +180,13 @@ def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
         known = f"{error:.2g}" if np.isfinite(error) else f"< {bound:.2g}" if np.isfinite(bound) else NOTHING
         if np.isposinf(bound):
             known = "not identifiable"
-        table.add_row(number_of, Text(options_of(NoiseOptions)[number_of].unit), f"{value:.4g}", known)
+        unit = (PARAMETERS if number_of in PARAMETERS else options_of(NoiseOptions))[number_of].unit
+        table.add_row(number_of, Text(unit), f"{value:.4g}", known)
     names = {"motion": "motions", "sensor": "sightings"}
     counts = " and ".join(f"{count} {names[part]}" for part, count in calibration.counts.items())
     return [table], [
         f"From {counts}. Measured range = range_scale * range + range_bias, recorded speed = wheel_scale * speed, recorded "
-        'turn rate = turn rate + turn_rate_bias. "<": near zero, with the upper '
+        'turn rate = turn_scale * turn rate + turn_rate_bias + curvature_bias * speed. "<": near zero, with the upper '
         f'95 % bound; "not identifiable": the log gives no bound; "{NOTHING}": not estimated.',
         *(f"{note}." for note in calibration.notes),
         *(f"Not recommended: {doubt}." for doubt in calibration.doubts),

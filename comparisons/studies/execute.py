@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from graphslam import Log, LogError
+from graphslam.parameters.declared import CORRECTIONS
 
 from ..comparison import compare
 from ..failures import sentence
 from ..option import options_of
-from ..options import CORRECTIONS, NoiseOptions, ReadingOptions, RunOptions
+from ..options import NoiseOptions, ReadingOptions, RunOptions
 from ..reading import read_log, sha256_of
 from .outcome import ERROR, Outcome
 from .plan import Run

@@ -1,4 +1,4 @@
-"""Noise models from data: by maximum likelihood with ground truth, from the residuals of a solved graph without."""
+"""Noise models from data: by maximum likelihood with ground truth, by `estimate_robot` without."""
 
 from .estimate import SOURCES, Calibration, calibrate
 

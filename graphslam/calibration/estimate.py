@@ -1,18 +1,24 @@
-"""`calibrate`: the noise of a robot's motion and sensor, estimated from a log."""
+"""`calibrate`: the noise and the biases of a robot, estimated from its logs."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
+
+import numpy as np
+from scipy.special import chdtri
 
 from ..checks import array_of, check_choice, check_not_negative, check_type
 from ..errors import LogError
 from ..identification.parts import OF_SENSOR, with_variances
+from ..identification.robot import RobotEstimate
 from ..log import Log, check_is_log
 from ..models import MotionModel, SensorModel
-from .from_residuals import CORRELATED, MAX_ROUNDS, SCALES, noise_from_residuals
+from ..parameters.corrections import without_biases
+from ..parameters.declared import CORRECTIONS, PLACE, of_sensor_alone
 from .from_truth import Means, knows_enough, knows_poses, motion_noise, sensor_noise
-from .unidentified import with_found_ids
+from .unidentified import robot_of
 from .variances import VarianceFit
 
 #: the choices of the option ``source``
@@ -20,39 +26,45 @@ SOURCES = ("auto", "truth", "residuals")
 
 #: distributions with fewer degrees of freedom than this have heavy tails: plain least squares is not enough
 HEAVY = 10.0
+#: how often logs of one robot are said to disagree although they do not
+ERROR_RATE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """Noise models, with their standard errors.
+    """Noise models and biases, with their standard errors.
 
     Attributes:
         motion: the motion model; None from a log without controls.
-        sensor: the sensor model, for ranges that are corrected by the line below.
-        range_scale, range_bias: measured range = range_scale * range + range_bias [m].
-        wheel_scale, turn_rate_bias: recorded speed = wheel_scale * speed, recorded turn rate = turn rate + turn_rate_bias
-            [rad/s]. From residuals one of the two scales is 1, since both together only change the size of the world. Numbers
-            within three standard errors of 1 or 0 are 1 or 0.
-        errors: standard errors of all numbers, {"nn": ..., "range_bias": ...}; NaN for those near zero.
+        sensor: the sensor model, for sightings that are corrected by the numbers below; from residuals with the estimated
+            place of the sensor.
+        wheel_scale, turn_scale, turn_rate_bias, curvature_bias, range_scale, range_bias, bearing_bias, sensor_delay: the
+            biases of `graphslam.PARAMETERS`. Residuals tell all but ``range_scale``; the truth tells ``wheel_scale``,
+            ``turn_rate_bias``, ``range_scale`` and ``range_bias``, which are 1 or 0 within three standard errors of that.
+        errors: standard errors of all numbers, {"nn": ..., "range_bias": ...}; NaN for those near zero, and for noise that
+            residuals tell to no better than 100 %.
         bounds: upper 95 % bounds of the numbers near zero, whose variance is less than two of its standard errors;
-            infinite where the log gives no bound.
+            infinite where the log gives no bound. From the truth only.
         degrees: {"motion": nu, "sensor": nu}, the degrees of freedom of Student's t; infinite where Gaussian. Where there
             are few, the models describe typical motions and sightings, without the outliers, and a robust kernel is
-            needed.
+            needed. From the truth only.
         counts: {"motion": number of motions, "sensor": number of sightings} that were used.
         source: "truth" or "residuals"; the latter, too, where true poses without a map tell the numbers of the motion only.
         logs: the names of the logs.
         notes: what the user should know, one sentence each.
-        doubts: why the noise should not be used, one sentence each; empty where all checks pass. Only noise from residuals
-            is checked.
+        doubts: why the noise should not be used, one sentence each: the biases of several logs differ beyond chance.
     """
 
     motion: MotionModel | None
     sensor: SensorModel
+    wheel_scale: float = 1.0
+    turn_scale: float = 1.0
+    turn_rate_bias: float = 0.0
+    curvature_bias: float = 0.0
     range_scale: float = 1.0
     range_bias: float = 0.0
-    wheel_scale: float = 1.0
-    turn_rate_bias: float = 0.0
+    bearing_bias: float = 0.0
+    sensor_delay: float = 0.0
     errors: dict[str, float] = field(default_factory=dict)
     bounds: dict[str, float] = field(default_factory=dict)
     degrees: dict[str, float] = field(default_factory=dict)
@@ -62,43 +74,101 @@ class Calibration:
     notes: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
 
+    @classmethod
+    def of(cls, found: RobotEstimate, *others: RobotEstimate) -> Calibration:
+        """What estimates from logs of one robot say together.
+
+        Logarithms of standard deviations, and biases, are weighted by their information; the factors for correlated errors,
+        whose errors are not known, count alike. The prior of a bias counts once.
+        """
+        every = (found, *others)
+        noise, motion, sensor = _noise(every), found.motion, found.sensor
+        priors = {name: prior for one in every for name, prior in one.parameters.priors.items()}
+        ideal = {name: mean for name, (mean, _) in priors.items()}
+        information, pulled = np.zeros((len(priors), len(priors))), np.zeros(len(priors))
+        for one in every:
+            # a log that holds a bias at its ideal value does not tell it
+            k = [list(priors).index(name) for name in one.parameters.names]
+            own = np.linalg.inv(one.parameters.covariance)
+            weights = [
+                0.0 if information[i, i] == 0 else priors[name][1] ** -2 for i, name in zip(k, one.parameters.names)
+            ]
+            information[np.ix_(k, k)] += own - np.diag(weights)
+            pulled[k] += own @ (one.parameters.values - [ideal[name] for name in one.parameters.names])
+        covariance = np.linalg.inv(information)
+        biases = {name: ideal[name] + change for name, change in zip(priors, (covariance @ pulled).tolist())}
+        if others:
+            shared = {name: float(np.exp(2 * mean)) for name, mean in noise.means.items()}
+            motion = with_variances(motion, {n: v for n, v in shared.items() if n not in OF_SENSOR})
+            sensor = with_variances(sensor, {n: v for n, v in shared.items() if n in OF_SENSOR})
+            place = [biases.get(name, here) for name, here in zip(PLACE, sensor.offset)]
+            sensor = replace(sensor, offset=tuple(place))
+        else:
+            # without rounding, so that the noise file gives the very graph of the estimate
+            biases = dict(zip(found.parameters.names, found.parameters.values.tolist()))
+        values = vars(motion) | vars(sensor)
+        errors = {name: values[name] * error if error < 1 else np.nan for name, error in noise.errors.items()}
+        return cls(
+            motion=motion, sensor=sensor, **{name: value for name, value in biases.items() if name not in PLACE},
+            errors=errors | dict(zip(priors, np.sqrt(np.diag(covariance)).tolist())),
+            counts={
+                "motion": sum(one.log.num_poses - 1 for one in every), "sensor": sum(len(one.log.steps) for one in every),
+            },
+            source="residuals", logs=tuple(one.log.name for one in every),
+            notes=(
+                *noise.notes,
+                *(f"{one.log.name}: {said}" if others else said for one in every for said in one.remarks),
+            ),
+            doubts=noise.doubts,
+        )  # fmt: skip
+
     def __repr__(self) -> str:
         """One line: source and all numbers."""
         return f"<Calibration from {self.source}: {', '.join(f'{k} {v:.3g}' for k, v in self.numbers.items())}>"
 
     @property
     def numbers(self) -> dict[str, float]:
-        """All numbers by name: those of the motion, of the sensor (not its offset), and scales and biases.
+        """All numbers by name: those of the motion, of the sensor, and biases.
 
-        The noise of psi is left out where psi was not measured, and wheel scale and turn-rate bias without controls.
+        The noise of psi is left out where psi was not measured, biases of controls without controls, and the place of the
+        sensor where it was not estimated.
         """
         of_models = {} if self.motion is None else asdict(self.motion)
         of_models |= {name: getattr(self.sensor, name) for name in OF_SENSOR}
         if "orientation_std" not in self.errors:
             del of_models["orientation_std"]
-        return of_models | self.corrections
+        place = {name: value for name, value in zip(PLACE, self.sensor.offset) if name in self.errors}
+        return of_models | self.corrections | place
 
     @property
     def corrections(self) -> dict[str, float]:
-        """Scales and biases, the arguments of `Log.corrected`; those of the odometry only where there was some."""
-        names = ["range_scale", "range_bias", *([] if self.motion is None else ["wheel_scale", "turn_rate_bias"])]
-        return {name: getattr(self, name) for name in names}
+        """The biases, arguments of `graphslam.without_biases`; without controls only those of sightings."""
+        values = {name: getattr(self, name) for name in CORRECTIONS}
+        return of_sensor_alone(values) if self.motion is None else values
 
     def to_json(self) -> dict[str, Any]:
         """The calibration as plain data."""
         return asdict(self) | {name: list(getattr(self, name)) for name in ("logs", "notes", "doubts")}
 
     def apply(self, log: Log) -> Log:
-        """The log with these models as its own, and its ranges and odometry corrected.
+        """The log with these models as its own, and its sightings and odometry corrected.
 
         Raises:
             LogError: a corrected range would not be above zero.
         """
-        values = self.corrections
-        if log.controls is None:
-            values = {name: value for name, value in values.items() if name.startswith("range")}
-        corrected = log.corrected(**values)
+        values = of_sensor_alone(self.corrections) if log.controls is None else self.corrections
+        corrected = without_biases(log, motion=self.motion, sensor=self.sensor, **values)
         return corrected.replace(motion=self.motion or log.motion, sensor=self.sensor)
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Logarithms of standard deviations by name, their errors, and what logs disagree on."""
+
+    means: dict[str, float]
+    errors: dict[str, float]
+    notes: tuple[str, ...]
+    doubts: tuple[str, ...]
 
 
 def calibrate(
@@ -108,33 +178,32 @@ def calibrate(
     motion: MotionModel | None = None,
     sensor: SensorModel | None = None,
     degrees: float | None = None,
-    scale: str = "odometry",
 ) -> Calibration:
     """Estimate the noise of motion and sensor from one log or several, and what is wrong with all their measurements.
 
     With ground truth, by maximum likelihood: true motions are compared with the commanded ones, and sightings with those
-    that the true poses imply (`from_truth`). Without ground truth, from the residuals of the solved graphs
-    (`from_residuals`). Both assume t-distributed residuals with unknown degrees of freedom, so that wheel slip and wrong
-    sightings do not increase the estimated noise of all others: see `variances`.
+    that the true poses imply (`from_truth`). The residuals have t-distributions with unknown degrees of freedom, so that
+    wheel slip and wrong sightings do not increase the estimated noise of all others: see `variances`. Without ground
+    truth, by `estimate_robot` on each log (`Calibration.of`).
 
     Noise that is to be used on a log without ground truth is best calibrated from the ground truth of other robots of the
-    same kind. Several logs give one noise for all; what differs between them is part of it.
+    same kind. Several logs give one noise for all; what differs between them is part of the noise from the truth, and told
+    where the noise is from residuals.
 
-    In logs whose sightings have no ids, ids and noise are found in turn, see `with_found_ids`.
+    In logs whose sightings have no ids, ids and noise are found in turn, see `robot_of`.
 
     Args:
         log, others: the logs; of one kind of robot, since they share all numbers.
         source: "truth", "residuals", or "auto": the truth where poses, headings and landmarks are known. Where the map is
             not, "auto" takes the numbers of the motion from the true poses, and those of the sensor from residuals.
-        motion, sensor: the start of the search by "residuals", and the offset of the sensor; default: the first log's, or
+        motion, sensor: the noise with which ids are found first, and the offset of the sensor; default: the first log's, or
             the book's.
-        degrees: degrees of freedom; None to estimate them, infinity for a Gaussian likelihood.
-        scale: what has the right scale where only residuals tell: "odometry" or "ranges", relative to which the other one
-            is corrected, or "both".
+        degrees: degrees of freedom of the residuals against the truth; None to estimate them, infinity for a Gaussian
+            likelihood.
 
     Raises:
         LogError: a log lacks what is needed.
-        GraphError: its graph cannot be made or is not determined.
+        GraphError: the sightings do not determine the noise.
         OptionError: an option has an impossible value.
     """
     for each in (log, *others):
@@ -145,71 +214,47 @@ def calibrate(
         check_not_negative(degrees=degrees)
         degrees = float(array_of("degrees", degrees))
     check_choice("source", source, SOURCES)
-    check_choice("scale", scale, tuple(SCALES))
     logs = (log, *others)
     motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
-    if source == "truth" or all(each.identified for each in logs):
-        return _calibrated(logs, source, motion, sensor, degrees, scale)
-    _check(logs, "residuals")
-    named = [with_found_ids(each, motion, sensor) for each in logs]
-    first = _calibrated(tuple(each for each, _ in named), source, motion, sensor, degrees, scale)
-    motion, sensor = first.motion or motion, first.sensor
-    named = [with_found_ids(each, motion, sensor, first.corrections) for each in logs]
-    second = _calibrated(tuple(each for each, _ in named), source, motion, sensor, degrees, scale)
-    return replace(second, notes=(*(note for _, note in named if note), *second.notes))
-
-
-def _calibrated(
-    logs: tuple[Log, ...], source: str, motion: MotionModel, sensor: SensorModel, degrees: float | None, scale: str
-) -> Calibration:
-    """`calibrate` for logs with ids."""
-    log = logs[0]
     if auto := source == "auto":
         source = "truth" if all(map(knows_enough, logs)) else "residuals"
     _check(logs, source)
-    notes: list[str] = []
-    doubts: list[str] = []
-    moved: VarianceFit | None = None
     if source == "truth":
-        seen, (means, errors) = sensor_noise(logs, sensor, degrees)
-        if log.controls is not None:
-            moved, odometry = motion_noise(logs, degrees)
-            means, errors = means | odometry[0], errors | odometry[1]
-    else:
-        known: tuple[VarianceFit, Means] | None = None
-        drives = logs
-        if auto and log.controls is not None and all(map(knows_poses, logs)):
-            known = motion_noise(logs, degrees)
-            means = known[1][0]
-            drives = tuple(each.with_corrected_odometry(means["wheel_scale"], means["turn_rate_bias"]) for each in logs)
-            scale = "odometry"
-            notes.append(
-                "there is no true map: the numbers of the motion, with wheel_scale and turn_rate_bias, are from the true "
-                "poses, and those of the sensor from residuals"
-            )
-        elif auto:
-            notes.append("no true poses with headings are known: all numbers are from residuals")
-        found = noise_from_residuals(drives, motion, sensor, degrees, scale=scale)
-        moved, seen, means, errors = found.motion, found.sensor, found.means, found.errors
-        if known is not None:
-            moved, (of_odometry, errors_of_odometry) = known
-            means, errors = means | of_odometry, errors | errors_of_odometry
-        if not found.settled:
-            doubts.append(f"the variances had not settled after {MAX_ROUNDS} rounds")
-        for name, reference in (("range_scale", "odometry"), ("wheel_scale", "ranges")):
-            if means[name] != 1 and known is None:
-                other = ", ".join(each for each in SCALES if each != reference)
-                notes.append(
-                    f"{name} {means[name]:.3f} is relative to the {reference}; only ground truth tells which of the two has "
-                    f"the wrong scale (option scale: {other})"
-                )
-        if found.correlation > CORRELATED:
-            doubts.append(
-                f"the errors of successive sightings of a landmark are correlated ({found.correlation:.2f}): the solution "
-                "follows them, so that the noise of the sensor comes out too small"
-            )
-    fits = {"sensor": seen} if moved is None else {"motion": moved, "sensor": seen}
-    notes += [
+        return _from_truth(logs, motion, sensor, degrees)
+    robots = [robot_of(each, motion, sensor) for each in logs]
+    found = Calibration.of(*(robot for robot, _ in robots))
+    found = replace(found, notes=(*(note for _, notes in robots for note in notes), *found.notes))
+    if auto and all(map(knows_poses, logs)):
+        return _with_true_motion(found, motion, *motion_noise(logs, degrees))
+    note = ("no true poses with headings are known: all numbers are from residuals",) * auto
+    return replace(found, notes=(*note, *found.notes))
+
+
+def _from_truth(logs: tuple[Log, ...], motion: MotionModel, sensor: SensorModel, degrees: float | None) -> Calibration:
+    """The calibration from the ground truth of logs."""
+    seen, of_ranges = sensor_noise(logs, sensor, degrees)
+    means: dict[str, Any] = {**of_ranges[0]}
+    errors, fits = of_ranges[1], {"sensor": seen}
+    if logs[0].controls is not None:
+        moved, odometry = motion_noise(logs, degrees)
+        means, errors, fits = means | odometry[0], errors | odometry[1], {"motion": moved, "sensor": seen}
+    return Calibration(
+        motion=with_variances(motion, fits["motion"].variances) if "motion" in fits else None,
+        sensor=with_variances(sensor, seen.variances),
+        **means,
+        errors={name: error for fit in fits.values() for name, error in fit.errors_of_model().items()} | errors,
+        bounds={name: bound for fit in fits.values() for name, bound in fit.bounds_of_model().items()},
+        degrees={name: fit.degrees for name, fit in fits.items()},
+        counts={name: fit.count for name, fit in fits.items()},
+        source="truth",
+        logs=tuple(each.name for each in logs),
+        notes=_heavy_tails(fits),
+    )
+
+
+def _heavy_tails(fits: dict[str, VarianceFit]) -> tuple[str, ...]:
+    """What the user should know of the degrees of freedom."""
+    return tuple(
         f"{what} have heavy tails ({fits[name].degrees:.1f} degrees of freedom): the values describe typical {what}, "
         f"without the outliers{advice}"
         for name, what, advice in (
@@ -217,19 +262,69 @@ def _calibrated(
             ("motion", "motions", ""),
         )
         if name in fits and fits[name].degrees < HEAVY
-    ]
-    return Calibration(
-        motion=None if moved is None else with_variances(motion, moved.variances),
-        sensor=with_variances(sensor, seen.variances),
-        **means,
-        errors={name: error for fit in fits.values() for name, error in fit.errors_of_model().items()} | errors,
-        bounds={name: bound for fit in fits.values() for name, bound in fit.bounds_of_model().items()},
-        degrees={name: fit.degrees for name, fit in fits.items()},
-        counts={name: fit.count for name, fit in fits.items()},
-        source=source,
-        logs=tuple(each.name for each in logs),
-        notes=tuple(notes),
-        doubts=tuple(doubts),
+    )
+
+
+def _with_true_motion(found: Calibration, motion: MotionModel, moved: VarianceFit, odometry: Means) -> Calibration:
+    """The calibration from residuals, with the numbers of the motion from true poses without a map.
+
+    Residuals tell the scale of the wheels relative to that of ranges. The true one therefore gives that of ranges, and all
+    lengths that the sensor measures change by this factor.
+    """
+    means, errors = odometry
+    factor = found.wheel_scale / means["wheel_scale"]
+    relative = [found.errors.get("wheel_scale", 0.0) / found.wheel_scale, np.nan_to_num(errors["wheel_scale"])]
+    biases: dict[str, Any] = {"turn_scale": 1.0, "curvature_bias": 0.0, "range_scale": 1 / factor} | means
+    known = {name: error for name, error in found.errors.items() if name not in biases}
+    known |= {"range_scale": float(np.hypot(*relative)) / factor, "range_std": found.errors["range_std"] * factor}
+    note = (
+        "there is no true map: the numbers of the motion, with wheel_scale and turn_rate_bias, are from the true poses, and "
+        "those of the sensor from residuals"
+    )
+    return replace(
+        found,
+        motion=with_variances(motion, moved.variances),
+        sensor=replace(found.sensor, range_std=found.sensor.range_std * factor),
+        **biases,
+        errors=known | moved.errors_of_model() | errors,
+        bounds=moved.bounds_of_model(),
+        degrees={"motion": moved.degrees},
+        counts=found.counts | {"motion": moved.count},
+        notes=(note, *_heavy_tails({"motion": moved}), *found.notes),
+    )
+
+
+def _noise(every: Sequence[RobotEstimate]) -> _Noise:
+    """The noise that estimates say together, and on what they disagree beyond chance.
+
+    Values of one number from R logs, weighted by their information, scatter by chi-square with R - 1 degrees of freedom.
+    Errors of sightings that last make their noise differ from log to log, and so only biases are doubtful.
+    """
+    names = list(every[0].errors)
+    biased = list(dict.fromkeys(name for one in every for name in one.parameters.names))
+    widths = 0.5 * np.log([one.inflation for one in every])[:, None] * np.isin(names, OF_SENSOR)
+    models = [vars(one.motion) | vars(one.sensor) for one in every]
+    values = np.log([[model[name] for name in names] for model in models]) - widths
+    # a log that holds a bias at its ideal value does not tell it
+    told = [dict(zip(one.parameters.names, one.parameters.values.tolist())) for one in every]
+    biases = np.array([[each.get(name, 0.0) for name in biased] for each in told])
+    spreads = [[one.parameters.deviations.get(name, np.inf) for name in biased] for one in every]
+    errors = np.hstack([[list(one.errors.values()) for one in every], spreads])
+    both, information = np.hstack([values, biases]), errors**-2
+    means = np.average(both, axis=0, weights=information)
+    scatter = np.sum(((both - means) / errors) ** 2, axis=0)
+    notes: list[str] = []
+    doubts: list[str] = []
+    for k, name in enumerate((*names, *biased)):
+        count = int(np.sum(information[:, k] > 0))
+        if count > 1 and scatter[k] > chdtri(count - 1, ERROR_RATE / len(means)):
+            shown = ", ".join(f"{value:.3g}" for value in (np.exp(values[:, k]) if k < len(names) else both[:, k]))
+            sentence = f"the logs disagree beyond chance on {name} ({shown})"
+            (notes if k < len(names) else doubts).append(sentence)
+    together = means[: len(names)] + widths.mean(axis=0)
+    deviations = np.sum(information[:, : len(names)], axis=0) ** -0.5
+    return _Noise(
+        dict(zip(names, together.tolist())), dict(zip(names, deviations.tolist())), tuple(notes), tuple(doubts)
     )
 
 

@@ -20,6 +20,7 @@ from ..errors import LogError
 from ..identification.parts import LEAST, motion_parts, ordinary, sensor_parts, stacked
 from ..log import Log
 from ..models import MotionModel, SensorModel, sinc
+from ..parameters.corrections import without_biases
 from ..se2 import Array, between, wrap
 from .variances import VarianceFit, fit_variances
 
@@ -61,7 +62,7 @@ def motion_noise(logs: Sequence[Log], degrees: float | None = None) -> tuple[Var
     parts = {name: C[counted] for name, C in stacked(map(motion_parts, logs)).items()}
 
     def residuals(means: Array, way: Callable[[Log, Array], Array] = differences) -> Array:
-        corrected = [log.with_corrected_odometry(*means.tolist()) for log in logs]
+        corrected = [without_biases(log, wheel_scale=means[0], turn_rate_bias=means[1]) for log in logs]
         return np.concatenate([way(log, m) for log, m in zip(corrected, moved)])[counted]
 
     def slopes(means: Array) -> Array:
@@ -164,7 +165,7 @@ def fit_with_means(
     while True:
         for _ in range(100):
             e, J = residuals(means), slopes(means)[:, :, free]
-            fit = fit_variances(e, parts, degrees=degrees, least=LEAST, start=fit, bounds=False)
+            fit = fit_variances(e, parts, degrees=degrees, least=LEAST, start=fit)
             W = np.linalg.inv(sum(fit.variances[name] * C for name, C in parts.items()))
             pull = np.einsum("e,edk,edc->eck", fit.weights if robust else np.ones(len(e)), J, W, optimize=True)
             inverse, known = inverse_information(np.einsum("eck,ecl->kl", pull, J))
@@ -183,7 +184,7 @@ def fit_with_means(
             break
         k = int(np.argmin(distance))
         free[k], means[k] = False, ideal[k]
-    return fit_variances(e, parts, degrees=degrees, least=LEAST, start=fit), means, errors
+    return fit, means, errors
 
 
 def inverse_information(information: Array) -> tuple[Array, bool]:

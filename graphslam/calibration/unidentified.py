@@ -1,33 +1,45 @@
-"""Ids for logs whose sightings have none, as calibration needs them."""
+"""The robot of a log whose sightings may have no ids."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from ..association import associate
+from ..errors import GraphError, LogError
+from ..identification.robot import RobotEstimate, estimate_robot
 from ..log import UNIDENTIFIED, Log
 from ..models import MotionModel, SensorModel
+from ..parameters.corrections import without_biases
+from ..parameters.declared import PLACE
 
 
-def with_found_ids(
-    log: Log, motion: MotionModel, sensor: SensorModel, corrections: Mapping[str, float] | None = None
-) -> tuple[Log, str]:
-    """The log with the ids that `associate` finds, without clutter, and a note; the log itself where it has ids.
+def robot_of(log: Log, motion: MotionModel, sensor: SensorModel) -> tuple[RobotEstimate, tuple[str, ...]]:
+    """`estimate_robot`, and notes; where sightings have no ids, ids and robot are found in turn.
 
-    Noise models that are too wide hide wrong ids, and wrong ids change the residuals. So `calibrate` finds ids with the
-    models that it begins with, the noise of that log, ids with this noise, and the noise again.
+    Noise models that are too wide hide wrong ids, and wrong ids change the noise. So ids are found with the noise to begin
+    with, then the robot, then ids in the corrected log with the noise that was found, and then the robot again.
 
     Args:
         log: with controls.
-        motion, sensor: the noise models.
-        corrections: the arguments of `Log.corrected`, of the log in which ids are sought; default: none.
+        motion, sensor: the noise with which ids are found first, and where the sensor is believed to be.
 
     Raises:
-        LogError: no ids can be found.
+        LogError, GraphError: no ids can be found, or the log does not tell the noise.
     """
     if log.identified:
-        return log, ""
-    found = associate(log.corrected(**(corrections or {})), motion=motion, sensor=sensor)
+        return estimate_robot(log, sensor=sensor), ()
+    named, note = _with_found_ids(log, log, motion, sensor)
+    found = estimate_robot(named, sensor=sensor)
+    biases = {name: value for name, value in zip(found.parameters.names, found.parameters.values) if name not in PLACE}
+    try:
+        corrected = without_biases(log, motion=found.motion, sensor=found.sensor, **biases)
+        named, again = _with_found_ids(log, corrected, found.motion, found.sensor)
+        return estimate_robot(named, sensor=sensor), (again,)
+    except (LogError, GraphError) as error:
+        return found, (note, f"ids were found only once, because with the noise that was found {error}")
+
+
+def _with_found_ids(log: Log, corrected: Log, motion: MotionModel, sensor: SensorModel) -> tuple[Log, str]:
+    """The log with the ids that `associate` finds in the corrected log, without clutter, and a note."""
+    found = associate(corrected, motion=motion, sensor=sensor)
     kept = found.ids != UNIDENTIFIED
     # landmarks that were found are not those of the true map
     named = log.with_sightings(kept, landmarks=found.ids[kept], initial_poses=found.poses, true_landmarks=None)

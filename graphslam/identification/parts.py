@@ -51,11 +51,6 @@ def stacked(parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]:
     return {name: np.concatenate([each[name] for each in several]) for name in several[0]}
 
 
-def variances_of(model: MotionModel | SensorModel) -> dict[str, float]:
-    """The variances of a model by the names of its fields."""
-    return {n: value if n == "epsilon" else value**2 for n, value in vars(model).items() if n != "offset"}
-
-
 def with_variances(model: Model, variances: Mapping[str, float]) -> Model:
     """The model with these variances, epsilon at least `LEAST_EPSILON`; fields that are not named stay."""
     numbers: dict[str, Any] = {n: max(v, LEAST_EPSILON) if n == "epsilon" else v**0.5 for n, v in variances.items()}

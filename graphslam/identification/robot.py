@@ -52,8 +52,6 @@ KINDS = {
     "sensor": ("range_bias", "bearing_bias", "sensor_ahead", "sensor_left", "sensor_delay"),
 }
 CONVINCING = 1.0
-#: how the sentence on the noise begins
-TAKEN = "noise estimated from this log"
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = {"sightings": 60, "poses": 20}
 #: of longer logs only so many sightings are used at once where this is enough
@@ -101,12 +99,15 @@ class RobotEstimate:
         noise = ", ".join(
             f"{name} {values[name]:.2g} +- {100 * error:.0f} %" for name, error in self.errors.items() if error < 1
         )
-        lines = [
-            f"{TAKEN}: {noise}",
-        ]
+        lines = [f"noise estimated from this log: {noise}"]
         if self.parameters.names:
             lines.append(f"biases estimated from this log: {self.parameters.sentence}")
-        lines += [
+        return (*lines, *self.remarks)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was found beside noise and biases, one sentence each."""
+        lines = [
             f"the log is for {kind} without biases, and these are held at their ideal values: {', '.join(names)}"
             for kind, names in KINDS.items()
             if not set(names) & set(self.parameters.names)
@@ -130,8 +131,8 @@ class RobotEstimate:
 AUTO, BOOK = "auto", "book"
 
 
-def known_robot(log: Log, noise: str | None = None) -> Log:
-    """The log with the noise of its robot: `RobotEstimate.log` where that is asked for, or where nothing else is known.
+def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate | None]:
+    """The log with the noise of its robot, and the estimate where that is asked for, or where nothing else is known.
 
     Args:
         noise: "auto" estimates noise, biases and misread ids; "book" takes the values of the lectures. Default: the models of
@@ -142,17 +143,17 @@ def known_robot(log: Log, noise: str | None = None) -> Log:
     """
     if noise == BOOK:
         place = {name: getattr(log.sensor or SensorModel(), name) for name in SensorModel.GEOMETRY}
-        return log.replace(motion=MotionModel(), sensor=SensorModel(**place))
+        return log.replace(motion=MotionModel(), sensor=SensorModel(**place)), None
     if noise is None and not unknown_noise(log):
-        return log
+        return log, None
     try:
         found = estimate_robot(log)
     except (GraphError, LogError, np.linalg.LinAlgError) as error:
         if noise == AUTO:
             raise
         reason = f"the noise models are the book's, because noise cannot be estimated: {error}"
-        return log.replace(notes=(*log.notes, reason))
-    return found.log.replace(notes=(*log.notes, *found.sentences))
+        return log.replace(notes=(*log.notes, reason)), None
+    return found.log.replace(notes=(*log.notes, *found.sentences)), found
 
 
 def unknown_noise(log: Log) -> bool:

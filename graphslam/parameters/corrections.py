@@ -12,10 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..log import Log
-from ..models import SensorModel
+from ..checks import check_choice, check_number, check_positive, check_type, first
+from ..errors import LogError
+from ..log import Log, check_is_log
+from ..models import MotionModel, SensorModel
 from ..se2 import Array
-from .declared import PARAMETERS, Parameters
+from .declared import CORRECTIONS, PARAMETERS, Parameters, of_sensor_alone
 
 #: the control at a pose is the mean over at most this time before and after it [s]
 LONGEST = 0.5
@@ -176,9 +178,54 @@ def corrected_log(parameters: Parameters) -> Log:
     Raises:
         LogError: a corrected range would not be above zero.
     """
-    log = parameters.recorded
+    log, bias = parameters.recorded, parameters.by_name()["range_bias"]
+    if (k := first(log.sightings[:, 0] <= bias)) is not None:
+        raise LogError(
+            f"{log.name}: sighting {k} has a range of {log.sightings[k, 0]:g} m, which a range bias of {bias:g} m takes "
+            "below zero; does the bias belong to another sensor?"
+        )
     every, d = np.arange(len(log.steps)), log.sightings.shape[1]
     changes = {"sightings": corrected_sightings(parameters, every, d), "sensor": corrected_sensor(parameters)}
     if any(PARAMETERS[name].of_motion for name in parameters.names):
         changes["controls"] = corrected_controls(parameters)
     return log.replace(**changes)
+
+
+def without_biases(
+    log: Log, *, motion: MotionModel | None = None, sensor: SensorModel | None = None, **values: float
+) -> Log:
+    """The log without what is wrong in all its sightings and controls.
+
+    Where controls change, the initial poses are those of dead reckoning.
+
+    Args:
+        log: as it was recorded.
+        motion, sensor: the noise of the odometry and the place of the sensor, on which the correction of a delay depends;
+            default: those of the log, else the book's.
+        values: of `PARAMETERS` by name, except for the place of the sensor, which belongs to the sensor model; default: the
+            ideal ones.
+
+    Raises:
+        LogError: there are no controls to correct, or a corrected range would not be above zero.
+        OptionError: there is no such parameter, a scale is not positive, or a value is not finite.
+    """
+    check_is_log(log)
+    check_type(MotionModel, motion=motion)
+    check_type(SensorModel, sensor=sensor)
+    for name, value in values.items():
+        check_choice("a bias", name, tuple(CORRECTIONS))
+        if name.endswith("_scale"):
+            check_positive(**{name: value})
+        check_number(**{name: value})
+    wrong = {name: float(value) for name, value in values.items() if value != CORRECTIONS[name]}
+    if not wrong:
+        return log
+    if log.controls is None and len(lost := wrong.keys() - of_sensor_alone(wrong)):
+        raise LogError(f"{log.name} has no controls, and {', '.join(sorted(lost))} cannot be taken out of them")
+    motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
+    numbers, none = np.array(list(wrong.values())), np.full(len(wrong), np.inf)
+    corrected = corrected_log(Parameters(tuple(wrong), numbers, numbers, none, log, motion, sensor, 1.0))
+    corrected = corrected.replace(sensor=log.sensor)
+    if any(PARAMETERS[name].of_motion for name in wrong):
+        corrected = corrected.replace(initial_poses=corrected.dead_reckoning())
+    return corrected

@@ -55,6 +55,21 @@ PARAMETERS = {
     "sensor_delay": Parameter(0.0, "s", "How late the times of sightings are against those of controls", False),
 }
 
+#: the place of the sensor, which is part of the sensor model
+PLACE = ("sensor_ahead", "sensor_left")
+#: all others, which `without_biases` takes out of a log, with their ideal values
+CORRECTIONS = {name: parameter.ideal for name, parameter in PARAMETERS.items() if name not in PLACE}
+
+
+def of_sensor_alone(values: Mapping[str, float]) -> dict[str, float]:
+    """The values {name: value} that correct a log without controls, too."""
+    return {name: value for name, value in values.items() if not needs_controls(name)}
+
+
+def needs_controls(name: str) -> bool:
+    """Whether a parameter means nothing without controls."""
+    return PARAMETERS[name].of_motion or name == "sensor_delay"
+
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
@@ -142,7 +157,7 @@ class ParameterEstimate:
 def ideal_values(sensor: SensorModel) -> dict[str, float]:
     """The values of all parameters where nothing is wrong."""
     ideal = {name: parameter.ideal for name, parameter in PARAMETERS.items()}
-    return ideal | dict(zip(("sensor_ahead", "sensor_left"), sensor.offset))
+    return ideal | dict(zip(PLACE, sensor.offset))
 
 
 def declared(

