@@ -295,6 +295,6 @@ def test_logs_without_ids(tmp_path: Path) -> None:
     assert [note for note in data.notes if note.startswith("noise estimated from this log")]
     assert [note for note in data.notes if "13 landmarks were found" in note]
     # what cannot tell its noise keeps the book's, and says why
-    few, _, options = prepare(unknown.at_steps(np.arange(60)), RunOptions.of(noise="auto"))
+    few, _, options = prepare(unknown.at_steps(np.arange(15)), RunOptions.of(noise="auto"))
     assert options.calibration is None and options.sensor == SensorModel()
     assert [note for note in few.notes if note.startswith("noise auto kept the book's noise models")]
