@@ -6,7 +6,7 @@ Arrays (absent = None): ``format`` ("graphslam-log-1"), ``dt`` (T,), ``controls`
 column of NaN marks a landmark without heading), ``start_time``, and for logs with several controls per motion
 ``control_starts`` (T+1,), ``control_variances`` (S, 2), ``recorded_dt`` (S,) and ``true_path`` (S+1, 3); ``motion`` and
 ``sensor``, the fields of the noise models in their order, where the log has such models; ``notes`` (N,) and
-``doubts`` (N, 2), texts; ``simulated``, where `simulate` made the log. No pickles.
+``doubts`` (N, 2), texts; ``uncertain`` (K, 2), texts, names and numbers; ``simulated``, where `simulate` made the log. No pickles.
 """
 
 from __future__ import annotations
@@ -82,6 +82,7 @@ def _read(path: Path, options: ReadOptions) -> Log:
             start_time=float(real_array(content.get("start_time", 0.0))),
             notes=notes,
             doubts=tuple((str(check), str(message)) for check, message in content.get("doubts", np.empty((0, 2)))),
+            uncertain={str(name): float(number) for name, number in content.get("uncertain", np.empty((0, 2)))} or None,
             simulated=bool(content.get("simulated", False)),
             name=path.stem,
         )
@@ -136,6 +137,8 @@ def _write(log: Log, path: Path) -> None:
         content["true_landmark_poses"] = np.array(poses).reshape(-1, 3)
     if log.simulated:
         content["simulated"] = np.array(True)
+    if log.uncertain:
+        content["uncertain"] = np.array([(name, repr(float(number))) for name, number in log.uncertain.items()])
     for name in ("notes", "doubts"):
         if texts := getattr(log, name):
             content[name] = np.array(texts)
