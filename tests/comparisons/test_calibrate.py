@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+from comparisons import run
 from comparisons.cli import app
 from comparisons.config import read_config
 from comparisons.noise_files import read_noise, write_noise
@@ -29,7 +30,7 @@ from graphslam import (
     save,
     simulate,
 )
-from graphslam.calibration import calibrate
+from graphslam.calibration import Calibration, calibrate
 from graphslam.log import UNIDENTIFIED
 from graphslam.parameters.declared import CORRECTIONS
 
@@ -284,3 +285,15 @@ def test_logs_without_ids(tmp_path: Path) -> None:
     few, _, options = prepare(unknown.at_steps(np.arange(60)), RunOptions.of(noise="auto"))
     assert options.calibration is None and options.sensor == SensorModel()
     assert [note for note in few.notes if note.startswith("noise auto kept the book's noise models")]
+
+
+def test_noise_of_another_robot_is_noticed(tmp_path: Path) -> None:
+    log = drive_of_a_robot(tmp_path)
+    found = estimate_robot(log)
+    noise, named = Calibration.of(found), log.with_sightings(~found.dropped, landmarks=found.log.landmarks)
+    for factor in (1.0, 3.0):
+        smaller = {name: getattr(found.sensor, name) / factor for name in ("range_rate", "range_std", "bearing_std")}
+        write_noise(replace(noise, sensor=replace(found.sensor, **smaller)), tmp_path / "noise.toml", "a robot")
+        outcome = run(named, estimators=["graph"], noise=tmp_path / "noise.toml")
+        said = [finding.message for finding in outcome.findings if "less noise than this log shows" in finding.message]
+        assert len(said) == (factor > 1)
