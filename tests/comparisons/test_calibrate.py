@@ -73,7 +73,7 @@ def test_from_log_to_run(invoke: Invoke, log_file: Path) -> None:
     assert found["range_scale"] == pytest.approx(1.05, abs=4 * found["errors"]["range_scale"])
     assert read_noise(Path("noise.toml"))[0]["bearing_std"] == found["sensor"]["bearing_std"]
 
-    options = ["--estimators", "graph", "--json", "-"]
+    options = ["--estimators", "graph", "--json", "-", "--figures", ""]
     (plain,) = json.loads(invoke("run", "log.npz", "--out", "a", *options).stdout)["estimators"]
     (right,) = json.loads(invoke("run", "log.npz", "--noise", "noise.toml", "--out", "b", *options).stdout)[
         "estimators"
@@ -207,7 +207,7 @@ def drive_of_a_robot(folder: Path) -> Log:
 
 def test_the_noise_of_a_robot_is_estimated_and_told(invoke: Invoke, tmp_path: Path) -> None:
     log = drive_of_a_robot(tmp_path)
-    result = invoke("run", "own.npz", "--estimators", "graph", "--out", "a", "--json", "a.json")
+    result = invoke("run", "own.npz", "--estimators", "graph", "--out", "a", "--json", "a.json", "--figures", "")
     assert result.exit_code == 0, result.output
     assert "Noise models: estimated from this log." in result.stdout
     run = json.loads(Path("a.json").read_text())
@@ -232,11 +232,12 @@ def test_the_noise_of_a_robot_is_estimated_and_told(invoke: Invoke, tmp_path: Pa
 
 def test_the_noise_of_the_book_is_taken_where_it_is_asked_for(invoke: Invoke, tmp_path: Path) -> None:
     drive_of_a_robot(tmp_path)
-    result = invoke("run", "own.npz", "--noise", "book", "--estimators", "graph", "--out", "a", "--json", "-")
+    plain = ["--estimators", "graph", "--kernel", "none", "--figures", "", "--json", "-"]
+    result = invoke("run", "own.npz", "--noise", "book", "--out", "a", *plain)
     noise = json.loads(result.stdout)["noise"]
     assert noise["sensor"]["source"] == "book" and noise["sensor"]["model"]["range_rate"] == 0.14
     # numbers that are given are used, and nothing else is estimated
-    given = invoke("run", "own.npz", "--range-std", "0.1", "--estimators", "graph", "--out", "b", "--json", "-")
+    given = invoke("run", "own.npz", "--range-std", "0.1", "--out", "b", *plain)
     assert json.loads(given.stdout)["noise"]["sensor"]["model"]["range_std"] == 0.1
 
 
