@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+from comparisons import run
 from comparisons.cli import app
 from comparisons.cli.run import _noise_advice
 from comparisons.config import read_config
@@ -32,7 +33,7 @@ from graphslam import (
     save,
     simulate,
 )
-from graphslam.calibration import calibrate
+from graphslam.calibration import Calibration, calibrate
 from graphslam.log import UNIDENTIFIED
 from graphslam.parameters.declared import CORRECTIONS
 
@@ -75,7 +76,7 @@ def test_from_log_to_run(invoke: Invoke, log_file: Path) -> None:
     assert found["range_scale"] == pytest.approx(1.05, abs=4 * found["errors"]["range_scale"])
     assert read_noise(Path("noise.toml"))[0]["bearing_std"] == found["sensor"]["bearing_std"]
 
-    options = ["--estimators", "graph", "--json", "-"]
+    options = ["--estimators", "graph", "--json", "-", "--figures", ""]
     (plain,) = json.loads(invoke("run", "log.npz", "--out", "a", *options).stdout)["estimators"]
     (right,) = json.loads(invoke("run", "log.npz", "--noise", "noise.toml", "--out", "b", *options).stdout)[
         "estimators"
@@ -209,7 +210,7 @@ def drive_of_a_robot(folder: Path) -> Log:
 
 def test_the_noise_of_a_robot_is_estimated_and_told(invoke: Invoke, tmp_path: Path) -> None:
     log = drive_of_a_robot(tmp_path)
-    result = invoke("run", "own.npz", "--estimators", "graph", "--out", "a", "--json", "a.json")
+    result = invoke("run", "own.npz", "--estimators", "graph", "--out", "a", "--json", "a.json", "--figures", "")
     assert result.exit_code == 0, result.output
     assert "Noise models: estimated from this log." in result.stdout
     run = json.loads(Path("a.json").read_text())
@@ -234,11 +235,12 @@ def test_the_noise_of_a_robot_is_estimated_and_told(invoke: Invoke, tmp_path: Pa
 
 def test_the_noise_of_the_book_is_taken_where_it_is_asked_for(invoke: Invoke, tmp_path: Path) -> None:
     drive_of_a_robot(tmp_path)
-    result = invoke("run", "own.npz", "--noise", "book", "--estimators", "graph", "--out", "a", "--json", "-")
+    plain = ["--estimators", "graph", "--kernel", "none", "--figures", "", "--json", "-"]
+    result = invoke("run", "own.npz", "--noise", "book", "--out", "a", *plain)
     noise = json.loads(result.stdout)["noise"]
     assert noise["sensor"]["source"] == "book" and noise["sensor"]["model"]["range_rate"] == 0.14
     # numbers that are given are used, and nothing else is estimated
-    given = invoke("run", "own.npz", "--range-std", "0.1", "--estimators", "graph", "--out", "b", "--json", "-")
+    given = invoke("run", "own.npz", "--range-std", "0.1", "--out", "b", *plain)
     assert json.loads(given.stdout)["noise"]["sensor"]["model"]["range_std"] == 0.1
 
 
@@ -298,3 +300,15 @@ def test_logs_without_ids(tmp_path: Path) -> None:
     few, _, options = prepare(unknown.at_steps(np.arange(15)), RunOptions.of(noise="auto"))
     assert options.calibration is None and options.sensor == SensorModel()
     assert [note for note in few.notes if note.startswith("noise auto kept the book's noise models")]
+
+
+def test_noise_of_another_robot_is_noticed(tmp_path: Path) -> None:
+    log = drive_of_a_robot(tmp_path)
+    found = estimate_robot(log)
+    noise, named = Calibration.of(found), log.with_sightings(~found.dropped, landmarks=found.log.landmarks)
+    for factor in (1.0, 3.0):
+        smaller = {name: getattr(found.sensor, name) / factor for name in ("range_rate", "range_std", "bearing_std")}
+        write_noise(replace(noise, sensor=replace(found.sensor, **smaller)), tmp_path / "noise.toml", "a robot")
+        outcome = run(named, estimators=["graph"], noise=tmp_path / "noise.toml")
+        said = [finding.message for finding in outcome.findings if "less noise than this log shows" in finding.message]
+        assert len(said) == (factor > 1)
