@@ -6,7 +6,8 @@ Arrays (absent = None): ``format`` ("graphslam-log-1"), ``dt`` (T,), ``controls`
 column of NaN marks a landmark without heading), ``start_time``, and for logs with several controls per motion
 ``control_starts`` (T+1,), ``control_variances`` (S, 2), ``recorded_dt`` (S,) and ``true_path`` (S+1, 3); ``motion`` and
 ``sensor``, the fields of the noise models in their order, where the log has such models; ``notes`` (N,) and
-``doubts`` (N, 2), texts; ``uncertain`` (K, 2), texts, names and numbers; ``simulated``, where `simulate` made the log. No pickles.
+``doubts`` (N, 2), texts; ``uncertain`` (K, 2), names and numbers as texts; ``simulated``, where `simulate` made the log. No
+pickles.
 """
 
 from __future__ import annotations
