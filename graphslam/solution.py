@@ -16,7 +16,7 @@ from .graph import Graph
 from .mapping import LandmarkMap
 from .metrics import pose_nees
 from .parameters.declared import ParameterEstimate
-from .parameters.doubt import doubt_of_turns
+from .parameters.doubt import doubts
 from .se2 import Array, wrap
 from .uncertainty import Uncertainty
 
@@ -180,7 +180,7 @@ class Solution:
         return ParameterEstimate(
             unknown.names, unknown.values, self._uncertainty.of_parameters,
             {name: (mean, deviation) for name, mean, deviation in priors if np.isfinite(deviation)},
-            doubt_of_turns(self._solved_graph, self.state, self._uncertainty),
+            doubts(self._solved_graph, self.state, self._uncertainty),
         )  # fmt: skip
 
     @property

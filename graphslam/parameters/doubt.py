@@ -1,4 +1,4 @@
-"""Whether the turns that tell the place and the delay of the sensor may be noise of the sightings."""
+"""What speaks against estimated parameters although the log determines them."""
 
 from __future__ import annotations
 
@@ -8,13 +8,46 @@ from ..graph import Graph
 from ..se2 import Array
 from ..uncertainty import Uncertainty
 from .corrected import motion_edges
+from .declared import Parameters
 
 #: the parameters that turns tell: a shift of the sensor moves sightings differently only where the robot turns
 BY_TURNS = ("sensor_ahead", "sensor_left", "sensor_delay")
+#: the parameters that change the size of the world; a log tells only their quotient
+SCALES = ("wheel_scale", "range_scale")
+#: a scale that is so many standard deviations from 1 is wrong, or the other one is
+CLEAR = 3.0
 #: doubtful where the motion edges cost less than this part of what they should
 SMALL = 0.3
 #: the expected cost from which the ratio is judged: its standard deviation is then sqrt(2 / 30), a quarter
 ENOUGH = 30.0
+
+
+def doubts(graph: Graph, state: Array, uncertainty: Uncertainty) -> str:
+    """The sentences that apply; empty where nothing speaks against the parameters."""
+    parameters = graph.parameters
+    assert parameters is not None
+    deviations = np.sqrt(np.diag(uncertainty.of_parameters))
+    found = (doubt_of_scale(parameters, deviations), doubt_of_turns(graph, state, uncertainty))
+    return ". ".join(each for each in found if each)
+
+
+def doubt_of_scale(parameters: Parameters, deviations: Array) -> str:
+    """A sentence where one scale is clearly not 1 and the other is held; empty otherwise.
+
+    Wheels that measure s times the way, and a sensor that measures 1 / s times the ranges, give the same log up to the size
+    of the world and to the noise, so that J does not tell them apart.
+    """
+    names = [name for name in parameters.names if name in SCALES]
+    if len(names) != 1:
+        return ""
+    k = parameters.names.index(names[0])
+    value, other = parameters.values[k], SCALES[1 - SCALES.index(names[0])]
+    if abs(value - 1) < CLEAR * deviations[k]:
+        return ""
+    return (
+        f"{names[0]} is {value:.3f} if {other} is 1, and a log explains itself as well with {other} {1 / value:.3f} instead. "
+        "Only a length that is known, such as the distance of two landmarks, tells which of the two is wrong"
+    )
 
 
 def doubt_of_turns(graph: Graph, state: Array, uncertainty: Uncertainty) -> str:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from graphslam import (
+    Drive,
     Graph,
     GraphError,
     Log,
@@ -401,3 +402,24 @@ def test_joint_nees_counts_the_uncertainty_of_the_parameters(biased: Log) -> Non
     e = errors[1:].ravel()
     expected = e @ np.linalg.solve(covariance, e) / len(e)
     assert solution.joint_nees(biased.true_poses) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(("name", "other"), [("wheel_scale", "range_scale"), ("range_scale", "wheel_scale")])
+def test_one_scale_explains_what_the_other_does(name: str, other: str) -> None:
+    """J does not tell wheels that are off by 3 % from ranges that are, so the estimate names both."""
+    drive = Drive(seed=1001, duration=100.0, misread=0.0, landmarks=16, parameters={"wheel_scale": 1.03})
+    log, truth = drive.simulate()
+    models = {"motion": truth.motion, "sensor": truth.sensor, "edges": "landmark+motion", "kernel": "none"}
+    found = solve(Graph.from_log(log, estimate=[name], **models))
+    instead = solve(Graph.from_log(log, estimate=[other], **models))
+    assert abs(found.cost - instead.cost) < 4.0 < solve(Graph.from_log(log, **models)).cost - found.cost
+    assert f"with {other} {1 / found.parameters[name]:.3f} instead" in found.parameters.doubt
+    assert found.parameters[name] * instead.parameters[other] == pytest.approx(1, abs=0.003)
+
+
+def test_a_scale_of_one_is_not_doubted() -> None:
+    log, truth = Drive(seed=1001, duration=100.0, misread=0.0, landmarks=16, parameters={}).simulate()
+    graph = Graph.from_log(
+        log, motion=truth.motion, sensor=truth.sensor, edges="landmark+motion", estimate=["wheel_scale"]
+    )
+    assert solve(graph).parameters.doubt == ""
