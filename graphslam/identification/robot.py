@@ -7,8 +7,8 @@ biases, and the sightings that contradict their episode. Then:
 
 1. the landmarks by their ids, from the trajectory of the first problem;
 2. ids that contradict their place get the id of the landmark that fits, or count as clutter (`sighting_errors`);
-3. the noise again from few sightings of each landmark, so far apart that their errors are hardly correlated, and whether there
-   are biases at all; from all other sightings the correlation of the errors, and from this how much a sighting counts;
+3. the noise again from few sightings of each landmark, so far apart that their errors are hardly correlated, and whether
+   there are biases at all; from all other sightings the correlation of the errors, and from this how much a sighting counts;
 4. the noise once more from as many sightings as are nearly independent.
 
 The second-order theory is that of `identification.unknowns` and `identification.restricted_likelihood`.
