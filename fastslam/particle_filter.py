@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from graphslam.checks import check_type, suggestion
 from graphslam.errors import LogError, OptionError, quoted
+from graphslam.identification.robot import known_robot
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
@@ -109,6 +110,9 @@ class ParticleFilter(ABC):
             raise OptionError(f"{log.name} has sightings without ids, {self._HOW_WITHOUT_IDS}")
         if log is not None:
             check_memory(log, self.options, maps=self.HAS_MAPS)
+        if log is not None and motion is None and sensor is None:
+            # the same choice as that of `Graph.from_log`
+            log, _ = known_robot(log)
         self.log = log
         self.motion = motion or getattr(log, "motion", None) or MotionModel()
         self.sensor = sensor or getattr(log, "sensor", None) or SensorModel()

@@ -91,6 +91,21 @@ def check_count(**values: int) -> None:
             raise OptionError(f"{name} must not be negative, but is {quoted(value)}")
 
 
+def checked_deviations(name: str, value: Any) -> dict[str, float]:
+    """Standard deviations by name, {"wheel_scale": 0.03}.
+
+    Raises:
+        OptionError: it is no mapping from names to positive finite numbers.
+    """
+    try:
+        found = {str(key): float(real_array(each)) for key, each in dict(value).items()}
+        if all(0 < each < np.inf for each in found.values()):
+            return found
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise OptionError(f"{name} must be positive numbers by name, such as {{'wheel_scale': 0.03}}, not {quoted(value)}")
+
+
 def checked_offset(name: str, value: Any) -> tuple[float, float]:
     """A place on the robot, (ahead, left) [m]; a single number is the distance ahead.
 

@@ -158,6 +158,16 @@ class Graph:
             log, motion=motion, sensor=sensor, edges=edges, frame=frame, weight=weight, scale=motion_weight,
             kernel=kernel_of(kernel), residual=residual,
         )  # fmt: skip
+        parameters = declared(estimate, recorded, motion, sensor, edges, residual, motion_weight)
+        held, once = None, edges == "landmark+motion" or (edges == "virtual+motion" and weight == "marginal")
+        if parameters is None and once and residual == RESIDUALS[0]:
+            held = declared(log.uncertain, log, motion, sensor, edges, residual, motion_weight)
+        known = parameters or held
+        if missing := [name for name in log.uncertain or () if known is None or name not in known.names]:
+            parts["notes"] = (
+                *parts.get("notes", ()),
+                f"covariances do not contain what is unknown of the biases taken out of the log: {', '.join(missing)}",
+            )
         note = None
         if edges.startswith("landmark"):
             if weight != WEIGHTS[0]:
@@ -166,10 +176,6 @@ class Graph:
             note = pairs_overweight(log)
         if note:
             parts["notes"] = (*parts.get("notes", ()), note)
-        parameters = declared(estimate, recorded, motion, sensor, edges, residual, motion_weight)
-        held = None
-        if parameters is None and edges == "landmark+motion" and residual == RESIDUALS[0]:
-            held = declared(log.uncertain, log, motion, sensor, edges, residual, motion_weight)
         return cls(**parts, parameters=parameters, held=held)
 
     @classmethod

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import array_of, check_positive, check_type, checked_offset, first
+from .checks import array_of, check_positive, check_type, checked_deviations, checked_offset, first
 from .errors import LogError, OptionError, printable, quoted
 from .log_checks import (
     checked_classes,
@@ -123,6 +123,8 @@ class Log:
             values["true_landmarks"] = checked_landmarks(self.true_landmarks)
             if NO_ID in values["true_landmarks"]:
                 raise LogError("true_landmarks has the id -1, which stands for no id: give this landmark another one")
+        if self.uncertain is not None:
+            values["uncertain"] = checked_deviations("uncertain", self.uncertain)
         start = array_of("start_time", self.start_time)
         if start.shape != () or not np.isfinite(start):
             raise LogError(f"start_time is {quoted(self.start_time)}; it must be a finite number of seconds")

@@ -20,8 +20,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..checks import check_count, check_type
 from ..errors import GraphError, LogError
-from ..log import Log
+from ..log import Log, check_is_log
 from ..models import MotionModel, SensorModel
 from ..parameters.corrections import corrected_log
 from ..parameters.declared import ParameterEstimate
@@ -108,7 +109,7 @@ class RobotEstimate:
     def remarks(self) -> tuple[str, ...]:
         """What was found beside noise and biases, one sentence each."""
         lines = [
-            f"the log is for {kind} without biases, and these are held at their ideal values: {', '.join(names)}"
+            f"nothing in the log shows a bias of the {kind}: {', '.join(names)} keep their ideal values"
             for kind, names in KINDS.items()
             if not set(names) & set(self.parameters.names)
         ]
@@ -176,6 +177,9 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
         LogError: the log has too few sightings, no controls, or sightings without ids.
         GraphError: the sightings do not determine noise and biases.
     """
+    check_is_log(log)
+    check_type(SensorModel, sensor=sensor)
+    check_count(seed=seed)
     sensor = sensor or log.sensor or SensorModel()
     _check(log)
     rng = np.random.default_rng(seed)
@@ -204,12 +208,16 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
         seen, range_rate=seen.range_rate * factor**0.5, range_std=seen.range_std * factor**0.5,
         bearing_std=seen.bearing_std * factor**0.5, orientation_std=seen.orientation_std * factor**0.5,
     )  # fmt: skip
+    # exactly, without the rounding of the last step
+    last.hold([name for kind in without for name in KINDS[kind]])
     parameters = replace(last.parameters, recorded=named)
     free = [k for k, name in enumerate(parameters.names) if not any(name in KINDS[kind] for kind in without)]
     names, means, deviations = (
         np.array(each)[free].tolist() for each in (parameters.names, parameters.means, parameters.deviations)
     )
-    corrected = corrected_log(parameters).replace(motion=motion, sensor=seen, uncertain=dict(zip(names, deviations)))
+    corrected = corrected_log(parameters).replace(
+        motion=motion, sensor=seen, uncertain={**(log.uncertain or {}), **dict(zip(names, deviations))}
+    )
     corrected = corrected.replace(initial_poses=corrected.dead_reckoning())
     estimate = ParameterEstimate(
         tuple(names), parameters.values[free], last.linearized().parameter_covariance[np.ix_(free, free)],
@@ -273,13 +281,16 @@ def _episodes(log: Log, pause: float) -> np.ndarray:
 def _fitted(unknowns: Unknowns, rounds: int) -> tuple[Unknowns, dict[str, float]]:
     """Solve and improve the variances in turn; and the standard errors of the standard deviations, as parts of them."""
     errors = np.zeros(0)
-    for k in range(rounds):
-        unknowns.iterate(1 if k else 4)
-        gain, errors = improve_variances(unknowns)
-        unknowns.take_noise()
-        if gain < GAIN:
-            break
-    unknowns.iterate(1)
+    try:
+        for k in range(rounds):
+            unknowns.iterate(1 if k else 4)
+            gain, errors = improve_variances(unknowns)
+            unknowns.take_noise()
+            if gain < GAIN:
+                break
+        unknowns.iterate(1)
+    except np.linalg.LinAlgError:
+        raise GraphError(f"{unknowns.log.name}: the sightings do not determine noise and biases together") from None
     names = [*unknowns.motion_parts, *unknowns.sensor_parts]
     return unknowns, {name: float(error) / 2 for name, error in zip(names, errors)}
 
@@ -288,7 +299,9 @@ def _thinned(log: Log, interval: float) -> tuple[Log, np.ndarray]:
     """The log with one sighting of each landmark in each interval [s], and which those are, (M,) bool."""
     times = log.times
     assert times is not None
-    slots = np.column_stack([log.landmarks, np.floor(times[log.steps] / max(interval, 1e-9))])
+    # the numbers of the landmarks: large ids do not fit floating point
+    landmarks = np.unique(log.landmarks, return_inverse=True)[1].ravel()
+    slots = np.column_stack([landmarks, np.floor(times[log.steps] / max(interval, 1e-9))])
     _, groups, count = np.unique(slots, axis=0, return_inverse=True, return_counts=True)
     groups = groups.ravel()
     order = np.argsort(groups, kind="stable")

@@ -115,14 +115,14 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
     rows = np.flatnonzero(np.isin(log.landmarks, unknowns.ids) & ~used)
     order = np.lexsort((rows, log.landmarks[rows]))
     rows = rows[order]
+    if len(rows) < FEWEST:
+        return np.full(len(LAGS) - 1, np.nan)
     edges, errors = Predictions(unknowns, rng).compare(log, rows, np.searchsorted(unknowns.ids, log.landmarks[rows]))
     noise = np.sqrt(np.diagonal(unknowns.covariances(edges), axis1=1, axis2=2))
     e, errors = edges.residuals / noise, errors / noise[:, :, None]
     far = np.minimum(1.0, FAR / np.maximum(np.abs(e), 1e-9))
     e, errors = e * far, errors * far[:, :, None]
     t, landmarks, d = times[log.steps[rows]], log.landmarks[rows], e.shape[1]
-    if len(rows) < FEWEST:
-        return np.full(len(LAGS) - 1, np.nan)
     whole, predicted = np.mean(e**2, axis=0), np.mean(errors**2, axis=(0, 2))
     own = np.maximum(whole - predicted, 1e-3 * whole)
     share = np.clip(own / whole, 0.02, 1.0) ** 2

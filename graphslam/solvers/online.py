@@ -272,6 +272,9 @@ def solve_online(
         raise GraphError("isam2 cannot re-evaluate the information of the world frame; use frame='body'")
     graph = Graph.from_log(log, **options)
     graph.check_no_parameters("ISAM2")
+    assert graph.log is not None
+    # with the noise, the ids and without the biases that were estimated, where the noise of the robot was not known
+    log = graph.log
     motion, sensor = options.get("motion") or log.motion or MotionModel(), graph.sensor
     motions, covariances = log.motions(motion)
     sightings = log.sightings[:, :2] if options.get("dimensions") == 2 else log.sightings
