@@ -10,7 +10,8 @@ Lines, in the order of the steps::
 The slides' u_t arrives at pose t; here, as in the book's files, line ``u t`` leaves it, which is row t of
 `Log.controls`. A control after the last pose moves nothing: it is dropped, with a note. Sightings without PSI are
 read where no line has it (our extension: the book's camera always measures it). The book's robot sees a landmark at
-most once in a step; a second sighting is an error.
+most once in a step; a second sighting is an error. Logs with controls bring the noise models of the book, with which they are
+made.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 from ..errors import FormatError, quoted
 from ..files import read_text, write_whole
 from ..log import Log
+from ..models import MotionModel, SensorModel
 from ..reading import Fault, ReadOptions, sound_rows
 from .base import Format, errors_name
 from .text import number, whole
@@ -136,6 +138,9 @@ class _Reader:
             landmarks=landmarks,
             sightings=np.array(self.sightings),
             initial_poses=np.array(self.poses),
+            # logs in this format are made with the noise of the book
+            motion=MotionModel() if controlled else None,
+            sensor=SensorModel() if controlled else None,
             name=self.path.stem,
             notes=tuple(notes),
         )
@@ -158,7 +163,8 @@ def _write(log: Log, path: Path) -> None:
         "a log with controls but without motions": log.dt is not None and len(log.dt) == 0,
         "steps of different length": log.dt is not None and len(np.unique(log.dt)) > 1,
         "sightings of landmarks without ids": not log.identified,
-        "noise models": log.motion is not None or log.sensor is not None,
+        "other noise models than the book's": log.motion not in (None, MotionModel())
+        or log.sensor not in (None, SensorModel()),
         "a start time": log.start_time != 0,
         "two sightings of one landmark in one step": len(np.unique(pairs, axis=0)) < len(pairs),
     }
