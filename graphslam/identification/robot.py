@@ -100,7 +100,7 @@ class RobotEstimate:
         noise = ", ".join(
             f"{name} {values[name]:.2g} +- {100 * error:.0f} %" for name, error in self.errors.items() if error < 1
         )
-        lines = [f"noise estimated from this log: {noise}"]
+        lines = [f"noise estimated from this log: {noise or 'it tells no value, so that typical ones are taken'}"]
         if self.parameters.names:
             lines.append(f"biases estimated from this log: {self.parameters.sentence}")
         return (*lines, *self.remarks)
@@ -149,7 +149,7 @@ def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate 
         return log, None
     try:
         found = estimate_robot(log)
-    except (GraphError, LogError, np.linalg.LinAlgError) as error:
+    except (GraphError, LogError) as error:
         if noise == AUTO:
             raise
         reason = f"the noise models are the book's, because noise cannot be estimated: {error}"
@@ -180,9 +180,15 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
     check_is_log(log)
     check_type(SensorModel, sensor=sensor)
     check_count(seed=seed)
-    sensor = sensor or log.sensor or SensorModel()
     _check(log)
-    rng = np.random.default_rng(seed)
+    try:
+        return _estimate(log, sensor or log.sensor or SensorModel(), np.random.default_rng(seed))
+    except np.linalg.LinAlgError:
+        raise GraphError(f"{log.name}: the sightings do not determine noise and biases together") from None
+
+
+def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotEstimate:
+    """`estimate_robot` for a log that has enough."""
     local, doubtful = _local(log, sensor)
     kept = log.with_sightings(~doubtful)
     fewer = _at_most(kept, MOST)
@@ -281,16 +287,13 @@ def _episodes(log: Log, pause: float) -> np.ndarray:
 def _fitted(unknowns: Unknowns, rounds: int) -> tuple[Unknowns, dict[str, float]]:
     """Solve and improve the variances in turn; and the standard errors of the standard deviations, as parts of them."""
     errors = np.zeros(0)
-    try:
-        for k in range(rounds):
-            unknowns.iterate(1 if k else 4)
-            gain, errors = improve_variances(unknowns)
-            unknowns.take_noise()
-            if gain < GAIN:
-                break
-        unknowns.iterate(1)
-    except np.linalg.LinAlgError:
-        raise GraphError(f"{unknowns.log.name}: the sightings do not determine noise and biases together") from None
+    for k in range(rounds):
+        unknowns.iterate(1 if k else 4)
+        gain, errors = improve_variances(unknowns)
+        unknowns.take_noise()
+        if gain < GAIN:
+            break
+    unknowns.iterate(1)
     names = [*unknowns.motion_parts, *unknowns.sensor_parts]
     return unknowns, {name: float(error) / 2 for name, error in zip(names, errors)}
 

@@ -296,3 +296,18 @@ def test_wrong_arguments_are_refused() -> None:
     for wrong in ({"log": 3}, {"log": log, "sensor": "x"}, {"log": log, "seed": "x"}):
         with pytest.raises(OptionError):
             estimate_robot(**wrong)  # type: ignore[arg-type]
+
+
+def test_what_the_log_does_not_tell_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot that stands still, with sightings that are all alike; and numbers that no factorisation takes."""
+    log = Drive(seed=1001, duration=40.0, landmarks=10).simulate()[0]
+    alike = np.tile([2.0, 0.3], (len(log.steps), 1))
+    still = log.replace(controls=np.zeros_like(log.controls), sightings=alike, true_poses=None, true_landmarks=None)
+    assert estimate_robot(still).sentences[0].endswith("it tells no value, so that typical ones are taken")
+
+    def singular(*_: object) -> RobotEstimate:
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(robot, "_estimate", singular)
+    with pytest.raises(GraphError, match="do not determine noise and biases together"):
+        Graph.from_log(log, noise="auto")
