@@ -124,6 +124,9 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
     e, errors = e * far, errors * far[:, :, None]
     t, landmarks, d = times[log.steps[rows]], log.landmarks[rows], e.shape[1]
     whole, predicted = np.mean(e**2, axis=0), np.mean(errors**2, axis=(0, 2))
+    if not whole.all():
+        # sightings that are all alike, whose errors are exactly zero
+        return np.full(len(LAGS) - 1, np.nan)
     own = np.maximum(whole - predicted, 1e-3 * whole)
     share = np.clip(own / whole, 0.02, 1.0) ** 2
     total, count, lag = np.zeros((len(LAGS) - 1, d)), np.zeros(len(LAGS) - 1), 1
