@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
 from comparisons import run
-from comparisons.cli import app
 from comparisons.cli.run import _noise_advice
 from comparisons.config import read_config
 from comparisons.noise_files import read_noise, write_noise
@@ -38,12 +37,6 @@ from graphslam.log import UNIDENTIFIED
 from graphslam.parameters.declared import CORRECTIONS
 
 Invoke = Callable[..., Result]
-
-
-@pytest.fixture
-def invoke(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Invoke:
-    monkeypatch.chdir(tmp_path)
-    return lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
 import graphslam.log
 from comparisons import solvers
@@ -20,23 +20,9 @@ QUICK = ["--estimators", "dead-reckoning,graph"]
 Invoke = Callable[..., Result]
 
 
-@pytest.fixture
-def invoke(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Invoke:
-    """Run a command in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-    return lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
-
-
 @pytest.fixture(scope="module")
 def log() -> Log:
     return simulate(seed=2, steps=24, clean=True)
-
-
-@pytest.fixture
-def log_file(log: Log, tmp_path: Path) -> Path:
-    path = tmp_path / "log.npz"
-    save(log, path)
-    return path
 
 
 def test_run_leaves_a_figure_and_json(invoke: Invoke, log_file: Path, tmp_path: Path) -> None:
@@ -260,7 +246,6 @@ def test_verbose_tells_each_step_and_where_errors_arise(invoke: Invoke, log_file
 
 
 def test_every_verb_is_quiet_and_verbose_on_demand(invoke: Invoke) -> None:
-    from comparisons.cli import app
 
     for command in app.registered_commands:
         assert command.callback is not None

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
-from comparisons.cli import app
 from graphslam import Log, save, simulate
 
 QUICK = ["--estimators", "dead-reckoning,graph"]
@@ -28,23 +27,9 @@ z 1 1 1 0.2 3
 Invoke = Callable[..., Result]
 
 
-@pytest.fixture
-def invoke(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Invoke:
-    """Run a command in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-    return lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
-
-
 @pytest.fixture(scope="module")
 def log() -> Log:
     return simulate(seed=2, steps=24, clean=True)
-
-
-@pytest.fixture
-def log_file(log: Log, tmp_path: Path) -> Path:
-    path = tmp_path / "log.npz"
-    save(log, path)
-    return path
 
 
 def refused(result: Result, *words: str) -> None:

@@ -17,17 +17,9 @@ import psutil
 import pytest
 
 from comparisons.cli.output import Output
-from graphslam import save, simulate
 
 ROOT = Path(__file__).parents[2]
 QUICK = ["--estimators", "dead-reckoning,graph"]
-
-
-@pytest.fixture
-def log_file(tmp_path: Path) -> Path:
-    path = tmp_path / "log.npz"
-    save(simulate(seed=2, steps=24, clean=True), path)
-    return path
 
 
 def test_the_command_line_imports_nothing_heavy() -> None:

@@ -8,27 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
-from comparisons.cli import app
 from comparisons.config import config_text, read_config
 from comparisons.options import RunOptions
 from graphslam import FormatError, MotionModel, SensorModel, save, simulate
 
 Invoke = Callable[..., Result]
-
-
-@pytest.fixture
-def invoke(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Invoke:
-    monkeypatch.chdir(tmp_path)
-    return lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
-
-
-@pytest.fixture
-def log_file(tmp_path: Path) -> Path:
-    path = tmp_path / "log.npz"
-    save(simulate(seed=2, steps=24, clean=True), path)
-    return path
 
 
 def without_times(path: Path) -> dict[str, Any]:

@@ -10,10 +10,8 @@ from pathlib import Path
 
 import pytest
 from click.testing import Result
-from typer.testing import CliRunner
 
 import comparisons
-from comparisons.cli import app
 from comparisons.config import read_config
 from comparisons.saving import json_text
 from comparisons.show.canvas import as_text, paper_figure
@@ -35,13 +33,6 @@ Invoke = Callable[..., Result]
 @pytest.fixture(scope="module")
 def log() -> Log:
     return simulate(seed=2, steps=12, clean=True)
-
-
-@pytest.fixture
-def invoke(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Invoke:
-    """Run a command in an empty folder; the arguments are those of a shell, whose names may be any bytes."""
-    monkeypatch.chdir(tmp_path)
-    return lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 #: the same in few files, for what takes long

@@ -1,0 +1,27 @@
+"""Fixtures of the tests of the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from comparisons.cli import app
+from graphslam import save, simulate
+
+
+@pytest.fixture
+def invoke(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result]:
+    """Run a command in an empty folder; the arguments are those of a shell, whose names may be any bytes."""
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture
+def log_file(tmp_path: Path) -> Path:
+    """A small simulated log with ids and psi."""
+    path = tmp_path / "log.npz"
+    save(simulate(seed=2, steps=24, clean=True), path)
+    return path
