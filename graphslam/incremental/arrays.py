@@ -4,7 +4,7 @@
 A supernode s of the tree is a group of w nodes that are eliminated together, and r nodes, its separator, to which they
 are tied and which are eliminated later. Its numbers lie at one place of ``floats``:
 
-    panel    (3w columns of 3w + 3r rows, padded) L11 over L21, the pivots inverted, as in `linear.cholesky`;
+    panel    (3w columns of 3w + 3r rows, padded) L11 over L21, the pivots inverted, as in `cholesky`;
     update   (3r columns of 3r rows, padded) what eliminating the whole subtree adds to Omega of the separator, lower
              triangle; the parts of the edges themselves are in ``diagonal`` of the nodes;
     y        (3w) the forward solution L11^-1 of the right-hand side;

@@ -4,8 +4,8 @@
 import numpy as np
 from numba import njit
 
-from ..linear.cholesky.kernels import dot_columns, subtract_columns
-from ..linear.cholesky.simd import clear, get, put
+from .cholesky.kernels import dot_columns, subtract_columns
+from .cholesky.simd import clear, get, put
 from .arrays import COST, CURVED_FROM, EXACT_FROM, FLOATS, LIMIT, STAMP, STEP, sizes
 from .linearize import evaluate, linearize
 

@@ -2,17 +2,17 @@
 """Eliminate the top of the tree again: all supernodes from changed nodes up to the roots, in a new order.
 
 What hangs below the top stays as it is and enters by its update matrices and carries. This is the Bayes tree of iSAM2
-(Kaess et al., IJRR 2012), with the supernodes and kernels of `linear.cholesky`.
+(Kaess et al., IJRR 2012), with supernodes (`cholesky`).
 """
 
 import numpy as np
 from numba import njit
 
-from ..linear.cholesky.ordering import fewest_neighbours
-from ..linear.cholesky.supernodal import factorize
-from ..linear.cholesky.symbolic import Layout, structure
-from ..linear.structure import pattern
 from .arrays import COST, CURVED_FROM, EXACT_FROM, FLOATS, FREE, INTS, WASTE_FLOATS, WASTE_INTS, sizes
+from .cholesky.ordering import fewest_neighbours
+from .cholesky.pattern import pattern
+from .cholesky.supernodal import factorize
+from .cholesky.symbolic import Layout, structure
 from .linearize import between, relinearize
 from .passes import forward_one
 from .refactor import PIVOT_TOLERANCE

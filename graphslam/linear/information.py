@@ -10,14 +10,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.sparse as sp
-from numba import njit
 
+from ..engine import engine
 from ..se2 import Array
 from .cholesky import Factor, Symbolic, symmetric
 from .structure import Structure, structure_of
+
+if TYPE_CHECKING:
+    import scipy.sparse as sp
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,12 +99,12 @@ class BlockSystem:
         """Take nodes out of the system: their rows and columns become those of the identity, their xi zero."""
         key = tuple(nodes.tolist())
         if key not in self._held:
-            self._held[key] = _slots_in_rows_and_columns(self.indptr, self.indices, nodes)
-        _hold(self.values, self.xi, self._held[key], self.diagonal_slots, nodes)
+            self._held[key] = engine.blocks_of_nodes(self.indptr, self.indices, np.asarray(nodes, np.int64))
+        engine.hold(self.values, self.xi, self._held[key], self.diagonal_slots, np.asarray(nodes, np.int64))
 
     def rest(self, nodes: np.ndarray, coordinate: int) -> None:
         """Hold the coordinates of nodes from ``coordinate`` on, which no edge may touch: their diagonal becomes 1."""
-        _rest(self.values, self.diagonal_slots, nodes, coordinate)
+        engine.rest(self.values, self.diagonal_slots, np.asarray(nodes, np.int64), coordinate)
 
     def clear(self) -> None:
         """Set Omega and xi to zero, keeping the pattern."""
@@ -120,50 +123,11 @@ class BlockSystem:
         key = (id(first), id(second))
         if key not in self._slots:
             # the arrays are kept with the slots, so that their ids cannot pass to other objects
-            self._slots[key] = (*_edge_slots(self.indptr, self.indices, first, second), first, second)
+            a, b = (np.ascontiguousarray(nodes, dtype=np.int64) for nodes in (first, second))
+            pairs = engine.pair_blocks(self.indptr, self.indices, a, b)
+            self._slots[key] = (self.diagonal_slots[a], self.diagonal_slots[b], pairs, first, second)
         return self._slots[key][:3]  # type: ignore[return-value]
 
     def to_sparse(self) -> sp.csc_matrix:
         """Omega whole, both triangles, as a SciPy matrix (3n, 3n)."""
         return symmetric(self.indptr, self.indices, self.values)
-
-
-@njit(cache=True)
-def _slots_in_rows_and_columns(indptr, indices, nodes):  # type: ignore[no-untyped-def]
-    # compiled, because `numpy.isin` takes 0.4 ms where a whole solution of a small graph takes 2 ms
-    held = np.zeros(len(indptr) - 1, dtype=np.bool_)
-    held[nodes] = True
-    slots = np.empty(len(indices), dtype=np.int64)
-    count = 0
-    for j in range(len(held)):
-        for k in range(indptr[j], indptr[j + 1]):
-            if held[j] or held[indices[k]]:
-                slots[count] = k
-                count += 1
-    return slots[:count]
-
-
-@njit(cache=True)
-def _hold(values, xi, slots, diagonal, nodes):  # type: ignore[no-untyped-def]
-    for slot in slots:
-        values[slot] = 0.0
-    for node in nodes:
-        xi[node] = 0.0
-    _rest(values, diagonal, nodes, 0)
-
-
-@njit(cache=True)
-def _rest(values, diagonal, nodes, coordinate):  # type: ignore[no-untyped-def]
-    for node in nodes:
-        for c in range(coordinate, 3):
-            values[diagonal[node], c, c] = 1.0
-
-
-@njit(cache=True)
-def _edge_slots(indptr, indices, first, second):  # type: ignore[no-untyped-def]
-    pair = np.empty(len(first), dtype=np.int64)
-    for k in range(len(first)):
-        row, column = min(first[k], second[k]), max(first[k], second[k])
-        low, high = indptr[column], indptr[column + 1]
-        pair[k] = low + np.searchsorted(indices[low:high], row)
-    return indptr[first + 1] - 1, indptr[second + 1] - 1, pair

@@ -242,7 +242,7 @@ def test_the_fill_in_is_that_of_a_factorisation() -> None:
     np.testing.assert_array_equal(pattern, np.linalg.cholesky(dense) != 0)
     columns, upper = np.nonzero(np.tril(dense))
     indptr = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=n))])
-    assert pattern.sum() == analyze(indptr, upper, ordering=np.arange(len(indptr) - 1)).layout.blocks
+    assert pattern.sum() == analyze(indptr, upper, ordering=np.arange(len(indptr) - 1)).blocks
 
 
 def test_both_pictures_show_the_same_matrix(log: Log, comparison: Comparison) -> None:

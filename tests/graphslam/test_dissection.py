@@ -5,10 +5,8 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.csgraph import maximum_flow
 
+from graphslam.engine import engine
 from graphslam.linear.cholesky import amd, fill_reducing
-from graphslam.linear.cholesky.choice import flops_of
-from graphslam.linear.cholesky.dissection import dissect
-from graphslam.linear.cholesky.separator import separate, workspace
 
 
 def adjacency(n, first, second):
@@ -57,23 +55,21 @@ def test_separators_are_smallest(seed):
     distance = np.linalg.norm(place[:, None] - place[None], axis=2) + 9 * np.tri(n)
     first, second = np.nonzero((distance < 0.16) | (rng.uniform(size=(n, n)) < 0.002) & (distance < 9))
     pointer, neighbours = adjacency(n, first, second)
-    work = workspace(pointer, neighbours)
-    order = np.argsort(place[:, 0])
-    work.side[:] = 1
-    work.side[order[:40]], work.side[order[-40:]] = 0, 2
-    expected = smallest_cut(pointer, neighbours, work.side)
-    given = work.side.copy()
-    assert separate(np.arange(n, dtype=np.int32), work) == expected == np.sum(work.side == 1)
-    owner = work.side[np.repeat(np.arange(n), np.diff(pointer))]
-    assert not np.any((owner == 0) & (work.side[neighbours] == 2))
+    order, side = np.argsort(place[:, 0]), np.ones(n, np.int8)
+    side[order[:40]], side[order[-40:]] = 0, 2
+    expected = smallest_cut(pointer, neighbours, side)
+    given = side.copy()
+    assert engine.separate(pointer, neighbours, side) == expected == np.sum(side == 1)
+    owner = side[np.repeat(np.arange(n), np.diff(pointer))]
+    assert not np.any((owner == 0) & (side[neighbours] == 2))
     # a node of one end never changes to the other
-    assert not np.any((given == 0) & (work.side == 2) | (given == 2) & (work.side == 0))
+    assert not np.any((given == 0) & (side == 2) | (given == 2) & (side == 0))
 
 
 def test_the_separators_of_a_grid_separate():
     n, edges = 40 * 50, grid(40, 50)
     pointer, neighbours = adjacency(n, *edges)
-    depth = dissect(n, pointer, neighbours, n)
+    depth = engine.separator_depths(pointer, neighbours, n)
     assert np.sum(depth == 0) in (40, 50)  # one of the straight cuts
     rest = depth < 0
     first = np.repeat(np.arange(n), np.diff(pointer))
@@ -87,7 +83,7 @@ def test_dissection_saves_flops_in_a_large_field():
     n, pattern = 200 * 200, upper(200 * 200, *grid(200, 200))
     order = fill_reducing(*pattern)
     assert np.array_equal(np.sort(order), np.arange(n))
-    assert flops_of(n, *pattern, order) < 0.75 * flops_of(n, *pattern, amd(*pattern))
+    assert engine.flops_of(*pattern, order) < 0.75 * engine.flops_of(*pattern, amd(*pattern))
 
 
 @pytest.mark.parametrize("shape", ["path", "hub", "clique", "pieces", "two nodes"])
@@ -106,7 +102,7 @@ def test_unusual_graphs_are_ordered(shape):
     pattern = upper(n, first, second)
     order = fill_reducing(*pattern, smallest=0, worth=0.0)
     assert np.array_equal(np.sort(order), np.arange(n))
-    assert flops_of(n, *pattern, order) <= flops_of(n, *pattern, amd(*pattern))
+    assert engine.flops_of(*pattern, order) <= engine.flops_of(*pattern, amd(*pattern))
 
 
 def test_dissection_is_tried_only_where_it_may_pay():

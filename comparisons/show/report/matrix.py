@@ -44,7 +44,7 @@ def pictures(graph: Graph) -> list[Picture]:
     n = len(indptr) - 1
     columns = np.repeat(np.arange(n), np.diff(indptr))
     made = []
-    for order in (np.arange(n), analyze(indptr, indices, method="supernodal").order):
+    for order in (np.arange(n), analyze(indptr, indices).order):
         position = np.empty(n, dtype=np.int64)
         position[order] = np.arange(n)
         a, b = position[indices], position[columns]
@@ -54,7 +54,7 @@ def pictures(graph: Graph) -> list[Picture]:
         for (r, c), what in ((filled, FILL), ((rows, cols), ENTRY)):
             r, c = r * len(cells) // n, c * len(cells) // n
             cells[r, c] = cells[c, r] = what
-        blocks = analyze(indptr, indices, ordering=order, method="supernodal").layout.blocks
+        blocks = analyze(indptr, indices, ordering=order).blocks
         made.append(Picture(cells, len(indices), blocks, n))
     return made
 

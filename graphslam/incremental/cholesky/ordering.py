@@ -1,11 +1,8 @@
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
 """Fill-reducing ordering of the block graph: approximate minimum degree."""
 
-from typing import Any
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from .low_degree import eliminate_low_degree, remaining, twin_lists
 
@@ -302,7 +299,7 @@ def minimum_degree(n, pointer, neighbours, dense, turn):
 
 @njit(cache=True, error_model="numpy")
 def fewest_neighbours(n, indptr, indices, limit):
-    """The order of `amd`; nodes with more than ``limit`` neighbours go last."""
+    """Approximate minimum degree, the nodes of degree two and less first; nodes with more than ``limit`` neighbours go last."""
     start, graph, twin = twin_lists(n, indptr, indices)
     head, gone, length = eliminate_low_degree(n, start, graph, twin)
     nodes, pointer, neighbours = remaining(gone, start, length, graph)
@@ -317,27 +314,3 @@ def joined(head, nodes, tail):
     for k in range(tail.size):
         order[head.size + k] = nodes[tail[k]]
     return order
-
-
-def dense_limit(n: int, dense: float = 10.0) -> int:
-    """The number of neighbours up to which a node of n is ordered by degree; see `amd`."""
-    return n if dense < 0.0 else int(max(16.0, dense * n**0.5))
-
-
-def amd(indptr: NDArray[Any], indices: NDArray[Any], *, dense: float = 10.0) -> NDArray[np.int32]:
-    """Approximate minimum degree ordering of a symmetric pattern (Amestoy, Davis & Duff 1996).
-
-    Quotient graph with element absorption (also aggressive), mass elimination and indistinguishable nodes. Nodes
-    with more than ``max(16, dense * sqrt(n))`` neighbours, such as a landmark seen from every pose, are put last.
-
-    Args:
-        indptr: (n+1,) column pointers of the upper triangle.
-        indices: (nnzb,) row nodes.
-        dense: factor of the dense-row rule; negative switches the rule off.
-
-    Returns:
-        (n,) elimination order: ``order[k]`` is the node eliminated k-th.
-    """
-    n = indptr.size - 1
-    limit = dense_limit(n, dense)
-    return fewest_neighbours(n, np.ascontiguousarray(indptr, np.int64), np.ascontiguousarray(indices, np.int32), limit)

@@ -1,26 +1,62 @@
-# mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,no-any-return,call-arg,var-annotated"
-"""Public classes: analyse once per graph, factorise once per iteration, solve."""
+"""Sparse Cholesky factorisation of symmetric positive definite matrices of 3x3 blocks: analyse, factorise, solve.
 
-import warnings
+The engine computes (``engine/include/vmslam/sparse``): the structure once per graph, the factor once per iteration.
+"""
+
+from __future__ import annotations
+
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.sparse as sp
-from numba import njit
 from numpy.typing import NDArray
-from scipy.sparse.linalg import MatrixRankWarning, spsolve
 
-from .choice import fill_reducing
-from .dense import DenseStore
-from .errors import NotFinite, SingularPivot
-from .multifrontal import MultifrontalStore
-from .symbolic import Layout, layout
+from ..engine import engine
+from ..threads import available_threads
 
-# Smallest ratios of a pivot to its diagonal entry. Graphs that are held: INTEL 4e-11, a path of 10^5 poses held at one
-# end 1e-10, CSAIL 1e-7, the others above 1e-6. Graphs that are not held: negative, or M3500 9e-14, CSAIL (badly scaled)
-# 2e-11.
-PIVOT_TOLERANCE = 1e-12
+if TYPE_CHECKING:
+    import scipy.sparse as sp
+
+COMPONENTS = ("x", "y", "heading")
+
+
+class FactorizationError(ValueError):
+    """A matrix has no Cholesky factor; ``node`` is where."""
+
+    node: int
+
+
+class NotFinite(FactorizationError):
+    """The matrix holds NaN or infinity.
+
+    Attributes:
+        node: column of the first such block, in node order.
+    """
+
+    def __init__(self, row: int, node: int) -> None:
+        self.node = node
+        super().__init__(f"values hold NaN or infinity in block ({row}, {node})")
+
+
+class SingularPivot(FactorizationError):
+    """A pivot vanished or was negative: the matrix is not positive definite.
+
+    Attributes:
+        node: node of the pivot, in node order.
+        component: scalar component 0, 1 or 2 of that node.
+        null_vector: (n, 3) direction, largest entry 1 in magnitude, along which x' Omega x is the bad pivot: zero up
+            to rounding for a singular matrix, so the direction in which nothing holds the graph. Where the direction
+            itself cannot be computed, it is the coordinate of the pivot.
+    """
+
+    def __init__(self, node: int, component: int, null_vector: NDArray[np.float64]) -> None:
+        self.node = node
+        self.component = component
+        self.null_vector = null_vector
+        super().__init__(
+            f"the matrix is not positive definite: pivot of node {node}, component {component} "
+            f"({COMPONENTS[component]}), is zero or negative; null_vector holds the direction"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,28 +65,32 @@ class Symbolic:
 
     Attributes:
         indptr, indices: the pattern.
-        layout: the supernodal structure (unused by the dense method), with the blocks and flops of the factorisation
-            without the zeros of relaxed supernodes.
-        method: ``"supernodal"`` or ``"dense"``.
+        structure: that of the factor, in the engine.
     """
 
     indptr: NDArray[Any]
     indices: NDArray[Any]
-    layout: Layout
-    method: str
+    structure: Any
 
     @property
     def order(self) -> NDArray[np.int32]:
         """(n,) the node eliminated k-th."""
-        return self.layout.order if self.method == "supernodal" else np.arange(self.layout.order.size, dtype=np.int32)
+        return self.structure.order
 
-    def factorize(self, values: NDArray[Any], *, damping: float = 0.0) -> "Factor":
+    @property
+    def blocks(self) -> int:
+        """The structural blocks of L, without the zeros of relaxed supernodes."""
+        return self.structure.blocks
+
+    def factorize(self, values: NDArray[Any], *, damping: float = 0.0) -> Factor:
         """A new factor of values on the pattern; see :meth:`Factor.refactorize`."""
         return Factor(self).refactorize(values, damping=damping)
 
 
 def symmetric(indptr: NDArray[Any], indices: NDArray[Any], values: NDArray[Any]) -> sp.csc_matrix:
     """The whole matrix, both triangles (3n, 3n), of blocks in upper block-CSC."""
+    import scipy.sparse as sp
+
     # the transpose of the upper blocks, column by column: rows are columns
     lower = sp.tril(sp.bsr_matrix((values.transpose(0, 2, 1), indices, indptr)))
     return (lower + sp.tril(lower, k=-1).T).tocsc()
@@ -60,16 +100,13 @@ class Factor:
     """Cholesky factor of Omega. ``refactorize`` reuses all memory for new values; not to be shared by threads."""
 
     def __init__(self, symbolic: Symbolic) -> None:
-        self.symbolic, n = symbolic, symbolic.layout.order.size
-        self._store: MultifrontalStore | DenseStore
-        if symbolic.method == "dense":
-            self._store = DenseStore(n, symbolic.indptr, symbolic.indices)
-        else:
-            self._store = MultifrontalStore(symbolic.layout)
-        self._diagonal: NDArray[np.float64] | None = None
+        self.symbolic = symbolic
+        self._num_nodes = len(symbolic.indptr) - 1
+        self._factor = engine.RealFactor(symbolic.structure)
+        self._inverse: Any = None
         self._valid = False
 
-    def refactorize(self, values: NDArray[Any], *, damping: float = 0.0) -> "Factor":
+    def refactorize(self, values: NDArray[Any], *, damping: float = 0.0) -> Factor:
         """Cholesky factorisation Omega + damping diag(Omega) = L L' of new values on the same pattern, in place.
 
         Args:
@@ -87,35 +124,27 @@ class Factor:
             raise ValueError(f"values must have shape {expected}, not {values.shape}")
         if not (damping >= 0.0 and np.isfinite(damping)):
             raise ValueError(f"damping must be finite and not negative, not {damping}")
-        self._diagonal = None
+        self._inverse = None
         self._valid = False
-        bad = self._store.factorize(values.reshape(-1), PIVOT_TOLERANCE, damping)
+        bad = self._factor.factorize(values, damping)
         if bad >= 0:
-            self._raise(values, damping, bad)
+            self._raise(values, bad)
         self._valid = True
         return self
 
-    def _raise(self, values: NDArray[np.float64], damping: float, bad: int) -> None:
+    def _raise(self, values: NDArray[np.float64], bad: int) -> None:
         # NaN and inf always end in a bad pivot, so that values need no check before
         finite = np.isfinite(values).all(axis=(1, 2))
         if not finite.all():
             p = int(np.argmin(finite))
             j = int(np.searchsorted(self.symbolic.indptr, p, side="right")) - 1
             raise NotFinite(int(self.symbolic.indices[p]), j)
-        # the vector with a one at the bad pivot that the rows eliminated before it map to zero
-        order = (3 * self.symbolic.order[:, None] + np.arange(3)).ravel()
-        omega = symmetric(self.symbolic.indptr, self.symbolic.indices, values)
-        omega = (omega + damping * sp.diags(omega.diagonal())).tocsc()
-        head, pivot, vector = order[:bad], order[bad], np.zeros(order.size)
-        vector[pivot] = 1.0
-        if bad:
-            with warnings.catch_warnings():
-                # the part before the pivot may be singular to rounding, too
-                warnings.simplefilter("ignore", MatrixRankWarning)
-                vector[head] = -spsolve(omega[head][:, head], omega[head, pivot].toarray().ravel())
-            if not np.isfinite(vector).all():
-                vector[head] = 0.0
-        raise SingularPivot(int(pivot) // 3, int(pivot) % 3, vector.reshape(-1, 3) / np.abs(vector).max())
+        node, component = int(self.symbolic.order[bad // 3]), bad % 3
+        vector = self._factor.null_vector(bad)
+        if not np.isfinite(vector).all():
+            vector = np.zeros_like(vector)
+            vector[node, component] = 1.0
+        raise SingularPivot(node, component, vector / np.abs(vector).max())
 
     def _check(self) -> None:
         if not self._valid:
@@ -134,33 +163,33 @@ class Factor:
             ValueError: wrong shape, or rhs not finite.
         """
         self._check()
-        n = self.symbolic.layout.order.size
+        n = self._num_nodes
         rhs = np.asarray(rhs, dtype=np.float64)
         if rhs.shape[:2] != (n, 3) or rhs.ndim not in (2, 3):
             raise ValueError(f"rhs must have shape ({n}, 3) or ({n}, 3, k), not {rhs.shape}")
         if rhs.ndim == 3:
             return np.stack([self.solve(rhs[:, :, k]) for k in range(rhs.shape[2])], axis=2)
-        out = np.empty(3 * n)
-        if not self._store.solve(np.ascontiguousarray(rhs).reshape(-1), out):
+        out = np.empty((n, 3))
+        if not self._factor.solve(np.ascontiguousarray(rhs), out):
             raise ValueError("rhs holds NaN or infinity")
-        return out.reshape(n, 3)
+        return out
 
     @property
     def log_determinant(self) -> float:
         """log det(Omega + damping diag(Omega))."""
         self._check()
-        return self._store.log_determinant()
+        return self._factor.log_determinant()
 
     def diagonal_covariances(self) -> NDArray[np.float64]:
         """Diagonal blocks (n, 3, 3) of Omega^-1: the marginal covariance of every node.
 
         Selected inversion on the pattern of L (Takahashi, Fagan & Chen 1973; Erisman & Tinney 1975), kept until the
-        next factorisation; Omega^-1 itself is never formed except by the dense method.
+        next factorisation; Omega^-1 itself is never formed.
         """
         self._check()
-        if self._diagonal is None:
-            self._diagonal = self._store.invert()
-        return self._diagonal.copy()
+        if self._inverse is None:
+            self._inverse = engine.SelectedInverse(self._factor)
+        return self._inverse.diagonal()
 
     def covariance(self, i: int, j: int) -> NDArray[np.float64]:
         """Block (i, j) (3, 3) of Omega^-1: read where the pattern of L has it, else by a solve.
@@ -169,13 +198,13 @@ class Factor:
             IndexError: no such node.
         """
         self._check()
-        n = self.symbolic.layout.order.size
+        n = self._num_nodes
         if not (0 <= i < n and 0 <= j < n):
             raise IndexError(f"nodes {i} and {j}: the graph has {n}")
-        if self._diagonal is not None:
-            block = self._store.inverse_block(i, j)
-            if block is not None:
-                return block
+        if self._inverse is not None:
+            blocks = self._inverse.blocks(np.array([i, j]))
+            if blocks is not None:
+                return blocks[0, :, 1].copy()
         unit = np.zeros((n, 3, 3))
         unit[j] = np.eye(3)
         return self.solve(unit)[i].copy()
@@ -184,7 +213,7 @@ class Factor:
         """The blocks (E, 3, 3) of Omega^-1 in rows ``first`` and columns ``second`` (E,), such as the nodes of edges."""
         first, second = np.asarray(first, dtype=np.int64), np.asarray(second, dtype=np.int64)
         self.diagonal_covariances()
-        blocks = self._store.inverse_pairs(first, second)
+        blocks = self._inverse.pairs(first, second)
         if blocks is None:
             blocks = np.array([self.covariance(i, j) for i, j in zip(first.tolist(), second.tolist())]).reshape(
                 -1, 3, 3
@@ -196,69 +225,75 @@ class Factor:
 
         An ``ordering`` that ends with these nodes makes their blocks part of the pattern where the graph is connected.
         """
-        nodes = np.asarray(nodes, dtype=np.int64)
+        nodes = np.ascontiguousarray(nodes, dtype=np.int64)
         self.diagonal_covariances()
-        blocks = self._store.inverse_blocks(nodes)
+        blocks = self._inverse.blocks(nodes)
         if blocks is None:
-            units = np.zeros((self.symbolic.layout.order.size, 3, nodes.size, 3))
+            units = np.zeros((self._num_nodes, 3, nodes.size, 3))
             units[nodes, :, np.arange(nodes.size), :] = np.eye(3)
             blocks = self.solve(units.reshape(len(units), 3, -1)).reshape(units.shape)[nodes]
         return blocks.reshape(3 * nodes.size, 3 * nodes.size)
 
 
-@njit(cache=True, error_model="numpy")
-def _pattern_fault(indptr, indices):
-    """The first column whose rows do not ascend to the diagonal, or -1."""
-    for j in range(indptr.size - 1):
-        previous = -1
-        for p in range(indptr[j], indptr[j + 1]):
-            if indices[p] <= previous:
-                return j
-            previous = indices[p]
-        if previous != j:
-            return j
-    return -1
-
-
-def analyze(
-    indptr: NDArray[Any],
-    indices: NDArray[Any],
-    *,
-    ordering: NDArray[Any] | None = None,
-    method: Literal["auto", "supernodal", "dense"] = "auto",
-) -> Symbolic:
+def analyze(indptr: NDArray[Any], indices: NDArray[Any], *, ordering: NDArray[Any] | None = None) -> Symbolic:
     """Symbolic analysis of a symmetric positive definite matrix of 3x3 blocks.
 
     Args:
         indptr: (n+1,) column pointers of the upper triangle in block-CSC.
         indices: (nnzb,) row nodes i <= j, ascending in each column j, the diagonal last.
         ordering: an elimination order (n,); default: that of `fill_reducing`.
-        method: ``"auto"`` chooses between the two others by the fill and the size of the matrix.
 
     Raises:
         ValueError: malformed pattern or order.
     """
-    indptr = np.ascontiguousarray(indptr, dtype=np.int64)
-    indices = np.ascontiguousarray(indices, dtype=np.int32)  # one type, one compilation
+    indptr, indices = _pattern(indptr, indices)
     n = indptr.size - 1
-    # the compiled loops trust their indices: rows must ascend in each column, so that (column, row) ascends as a whole
+    # the engine trusts its indices: rows must ascend in each column, so that (column, row) ascends as a whole
     if n < 1 or indptr[0] != 0 or indptr[-1] != indices.size or np.any(np.diff(indptr) < 1):
         raise ValueError("the pattern needs at least one node, and at least the diagonal in every column")
-    if (fault := _pattern_fault(indptr, indices)) >= 0:
+    if (fault := engine.pattern_fault(indptr, indices)) >= 0:
         raise ValueError(f"column {fault}: rows must ascend and end with the diagonal")
-    if ordering is None:
-        order = fill_reducing(indptr, indices)
-    else:
+    order = None
+    if ordering is not None:
         order = np.ascontiguousarray(ordering, dtype=np.int32)
         if not np.array_equal(np.sort(order), np.arange(n)):
             raise ValueError(f"ordering must be a permutation of {n} nodes")
-    structure = layout(n, indptr, indices, order)
-    if method == "auto":
-        # Times on cliques with two idle cores, LAPACK and supernodes: 200 nodes 1.9 and 1.6 ms, 350 nodes 8 ms both,
-        # 700 nodes 43 and 75 ms, 2,000 nodes 0.78 and 1.7 s. On busy cores LAPACK with its two threads may take ten
-        # times as long, so it is used only where it gains much. The factor 1.5 accounts for the threads.
-        # An up-looking factorisation for thin graphs was tried and rejected: against the supernodes INTEL took 0.105
-        # and 0.118 ms, but 77 nodes 0.025 and 0.015 ms, M3500 1.30 and 0.69 ms, city10000 14.0 and 3.9 ms.
-        large = n >= 700 and 9.0 * n**3 < 1.5 * structure.flops
-        method = "dense" if large else "supernodal"
-    return Symbolic(indptr, indices, structure, method)
+    structure = engine.analyze(indptr, indices, order, hermitian=False, threads=available_threads())
+    return Symbolic(indptr, indices, structure)
+
+
+def _pattern(indptr: NDArray[Any], indices: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    return np.ascontiguousarray(indptr, dtype=np.int64), np.ascontiguousarray(indices, dtype=np.int32)
+
+
+def amd(indptr: NDArray[Any], indices: NDArray[Any], *, dense: float = 10.0) -> NDArray[np.int32]:
+    """Approximate minimum degree ordering of a symmetric pattern (Amestoy, Davis & Duff 1996).
+
+    Nodes with more than ``max(16, dense * sqrt(n))`` neighbours, such as a landmark seen from every pose, are put last.
+
+    Args:
+        indptr: (n+1,) column pointers of the upper triangle.
+        indices: (nnzb,) row nodes.
+        dense: factor of the dense-row rule; negative switches the rule off.
+
+    Returns:
+        (n,) elimination order: ``order[k]`` is the node eliminated k-th.
+    """
+    return engine.minimum_degree(*_pattern(indptr, indices), dense)
+
+
+def fill_reducing(
+    indptr: NDArray[Any], indices: NDArray[Any], *, smallest: int = 5_000, worth: float = 10_000.0
+) -> NDArray[np.int32]:
+    """An elimination order (n,) for the pattern of `amd`: approximate minimum degree, or nested dissection if it is better.
+
+    Both begin with the nodes of degree two and less. The parts of a dissection are ordered by minimum degree together with
+    the separators around them, and each separator likewise. Which is better is counted on the structure of L.
+
+    Args:
+        indptr: (n+1,) column pointers of the upper triangle.
+        indices: (nnzb,) row nodes.
+        smallest: the number of nodes from which on dissection is tried,
+        worth: and the flops of the order by minimum degree for each node and adjacency entry.
+    """
+    return engine.fill_reducing(*_pattern(indptr, indices), smallest, worth)

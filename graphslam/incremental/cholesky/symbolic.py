@@ -207,7 +207,6 @@ def costs(count):
 @njit(cache=True, error_model="numpy")
 def structure(n, indptr, indices, order):
     """The fields of `Layout` for an elimination order: structure, entries of the matrix, and sizes."""
-    # one compiled function: a call from Python costs as much as a step of the analysis of a small graph
     row_pointer, columns = permuted_lists(n, indptr, indices, inverse(order))
     parent, count = elimination_tree(n, row_pointer, columns)
     blocks, flops = costs(count)
@@ -224,9 +223,3 @@ def structure(n, indptr, indices, order):
     entries = _entries(n, indptr, indices, position, owner, first, row_start, rows)
     parts = (order, position, first, row_start, rows, relative, child_start, children, panel_start, stack_start)
     return parts, entries, (stack_size, tallest, blocks, flops)
-
-
-def layout(n: int, indptr: NDArray[Any], indices: NDArray[Any], order: NDArray[np.int32]) -> Layout:
-    """All of the symbolic analysis for a given elimination order."""
-    parts, entries, sizes = structure(n, indptr, indices, order)
-    return Layout(*parts, *entries, *sizes)

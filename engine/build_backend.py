@@ -1,0 +1,133 @@
+"""The build backend: scikit-build-core, and a compiler from PyPI (ziglang) where the machine has none.
+
+``python engine/build_backend.py`` prints the requirements of a build, which the Makefile installs beforehand so that later
+builds compile only what changed.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from zipfile import ZipFile
+
+from scikit_build_core import build as scikit
+from scikit_build_core.build import build_sdist, get_requires_for_build_sdist  # noqa: F401
+
+ROOT = Path(__file__).resolve().parent.parent
+COMPILERS = ("c++", "g++", "clang++")
+#: a program that the compiler must be able to translate
+PROBE = "#include <concepts>\n#include <span>\nint main() { return static_cast<int>(std::span<int>{}.size()); }\n"
+
+
+def _has_cxx20(command: list[str]) -> bool:
+    """Whether a compiler exists and knows C++20 with its library."""
+    if shutil.which(command[0]) is None:
+        return False
+    arguments = [*command, "-std=c++20", "-x", "c++", "-fsyntax-only", "-"]
+    return subprocess.run(arguments, input=PROBE, text=True, capture_output=True).returncode == 0
+
+
+def compiler() -> str | None:
+    """The machine's C++20 compiler: that of CXX, or the first that is found; None if it has none."""
+    if os.name == "nt":
+        return "cl"  # CMake finds Visual Studio by itself
+    given = os.environ.get("CXX")
+    if given:
+        if not _has_cxx20(shlex.split(given)):
+            sys.exit(f"The compiler CXX={given} does not know C++20; name a newer one (GCC 11, Clang 14), or unset CXX.")
+        return given
+    return next((name for name in COMPILERS if _has_cxx20([name])), None)
+
+
+def _extra() -> list[str]:
+    """What a build needs beside scikit-build-core and nanobind."""
+    tools = ["cmake>=3.20"] if shutil.which("cmake") is None else []
+    tools += ["ninja>=1.11"] if shutil.which("ninja") is None else []
+    return tools + (["ziglang>=0.13"] if compiler() is None else [])
+
+
+@contextmanager
+def _tools() -> Iterator[None]:
+    """The tools of ziglang ahead of those on PATH, where the machine has no compiler."""
+    if compiler() is not None:
+        yield
+        return
+    folder = ROOT / "build" / "zig"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, verb in (("c++", "c++"), ("cc", "cc"), ("ar", "ar"), ("ranlib", "ranlib")):
+        script = folder / name
+        script.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m ziglang {verb} "$@"\n')
+        script.chmod(0o755)
+    before = {name: os.environ.get(name) for name in ("PATH", "CXX", "CC")}
+    os.environ |= {"PATH": f"{folder}{os.pathsep}{before['PATH']}", "CXX": str(folder / "c++"), "CC": str(folder / "cc")}
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
+    """The requirements of a wheel."""
+    return [*scikit.get_requires_for_build_wheel(config_settings), *_extra()]
+
+
+def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
+    """The requirements of an editable installation."""
+    return [*scikit.get_requires_for_build_editable(config_settings), *_extra()]
+
+
+def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
+    """A wheel."""
+    with _tools():
+        return scikit.build_wheel(wheel_directory, config_settings, metadata_directory)
+
+
+def build_editable(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
+    """A wheel that only names the source tree, into which the compiled module goes."""
+    with _tools():
+        name: str = scikit.build_editable(wheel_directory, config_settings, metadata_directory)
+    _leave_in_source_tree(Path(wheel_directory) / name)
+    return name
+
+
+def _leave_in_source_tree(wheel: Path) -> None:
+    """Replace the import hook of scikit-build-core, which has to be told of every new module and runs at every start."""
+    with ZipFile(wheel) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    for name in list(files):
+        if name.startswith("graphslam/"):
+            target = ROOT / name
+            fresh = target.with_name(f".{target.name}")
+            fresh.write_bytes(files.pop(name))
+            fresh.replace(target)  # running processes keep the old file
+        elif name.startswith("_editable"):
+            del files[name]
+    files["virtual_motion_slam.pth"] = f"{ROOT}\n".encode()
+    record = next(name for name in files if name.endswith(".dist-info/RECORD"))
+    del files[record]
+    lines = [f"{name},sha256={_digest(content)},{len(content)}" for name, content in files.items()]
+    files[record] = "\n".join([*lines, f"{record},,", ""]).encode()
+    with ZipFile(wheel, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+
+
+def _digest(content: bytes) -> str:
+    return base64.urlsafe_b64encode(hashlib.sha256(content).digest()).rstrip(b"=").decode()
+
+
+if __name__ == "__main__":
+    print(*_extra(), sep="\n")

@@ -1,0 +1,105 @@
+// Symbolic analysis: the supernodes of L, which columns are factorised together, and where their numbers are stored.
+#pragma once
+
+#include <vector>
+
+#include "vmslam/sparse/graph.hpp"
+
+namespace vmslam::sparse {
+
+/// Rows of fronts come in groups of so many numbers, counted from the last row, so that vectors never cross cache lines.
+inline constexpr Place group = 8;
+constexpr Place grouped(Place rows) { return (rows + group - 1) & ~(group - 1); }
+
+/// The real numbers of a block: `rows` for each of `columns`. A complex column counts as two, its real part first.
+struct BlockShape {
+    int rows = 3, columns = 3;
+};
+
+/// One supernode: `w` nodes that are eliminated together, and `r` nodes below, to which they are tied.
+///
+/// Its panel holds the w columns of L, with `pad` unused rows on top; its update matrix what it adds to Omega of the nodes
+/// below, with `update_pad` rows on top.
+struct Front {
+    Place w, r;
+    Place pad, height, update_pad, update_height;
+
+    Front(const BlockShape& shape, Place w, Place r)
+        : w(w), r(r), height(grouped(shape.rows * (w + r))), update_height(grouped(shape.rows * r)) {
+        pad = height - shape.rows * (w + r);
+        update_pad = update_height - shape.rows * r;
+    }
+};
+
+/// A block of the matrix: its number, whether it enters transposed, and the place in the panels.
+struct Entry {
+    Place block_and_turned;
+    Place target;
+    Place block() const { return block_and_turned >> 1; }
+    bool turned() const { return block_and_turned & 1; }
+};
+
+/// The structure of L in the order of elimination, for blocks of one shape. Supernodes are numbered in that order.
+struct Symbolic {
+    BlockShape shape;
+    Order order, position;         ///< the node eliminated k-th, and the inverse
+    std::vector<Node> first;       ///< (s+1) the first column of each supernode
+    std::vector<Place> row_start;  ///< (s+1) into the next three
+    std::vector<Node> rows;        ///< the rows below the diagonal block of each supernode, ascending
+    std::vector<Node> relative;    ///< where those rows stand in the front of the parent
+    std::vector<Node> run_end;     ///< one past the last row of the run of consecutive `relative` that each belongs to
+    std::vector<Node> split;       ///< (s) the first row that is not among the parent's own columns
+    std::vector<Node> parent;      ///< (s) -1 for roots
+    std::vector<Node> child_start, children;
+    std::vector<Place> panel_start;  ///< (s+1) where the panel of each supernode begins
+    std::vector<Place> stack_start;  ///< (s) where its update matrix does
+    Place stack_size = 0;
+    std::vector<Place> entry_start;  ///< (s+1) into the entries
+    std::vector<Entry> entries;
+    std::vector<Node> row_length;  ///< (n) the blocks left of the diagonal in each row of L, without zeros
+    std::vector<Node> part;        ///< (s) the thread of each supernode; see `divide`
+    int parts = 1;
+    Place tallest = 0;   ///< the rows of the tallest front
+    Place widest = 0;    ///< the most nodes of a supernode
+    Place blocks = 0;    ///< of L, without the zeros that amalgamation adds
+    double flops = 0.0;  ///< likewise, multiply and add counted apart
+
+    Node nodes() const { return static_cast<Node>(order.size()); }
+    Node supernodes() const { return static_cast<Node>(first.size() - 1); }
+    Front front(Node s) const { return {shape, first[s + 1] - first[s], row_start[s + 1] - row_start[s]}; }
+    /// The supernode of a column.
+    Node owner(Node column) const;
+};
+
+/// The structure of L for an order of elimination, which amalgamation may change to an equivalent one.
+Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape shape, int threads);
+
+/// The same structure with its supernodes given to another number of threads.
+void divide(Symbolic& symbolic, int threads);
+
+// --- the steps of which these are made
+
+/// For each row k in the order of elimination its columns before k.
+struct RowLists {
+    std::vector<Place> start;
+    std::vector<Node> columns;
+};
+RowLists permuted(const Pattern& pattern, std::span<const Node> position);
+
+/// The elimination tree (Liu 1990): the parent of each column, -1 for roots; the blocks of L in each column, with the
+/// diagonal, and those in each row, without.
+struct EliminationTree {
+    std::vector<Node> parent, count, row_length;
+    explicit EliminationTree(const RowLists& lists);
+    Place blocks() const;
+    double flops(int rows) const;
+};
+
+/// Supernodes by amalgamation wherever the cost model gains: the columns in the new order, the first column of each
+/// supernode and its rows below, in nodes.
+struct Supernodes {
+    std::vector<Node> columns, first, below;
+};
+Supernodes amalgamate(const EliminationTree& tree, const BlockShape& shape);
+
+}  // namespace vmslam::sparse

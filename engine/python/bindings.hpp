@@ -1,0 +1,9 @@
+#pragma once
+
+#include <nanobind/nanobind.h>
+
+namespace vmslam::python {
+
+void bind_sparse(nanobind::module_& module);
+
+}  // namespace vmslam::python

@@ -1,0 +1,7 @@
+// The Python module graphslam._engine: NumPy arrays in and out, and the interpreter runs other threads meanwhile.
+#include "bindings.hpp"
+
+NB_MODULE(_engine, module) {
+    module.doc() = "The engine of virtual-motion-slam; see the Python modules that use it.";
+    vmslam::python::bind_sparse(module);
+}

@@ -1,0 +1,158 @@
+// Patterns, orders and factors.
+#include <nanobind/stl/complex.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/shared_ptr.h>
+
+#include <optional>
+
+#include "arrays.hpp"
+#include "bindings.hpp"
+#include "vmslam/sparse/factor.hpp"
+#include "vmslam/sparse/ordering.hpp"
+#include "vmslam/sparse/pattern.hpp"
+#include "vmslam/sparse/separator.hpp"
+
+namespace vmslam::python {
+namespace {
+
+using namespace sparse;
+using release = nb::call_guard<nb::gil_scoped_release>;
+
+Pattern pattern_of(const In<Place>& start, const In<Node>& rows) { return {span(start), span(rows)}; }
+
+BlockShape shape_of(bool hermitian) {
+    return hermitian ? BlockShape{Hermitian2::rows, Hermitian2::columns} : BlockShape{Real3::rows, Real3::columns};
+}
+
+void bind_patterns(nb::module_& m) {
+    m.def("pattern", [](Place nodes, In<Place> sizes, In<Place> members) {
+        WidePattern pattern = pattern_of_groups(nodes, span(sizes), span(members));
+        return std::pair(array(std::move(pattern.start)), array(std::move(pattern.rows)));
+    });
+    m.def("pattern_fault", [](In<Place> start, In<Node> rows) { return pattern_of(start, rows).fault(); });
+    m.def("blocks_of_nodes", [](In<Place> start, In<Place> rows, In<Place> nodes) {
+        return array(blocks_of_nodes(span(start), span(rows), span(nodes)));
+    });
+    m.def("pair_blocks", [](In<Place> start, In<Place> rows, In<Place> first, In<Place> second) {
+        std::vector<Place> blocks(first.size());
+        for (std::size_t e = 0; e < blocks.size(); ++e)
+            blocks[e] = block_between(span(start), span(rows), first.data()[e], second.data()[e]);
+        return array(std::move(blocks));
+    });
+    // the rows and columns of nodes become those of the identity from a coordinate on
+    m.def("hold", [](InOut<double> values, InOut<double> xi, In<Place> blocks, In<Place> diagonal, In<Place> nodes) {
+        for (const Place block : span(blocks)) std::fill_n(values.data() + 9 * block, 9, 0.0);
+        for (const Place node : span(nodes)) {
+            std::fill_n(xi.data() + 3 * node, 3, 0.0);
+            for (int c = 0; c < 3; ++c) values.data()[9 * diagonal.data()[node] + 4 * c] = 1.0;
+        }
+    });
+    m.def("rest", [](InOut<double> values, In<Place> diagonal, In<Place> nodes, int coordinate) {
+        for (const Place node : span(nodes))
+            for (int c = coordinate; c < 3; ++c) values.data()[9 * diagonal.data()[node] + 4 * c] = 1.0;
+    });
+}
+
+void bind_orders(nb::module_& m) {
+    m.def("minimum_degree", [](In<Place> start, In<Node> rows, double dense) {
+        const Pattern pattern = pattern_of(start, rows);
+        return array(minimum_degree(pattern, degree_limit(pattern.size(), dense)));
+    });
+    m.def("fill_reducing", [](In<Place> start, In<Node> rows, Node smallest, double worth) {
+        return array(fill_reducing(pattern_of(start, rows), {smallest, worth}));
+    });
+    m.def("flops_of", [](In<Place> start, In<Node> rows, In<Node> order) {
+        return flops_of(pattern_of(start, rows), span(order));
+    });
+    m.def("separator_depths", [](In<Place> start, In<Node> list, Node limit) {
+        const Neighbours graph{{start.data(), start.data() + start.size()}, {list.data(), list.data() + list.size()}};
+        return array(separator_depths(graph, limit));
+    });
+    m.def("separate", [](In<Place> start, In<Node> list, InOut<signed char> side) {
+        const Neighbours graph{{start.data(), start.data() + start.size()}, {list.data(), list.data() + list.size()}};
+        Separator separator(graph);
+        std::copy_n(side.data(), side.size(), separator.side.begin());
+        std::vector<Node> nodes;
+        for (Node v = 0; v < graph.size(); ++v)
+            if (separator.side[v] >= 0) nodes.push_back(v);
+        const Node size = separator.separate(nodes);
+        std::copy_n(separator.side.begin(), side.size(), side.data());
+        return size;
+    });
+}
+
+void bind_symbolic(nb::module_& m) {
+    nb::class_<Symbolic>(m, "Symbolic")
+        .def_prop_ro("order", [](const Symbolic& s) { return array(s.order); }, nb::rv_policy::move)
+        .def_prop_ro("row_length", [](const Symbolic& s) { return array(s.row_length); }, nb::rv_policy::move)
+        .def_prop_ro("supernodes", &Symbolic::supernodes)
+        .def_prop_ro("numbers", [](const Symbolic& s) { return s.panel_start.back(); })
+        .def_ro("parts", &Symbolic::parts)
+        .def_ro("blocks", &Symbolic::blocks)
+        .def_ro("flops", &Symbolic::flops);
+    m.def("analyze", [](In<Place> start, In<Node> rows, std::optional<In<Node>> order, bool hermitian, int threads) {
+        const Pattern pattern = pattern_of(start, rows);
+        const nb::gil_scoped_release other_threads;
+        if (order) return std::make_shared<Symbolic>(analyze(pattern, span(*order), shape_of(hermitian), threads));
+        return std::make_shared<Symbolic>(analyze(pattern, fill_reducing(pattern), shape_of(hermitian), threads));
+    }, nb::arg("start"), nb::arg("rows"), nb::arg("order").none(), nb::arg("hermitian"), nb::arg("threads"));
+}
+
+template <class Block>
+auto bind_factor(nb::module_& m, const char* name) {
+    using Value = typename Block::Value;
+    using F = Factor<Block>;
+    return nb::class_<F>(m, name)
+        .def("__init__", [](F* at, std::shared_ptr<Symbolic> s) { new (at) F(std::move(s)); })
+        .def("factorize", [](F& f, In<Value> values, double damping) { return f.factorize(span(values), damping); }, release())
+        .def("solve", [](F& f, In<Value> b, InOut<Value> x) { return f.solve(span(b), span(x)); }, release())
+        .def("forward_square", [](F& f, In<Value> b) { return f.forward_square(span(b)); })
+        .def("null_vector", [](const F& f, Place pivot) {
+            const std::size_t nodes = f.symbolic().order.size(), rows = Block::rows;
+            return array(f.null_vector(pivot), {nodes, rows});
+        })
+        .def("magnitude_square", [](const F& f, In<double> v) { return array(f.magnitude_square(span(v))); });
+}
+
+void bind_inverse(nb::module_& m) {
+    nb::class_<SelectedInverse>(m, "SelectedInverse")
+        .def(nb::init<const Factor<Real3>&>(), release())
+        .def("diagonal", [](const SelectedInverse& z) { return array(z.diagonal(), {z.diagonal().size() / 9, 3, 3}); })
+        // blocks (E, 3, 3) in the rows and columns of pairs of nodes, or None where the pattern of L lacks one
+        .def("pairs", [](const SelectedInverse& z, In<Place> rows, In<Place> columns) -> std::optional<Out<double>> {
+            std::vector<double> out(9 * rows.size());
+            for (std::size_t e = 0; e < rows.size(); ++e) {
+                const auto block = z.block(static_cast<Node>(rows.data()[e]), static_cast<Node>(columns.data()[e]));
+                if (!block) return std::nullopt;
+                std::copy(block->begin(), block->end(), out.begin() + 9 * e);
+            }
+            return array(std::move(out), {rows.size(), 3, 3});
+        })
+        // blocks (k, 3, k, 3) between all pairs of nodes, or None where the pattern of L lacks one
+        .def("blocks", [](const SelectedInverse& z, In<Place> nodes) -> std::optional<Out<double>> {
+            const std::size_t k = nodes.size();
+            std::vector<double> out(9 * k * k);
+            for (std::size_t a = 0; a < k; ++a)
+                for (std::size_t b = 0; b < k; ++b) {
+                    const auto block = z.block(static_cast<Node>(nodes.data()[a]), static_cast<Node>(nodes.data()[b]));
+                    if (!block) return std::nullopt;
+                    for (int r = 0; r < 3; ++r)
+                        for (int c = 0; c < 3; ++c) out[((3 * a + r) * k + b) * 3 + c] = (*block)[3 * r + c];
+                }
+            return array(std::move(out), {k, 3, k, 3});
+        });
+}
+
+}  // namespace
+
+void bind_sparse(nb::module_& m) {
+    bind_patterns(m);
+    bind_orders(m);
+    bind_symbolic(m);
+    bind_factor<Real3>(m, "RealFactor").def("log_determinant", &Factor<Real3>::log_determinant);
+    bind_factor<Hermitian2>(m, "HermitianFactor");
+    bind_inverse(m);
+}
+
+}  // namespace vmslam::python

@@ -1,0 +1,115 @@
+// Dense work on the panels of a supernode.
+#pragma once
+
+#include <cstring>
+
+#include "vmslam/sparse/block.hpp"
+
+namespace vmslam::sparse {
+
+constexpr Step group_of(Step row) { return row & ~(group - 1); }
+
+/// A block of A in a third of a second-level cache of 1 MB.
+inline constexpr Step pack_rows = 240, pack_depth = 192;
+/// Numbers that `product` needs for packing.
+template <class Block>
+constexpr Step packing(Step widest, Step tallest) {
+    const Step depth = Block::columns * widest, right = Block::planes == 2 ? 4 * depth : 6 * pack_depth;
+    return tallest * depth > 2 * pack_rows * pack_depth ? std::max(right, 6 * pack_depth) + pack_rows * pack_depth : right;
+}
+
+/// The rows of a right factor for one or two node columns, side by side, so that they lie in few cache lines.
+template <class Block>
+inline Right pack(const double* b, Step step, Step depth, int few, double* packed) {
+    if constexpr (Block::planes == 2) {
+        for (Step k = 0; k < depth; k += 2) {
+            const double *re = b + k * step, *im = re + step;
+            double* t = packed + 4 * k;
+            for (int c = 0; c < 2; ++c) {
+                t[2 * c] = re[c];
+                t[2 * c + 1] = -im[c];
+                t[2 * c + 4] = im[c];
+                t[2 * c + 5] = re[c];
+            }
+        }
+        return {packed, 4, 1};
+    } else {
+        for (Step k = 0; k < depth; ++k)
+            for (int c = 0; c < 3 * few; ++c) packed[6 * k + c] = b[k * step + c];
+        return {packed, 6, 1};
+    }
+}
+
+/// C = [C] - A B^H for `few` node columns.
+template <class Block, bool add>
+inline void product_nodes(Columns c, ConstColumns a, Right b, Step rows, int few, Step depth) {
+    if constexpr (Block::planes == 2)
+        product_columns<4, add>(c, a, b, rows, depth);
+    else if (few == 2)
+        product_columns<6, add>(c, a, b, rows, depth);
+    else
+        product_columns<3, add>(c, a, b, rows, depth);
+}
+
+/// C = [C] - A B^H for `nodes` node columns. The rows of B are those of `b` on, one node after the other, in columns that
+/// are `step` apart. With `diagonal` >= 0, the row of C in which the diagonal of its first node is, only the lower triangle.
+template <class Block, bool add>
+void product(Columns c, ConstColumns a, const double* b, Step step, Step rows, Step nodes, Step depth, Step diagonal,
+             double* packed) {
+    constexpr int pair = Block::planes == 2 ? 1 : 2;
+    const auto skipped = [&](Step j) { return diagonal < 0 ? Step{0} : group_of(diagonal + Block::rows * j); };
+    if (rows * depth <= 2 * pack_rows * pack_depth) {
+        for (Step j = 0; j < nodes; j += pair) {
+            const int few = static_cast<int>(std::min<Step>(pair, nodes - j));
+            const Step skip = skipped(j);
+            const Right right = Block::planes == 2 ? pack<Block>(b + Block::rows * j, step, depth, few, packed)
+                                                   : Right{b + Block::rows * j, step, 1};
+            product_nodes<Block, add>({c.at + Block::columns * j * c.step + skip, c.step}, {a.at + skip, a.step}, right,
+                                      rows - skip, few, depth);
+        }
+        return;
+    }
+    // blocks of A are copied to where they stay in the second-level cache and span few memory pages
+    double* const left = packed;
+    double* const right_at = packed + pack_rows * pack_depth;
+    for (Step k = 0; k < depth; k += pack_depth) {
+        const Step deep = std::min(pack_depth, depth - k);
+        for (Step i = 0; i < rows; i += pack_rows) {
+            const Step high = std::min(pack_rows, rows - i);
+            for (Step q = 0; q < deep; ++q)
+                std::memcpy(left + q * pack_rows, a.at + i + (k + q) * a.step, high * sizeof(double));
+            for (Step j = 0; j < nodes; j += pair) {
+                const Step skip = std::max<Step>(0, skipped(j) - i);
+                if (skip >= high) break;
+                const int few = static_cast<int>(std::min<Step>(pair, nodes - j));
+                const Right right = pack<Block>(b + Block::rows * j + k * step, step, deep, few, right_at);
+                const Columns target{c.at + Block::columns * j * c.step + i + skip, c.step};
+                const ConstColumns source{left + skip, pack_rows};
+                if (add || k > 0)
+                    product_nodes<Block, true>(target, source, right, high - skip, few, deep);
+                else
+                    product_nodes<Block, false>(target, source, right, high - skip, few, deep);
+            }
+        }
+    }
+}
+
+/// Add `n` numbers.
+inline void add_numbers(double* t, const double* s, Step n) {
+    while (n >= 8) {
+        store<4>(t, load<4>(t) + load<4>(s));
+        store<4>(t + 4, load<4>(t + 4) + load<4>(s + 4));
+        t += 8, s += 8, n -= 8;
+    }
+    if (n & 4) {
+        store<4>(t, load<4>(t) + load<4>(s));
+        t += 4, s += 4;
+    }
+    if (n & 2) {
+        store<2>(t, load<2>(t) + load<2>(s));
+        t += 2, s += 2;
+    }
+    if (n & 1) *t += *s;
+}
+
+}  // namespace vmslam::sparse

@@ -1,0 +1,197 @@
+// The factorisation run backwards: each supernode takes the inverse over its rows from its parent, extends it by its own
+// columns, and hands its children their parts. By blocks of columns J with all rows R below them, from the last block to the
+// first, with Y = L_RJ L_JJ^-1: Z_RJ = -Z_RR Y and Z_JJ = (L_JJ L_JJ')^-1 - Y' Z_RJ (Takahashi, Fagan and Chen 1973).
+#include <algorithm>
+#include <array>
+#include <cstring>
+
+#include "panel.hpp"
+#include "vmslam/sparse/factor.hpp"
+
+namespace vmslam::sparse {
+namespace {
+
+constexpr Step narrow = 4;  ///< nodes up to which one at a time is faster than a block
+constexpr Step wide = 16;   ///< nodes of a block
+
+/// X L = B: the row solve of L' with its columns and coefficients in reverse order.
+void solve_from_right(double* x, Step h, Step count, const Real3::Pivot& p) {
+    Real3::solve_rows(x + 2 * h, -h, count, {p.i2, p.l21, p.l20, p.i1, p.l10, p.i0});
+}
+
+/// C = -A B for `columns` columns, a multiple of three.
+void negative_product(Columns c, ConstColumns a, Right b, Step rows, Step columns, Step depth, bool add) {
+    for (Step j = 0; j < columns; j += 3) {
+        const Columns target{c.at + j * c.step, c.step};
+        const Right right{b.at + j * b.across, b.down, b.across};
+        if (add)
+            product_columns<3, true>(target, a, right, rows, depth);
+        else
+            product_columns<3, false>(target, a, right, rows, depth);
+    }
+}
+
+/// The inverse over one front: a full symmetric matrix `z`, of which the rows and columns are those of the panel.
+class FrontInverse {
+   public:
+    explicit FrontInverse(Step tallest)
+        : z_(tallest * tallest), y_(3 * wide * tallest), product_(3 * wide * tallest), turned_(3 * wide * tallest),
+          square_(3 * wide * 3 * wide) {}
+
+    double* column(Step j) { return z_.data() + j * height_; }
+
+    void begin(const Front& front, const double* x) {
+        x_ = x;
+        height_ = front.height;
+        pad_ = front.pad;
+        std::memset(z_.data(), 0, height_ * height_ * sizeof(double));
+    }
+
+    /// The columns of `w` nodes, given the inverse over the rows below.
+    void extend(Step w) {
+        if (w <= narrow) {
+            extend_by_nodes(0, w, height_);
+            return;
+        }
+        for (Step first = (w - 1) / wide * wide; first >= 0; first -= wide) {
+            const Step last = std::min(first + wide, w);
+            extend_by_nodes(first, last, row(last));
+            if (row(last) < height_) extend_by_block(first, last);
+        }
+    }
+
+   private:
+    Step row(Step node) const { return pad_ + 3 * node; }
+    const double* panel(Step node) const { return x_ + 3 * node * height_; }
+
+    /// Nodes `last` - 1 to `first`, one by one, with the rows below up to `end` only.
+    void extend_by_nodes(Step first, Step last, Step end) {
+        const Step h = height_;
+        for (Step j = last - 1; j >= first; --j) {
+            const Step at = row(j), below = at + 3, top = group_of(below), rows = grouped(end) - top;
+            const double* const l = panel(j);
+            const auto p = Real3::Pivot::load(l + at, h);
+            double *const f = column(at), *const y = y_.data();
+            if (below < end) {
+                for (Step c = 0; c < 3; ++c) {
+                    std::memset(y + c * h + top, 0, rows * sizeof(double));
+                    std::memcpy(y + c * h + below, l + c * h + below, (end - below) * sizeof(double));
+                }
+                solve_from_right(y + top, h, rows, p);
+                negative_product({f + top, h}, {column(below) + top, h}, {y + below, 1, h}, rows, 3, end - below, false);
+            }
+            set_diagonal(f, p, at, below, end);
+        }
+    }
+
+    /// Z_JJ = (L_JJ L_JJ')^-1 - Y' Z_RJ of one node, and the rows beside its columns.
+    void set_diagonal(double* f, const Real3::Pivot& p, Step at, Step below, Step end) {
+        const Step h = height_;
+        // the inverse N of L_JJ: N' N
+        const double n10 = -p.l10 * p.i0 * p.i1, n21 = -p.l21 * p.i1 * p.i2, n20 = -(p.l20 * p.i0 + p.l21 * n10) * p.i2;
+        double z[3][3] = {{p.i0 * p.i0 + n10 * n10 + n20 * n20, 0, 0},
+                          {p.i1 * n10 + n21 * n20, p.i1 * p.i1 + n21 * n21, 0},
+                          {p.i2 * n20, p.i2 * n21, p.i2 * p.i2}};
+        const double* const y = y_.data();
+        for (Step i = below; i < end; ++i)
+            for (int a = 0; a < 3; ++a) {
+                for (int b = 0; b <= a; ++b) z[a][b] -= y[a * h + i] * f[b * h + i];
+                column(i)[at + a] = f[a * h + i];
+            }
+        for (int a = 0; a < 3; ++a)
+            for (int b = 0; b <= a; ++b) f[a * h + at + b] = f[b * h + at + a] = z[a][b];
+    }
+
+    /// The rows below a block of nodes, and their share in its diagonal block, which holds (L_JJ L_JJ')^-1.
+    void extend_by_block(Step first, Step last) {
+        const Step h = height_, end = row(last), top = group_of(end), rows = h - top, deep = h - end;
+        const Step k = 3 * (last - first), padded = grouped(k);
+        double* const y = y_.data();
+        for (Step j = last - first - 1; j >= 0; --j) {
+            const double* const l = panel(first + j);
+            for (Step c = 0; c < 3; ++c) {
+                double* const t = y + (3 * j + c) * h;
+                std::memset(t + top, 0, rows * sizeof(double));
+                std::memcpy(t + end, l + c * h + end, deep * sizeof(double));
+            }
+            const Right right{l + row(first + j) + 3, 1, h};
+            negative_product({y + 3 * j * h + top, h}, {y + 3 * (j + 1) * h + top, h}, right, rows, 3, k - 3 * (j + 1), true);
+            solve_from_right(y + 3 * j * h + top, h, rows, Real3::Pivot::load(l + row(first + j), h));
+        }
+        double* const z = product_.data();
+        negative_product({z + top, h}, {column(end) + top, h}, {y + end, 1, h}, rows, k, deep, false);
+        for (Step j = 0; j < k; ++j) {
+            std::memcpy(column(row(first) + j) + end, z + j * h + end, deep * sizeof(double));
+            for (Step i = end; i < h; ++i) {
+                turned_.data()[(i - end) * padded + j] = y[j * h + i];
+                column(i)[row(first) + j] = z[j * h + i];
+            }
+        }
+        for (Step i = 0; i < deep; ++i)
+            std::memset(turned_.data() + i * padded + k, 0, (padded - k) * sizeof(double));
+        double* const square = square_.data();
+        negative_product({square, padded}, {turned_.data(), padded}, {z + end, 1, h}, padded, k, deep, false);
+        for (Step j = 0; j < k; ++j)
+            for (Step i = 0; i < k; ++i) column(row(first) + j)[row(first) + i] += square[j * padded + i];
+    }
+
+    const double* x_ = nullptr;
+    Step height_ = 0, pad_ = 0;
+    Numbers z_, y_, product_, turned_, square_;
+};
+
+}  // namespace
+
+SelectedInverse::SelectedInverse(const Factor<Real3>& factor)
+    : symbolic_(factor.shared_symbolic()), panels_(symbolic_->panel_start.back()), diagonal_(9 * symbolic_->nodes()) {
+    const Symbolic& t = *symbolic_;
+    Numbers updates(t.stack_size);
+    FrontInverse inverse(t.tallest);
+    for (Node s = t.supernodes() - 1; s >= 0; --s) {
+        const Front front = t.front(s);
+        const Step h = front.height, own = 3 * front.w, below = 3 * front.r;
+        inverse.begin(front, factor.panel(s));
+        for (Step j = 0; j < below; ++j)
+            std::memcpy(inverse.column(front.pad + own + j) + front.pad + own,
+                        updates.data() + t.stack_start[s] + j * front.update_height, below * sizeof(double));
+        inverse.extend(front.w);
+        for (Step j = 0; j < own; ++j)
+            std::memcpy(panels_.data() + t.panel_start[s] + j * h, inverse.column(front.pad + j), h * sizeof(double));
+        for (Node q = t.child_start[s]; q < t.child_start[s + 1]; ++q) {
+            const Node c = t.children[q];
+            const Front child = t.front(c);
+            const Node* const relative = t.relative.data() + t.row_start[c];
+            for (Step j = 0; j < 3 * child.r; ++j) {
+                const double* const source = inverse.column(front.pad + 3 * relative[j / 3] + j % 3) + front.pad;
+                double* const target = updates.data() + t.stack_start[c] + j * child.update_height;
+                for (Step i = 0; i < child.r; ++i) std::memcpy(target + 3 * i, source + 3 * relative[i], 3 * sizeof(double));
+            }
+        }
+    }
+    for (Node node = 0; node < t.nodes(); ++node) {
+        const auto z = block(node, node);
+        std::copy(z->begin(), z->end(), diagonal_.begin() + 9 * node);
+    }
+}
+
+std::optional<std::array<double, 9>> SelectedInverse::block(Node i, Node j) const {
+    const Symbolic& t = *symbolic_;
+    const bool turned = t.position[i] < t.position[j];
+    const auto [column, row] = std::minmax(t.position[i], t.position[j]);
+    const Node s = t.owner(column);
+    const Front front = t.front(s);
+    Place local = row - t.first[s];
+    if (row >= t.first[s + 1]) {
+        const auto low = t.rows.begin() + t.row_start[s], high = t.rows.begin() + t.row_start[s + 1];
+        const auto found = std::lower_bound(low, high, row);
+        if (found == high || *found != row) return std::nullopt;
+        local = front.w + (found - low);
+    }
+    const double* const z = panels_.data() + t.panel_start[s] + 3 * (column - t.first[s]) * front.height + front.pad + 3 * local;
+    std::array<double, 9> block;
+    for (int a = 0; a < 3; ++a)
+        for (int b = 0; b < 3; ++b) block[3 * (turned ? b : a) + (turned ? a : b)] = z[b * front.height + a];
+    return block;
+}
+
+}  // namespace vmslam::sparse

@@ -1,0 +1,241 @@
+#include "vmslam/sparse/symbolic.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+namespace vmslam::sparse {
+namespace {
+
+/// The rows of every supernode and the tree, by walking the row subtrees on the tree of supernodes.
+void find_rows(Symbolic& s, const std::vector<Node>& below, const RowLists& lists, const std::vector<Node>& owner) {
+    const Node count = s.supernodes();
+    s.row_start.assign(count + 1, 0);
+    std::partial_sum(below.begin(), below.end(), s.row_start.begin() + 1, std::plus<Place>());
+    s.rows.resize(s.row_start[count]);
+    s.parent.assign(count, -1);
+    std::vector<Place> fill(s.row_start.begin(), s.row_start.end() - 1);
+    std::vector<Node> mark(count, -1);
+    for (Node k = 0; k < s.nodes(); ++k) {
+        mark[owner[k]] = k;
+        for (Place p = lists.start[k]; p < lists.start[k + 1]; ++p)
+            for (Node t = owner[lists.columns[p]]; mark[t] != k; t = s.parent[t]) {
+                if (s.parent[t] < 0) s.parent[t] = owner[k];
+                s.rows[fill[t]++] = k;
+                mark[t] = k;
+            }
+    }
+    s.child_start.assign(count + 1, 0);
+    for (const Node t : s.parent)
+        if (t >= 0) ++s.child_start[t + 1];
+    std::partial_sum(s.child_start.begin(), s.child_start.end(), s.child_start.begin());
+    s.children.resize(s.child_start[count]);
+    std::vector<Node> place(s.child_start.begin(), s.child_start.end() - 1);
+    for (Node t = 0; t < count; ++t)
+        if (s.parent[t] >= 0) s.children[place[s.parent[t]]++] = t;
+}
+
+/// Where the rows of every supernode stand in the front of its parent, and their runs.
+void relate_to_parents(Symbolic& s) {
+    s.relative.assign(s.rows.size(), -1);
+    s.run_end.assign(s.rows.size(), 0);
+    s.split.assign(s.supernodes(), 0);
+    for (Node c = 0; c < s.supernodes(); ++c) {
+        const Node t = s.parent[c];
+        if (t < 0) continue;
+        const Place low = s.row_start[c], high = s.row_start[c + 1];
+        const Node w = s.first[t + 1] - s.first[t];
+        Place q = s.row_start[t];
+        for (Place p = low; p < high; ++p) {
+            if (s.rows[p] < s.first[t + 1]) {
+                s.relative[p] = s.rows[p] - s.first[t];
+                ++s.split[c];
+                continue;
+            }
+            while (s.rows[q] != s.rows[p]) ++q;
+            s.relative[p] = static_cast<Node>(w + q - s.row_start[t]);
+        }
+        Place end = high;
+        for (Place p = high - 1; p >= low; --p) {
+            if (p + 1 < high && s.relative[p + 1] != s.relative[p] + 1) end = p + 1;
+            s.run_end[p] = static_cast<Node>(end - low);
+        }
+    }
+}
+
+void place_panels(Symbolic& s) {
+    s.panel_start.assign(s.supernodes() + 1, 0);
+    for (Node t = 0; t < s.supernodes(); ++t) {
+        const Front front = s.front(t);
+        s.tallest = std::max(s.tallest, front.height);
+        s.widest = std::max(s.widest, front.w);
+        s.panel_start[t + 1] = s.panel_start[t] + s.shape.columns * front.w * front.height;
+    }
+}
+
+/// Where every block of the matrix goes, sorted by supernode.
+void place_entries(Symbolic& s, const Pattern& pattern, const std::vector<Node>& owner) {
+    s.entry_start.assign(s.supernodes() + 1, 0);
+    for (Node j = 0; j < s.nodes(); ++j)
+        for (Place p = pattern.start[j]; p < pattern.start[j + 1]; ++p)
+            ++s.entry_start[owner[std::min(s.position[pattern.rows[p]], s.position[j])] + 1];
+    std::partial_sum(s.entry_start.begin(), s.entry_start.end(), s.entry_start.begin());
+    std::vector<Place> fill(s.entry_start.begin(), s.entry_start.end() - 1);
+    s.entries.resize(pattern.rows.size());
+    for (Node j = 0; j < s.nodes(); ++j)
+        for (Place p = pattern.start[j]; p < pattern.start[j + 1]; ++p) {
+            const Node a = s.position[pattern.rows[p]], b = s.position[j];
+            const auto [column, row] = std::minmax(a, b);
+            const Node t = owner[column];
+            const Front front = s.front(t);
+            Place local = row - s.first[t];
+            if (row >= s.first[t + 1]) {
+                const auto low = s.rows.begin() + s.row_start[t], high = s.rows.begin() + s.row_start[t + 1];
+                local = front.w + (std::lower_bound(low, high, row) - low);
+            }
+            const Place target = front.pad + s.shape.rows * local + s.shape.columns * (column - s.first[t]) * front.height;
+            // the block has the row node above the column node, and L needs the one whose row is eliminated later
+            s.entries[fill[t]++] = {2 * p + (a < b || a == b), s.panel_start[t] + target};
+        }
+}
+
+/// Update matrices on two stacks for each part of the tree, one for even and one for odd depths.
+///
+/// With one stack the update matrix of a supernode would have to be moved down over those of its children. The supernodes of
+/// one part must be done in order, those of different parts may be done at the same time if neither needs the other. A part
+/// that follows all others may take the children of its supernodes from them; they keep their places.
+void place_updates(Symbolic& s) {
+    const Node count = s.supernodes();
+    std::vector<Node> stack(count, 0);
+    for (Node t = count - 1; t >= 0; --t) {
+        stack[t] += 2 * s.part[t];
+        for (Node q = s.child_start[t]; q < s.child_start[t + 1]; ++q) stack[s.children[q]] = 1 - (stack[t] & 1);
+    }
+    std::vector<Place> top(2 * s.parts, 0), peak(2 * s.parts, 0);
+    s.stack_start.assign(count, 0);
+    for (Node t = 0; t < count; ++t) {
+        const Front front = s.front(t);
+        const Node d = stack[t];
+        s.stack_start[t] = top[d];
+        top[d] += s.shape.columns * front.r * front.update_height;
+        peak[d] = std::max(peak[d], top[d]);
+        for (Node q = s.child_start[t]; q < s.child_start[t + 1]; ++q)
+            if (s.part[s.children[q]] == s.part[t]) {
+                top[d ^ 1] = s.stack_start[s.children[q]];
+                break;
+            }
+    }
+    std::vector<Place> begin(peak.size());
+    std::exclusive_scan(peak.begin(), peak.end(), begin.begin(), Place{0});
+    for (Node t = 0; t < count; ++t) s.stack_start[t] += begin[stack[t]];
+    s.stack_size = begin.back() + peak.back();
+}
+
+}  // namespace
+
+Node Symbolic::owner(Node column) const {
+    return static_cast<Node>(std::upper_bound(first.begin(), first.end(), column) - first.begin()) - 1;
+}
+
+Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape shape, int threads) {
+    const EliminationTree tree(permuted(pattern, inverse(order)));
+    const Supernodes groups = amalgamate(tree, shape);
+    Symbolic s;
+    s.shape = shape;
+    s.blocks = tree.blocks();
+    s.flops = tree.flops(shape.rows);
+    // amalgamation moves the columns of a supernode next to each other
+    const Node n = pattern.size();
+    s.order.resize(n);
+    s.row_length.resize(n);
+    for (Node k = 0; k < n; ++k) {
+        s.order[k] = order[groups.columns[k]];
+        s.row_length[k] = tree.row_length[groups.columns[k]];
+    }
+    s.position = inverse(s.order);
+    s.first = groups.first;
+    std::vector<Node> owner(n);
+    for (Node t = 0; t < s.supernodes(); ++t) std::fill(owner.begin() + s.first[t], owner.begin() + s.first[t + 1], t);
+    find_rows(s, groups.below, permuted(pattern, s.position), owner);
+    relate_to_parents(s);
+    place_panels(s);
+    place_entries(s, pattern, owner);
+    divide(s, threads);
+    return s;
+}
+
+namespace {
+
+/// The estimated time of a supernode [ns].
+double time_of(const Symbolic& s, Node t) {
+    const Front front = s.front(t);
+    const double w = s.shape.rows * static_cast<double>(front.w), r = s.shape.rows * static_cast<double>(front.r);
+    const double flops = w * w * w / 3.0 + w * w * r + w * r * r;
+    const double numbers = static_cast<double>(s.shape.columns) / s.shape.rows;
+    return 185.0 + numbers * (1.0 * w * (w + r) + 0.3 * r * r) + numbers * numbers * 0.012 * flops;
+}
+
+constexpr double least = 1.0e6;  ///< the estimated time [ns] for which threads are started, which takes some 0.03 ms
+constexpr double gain = 0.85;    ///< several threads must take less than this part of the time of one
+constexpr int steps = 100;       ///< the most supernodes that are taken from the subtrees and left for the end
+
+}  // namespace
+
+// Each thread takes whole subtrees, and one does the rest of the tree afterwards. Every supernode is computed from the same
+// numbers in the same order as on one thread, so that the factor does not depend on the number of threads, to the last bit.
+//
+// The tree is cut from the roots down, always in the largest subtree, and the subtrees are given to the threads, the largest
+// first, each to the thread with the least work. The cut with the shortest estimated time is used.
+void divide(Symbolic& s, int threads) {
+    const Node count = s.supernodes();
+    std::vector<double> own(count), tree(count, 0.0);
+    std::vector<Node> size(count, 1), tasks;
+    double total = 0.0;
+    for (Node t = 0; t < count; ++t) {
+        own[t] = time_of(s, t);
+        total += own[t];
+        tree[t] += own[t];
+        if (s.parent[t] < 0) {
+            tasks.push_back(t);
+            continue;
+        }
+        tree[s.parent[t]] += tree[t];
+        size[s.parent[t]] += size[t];
+    }
+    s.part.assign(count, 0);
+    s.parts = 1;
+    std::vector<Node> chosen, owner, given;
+    if (total >= least && threads > 1) {
+        double top = 0.0, best = gain * total;
+        for (int step = 0; step < steps; ++step) {
+            std::stable_sort(tasks.begin(), tasks.end(), [&](Node a, Node b) { return tree[a] > tree[b]; });
+            std::vector<double> load(threads, 0.0);
+            given.clear();
+            for (const Node t : tasks) {
+                const auto thread = std::min_element(load.begin(), load.end());
+                *thread += tree[t];
+                given.push_back(static_cast<Node>(thread - load.begin()));
+            }
+            if (const double time = top + *std::max_element(load.begin(), load.end()); time < best) {
+                best = time;
+                chosen = tasks;
+                owner = given;
+            }
+            const Node largest = tasks.front();
+            top += own[largest];
+            if (top > best || s.child_start[largest] == s.child_start[largest + 1]) break;
+            tasks.erase(tasks.begin());
+            tasks.insert(tasks.end(), s.children.begin() + s.child_start[largest],
+                         s.children.begin() + s.child_start[largest + 1]);
+        }
+    }
+    if (!chosen.empty()) {
+        s.parts = threads + 1;
+        std::fill(s.part.begin(), s.part.end(), threads);
+        for (std::size_t k = 0; k < chosen.size(); ++k)
+            std::fill(s.part.begin() + chosen[k] + 1 - size[chosen[k]], s.part.begin() + chosen[k] + 1, owner[k]);
+    }
+    place_updates(s);
+}
+
+}  // namespace vmslam::sparse

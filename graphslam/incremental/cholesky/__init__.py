@@ -1,0 +1,1 @@
+"""The numba factorisation of the online solver; batch solutions use the engine."""
