@@ -28,10 +28,19 @@ lint: .venv/.installed-test
 		{ echo "Python 3.11 or newer is needed; name it with: make PYTHON=/path/to/python" >&2; exit 1; }
 	$(PYTHON) -m venv .venv
 
-# pip runs again when the requirements change; a stamp is written only when everything is installed
-.venv/.installed: pyproject.toml | .venv/bin/python
-	$(PIP) install --editable .
-	touch $@
+# cmake, ninja and a compiler come from PyPI where the machine has none; they stay, so that later builds take seconds
+.venv/.tools: engine/build_backend.py | .venv/bin/python
+	$(PIP) install 'scikit-build-core>=0.11' 'nanobind>=2.4'
+	$(BIN)/python engine/build_backend.py | $(PIP) install --requirement /dev/stdin
+	@touch $@
+
+# pip runs again when the requirements or the engine change; a stamp is written only when everything is installed
+ENGINE := $(shell find engine -name '*.[ch]pp' -o -name CMakeLists.txt)
+INSTALL = @echo "Installing packages and building the engine: $(1)" && $(PIP) install --no-build-isolation --editable '$(1)'
+
+.venv/.installed: pyproject.toml $(ENGINE) .venv/.tools
+	$(call INSTALL,.)
+	@touch $@
 
 # not needed, only quicker: the kernels of both packages, on two cores; first those of a comparison, for tests all
 .venv/.compiled: .venv/.installed
@@ -42,9 +51,9 @@ lint: .venv/.installed-test
 	$(BIN)/python -m comparisons.kernels --all
 	touch $@
 
-.venv/.installed-test: pyproject.toml | .venv/bin/python
-	$(PIP) install --editable '.[test]'
-	touch $@ .venv/.installed
+.venv/.installed-test: pyproject.toml $(ENGINE) .venv/.tools
+	$(call INSTALL,.[test])
+	@touch $@ .venv/.installed
 
 # the documentation site in English and Japanese; results of its code are kept in .cache, and its pages are tested if it is built
 docs: .venv/.installed-docs .venv/.compiled
@@ -55,9 +64,9 @@ docs: .venv/.installed-docs .venv/.compiled
 docs-check: .venv/.installed-docs .venv/.compiled
 	NO_MKDOCS_2_WARNING=1 SITE_SECONDS=$${SITE_SECONDS:-30} $(BIN)/mkdocs build --strict --quiet --site-dir .cache/site-check
 
-.venv/.installed-docs: pyproject.toml | .venv/bin/python
-	$(PIP) install --editable '.[docs]'
-	touch $@ .venv/.installed
+.venv/.installed-docs: pyproject.toml $(ENGINE) .venv/.tools
+	$(call INSTALL,.[docs])
+	@touch $@ .venv/.installed
 
 clean:
-	rm -rf .cache site .venv build *.egg-info
+	rm -rf .cache site .venv build graphslam/_engine.*

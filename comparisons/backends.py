@@ -21,7 +21,6 @@ from graphslam.solvers.solve import starting_state
 
 from .display import Displayed
 from .documents import certificate_document
-from .kernels import factorisation
 from .options import BackendOptions
 from .peers import PEERS, PeerRun
 from .pool import too_long
@@ -209,7 +208,6 @@ def _backend(name: str, graph: Graph, initialize: str, max_iterations: int) -> C
 @cache
 def _warm_up(name: str) -> None:
     """Let a backend compile or load its code on a tiny graph, a square with a landmark."""
-    factorisation()
     lines = [f"VERTEX_SE2 {k} {k % 2} {k // 2} 0\nEDGE_SE2 {k} {(k + 1) % 4} 1 0 1.57 1 0 0 1 0 1" for k in range(4)]
     lines += ["VERTEX_XY 4 2 2", "EDGE_SE2_XY 0 4 2 2 1 0 1", "EDGE_SE2_XY 1 4 2 -1 1 0 1"]
     with TemporaryDirectory() as folder:

@@ -24,9 +24,8 @@ from .estimators import ESTIMATORS
 from .options import RunOptions
 
 
-def edges_and_filters() -> None:
-    """What a graph does before Omega is factorised, GTSAM's factor of a landmark, and the particle filters."""
-    from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
+def edges() -> None:
+    """What a graph does before Omega is factorised, and GTSAM's factor of a landmark."""
     from graphslam import Graph, load, sample_log_path
     from graphslam.factors import LandmarkFactor
     from graphslam.solvers.gtsam_solver import to_values
@@ -40,6 +39,14 @@ def edges_and_filters() -> None:
     at = to_values(graph, log.initial_poses)
     factor.error(at)
     factor.linearize(at)
+
+
+def filters() -> None:
+    """The particle filters."""
+    from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
+    from graphslam import load, sample_log_path
+
+    log = load(sample_log_path())
     for kind in (MonteCarloLocalization, FastSLAM1, FastSLAM2):
         kind(log, particles=10).run()
 
@@ -52,33 +59,8 @@ def sampled_association() -> None:
     FastSLAM2(load(sample_log_path()), particles=10, association="sampled", merge_interval=1).run()
 
 
-def _ring() -> tuple[np.ndarray, np.ndarray]:
-    """The pattern of a small ring."""
-    n = 40
-    rows = [[*({j - 1} if j else set()), *({0} if j == n - 1 else set()), j] for j in range(n)]
-    rows = [sorted(set(column)) for column in rows]
-    indptr = np.concatenate([[0], np.cumsum([len(column) for column in rows])])
-    return indptr, np.concatenate(rows)
-
-
-def factorisation() -> None:
-    """Structure, factorisation, solution and selected inverse of a small ring."""
-    from graphslam.linear.cholesky import analyze
-
-    indptr, indices = _ring()
-    n = len(indptr) - 1
-    values = np.zeros((len(indices), 3, 3))
-    values[indptr[1:] - 1] = 4 * np.eye(3)
-    factor = analyze(indptr, indices).factorize(values)
-    factor.solve(np.ones((n, 3)))
-    factor.diagonal_covariances()
-
-
-def large_and_online() -> None:
-    """Nested dissection, and the online solver: some steps with a loop closure, and a covariance."""
-    from graphslam.linear.cholesky import fill_reducing
-
-    fill_reducing(*_ring(), smallest=0, worth=0.0)
+def online() -> None:
+    """The online solver: some steps with a loop closure, and a covariance."""
     solver = OnlineSolver()
     for step in range(1, 4):
         solver.step((1.0, 0.1), 1.0, ids=[1, 2], sightings=[[2.0 - 0.5 * step, 0.3], [1.5, -0.4]])
@@ -108,9 +90,9 @@ def warm_up(estimator: str) -> None:
 
 def main() -> None:
     """Compile both halves, and with ``--all`` then the two others, which use the first."""
-    halves = [(edges_and_filters, factorisation)]
+    halves = [(edges, filters)]
     if "--all" in sys.argv[1:]:
-        halves.append((sampled_association, large_and_online))
+        halves.append((sampled_association, online))
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         for half in halves:
             for done in [pool.submit(function) for function in half]:

@@ -19,7 +19,6 @@ from graphslam.solvers.solve import starting_state
 
 from .display import Displayed
 from .documents import certificate_document
-from .kernels import factorisation
 from .option import options_of
 from .options import GraphOptions, SolverCheckOptions
 from .pool import results
@@ -207,7 +206,6 @@ def _graph(variant: Variant, log: Log, models: dict[str, Any]) -> Graph:
 @cache
 def _warm_up(variant: Variant) -> None:
     """Let both solvers compile or load the kernels of a variant, on a tiny log, outside of the measured time."""
-    factorisation()
     with suppress(GraphError, LogError):
         graph = _graph(variant, simulate(steps=20), {})
         for solver in (solve, solve_with_gtsam):

@@ -43,7 +43,9 @@ def compiler() -> str | None:
     given = os.environ.get("CXX")
     if given:
         if not _has_cxx20(shlex.split(given)):
-            sys.exit(f"The compiler CXX={given} does not know C++20; name a newer one (GCC 11, Clang 14), or unset CXX.")
+            sys.exit(
+                f"The compiler CXX={given} does not know C++20; name a newer one (GCC 11, Clang 14), or unset CXX."
+            )
         return given
     return next((name for name in COMPILERS if _has_cxx20([name])), None)
 
@@ -68,7 +70,11 @@ def _tools() -> Iterator[None]:
         script.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m ziglang {verb} "$@"\n')
         script.chmod(0o755)
     before = {name: os.environ.get(name) for name in ("PATH", "CXX", "CC")}
-    os.environ |= {"PATH": f"{folder}{os.pathsep}{before['PATH']}", "CXX": str(folder / "c++"), "CC": str(folder / "cc")}
+    os.environ |= {
+        "PATH": f"{folder}{os.pathsep}{before['PATH']}",
+        "CXX": str(folder / "c++"),
+        "CC": str(folder / "cc"),
+    }
     try:
         yield
     finally:

@@ -4,9 +4,9 @@
 import numpy as np
 from numba import njit
 
+from .arrays import COST, CURVED_FROM, EXACT_FROM, FLOATS, LIMIT, STAMP, STEP, sizes
 from .cholesky.kernels import dot_columns, subtract_columns
 from .cholesky.simd import clear, get, put
-from .arrays import COST, CURVED_FROM, EXACT_FROM, FLOATS, LIMIT, STAMP, STEP, sizes
 from .linearize import evaluate, linearize
 
 

@@ -4,10 +4,10 @@
 import numpy as np
 from numba import njit
 
+from .arrays import COST, CURVED_FROM, EXACT_FROM, sizes
 from .cholesky.kernels import negative_gram
 from .cholesky.simd import clear
 from .cholesky.supernodal import _extend, _runs, factor_panel
-from .arrays import COST, CURVED_FROM, EXACT_FROM, sizes
 from .linearize import between, relinearize
 from .passes import forward_one, upwards
 

@@ -2,7 +2,8 @@
 """Eliminate the top of the tree again: all supernodes from changed nodes up to the roots, in a new order.
 
 What hangs below the top stays as it is and enters by its update matrices and carries. This is the Bayes tree of iSAM2
-(Kaess et al., IJRR 2012), with supernodes (`cholesky`).
+(Kaess et al., IJRR 2012). Its supernodes are eliminated by the kernels of `cholesky`, which take the new ones in one call
+with the old ones as children.
 """
 
 import numpy as np

@@ -84,7 +84,7 @@ def factorize(symbolic: HermitianSymbolic, values: NDArray[Any]) -> HermitianFac
 
     A row i of b blocks has c_i = 2 u (16 + 4 b): the real and the imaginary part of an entry of L L^H are sums of at most
     4 min(b_i, b_j) products, which are rounded together with as many additions and those of at most min(b_i, b_j) update
-    matrices, in any order, so that its error is at most min(c_i, c_j) (|L| |L|^H)_ij. For every positive vector w these errors
+    matrices, in any order, so that its error is at most min(c_i, c_j) (|L| |L|^H)_ij. For every positive w these errors
     are, as a matrix, at most the diagonal matrix of the quotients (C |L| |L|^H C w)_i / w_i with C = diag(c)^1/2, because
     2 x y <= r x² + y² / r. ``error`` holds these quotients for w = diag(A)^-1/2.
     """

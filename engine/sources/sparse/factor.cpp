@@ -86,9 +86,8 @@ void extend(const Symbolic& s, Node c, Step from, Step to, const double* update,
         double* const column = target + Block::columns * (relative[j] - skip) * height + pad - Block::rows * skip;
         for (Step i = j; i < front.r;) {
             const Step end = run_end[i];
-            for (int k = 0; k < Block::columns; ++k)
-                add_numbers(column + k * height + Block::rows * relative[i],
-                            source + k * front.update_height + Block::rows * i, Block::rows * (end - i));
+            add_rows<Block::columns>({column + Block::rows * relative[i], height},
+                                     {source + Block::rows * i, front.update_height}, Block::rows * (end - i));
             i = end;
         }
     }

@@ -2,6 +2,9 @@
 #pragma once
 
 #include <cstring>
+#if defined(__AVX512F__)
+#include <immintrin.h>
+#endif
 
 #include "vmslam/sparse/block.hpp"
 
@@ -94,22 +97,28 @@ void product(Columns c, ConstColumns a, const double* b, Step step, Step rows, S
     }
 }
 
-/// Add `n` numbers.
-inline void add_numbers(double* t, const double* s, Step n) {
-    while (n >= 8) {
-        store<4>(t, load<4>(t) + load<4>(s));
-        store<4>(t + 4, load<4>(t + 4) + load<4>(s + 4));
-        t += 8, s += 8, n -= 8;
+/// Add `n` numbers to each of `count` columns.
+template <int count>
+inline void add_rows(Columns t, ConstColumns s, Step n) {
+#if defined(__AVX512F__)
+    for (; n > 0; t.at += 8, s.at += 8, n -= 8) {
+        const auto mask = static_cast<__mmask8>(n >= 8 ? 0xff : (1 << n) - 1);
+#pragma GCC unroll 4
+        for (int k = 0; k < count; ++k) {
+            double* const to = t.at + k * t.step;
+            const __m512d from = _mm512_maskz_loadu_pd(mask, s.at + k * s.step);
+            _mm512_mask_storeu_pd(to, mask, _mm512_add_pd(_mm512_maskz_loadu_pd(mask, to), from));
+        }
     }
-    if (n & 4) {
-        store<4>(t, load<4>(t) + load<4>(s));
-        t += 4, s += 4;
-    }
-    if (n & 2) {
-        store<2>(t, load<2>(t) + load<2>(s));
-        t += 2, s += 2;
-    }
-    if (n & 1) *t += *s;
+#else
+    for (; n >= 4; t.at += 4, s.at += 4, n -= 4)
+#pragma GCC unroll 4
+        for (int k = 0; k < count; ++k)
+            store<4>(t.at + k * t.step, load<4>(t.at + k * t.step) + load<4>(s.at + k * s.step));
+    for (; n > 0; ++t.at, ++s.at, --n)
+#pragma GCC unroll 4
+        for (int k = 0; k < count; ++k) t.at[k * t.step] += s.at[k * s.step];
+#endif
 }
 
 }  // namespace vmslam::sparse

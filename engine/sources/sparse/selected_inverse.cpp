@@ -19,24 +19,51 @@ void solve_from_right(double* x, Step h, Step count, const Real3::Pivot& p) {
     Real3::solve_rows(x + 2 * h, -h, count, {p.i2, p.l21, p.l20, p.i1, p.l10, p.i0});
 }
 
-/// C = -A B for `columns` columns, a multiple of three.
-void negative_product(Columns c, ConstColumns a, Right b, Step rows, Step columns, Step depth, bool add) {
-    for (Step j = 0; j < columns; j += 3) {
+/// C = [C] - A B for `columns` columns, a multiple of three.
+template <bool add>
+void product_of_columns(Columns c, ConstColumns a, Right b, Step rows, Step columns, Step depth) {
+    for (Step j = 0; j < columns;) {
         const Columns target{c.at + j * c.step, c.step};
         const Right right{b.at + j * b.across, b.down, b.across};
-        if (add)
-            product_columns<3, true>(target, a, right, rows, depth);
+        const bool pair = columns - j >= 6;
+        if (pair)
+            product_columns<6, add>(target, a, right, rows, depth);
         else
-            product_columns<3, false>(target, a, right, rows, depth);
+            product_columns<3, add>(target, a, right, rows, depth);
+        j += pair ? 6 : 3;
     }
 }
 
-/// The inverse over one front: a full symmetric matrix `z`, of which the rows and columns are those of the panel.
+/// C = -A B for `columns` columns, a multiple of three. Where A is large its blocks are copied to `packed`, so that they stay
+/// in the second-level cache.
+void negative_product(Columns c, ConstColumns a, Right b, Step rows, Step columns, Step depth, double* packed) {
+    if (rows * depth <= 2 * pack_rows * pack_depth || columns < 6) {
+        product_of_columns<false>(c, a, b, rows, columns, depth);
+        return;
+    }
+    for (Step k = 0; k < depth; k += pack_depth) {
+        const Step deep = std::min(pack_depth, depth - k);
+        for (Step i = 0; i < rows; i += pack_rows) {
+            const Step high = std::min(pack_rows, rows - i);
+            for (Step q = 0; q < deep; ++q)
+                std::memcpy(packed + q * pack_rows, a.at + i + (k + q) * a.step, high * sizeof(double));
+            const Columns target{c.at + i, c.step};
+            const Right right{b.at + k * b.down, b.down, b.across};
+            if (k > 0)
+                product_of_columns<true>(target, {packed, pack_rows}, right, high, columns, deep);
+            else
+                product_of_columns<false>(target, {packed, pack_rows}, right, high, columns, deep);
+        }
+    }
+}
+
+/// The inverse over one front: a full symmetric matrix, of which the rows and columns are those of the panel. Rows above those
+/// that a step is about hold anything: they are computed with their group of eight and written later.
 class FrontInverse {
    public:
     explicit FrontInverse(Step tallest)
         : z_(tallest * tallest), y_(3 * wide * tallest), product_(3 * wide * tallest), turned_(3 * wide * tallest),
-          square_(3 * wide * 3 * wide) {}
+          square_(3 * wide * 3 * wide), packed_(pack_rows * pack_depth) {}
 
     double* column(Step j) { return z_.data() + j * height_; }
 
@@ -44,7 +71,6 @@ class FrontInverse {
         x_ = x;
         height_ = front.height;
         pad_ = front.pad;
-        std::memset(z_.data(), 0, height_ * height_ * sizeof(double));
     }
 
     /// The columns of `w` nodes, given the inverse over the rows below.
@@ -78,7 +104,8 @@ class FrontInverse {
                     std::memcpy(y + c * h + below, l + c * h + below, (end - below) * sizeof(double));
                 }
                 solve_from_right(y + top, h, rows, p);
-                negative_product({f + top, h}, {column(below) + top, h}, {y + below, 1, h}, rows, 3, end - below, false);
+                negative_product({f + top, h}, {column(below) + top, h}, {y + below, 1, h}, rows, 3, end - below,
+                                 packed_.data());
             }
             set_diagonal(f, p, at, below, end);
         }
@@ -115,29 +142,31 @@ class FrontInverse {
                 std::memcpy(t + end, l + c * h + end, deep * sizeof(double));
             }
             const Right right{l + row(first + j) + 3, 1, h};
-            negative_product({y + 3 * j * h + top, h}, {y + 3 * (j + 1) * h + top, h}, right, rows, 3, k - 3 * (j + 1), true);
+            product_of_columns<true>({y + 3 * j * h + top, h}, {y + 3 * (j + 1) * h + top, h}, right, rows, 3,
+                                     k - 3 * (j + 1));
             solve_from_right(y + 3 * j * h + top, h, rows, Real3::Pivot::load(l + row(first + j), h));
         }
         double* const z = product_.data();
-        negative_product({z + top, h}, {column(end) + top, h}, {y + end, 1, h}, rows, k, deep, false);
-        for (Step j = 0; j < k; ++j) {
+        negative_product({z + top, h}, {column(end) + top, h}, {y + end, 1, h}, rows, k, deep, packed_.data());
+        for (Step j = 0; j < k; ++j)
             std::memcpy(column(row(first) + j) + end, z + j * h + end, deep * sizeof(double));
-            for (Step i = end; i < h; ++i) {
-                turned_.data()[(i - end) * padded + j] = y[j * h + i];
-                column(i)[row(first) + j] = z[j * h + i];
+        for (Step i = end; i < h; ++i) {
+            double *const turned = turned_.data() + (i - end) * padded, *const mirrored = column(i) + row(first);
+            for (Step j = 0; j < k; ++j) {
+                turned[j] = y[j * h + i];
+                mirrored[j] = z[j * h + i];
             }
+            std::memset(turned + k, 0, (padded - k) * sizeof(double));
         }
-        for (Step i = 0; i < deep; ++i)
-            std::memset(turned_.data() + i * padded + k, 0, (padded - k) * sizeof(double));
         double* const square = square_.data();
-        negative_product({square, padded}, {turned_.data(), padded}, {z + end, 1, h}, padded, k, deep, false);
+        negative_product({square, padded}, {turned_.data(), padded}, {z + end, 1, h}, padded, k, deep, packed_.data());
         for (Step j = 0; j < k; ++j)
             for (Step i = 0; i < k; ++i) column(row(first) + j)[row(first) + i] += square[j * padded + i];
     }
 
     const double* x_ = nullptr;
     Step height_ = 0, pad_ = 0;
-    Numbers z_, y_, product_, turned_, square_;
+    Numbers z_, y_, product_, turned_, square_, packed_;
 };
 
 }  // namespace

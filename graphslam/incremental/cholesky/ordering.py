@@ -299,7 +299,7 @@ def minimum_degree(n, pointer, neighbours, dense, turn):
 
 @njit(cache=True, error_model="numpy")
 def fewest_neighbours(n, indptr, indices, limit):
-    """Approximate minimum degree, the nodes of degree two and less first; nodes with more than ``limit`` neighbours go last."""
+    """Approximate minimum degree after the nodes of degree two and less; those with more than ``limit`` neighbours last."""
     start, graph, twin = twin_lists(n, indptr, indices)
     head, gone, length = eliminate_low_degree(n, start, graph, twin)
     nodes, pointer, neighbours = remaining(gone, start, length, graph)

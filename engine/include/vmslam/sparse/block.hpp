@@ -34,8 +34,12 @@ struct Real3 {
 
     /// A block of the matrix at its place in a panel.
     static void put(double* t, Step h, const double* v, bool turned) {
+        // steps instead of a branch, which cannot be predicted
+        const int down = turned ? 1 : 3, across = 4 - down;
+#pragma GCC unroll 3
         for (int c = 0; c < 3; ++c)
-            for (int i = 0; i < 3; ++i) t[c * h + i] = turned ? v[3 * c + i] : v[3 * i + c];
+#pragma GCC unroll 3
+            for (int i = 0; i < 3; ++i) t[c * h + i] = v[i * down + c * across];
     }
 
     /// The diagonal entry in column c of a diagonal block.
