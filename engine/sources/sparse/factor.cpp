@@ -16,12 +16,52 @@ namespace {
 /// large enough to copy its operands.
 constexpr Step inner = 16, outer = 64;
 
-/// A panel in work: its numbers, its front, and scratch for products.
+/// The flops from which on a product is shared among threads, and how many node columns one takes at a time.
+constexpr double shared_flops = 1.0e7;
+constexpr Step shared_nodes = 32;
+
+/// work(0) to work(count - 1) at the same time; what gets no thread is done here.
+template <class Work>
+void in_parallel(int count, const Work& work) {
+#ifdef __wasm__
+    for (int k = 0; k < count; ++k) work(k);
+#else
+    std::vector<std::jthread> threads;
+    int started = 1;
+    try {
+        for (; started < count; ++started) threads.emplace_back(work, started);
+    } catch (const std::system_error&) {
+    }
+    work(0);
+    for (; started < count; ++started) work(started);
+#endif
+}
+
+/// A panel in work: its numbers, its front, and scratch for products for each of the threads that may work on it.
 template <class Block>
 struct Panel {
     double* x;
     Front front;
-    double* packed;
+    std::span<Numbers> scratch;
+
+    double* packed() const { return scratch[0].data(); }
+
+    /// work(from, to, packed) for all of `nodes` node columns, on several threads where the flops are worth it. Every number is
+    /// computed as on one thread.
+    template <class Work>
+    void share(Step nodes, Step rows, Step depth, const Work& work) const {
+        const double flops = 2.0 * static_cast<double>(rows) * static_cast<double>(Block::columns * nodes * depth);
+        const Step chunks = (nodes + shared_nodes - 1) / shared_nodes;
+        const int count = flops < shared_flops ? 1 : static_cast<int>(std::min<Step>(scratch.size(), chunks));
+        if (count == 1) {
+            work(Step{0}, nodes, packed());
+            return;
+        }
+        in_parallel(count, [&](int k) {
+            for (Step j = k * shared_nodes; j < nodes; j += count * shared_nodes)
+                work(j, std::min(j + shared_nodes, nodes), scratch[k].data());
+        });
+    }
 
     double* node(Step j) const { return x + Block::columns * j * front.height; }
     Step row(Step j) const { return front.pad + Block::rows * j; }
@@ -33,7 +73,7 @@ struct Panel {
             double* const column = node(j);
             if (const Step top = group_of(row(j)); j > begin)
                 product<Block, true>({column + top, h}, {node(begin) + top, h}, node(begin) + row(j), h, h - top, 1,
-                                     Block::columns * (j - begin), -1, packed);
+                                     Block::columns * (j - begin), -1, packed());
             typename Block::Pivot pivot;
             const int bad = Block::factorize(column + row(j), h, limits + Block::rows * j, pivot);
             const Step below = group_of(row(j + 1));
@@ -47,9 +87,12 @@ struct Panel {
 
     /// Node columns `stop` to `end` minus the product with the finished ones from `begin` on.
     void update_rest(Step begin, Step stop, Step end) const {
-        const Step h = front.height, top = group_of(row(stop));
-        product<Block, true>({node(stop) + top, h}, {node(begin) + top, h}, node(begin) + row(stop), h, h - top, end - stop,
-                             Block::columns * (stop - begin), row(stop) - top, packed);
+        const Step h = front.height, depth = Block::columns * (stop - begin);
+        share(end - stop, h - row(stop), depth, [&](Step from, Step to, double* packed) {
+            const Step first = row(stop + from), top = group_of(first);
+            product<Block, true>({node(stop + from) + top, h}, {node(begin) + top, h}, node(begin) + first, h, h - top,
+                                 to - from, depth, first - top, packed);
+        });
     }
 
     Place factorize(const double* limits) const {
@@ -67,9 +110,12 @@ struct Panel {
 
     /// The lower triangle of -L21 L21^H.
     void update_matrix(double* u) const {
-        const Step h = front.height, top = h - front.update_height;
-        product<Block, false>({u, front.update_height}, {x + top, h}, x + row(front.w), h, front.update_height, front.r,
-                              Block::columns * front.w, front.update_pad, packed);
+        const Step h = front.height, hu = front.update_height, depth = Block::columns * front.w;
+        share(front.r, hu, depth, [&](Step from, Step to, double* packed) {
+            const Step first = front.update_pad + Block::rows * from, top = group_of(first);
+            product<Block, false>({u + Block::columns * from * hu + top, hu}, {x + h - hu + top, h}, x + row(front.w + from), h,
+                                  hu - top, to - from, depth, first - top, packed);
+        });
     }
 };
 
@@ -101,13 +147,15 @@ Factor<Block>::Factor(std::shared_ptr<const Symbolic> symbolic)
       updates_(symbolic_->stack_size), limits_(Block::rows * symbolic_->nodes()),
       rhs_(Block::planes * Block::rows * symbolic_->nodes()), work_(Block::planes * symbolic_->tallest) {
     for (Node s = 0; s < symbolic_->supernodes(); ++s) members_[symbolic_->part[s]].push_back(s);
-    for (int part = 0; part < symbolic_->parts; ++part) packed_.emplace_back(packing<Block>(symbolic_->widest, symbolic_->tallest));
+    for (int part = 0; part < std::max(symbolic_->parts, symbolic_->threads); ++part)
+        packed_.emplace_back(packing<Block>(symbolic_->widest, symbolic_->tallest));
 }
 
 template <class Block>
-Place Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, double damping, double* packed) {
+Place Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, double damping,
+                                         std::span<Numbers> scratch) {
     const Symbolic& t = *symbolic_;
-    const Panel<Block> panel{panels_.data() + t.panel_start[s], t.front(s), packed};
+    const Panel<Block> panel{panels_.data() + t.panel_start[s], t.front(s), scratch};
     const Step h = panel.front.height;
     std::memset(panel.x, 0, Block::columns * panel.front.w * h * sizeof(double));
     for (Place q = t.entry_start[s]; q < t.entry_start[s + 1]; ++q) {
@@ -140,37 +188,24 @@ Place Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, 
 
 template <class Block>
 Place Factor<Block>::factorize_part(int part, std::span<const Value> values, double damping) {
+    // the last part has all threads for itself
+    const bool last = part + 1 == symbolic_->parts;
+    const auto scratch = last ? std::span(packed_) : std::span(packed_).subspan(part, 1);
     for (const Node s : members_[part])
-        if (const Place bad = factorize_supernode(s, values, damping, packed_[part].data()); bad >= 0) return bad;
+        if (const Place bad = factorize_supernode(s, values, damping, scratch); bad >= 0) return bad;
     return -1;
 }
 
 template <class Block>
 Place Factor<Block>::factorize(std::span<const Value> values, double damping) {
-    const int parts = static_cast<int>(members_.size());
-    if (parts == 1) return factorize_part(0, values, damping);
-    std::vector<Place> bad(parts - 1, -1);
-    const auto work = [&](int part) { bad[part] = factorize_part(part, values, damping); };
-#ifdef __wasm__
-    for (int part = 0; part < parts - 1; ++part) work(part);
-#else
-    {
-        std::vector<std::jthread> threads;
-        int started = 1;
-        try {
-            for (; started < parts - 1; ++started)
-                if (!members_[started].empty()) threads.emplace_back(work, started);
-        } catch (const std::system_error&) {  // no more threads: the others are done here
-        }
-        work(0);
-        for (; started < parts - 1; ++started) work(started);
-    }
-#endif
+    const int last = symbolic_->parts - 1;
+    std::vector<Place> bad(last, -1);
+    if (last > 0) in_parallel(last, [&](int part) { bad[part] = factorize_part(part, values, damping); });
     // the first bad pivot in the order of elimination, as on one thread
     Place first = -1;
     for (const Place pivot : bad)
         if (pivot >= 0 && (first < 0 || pivot < first)) first = pivot;
-    return first >= 0 ? first : factorize_part(parts - 1, values, damping);
+    return first >= 0 ? first : factorize_part(last, values, damping);
 }
 
 template class Factor<Real3>;

@@ -204,6 +204,7 @@ void divide(Symbolic& s, int threads) {
     }
     s.part.assign(count, 0);
     s.parts = 1;
+    s.threads = threads;
     std::vector<Node> chosen, owner, given;
     if (total >= least && threads > 1) {
         double top = 0.0, best = gain * total;

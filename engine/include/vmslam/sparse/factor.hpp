@@ -51,7 +51,7 @@ class Factor {
     std::vector<double> magnitude_square(std::span<const double> v) const;
 
    private:
-    Place factorize_supernode(Node s, std::span<const Value> values, double damping, double* packed);
+    Place factorize_supernode(Node s, std::span<const Value> values, double damping, std::span<Numbers> scratch);
     Place factorize_part(int part, std::span<const Value> values, double damping);
     bool gather(std::span<const Value> b);
     void forward();

@@ -58,7 +58,7 @@ struct Symbolic {
     std::vector<Entry> entries;
     std::vector<Node> row_length;  ///< (n) the blocks left of the diagonal in each row of L, without zeros
     std::vector<Node> part;        ///< (s) the thread of each supernode; see `divide`
-    int parts = 1;
+    int parts = 1, threads = 1;
     Place tallest = 0;   ///< the rows of the tallest front
     Place widest = 0;    ///< the most nodes of a supernode
     Place blocks = 0;    ///< of L, without the zeros that amalgamation adds

@@ -1,0 +1,165 @@
+// Tests that need no Python; run with sanitizers: make engine-test.
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <cstdio>
+#include <random>
+#include <set>
+
+#include "vmslam/sparse/factor.hpp"
+#include "vmslam/sparse/ordering.hpp"
+#include "vmslam/sparse/pattern.hpp"
+
+using namespace vmslam::sparse;
+
+namespace {
+
+int failures = 0;
+
+void expect(bool holds, const char* what, unsigned seed) {
+    if (holds) return;
+    ++failures;
+    std::printf("FAILED with seed %u: %s\n", seed, what);
+}
+
+double conjugate(double a) { return a; }
+std::complex<double> conjugate(std::complex<double> a) { return std::conj(a); }
+double draw(std::mt19937& random, double) { return std::normal_distribution<>()(random); }
+std::complex<double> draw(std::mt19937& random, std::complex<double>) { return {draw(random, 0.0), draw(random, 0.0)}; }
+
+/// A random positive definite matrix on a random graph: upper blocks, and the whole matrix.
+template <class Block>
+struct Matrix {
+    using Value = typename Block::Value;
+    WidePattern pattern;
+    std::vector<Node> rows;
+    std::vector<Value> values, whole;
+    std::size_t size;
+
+    Matrix(std::mt19937& random, Place nodes, Place edges) : size(nodes * Block::rows) {
+        std::vector<Place> members;
+        for (Place e = 0; e < edges; ++e) {
+            const Place a = random() % nodes, b = random() % nodes;
+            if (a == b) continue;
+            members.push_back(std::min(a, b));
+            members.push_back(std::max(a, b));
+        }
+        pattern = pattern_of_groups(nodes, std::vector<Place>(members.size() / 2, 2), members);
+        rows.assign(pattern.rows.begin(), pattern.rows.end());
+        whole.assign(size * size, Value{});
+        values.resize(rows.size() * Block::size);
+        for (Place j = 0; j < nodes; ++j)
+            for (Place p = pattern.start[j]; p < pattern.start[j + 1]; ++p)
+                for (int r = 0; r < Block::rows; ++r)
+                    for (int c = 0; c < Block::rows; ++c) {
+                        const std::size_t row = Block::rows * rows[p] + r, column = Block::rows * j + c;
+                        Value& value = whole[row * size + column];
+                        if (row > column) continue;
+                        value = row == column ? Value(40.0) : draw(random, Value{});
+                        whole[column * size + row] = conjugate(value);
+                    }
+        for (Place j = 0; j < nodes; ++j)
+            for (Place p = pattern.start[j]; p < pattern.start[j + 1]; ++p)
+                for (int r = 0; r < Block::rows; ++r)
+                    for (int c = 0; c < Block::rows; ++c)
+                        values[p * Block::size + r * Block::rows + c] =
+                            whole[(Block::rows * rows[p] + r) * size + Block::rows * j + c];
+    }
+};
+
+template <class Block>
+void test_solution(unsigned seed) {
+    using Value = typename Block::Value;
+    std::mt19937 random(seed);
+    const Place nodes = 1 + random() % 60;
+    const Matrix<Block> matrix(random, nodes, random() % (3 * nodes));
+    const Pattern pattern{matrix.pattern.start, matrix.rows};
+    expect(pattern.fault() < 0, "rows ascend", seed);
+    const BlockShape shape{Block::rows, Block::columns};
+    std::vector<Value> b(matrix.size), first;
+    for (Value& value : b) value = draw(random, Value{});
+    for (const int threads : {1, 3}) {
+        const auto symbolic = std::make_shared<const Symbolic>(analyze(pattern, fill_reducing(pattern), shape, threads));
+        Factor<Block> factor(symbolic);
+        expect(factor.factorize(matrix.values) < 0, "the matrix is positive definite", seed);
+        std::vector<Value> x(matrix.size);
+        expect(factor.solve(b, x), "the right-hand side is finite", seed);
+        double worst = 0.0;
+        for (std::size_t i = 0; i < matrix.size; ++i) {
+            Value rest = b[i];
+            for (std::size_t j = 0; j < matrix.size; ++j) rest -= matrix.whole[i * matrix.size + j] * x[j];
+            worst = std::max(worst, std::abs(rest));
+        }
+        expect(worst < 1e-10, "A x = b", seed);
+        if (first.empty()) first = x;
+        expect(first == x, "the same bits on several threads", seed);
+    }
+}
+
+void test_inverse(unsigned seed) {
+    std::mt19937 random(seed);
+    const Place nodes = 1 + random() % 50;
+    const Matrix<Real3> matrix(random, nodes, random() % (6 * nodes));
+    const Pattern pattern{matrix.pattern.start, matrix.rows};
+    Factor<Real3> factor(std::make_shared<const Symbolic>(analyze(pattern, minimum_degree(pattern, 10), {3, 3}, 1)));
+    factor.factorize(matrix.values);
+    const SelectedInverse inverse(factor);
+    for (Node node = 0; node < nodes; ++node)
+        for (int c = 0; c < 3; ++c) {
+            std::vector<double> unit(matrix.size, 0.0), x(matrix.size);
+            unit[3 * node + c] = 1.0;
+            factor.solve(unit, x);
+            for (int r = 0; r < 3; ++r)
+                expect(std::abs(x[3 * node + r] - inverse.diagonal()[9 * node + 3 * r + c]) < 1e-12, "inverse", seed);
+        }
+}
+
+void test_null_vector(unsigned seed) {
+    std::mt19937 random(seed);
+    const Place nodes = 2 + random() % 40;
+    Matrix<Hermitian2> matrix(random, nodes, random() % (3 * nodes));
+    const Node bad = static_cast<Node>(random() % nodes);
+    const std::size_t at = 2 * bad + random() % 2;
+    const Place block = matrix.pattern.start[bad + 1] - 1;
+    matrix.values[4 * block + 3 * (at % 2)] = matrix.whole[at * matrix.size + at] = -1.0;
+    const Pattern pattern{matrix.pattern.start, matrix.rows};
+    Factor<Hermitian2> factor(std::make_shared<const Symbolic>(analyze(pattern, fill_reducing(pattern), {2, 4}, 1)));
+    const Place pivot = factor.factorize(matrix.values);
+    expect(pivot >= 0, "a negative pivot is found", seed);
+    if (pivot < 0) return;
+    const auto v = factor.null_vector(pivot);
+    std::complex<double> form = 0.0;
+    for (std::size_t i = 0; i < matrix.size; ++i)
+        for (std::size_t j = 0; j < matrix.size; ++j) form += std::conj(v[i]) * matrix.whole[i * matrix.size + j] * v[j];
+    expect(form.real() < 0.0, "the direction is negative", seed);
+}
+
+void test_orders(unsigned seed) {
+    std::mt19937 random(seed);
+    const Node side = 30 + static_cast<Node>(random() % 40);
+    std::vector<Place> members;
+    for (Place k = 0; k < side * side; ++k) {
+        if (k % side + 1 < side) members.insert(members.end(), {k, k + 1});
+        if (k + side < side * side) members.insert(members.end(), {k, k + side});
+    }
+    const WidePattern wide = pattern_of_groups(side * side, std::vector<Place>(members.size() / 2, 2), members);
+    const std::vector<Node> rows(wide.rows.begin(), wide.rows.end());
+    const Pattern pattern{wide.start, rows};
+    for (const Order& order : {minimum_degree(pattern, 1000), minimum_degree(pattern, 3), nested_dissection(pattern, 1000)})
+        expect(std::set<Node>(order.begin(), order.end()).size() == order.size() && order.size() == wide.start.size() - 1,
+               "an order names every node once", seed);
+}
+
+}  // namespace
+
+int main() {
+    for (unsigned seed = 0; seed < 200; ++seed) {
+        test_solution<Real3>(seed);
+        test_solution<Hermitian2>(seed);
+        test_inverse(seed);
+        test_null_vector(seed);
+        if (seed < 10) test_orders(seed);
+    }
+    std::printf("%s\n", failures == 0 ? "all tests passed" : "tests failed");
+    return failures == 0 ? 0 : 1;
+}
