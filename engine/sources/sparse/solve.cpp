@@ -185,28 +185,33 @@ template <class Block>
 std::vector<double> Factor<Block>::magnitude_square(std::span<const double> v) const {
     const Symbolic& t = *symbolic_;
     constexpr int R = Block::rows;
-    std::vector<double> result(v.size(), 0.0), size(t.tallest);
+    std::vector<double> result(v.size(), 0.0), size(t.tallest), local(t.tallest), sums(t.tallest);
     std::vector<Place> where(t.tallest);
     for (Node s = 0; s < t.supernodes(); ++s) {
         const Front front = t.front(s);
-        const double* const x = panels_.data() + t.panel_start[s];
         const Step width = R * front.w, height = width + R * front.r;
         for (Step i = 0; i < width; ++i) where[i] = R * t.first[s] + i;
         for (Place q = t.row_start[s], i = width; q < t.row_start[s + 1]; ++q)
             for (int c = 0; c < R; ++c, ++i) where[i] = R * t.rows[q] + c;
-        for (Step j = 0; j < width; ++j) {
-            double w = 0.0;
-            for (Step i = j; i < height; ++i) {
-                const Value entry = entry_of<Value>(x, front.height, front.pad + i, j);
-                if constexpr (Block::planes == 2)
-                    size[i] = std::sqrt(entry.real() * entry.real() + entry.imag() * entry.imag());
-                else
-                    size[i] = std::abs(entry);
-                if (i == j) size[i] = 1.0 / size[i];  // pivots are stored inverted
-                w += size[i] * v[where[i]];
-            }
-            for (Step i = j; i < height; ++i) result[where[i]] += size[i] * w;
+        for (Step i = 0; i < height; ++i) {
+            local[i] = v[where[i]];
+            sums[i] = 0.0;
         }
+        for (Step j = 0; j < width; ++j) {
+            const double* const re = panel(s) + (Block::columns / R) * j * front.height + front.pad;
+            const double* const im = re + front.height;
+            for (Step i = j; i < height; ++i)
+                size[i] = Block::planes == 2 ? std::sqrt(re[i] * re[i] + im[i] * im[i]) : std::abs(re[i]);
+            size[j] = 1.0 / size[j];  // pivots are stored inverted
+            double w[4] = {};
+            Step i = j;
+            for (; i + 4 <= height; i += 4)
+                for (int k = 0; k < 4; ++k) w[k] += size[i + k] * local[i + k];
+            for (; i < height; ++i) w[0] += size[i] * local[i];
+            const double total = (w[0] + w[1]) + (w[2] + w[3]);
+            for (i = j; i < height; ++i) sums[i] += size[i] * total;
+        }
+        for (Step i = 0; i < height; ++i) result[where[i]] += sums[i];
     }
     return result;
 }
