@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from ..edges.kernels import wrap
+from ..incremental.kernels import wrap
 from ..linear.hermitian import ROUNDOFF
 from ..se2 import Array
 

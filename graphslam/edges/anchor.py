@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from ..linear.information import BlockSystem
+from ..engine import engine
 from ..se2 import Array, wrap
-from .base import ConstantEdges, EdgeFamily, Linearization
+from .base import ConstantEdges, EngineEdges, Linearization
 
 #: the lectures' Omega_0 = 1e6 I
 ANCHOR_INFORMATION = 1e6 * np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
-class AnchorEdges(EdgeFamily):
+class AnchorEdges(EngineEdges):
     """Anchors of nodes (E,) at values (E, 3) with information (E, 3, 3), e = x - x̂ with the heading wrapped."""
 
     nodes: np.ndarray
@@ -45,10 +47,6 @@ class AnchorEdges(EdgeFamily):
         ends = np.full(self.count, -1), self.nodes
         return ConstantEdges(*ends, self.values[:, :2], np.zeros((self.count, 2)), self.values[:, 2], self.information)
 
-    def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
-        edges = self.linearize(state, reference)
-        if system is not None:
-            # add.at, not +=: a node may be anchored twice
-            np.add.at(system.values, system.diagonal_slots[self.nodes], self.information)
-            np.add.at(system.xi, self.nodes, -np.einsum("eij,ej->ei", self.information, edges.residuals))
-        return float(edges.mahalanobis.sum())
+    @cached_property
+    def in_engine(self) -> Any:
+        return engine.AnchorEdges(self.nodes, self.values, self.information)

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +19,8 @@ from ..errors import GraphError
 from ..linear.information import BlockSystem
 from ..se2 import Array, turn_matrix
 
-_NO_SLOTS = np.zeros(0, dtype=np.int64)
-#: what the compiled loops get in place of slots, values and xi when only the cost is wanted
-NO_SYSTEM = (_NO_SLOTS, _NO_SLOTS, _NO_SLOTS, np.zeros((0, 3, 3)), np.zeros((0, 3)))
+#: the blocks of pairs, for families that do not list their pairs
+_NO_BLOCKS = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -176,6 +177,28 @@ class EdgeFamily(ABC):
         return None
 
 
+class EngineEdges(EdgeFamily):
+    """A family whose sums the engine computes (``engine/include/vmslam/edges``)."""
+
+    @cached_property
+    @abstractmethod
+    def in_engine(self) -> Any:
+        """The same edges in the engine."""
+
+    def blocks(self, system: BlockSystem) -> np.ndarray:
+        """The block between the ends of each edge, (E,), for families that list their edges."""
+        return _NO_BLOCKS
+
+    def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
+        if system is None:
+            return self.in_engine.cost(state, reference)
+        return self.in_engine.add(state, reference, *system.arrays, self.blocks(system))
+
+    def __getstate__(self) -> dict[str, Any]:
+        # another process makes its own
+        return {name: value for name, value in vars(self).items() if name != "in_engine"}
+
+
 @dataclass(frozen=True, eq=False)
 class PairEdges(EdgeFamily):
     """Edges that connect two nodes each, ``first`` (E,) and ``second`` (E,)."""
@@ -195,8 +218,6 @@ class PairEdges(EdgeFamily):
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
         return np.arange(0, 2 * self.count + 1, 2), np.sort(np.column_stack([self.first, self.second]), axis=1).ravel()
 
-    def _targets(self, system: BlockSystem | None) -> tuple[np.ndarray, ...]:
-        """The slots of both diagonal blocks and of the pair's block for each edge, the values and xi."""
-        if system is None:
-            return NO_SYSTEM
-        return *system.slots_of(self.first, self.second), system.values, system.xi
+    def blocks(self, system: BlockSystem) -> np.ndarray:
+        """The block between the ends of each edge, (E,)."""
+        return system.slots_of(self.first, self.second)[2]

@@ -14,19 +14,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from ..linear.information import BlockSystem
 from ..se2 import Array
-from .base import ConstantEdges, Linearization
+from .base import ConstantEdges, EngineEdges, Linearization
 from .observation import ObservationEdges
-from .relative import RelativePointEdges, RelativePoseEdges, accumulate
-from .robust import code_and_width
+from .relative import RobustPointEdges, RobustPoseEdges
 
 
 @dataclass(frozen=True, eq=False)
-class CartesianObservationEdges(ObservationEdges):
+class CartesianObservationEdges(ObservationEdges, EngineEdges):
     """Sightings of landmark nodes with the residual in the plane; see `ObservationEdges` for the other arguments.
 
     Args:
@@ -36,14 +35,14 @@ class CartesianObservationEdges(ObservationEdges):
     frame: str = field(default="body", kw_only=True)
 
     @cached_property
-    def relative(self) -> RelativePointEdges | RelativePoseEdges:
-        """The same edges without their kernel: landmarks measured in the robot's axes, the trust in their information."""
+    def relative(self) -> RobustPointEdges | RobustPoseEdges:
+        """The same edges as landmarks measured in the robot's axes, the trust in their information."""
         at_origin = np.zeros((self.count, 3))
         measured = self.sensor.h_inverse(at_origin, self.sightings)
         information = np.linalg.inv(self.sensor.landmark_covariance(at_origin, self.noisy))
         information = (information + np.swapaxes(information, 1, 2)) / 2 * self.trusted[:, None, None]
-        edges = RelativePoseEdges if self.oriented else RelativePointEdges
-        return edges(self.first, self.second, measured, information, frame=self.frame)
+        edges = RobustPoseEdges if self.oriented else RobustPointEdges
+        return edges(self.first, self.second, measured, information, frame=self.frame, kernel=self.kernel)
 
     @property
     def state_dependent_information(self) -> bool:
@@ -58,5 +57,6 @@ class CartesianObservationEdges(ObservationEdges):
         weights = self.kernel_weights(state)[:, None, None]
         return edges if self.kernel is None else replace(edges, information=edges.information * weights)
 
-    def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
-        return accumulate(self.relative, state, reference, *code_and_width(self.kernel), self._targets(system))
+    @property
+    def in_engine(self) -> Any:  # type: ignore[override]
+        return self.relative.in_engine

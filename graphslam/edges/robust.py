@@ -28,11 +28,11 @@ from functools import cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
 from ..checks import check_choice, check_positive
+from ..engine import engine
 from ..errors import OptionError, quoted
 from ..se2 import Array
 
@@ -72,7 +72,7 @@ class Kernel:
 
     def efficiency(self, dimension: int) -> float:
         """b²/a: the variance of least squares over that of the kernel's estimate, for Gaussian noise."""
-        _, slope, square = _expectations(self.code, self.of_dimension(dimension).width, dimension)
+        _, slope, square = engine.robust_expectations(self.code, self.of_dimension(dimension).width, dimension)
         return slope**2 / square
 
     def information_per_weight(self, dimension: int) -> float:
@@ -80,7 +80,9 @@ class Kernel:
 
         On average over edges with Gaussian noise this is b²/a Omega. An edge without weight contributes nothing.
         """
-        mean_weight, slope, square = _expectations(self.code, self.of_dimension(dimension).width, dimension)
+        mean_weight, slope, square = engine.robust_expectations(
+            self.code, self.of_dimension(dimension).width, dimension
+        )
         return slope**2 / square / mean_weight
 
     def mean_loss(self, dimension: int) -> float:
@@ -97,7 +99,8 @@ class Kernel:
         Raises:
             OptionError: the kernel has no width.
         """
-        return np.vectorize(loss, otypes=[float])(self.code, self._checked_width, squares)
+        r2 = np.asarray(squares, dtype=float)
+        return engine.robust_loss(self.code, self._checked_width, r2).reshape(r2.shape)
 
     def weight(self, squares: ArrayLike) -> Array:
         """w(r) = rho'(r) / r, from r² of any shape.
@@ -105,7 +108,8 @@ class Kernel:
         Raises:
             OptionError: the kernel has no width.
         """
-        return np.vectorize(weight, otypes=[float])(self.code, self._checked_width, squares)
+        r2 = np.asarray(squares, dtype=float)
+        return engine.robust_weight(self.code, self._checked_width, r2).reshape(r2.shape)
 
     @property
     def _checked_width(self) -> float:
@@ -179,58 +183,6 @@ def efficient_width(code: int, dimension: int) -> float:
     low, high = 0.01, 100.0 * dimension
     while high - low > 1e-12 * high:
         middle = (low + high) / 2
-        _, slope, square = _expectations(code, middle, dimension)
+        _, slope, square = engine.robust_expectations(code, middle, dimension)
         low, high = (middle, high) if slope**2 / square < EFFICIENCY else (low, middle)
     return (low + high) / 2
-
-
-@njit(cache=True, error_model="numpy")
-def loss(code, c, squares):  # type: ignore[no-untyped-def]
-    """2 rho(r) of one edge, from r²."""
-    if code == HUBER and squares > c * c:
-        return 2 * c * np.sqrt(squares) - c * c
-    if code == CAUCHY:
-        return c * c * np.log1p(squares / (c * c))
-    if code == GEMAN_MCCLURE:
-        return c * c * squares / (c * c + squares)
-    return squares
-
-
-@njit(cache=True, error_model="numpy")
-def weight(code, c, squares):  # type: ignore[no-untyped-def]
-    """w(r) of one edge, from r²."""
-    if code == HUBER and squares > c * c:
-        return c / np.sqrt(squares)
-    if code == CAUCHY:
-        return c * c / (c * c + squares)
-    if code == GEMAN_MCCLURE:
-        return (c * c / (c * c + squares)) ** 2
-    return 1.0
-
-
-@njit(cache=True, error_model="numpy")
-def weight_slope(code, c, squares):  # type: ignore[no-untyped-def]
-    """The derivative of w by r², never positive."""
-    if code == HUBER and squares > c * c:
-        return -0.5 * c / squares**1.5
-    if code == CAUCHY:
-        return -((c / (c * c + squares)) ** 2)
-    if code == GEMAN_MCCLURE:
-        return -2 * c**4 / (c * c + squares) ** 3
-    return 0.0
-
-
-@njit(cache=True, error_model="numpy")
-def _expectations(code, c, dimension):  # type: ignore[no-untyped-def]
-    """E[w], E[w r²] / d and E[w² r²] / d for r² of chi-square with d degrees of freedom, by the midpoint rule over r."""
-    step, peak = (np.sqrt(dimension) + 9) / 4000, np.sqrt(max(dimension - 1.0, 0.5))
-    total = mean = slope = square = 0.0
-    for k in range(4000):
-        r = (k + 0.5) * step
-        density = np.exp((dimension - 1) * np.log(r / peak) - (r * r - peak * peak) / 2)
-        w = weight(code, c, r * r)
-        total += density
-        mean += density * w
-        slope += density * w * r * r
-        square += density * w * w * r * r
-    return mean / total, slope / (dimension * total), square / (dimension * total)

@@ -9,23 +9,17 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-from numba import njit
 
 from ..errors import GraphError
-from ..linear.information import BlockSystem
 from ..models import SensorModel
 from ..se2 import Array, perpendicular
-from .base import NO_SYSTEM, EdgeFamily, Relations
+from .base import EdgeFamily, EngineEdges, Relations
 from .robust import Kernel, code_and_width
 
 Self = TypeVar("Self", bound="SightingEdges")
-
-#: how `prepare` treats the covariance: evaluated at the reference; in the landmark's own axes; evaluated at the reference,
-#: and then rotating with the pose
-WORLD, BODY, BODY_WITHOUT_PSI = 0, 1, 2
 
 #: the least trust: a landmark all of whose sightings are wrong must still be somewhere
 NO_TRUST = 1e-9
@@ -83,25 +77,24 @@ class SightingEdges(EdgeFamily):
     def information_per_weight(self) -> float:
         return 1.0 if self.kernel is None else self.kernel.information_per_weight(self.sightings.shape[1])
 
-    @cached_property
-    def _robust(self) -> tuple[int, float, Array]:
-        """The kernel's code and width, and the trust (M,)."""
-        return *code_and_width(self.kernel), self.trusted
-
     def _check_constant(self, frame: str) -> None:
         """Raise `GraphError` unless the information of the sightings is constant, but for a kernel: in the body frame."""
         if frame == "world":
             raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
 
     @property
-    def _noise(self) -> tuple[tuple[float, float, float, float], tuple[float, float]]:
-        """The variances of the range (by l², and constant), of phi and of psi, and the sensor's place on the robot."""
+    def _for_engine(self) -> tuple[Any, ...]:
+        """The sightings, those at which the covariance is evaluated, the trust, the sensor, the kernel's code and width.
+
+        The sensor is given by the variances of the range (by l², and constant), of phi and psi, and its place on the robot.
+        """
         s = self.sensor
-        return (s.range_rate**2, s.range_std**2, s.bearing_std**2, s.orientation_std**2), s.offset
+        sensor = (s.range_rate**2, s.range_std**2, s.bearing_std**2, s.orientation_std**2, *s.offset)
+        return self.sightings, self.noisy, self.trusted, sensor, *code_and_width(self.kernel)
 
 
 @dataclass(frozen=True, eq=False)
-class LandmarkSightings(SightingEdges):
+class LandmarkSightings(SightingEdges, EngineEdges):
     """Sightings grouped by landmark.
 
     Args:
@@ -171,60 +164,3 @@ class LandmarkSightings(SightingEdges):
     def _place(self) -> Array:
         """The landmark (M, 2 or 3) that each sighting measures, in the frame of the pose."""
         return self.sensor.h_inverse(np.zeros((len(self.nodes), 3)), self.sightings)
-
-    def _prepared(self, state: Array, reference: Array, mode: int) -> tuple[Array, Array, Array, Array]:
-        """y (M, 3), lever (M, 2), gamma (M,) and C (M, 6) of the sightings; see `prepare`."""
-        return prepare(state, reference, self.nodes, self.sightings, self.noisy, *self._noise, mode)
-
-    @cached_property
-    def _by_node(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The sightings by node: their order (M,), the start of each node (last node + 2,), their landmarks (M,)."""
-        order = np.argsort(self.nodes, kind="stable")
-        last = int(self.nodes.max(initial=-1))
-        return order, np.searchsorted(self.nodes[order], np.arange(last + 2)), self.group
-
-    def _targets(self, system: BlockSystem | None) -> tuple[np.ndarray, ...]:
-        """The pattern of Omega, room to map the rows of one column to slots, the values and xi."""
-        if system is None:
-            return NO_SYSTEM
-        return system.indptr, system.indices, system.workspace, system.values, system.xi
-
-
-@njit(cache=True, error_model="numpy")
-def prepare(state, reference, nodes, z, noisy, variances, offset, mode):  # type: ignore[no-untyped-def]
-    """y, the lever t, gamma and C = (c_xx, c_xy, c_yy, c_xt, c_yt, c_tt) of each sighting, C at the sightings ``noisy``."""
-    count, oriented = len(nodes), z.shape[1] == 3
-    by_range, constant, bearing_variance, psi_variance = variances
-    y, lever, gamma, C = np.zeros((count, 3)), np.empty((count, 2)), np.zeros(count), np.zeros((count, 6))
-    for k in range(count):
-        x, l = state[nodes[k]], z[k, 0]  # noqa: E741  # the slides' letter for the range
-        direction = x[2] + z[k, 1]
-        c, s = np.cos(direction), np.sin(direction)
-        vx, vy = l * c, l * s
-        if offset[0] != 0 or offset[1] != 0:
-            ct, st = np.cos(x[2]), np.sin(x[2])
-            vx += ct * offset[0] - st * offset[1]
-            vy += st * offset[0] + ct * offset[1]
-        lever[k, 0], lever[k, 1] = -vy, vx
-        y[k, 0], y[k, 1] = x[0] + vx, x[1] + vy
-        if oriented:
-            y[k, 2] = direction - z[k, 2]
-        if mode == BODY:
-            gamma[k] = y[k, 2]
-            c, s = np.cos(noisy[k, 2]), np.sin(noisy[k, 2])
-        else:
-            before = reference[nodes[k], 2]
-            if mode == BODY_WITHOUT_PSI:
-                gamma[k] = x[2] - before
-            if before != x[2] or noisy[k, 1] != z[k, 1]:
-                c, s = np.cos(before + noisy[k, 1]), np.sin(before + noisy[k, 1])
-        l = noisy[k, 0]  # noqa: E741
-        # R Q R' with R = [[c, -l s, 0], [s, l c, 0], [0, 1, -1]]
-        along, across = by_range * l * l + constant, bearing_variance * l * l
-        C[k, 0] = along * c * c + across * s * s
-        C[k, 1] = (along - across) * c * s
-        C[k, 2] = along * s * s + across * c * c
-        if oriented:
-            C[k, 3], C[k, 4] = -bearing_variance * l * s, bearing_variance * l * c
-            C[k, 5] = bearing_variance + psi_variance
-    return y, lever, gamma, C

@@ -31,17 +31,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
-from numba import njit
 
+from ..engine import engine
 from ..errors import GraphError
-from ..linear.information import BlockSystem
 from ..se2 import Array, perpendicular, turn_matrix, wrap
-from . import kernels
 from .base import ConstantEdges, Linearization, linearization
-from .robust import loss, weight
-from .sightings import BODY, BODY_WITHOUT_PSI, WORLD, LandmarkSightings
+from .sightings import LandmarkSightings
 
 #: the most pairs that `VirtualMotionEdges.constant` lists: some 600 MB
 MOST_LISTED = 2_000_000
@@ -131,12 +129,10 @@ class VirtualMotionEdges(LandmarkSightings):
             self.nodes[a], self.nodes[b], place[a, :2], place[b, :2], facing[a] - facing[b], information
         )
 
-    def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
-        mode = WORLD if self.frame == "world" else BODY if self.oriented else BODY_WITHOUT_PSI
-        return _accumulate(
-            self.starts, self.nodes, *self._by_node, self.group_weights, *self._prepared(state, reference, mode),
-            self.oriented, self.frame == "body", *self._robust, *self._targets(system),
-        )  # fmt: skip
+    @cached_property
+    def in_engine(self) -> Any:
+        sightings = self.starts, self.nodes, *self._for_engine
+        return engine.VirtualMotionEdges(*sightings, self.group_weights, self.frame == "body")
 
     def kernel_weights(self, state: Array) -> Array:
         if self.kernel is None:
@@ -150,49 +146,3 @@ class VirtualMotionEdges(LandmarkSightings):
         if not self.tempered:
             return np.ones(len(self.starts) - 1)
         return 2 / np.bincount(self.group, weights=self.trusted, minlength=len(self.starts) - 1)
-
-
-@njit(cache=True, error_model="numpy")
-def _accumulate(  # type: ignore[no-untyped-def]
-    starts, nodes, order, node_starts, groups, weights, y, lever, gamma, C, oriented, body,
-    kernel, width, trust, indptr, indices, slot_of, values, xi,
-):  # fmt: skip
-    # Column by column of Omega: slot_of maps the rows of the current column to slots, so no list of pairs is needed.
-    cosines, sines = np.cos(gamma), np.sin(gamma)
-    adding = len(values) > 0
-    total = 0.0
-    for j in range(len(node_starts) - 1):
-        if node_starts[j] == node_starts[j + 1]:
-            continue
-        if adding:
-            for p in range(indptr[j], indptr[j + 1]):
-                slot_of[indices[p]] = p
-        for k in range(node_starts[j], node_starts[j + 1]):
-            b = order[k]
-            g = groups[b]
-            weight_b = weights[g] * trust[b]
-            # rho of s r² with the width c sqrt(s) is s times rho of r² with the width c
-            c = width * np.sqrt(weights[g])
-            for a in range(starts[g], b):
-                i = nodes[a]
-                if i == j:
-                    continue
-                S = kernels.plus(kernels.row(C, a), kernels.row(C, b))
-                W = kernels.inverse(kernels.turned(cosines[a], sines[a], S), oriented)
-                W = kernels.scaled(weight_b * trust[a], W)
-                e = (y[b, 0] - y[a, 0], y[b, 1] - y[a, 1], kernels.wrap(y[b, 2] - y[a, 2]))
-                omega_e = kernels.product(W, e)
-                squares = kernels.dot(omega_e, e)
-                if not kernel:
-                    total += squares
-                else:
-                    total += loss(kernel, c, squares)
-                    W = kernels.scaled(weight(kernel, c, squares), W)
-                    omega_e = kernels.product(W, e)
-                if adding:
-                    ux, uy = lever[a, 0], lever[a, 1]
-                    if body:
-                        ux, uy = ux - e[1], uy + e[0]
-                    slots = (indptr[i + 1] - 1, indptr[j + 1] - 1, slot_of[i])
-                    kernels.add_pair(values, xi, i, j, slots, W, omega_e, (ux, uy), (lever[b, 0], lever[b, 1]))
-    return total

@@ -10,8 +10,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from ..edges.robust import code_and_width, kernel_of, loss, weight
+from ..edges.robust import code_and_width, kernel_of
 from ..errors import OptionError
+from ..incremental.kernels import loss, weight
 from ..se2 import Array
 from .arguments import check_heading, in_world_frame, numbers, positive_definite
 from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from ..edges import EdgeFamily, RelativePointEdges, RelativePoseEdges
+from ..edges import EdgeFamily
 from ..edges.base import Linearization
-from ..edges.relative import accumulate
-from ..edges.robust import Kernel, code_and_width
+from ..edges.relative import RobustPointEdges, RobustPoseEdges
+from ..edges.robust import Kernel
 from ..errors import GraphError
 from ..graph import Graph
 from ..linear.information import BlockSystem
@@ -22,22 +22,6 @@ from ..solvers.iteration import Run
 from ..solvers.levenberg_marquardt import levenberg_marquardt
 from .arrays import Edges, Nodes
 from .lag import Prior
-
-
-@dataclass(frozen=True, eq=False)
-class _RobustPoses(RelativePoseEdges):
-    kernel: Kernel | None = field(default=None, kw_only=True)
-
-    def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
-        return accumulate(self, state, reference, *code_and_width(self.kernel), self._targets(system))
-
-
-@dataclass(frozen=True, eq=False)
-class _RobustPoints(RelativePointEdges):
-    kernel: Kernel | None = field(default=None, kw_only=True)
-
-    def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
-        return accumulate(self, state, reference, *code_and_width(self.kernel), self._targets(system))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +90,7 @@ def batch_state(
     families: list[EdgeFamily] = [_prior_edges(prior, nodes, number) for prior in priors]
     edges = edges[live]
     rows, robust = edges["rows"], edges["robust"]
-    for d, kind in ((3, _RobustPoses), (2, _RobustPoints)):
+    for d, kind in ((3, RobustPoseEdges), (2, RobustPointEdges)):
         for weighed in (False, True):
             k = np.flatnonzero((rows == d) & (robust == weighed))
             if len(k):

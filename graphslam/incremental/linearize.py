@@ -28,8 +28,8 @@ its cost is above `EXACT`: next to a minimum, passes converge faster with all of
 import numpy as np
 from numba import njit
 
-from ..edges import kernels
-from ..edges.robust import loss, weight
+from . import kernels
+from .kernels import loss, weight
 
 #: how far the factor's part of an edge may be from the present one: weights by a third, and lever and alpha so far that an
 #: increment of one standard deviation (`Nodes.scale`) changes the residual, squared and in its own standard deviations, by

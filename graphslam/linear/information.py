@@ -59,6 +59,11 @@ class BlockSystem:
         return self.structure.indices
 
     @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """The pattern, the numbers and the scratch space, into which families of the engine add."""
+        return self.indptr, self.indices, self.values, self.xi, self.workspace
+
+    @property
     def num_nodes(self) -> int:
         """The number n of nodes."""
         return len(self.indptr) - 1

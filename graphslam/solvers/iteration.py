@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
 from ..diagnosis import undetermined
+from ..engine import engine
 from ..graph import Graph
 from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
@@ -141,12 +141,6 @@ def factorized(graph: Graph, state: Array, damping: float = 0.0) -> Factor:
         raise undetermined(graph, state, error) from None
 
 
-@njit(cache=True)
 def inner(a: Array, b: Array) -> float:
     """The inner product of two arrays (n, 3)."""
-    # np.vdot starts the threads of BLAS beyond 10^4 numbers, which costs more than a factorisation
-    total = 0.0
-    for k in range(len(a)):
-        for c in range(3):
-            total += a[k, c] * b[k, c]
-    return total
+    return engine.inner(a, b)

@@ -12,10 +12,10 @@ and its use in pose graph optimization*, ICRA 2015 (there called chordal relaxat
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from ..edges import AnchorEdges, ObservationEdges, RelativePoseEdges, kernels
+from ..edges import AnchorEdges, ObservationEdges, RelativePoseEdges
 from ..edges.base import Relations
+from ..engine import engine
 from ..errors import GraphError, quoted
 from ..graph import Graph
 from ..linear.cholesky import FactorizationError
@@ -43,7 +43,7 @@ def rotation_first(graph: Graph) -> Array:
     for family in graph.families:
         offset = family.positions(state)
         if offset is not None:
-            _add_positions(*_ends(system, offset), position, system.values, system.xi)
+            engine.add_positions(*_relations(system, offset), position, *system.arrays)
     state[:, :2] = position + _solved(graph, system, held)[:, :2]
     return state
 
@@ -54,7 +54,7 @@ def _followed(graph: Graph, state: Array, held: np.ndarray) -> Array | None:
     known[held] = True
     for family in graph.families:
         edges = family.headings()
-        if edges is not None and not _follow(
+        if edges is not None and not engine.follow_headings(
             edges.first, edges.second, edges.value, edges.information, headings, known
         ):
             return None
@@ -72,7 +72,8 @@ def _solve_headings(graph: Graph, state: Array, held: np.ndarray) -> None:
     for family in graph.families:
         relative = family.headings()
         if relative is not None:
-            _add_headings(*_ends(system, relative), unit, system.values, system.xi, tied)
+            engine.add_headings(*_relations(system, relative), unit, *system.arrays)
+            tied[relative.first] = tied[relative.second] = True
     if not tied[: len(graph.steps)].all():
         loose = np.flatnonzero(~tied[: len(graph.steps)])
         raise GraphError(
@@ -82,7 +83,9 @@ def _solve_headings(graph: Graph, state: Array, held: np.ndarray) -> None:
     correction = _solved(graph, system, held)
     # a held heading keeps its own value, with its full turns
     tied[held] = False
-    _turn(state, tied, unit, correction)
+    direction = unit + correction[:, :2]
+    tied &= np.any(direction != 0, axis=1)
+    state[tied, 2] = np.arctan2(direction[tied, 1], direction[tied, 0])
 
 
 def dead_reckoning(graph: Graph) -> Array:
@@ -153,10 +156,10 @@ def _held(graph: Graph, state: Array) -> np.ndarray:
     return nodes if len(nodes) else np.zeros(1, dtype=np.int64)
 
 
-def _ends(system: BlockSystem, relations: Relations) -> tuple[Array, ...]:
-    """The relations' nodes, slots, values and information: the first arguments of the kernels below."""
-    slots = system.slots_of(relations.first, relations.second)
-    return (relations.first, relations.second, *slots, relations.value, relations.information)
+def _relations(system: BlockSystem, relations: Relations) -> tuple[Array, ...]:
+    """The nodes of relations, the blocks between them, values and information, as the engine takes them."""
+    pairs = system.slots_of(relations.first, relations.second)[2]
+    return relations.first, relations.second, pairs, relations.value, relations.information
 
 
 def _solved(graph: Graph, system: BlockSystem, held: np.ndarray) -> Array:
@@ -169,61 +172,3 @@ def _solved(graph: Graph, system: BlockSystem, held: np.ndarray) -> Array:
         raise GraphError(
             f"initialize='rotation-first' needs edges that tie all nodes; nothing holds {graph.names(np.array([error.node]))}"
         ) from None
-
-
-@njit(cache=True, error_model="numpy")
-def _follow(first, second, turn, information, headings, known):  # type: ignore[no-untyped-def]
-    """Write the headings along edges between a known node and another one, which is known then; False at any other edge."""
-    for k in range(len(first)):
-        i, j = first[k], second[k]
-        if known[i] == known[j] or not information[k] > 0:
-            return False
-        if known[i]:
-            headings[j] = kernels.wrap(headings[i] + turn[k])
-        else:
-            headings[i] = kernels.wrap(headings[j] - turn[k])
-        known[i] = known[j] = True
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def _turn(state, moving, unit, correction):  # type: ignore[no-untyped-def]
-    """Set the headings of ``moving`` nodes to the directions of ``unit`` plus the correction, where these are not zero."""
-    for i in range(len(state)):
-        x, y = unit[i, 0] + correction[i, 0], unit[i, 1] + correction[i, 1]
-        if moving[i] and (x != 0 or y != 0):
-            state[i, 2] = np.arctan2(y, x)
-
-
-@njit(cache=True, error_model="numpy")
-def _add_headings(first, second, at_first, at_second, at_pair, turn, information, unit, values, xi, tied):  # type: ignore[no-untyped-def]
-    """Add edges with residual e = R(turn) r_first - r_second in the first two coordinates of their nodes; mark these."""
-    for k in range(len(first)):
-        i, j, w = first[k], second[k], information[k]
-        tied[i] = tied[j] = True
-        c, s = w * np.cos(turn[k]), w * np.sin(turn[k])
-        for at in (at_first[k], at_second[k]):
-            values[at, 0, 0] += w
-            values[at, 1, 1] += w
-        # the block of first and second is -w R', transposed where second < first
-        V, q = values[at_pair[k]], s if i < j else -s
-        V[0, 0] -= c
-        V[0, 1] -= q
-        V[1, 0] += q
-        V[1, 1] -= c
-        a, b = unit[i], unit[j]
-        xi[i, 0] += c * b[0] + s * b[1] - w * a[0]
-        xi[i, 1] += c * b[1] - s * b[0] - w * a[1]
-        xi[j, 0] += c * a[0] - s * a[1] - w * b[0]
-        xi[j, 1] += s * a[0] + c * a[1] - w * b[1]
-
-
-@njit(cache=True, error_model="numpy")
-def _add_positions(first, second, at_first, at_second, at_pair, offset, information, position, values, xi):  # type: ignore[no-untyped-def]
-    """Add edges with residual e = p_second - p_first - offset in the first two coordinates of their nodes."""
-    for k in range(len(first)):
-        i, j, omega = first[k], second[k], information[k]
-        W = (omega[0, 0], omega[0, 1], omega[1, 1], 0.0, 0.0, 0.0)
-        e = (position[j, 0] - position[i, 0] - offset[k, 0], position[j, 1] - position[i, 1] - offset[k, 1], 0.0)
-        slots = (at_first[k], at_second[k], at_pair[k])
-        kernels.add_point(values, xi, i, j, slots, W, kernels.product(W, e), (0.0, 0.0))

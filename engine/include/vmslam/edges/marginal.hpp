@@ -1,0 +1,47 @@
+// Marginal edges: each landmark as a variable, eliminated. Every sighting counts exactly once.
+//
+// With y_a = h^-1(x_a, z_a) and W_a = (R_a Q_a R_a')^-1 a landmark m costs
+//
+//     min over m of sum over a of (m - y_a)' W_a (m - y_a),   at  m̂ = S^-1 sum W_a y_a,   S = sum W_a,
+//
+// and connects all poses that saw it by one clique. With e_a = m̂ - y_a and its Jacobian B_a = de_a/dx_a = -[I, t_a; 0, 1]
+// it adds
+//
+//     B_a' W_a B_a  to the diagonal,   -U_a S^-1 U_b'  to every pair of poses, U_a = B_a' W_a,   -B_a' W_a e_a  to xi:
+//
+// the Schur complement of the landmark. In the body frame W_a rotates with its own pose, and the derivative of the rotation,
+// (-e_y, e_x), is added to t_a. A robust kernel acts on each sighting, and m̂ is then the robust mean.
+#pragma once
+
+#include "vmslam/edges/sightings.hpp"
+
+namespace vmslam::edges {
+
+/// A sighting about the mean of its landmark: e = m̂ - y, W, and the factor that trust and kernel put on it.
+struct AroundMean {
+    Vector e;
+    Symmetric W;
+    double factor;
+    Lever lever;
+};
+
+/// All sightings, m̂ of each landmark, and the cost.
+struct AroundMeans {
+    std::vector<AroundMean> sightings;
+    std::vector<Vector> means;
+    double cost = 0.0;
+};
+
+class MarginalEdges : public LandmarkSightings {
+   public:
+    MarginalEdges(std::vector<Place> starts, std::vector<Place> nodes, Sightings sightings, bool body)
+        : LandmarkSightings(std::move(starts), std::move(nodes), std::move(sightings)), body_(body) {}
+
+    double accumulate(const State& state, System* system, std::span<const Place> pairs) const override;
+    AroundMeans around_means(const State& state) const;
+
+   private:
+    bool body_;
+};
+
+}  // namespace vmslam::edges

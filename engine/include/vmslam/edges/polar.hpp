@@ -1,0 +1,21 @@
+// Sightings of landmark nodes as range and bearing: e = h(x, m) - z, with the information Q^-1 at the measured range.
+#pragma once
+
+#include "vmslam/edges/sightings.hpp"
+
+namespace vmslam::edges {
+
+/// Pose `first` sees landmark `second`.
+class PolarEdges : public Family {
+   public:
+    PolarEdges(std::vector<Place> first, std::vector<Place> second, Sightings sightings)
+        : first_(std::move(first)), second_(std::move(second)), seen_(std::move(sightings)) {}
+
+    double accumulate(const State& state, System* system, std::span<const Place> pairs) const override;
+
+   private:
+    std::vector<Place> first_, second_;
+    Sightings seen_;
+};
+
+}  // namespace vmslam::edges

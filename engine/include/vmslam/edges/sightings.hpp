@@ -1,0 +1,73 @@
+// What all edges that come from sightings have in common, and sightings grouped by landmark.
+//
+// Every sighting places its landmark at y = h^-1(x, z) with covariance C = R Q R'. When the pose rotates, y moves by the
+// lever t = (-v_y, v_x) per radian, where v leads from the pose to the landmark. It is l (cos, sin)(theta + phi), plus
+// R(theta) o where the sensor sits at o on the robot.
+#pragma once
+
+#include <vector>
+
+#include "vmslam/edges/family.hpp"
+
+namespace vmslam::edges {
+
+/// The noise of a sensor, and its place on the robot.
+struct Sensor {
+    double range_by_square;  ///< the variance of the range, over the square of the range, ...
+    double range_constant;   ///< ... and the part that does not grow
+    double bearing, orientation;
+    double offset_x, offset_y;
+
+    double range(double l) const { return range_by_square * l * l + range_constant; }
+};
+
+/// z = (l, phi, psi); psi is 0 where it is not measured.
+struct Sighting {
+    double range, bearing, orientation;
+};
+
+/// How the covariance is treated: evaluated at the reference; in the landmark's own axes; evaluated at the reference, and
+/// then rotating with the pose.
+enum class Covariance { reference, landmark, rotating };
+
+/// Sightings at a state: y, t, the heading gamma of the axes of C, and C.
+struct Placed {
+    Vector y;
+    Lever lever;
+    double gamma;
+    Symmetric C;
+};
+
+/// Range and bearing sightings by one sensor with a robust kernel. `noisy` are those at which the covariance is evaluated,
+/// `trust` is a factor on the information of each.
+struct Sightings {
+    std::vector<Sighting> z, noisy;
+    std::vector<double> trust;
+    Sensor sensor;
+    Kernel kernel;
+    bool oriented;
+};
+
+/// Sightings of landmarks that are no nodes: landmark g has the sightings starts[g] to starts[g + 1], by increasing node.
+class LandmarkSightings : public Family {
+   public:
+    LandmarkSightings(std::vector<Place> starts, std::vector<Place> nodes, Sightings sightings);
+
+    std::vector<Placed> placed(const State& state, Covariance mode) const;
+
+   protected:
+    Place landmarks() const { return static_cast<Place>(starts_.size()) - 1; }
+    /// The sightings from a node, in order_.
+    std::span<const Place> from(Place node) const {
+        return {order_.data() + node_starts_[node], order_.data() + node_starts_[node + 1]};
+    }
+    Place last_node() const { return static_cast<Place>(node_starts_.size()) - 2; }
+
+    std::vector<Place> starts_, nodes_, groups_;
+    Sightings seen_;
+
+   private:
+    std::vector<Place> order_, node_starts_;
+};
+
+}  // namespace vmslam::edges

@@ -1,0 +1,184 @@
+// Edge families, robust kernels, and the linear systems of the starts.
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/tuple.h>
+
+#include <optional>
+
+#include "arrays.hpp"
+#include "bindings.hpp"
+#include "vmslam/edges/marginal.hpp"
+#include "vmslam/edges/polar.hpp"
+#include "vmslam/edges/relative.hpp"
+#include "vmslam/edges/virtual_motion.hpp"
+#include "vmslam/solve/start.hpp"
+
+namespace vmslam::python {
+namespace {
+
+using namespace edges;
+using release = nb::call_guard<nb::gil_scoped_release>;
+
+template <class T>
+std::vector<T> vector(const In<T>& array) {
+    return {array.data(), array.data() + array.size()};
+}
+
+/// The symmetric part of matrices (d, d), which is all that J knows.
+Symmetric symmetric(const double* W, int d) {
+    const auto both = [&](int r, int c) { return (W[r * d + c] + W[c * d + r]) / 2; };
+    if (d == 2) return {W[0], both(0, 1), W[3], 0.0, 0.0, 0.0};
+    return {W[0], both(0, 1), W[4], both(0, 2), both(1, 2), W[8]};
+}
+
+std::vector<RelativeEdge> relative_edges(const In<Place>& first, const In<Place>& second, const In<double>& measured,
+                                         const In<double>& information) {
+    const int d = static_cast<int>(measured.shape(1));
+    std::vector<RelativeEdge> edges(first.size());
+    for (std::size_t k = 0; k < edges.size(); ++k) {
+        const double* const z = measured.data() + k * d;
+        edges[k] = {first.data()[k], second.data()[k], {z[0], z[1], d == 3 ? z[2] : 0.0},
+                    symmetric(information.data() + k * d * d, d)};
+    }
+    return edges;
+}
+
+Kernel kernel_of(int code, double width) { return {static_cast<Robust>(code), width}; }
+
+std::vector<Sighting> sightings_of(const In<double>& z) {
+    const std::size_t d = z.shape(1);
+    std::vector<Sighting> out(z.shape(0));
+    for (std::size_t k = 0; k < out.size(); ++k) {
+        const double* const at = z.data() + k * d;
+        out[k] = {at[0], at[1], d == 3 ? at[2] : 0.0};
+    }
+    return out;
+}
+
+Sightings seen(const In<double>& z, const In<double>& noisy, const In<double>& trust, const std::array<double, 6>& sensor,
+               int code, double width) {
+    return {sightings_of(z), sightings_of(noisy), vector(trust),
+            {sensor[0], sensor[1], sensor[2], sensor[3], sensor[4], sensor[5]}, kernel_of(code, width), z.shape(1) == 3};
+}
+
+System system_of(const In<Place>& start, const In<Place>& rows, const InOut<double>& values, const InOut<double>& xi,
+                 const InOut<Place>& workspace) {
+    return {span(start), span(rows), values.data(), xi.data(), workspace.data()};
+}
+
+void bind_families(nb::module_& m) {
+    nb::class_<Family>(m, "Family")
+        .def("cost", [](const Family& f, In<double> state, In<double> reference) {
+            return f.accumulate({state.data(), reference.data()}, nullptr, {});
+        }, release())
+        .def("add", [](const Family& f, In<double> state, In<double> reference, In<Place> start, In<Place> rows,
+                       InOut<double> values, InOut<double> xi, InOut<Place> workspace, In<Place> pairs) {
+            System system = system_of(start, rows, values, xi, workspace);
+            return f.accumulate({state.data(), reference.data()}, &system, span(pairs));
+        }, release());
+    nb::class_<RelativeEdges, Family>(m, "RelativeEdges")
+        .def("__init__", [](RelativeEdges* at, In<Place> first, In<Place> second, In<double> measured, In<double> information,
+                            bool world, int code, double width) {
+            new (at) RelativeEdges(relative_edges(first, second, measured, information), measured.shape(1) == 3, world,
+                                   kernel_of(code, width));
+        });
+    nb::class_<AnchorEdges, Family>(m, "AnchorEdges")
+        .def("__init__", [](AnchorEdges* at, In<Place> nodes, In<double> values, In<double> information) {
+            new (at) AnchorEdges(relative_edges(nodes, nodes, values, information));
+        });
+    nb::class_<PolarEdges, Family>(m, "PolarEdges")
+        .def("__init__", [](PolarEdges* at, In<Place> first, In<Place> second, In<double> z, In<double> noisy,
+                            In<double> trust, std::array<double, 6> sensor, int code, double width) {
+            new (at) PolarEdges(vector(first), vector(second), seen(z, noisy, trust, sensor, code, width));
+        });
+    nb::class_<VirtualMotionEdges, Family>(m, "VirtualMotionEdges")
+        .def("__init__", [](VirtualMotionEdges* at, In<Place> starts, In<Place> nodes, In<double> z, In<double> noisy,
+                            In<double> trust, std::array<double, 6> sensor, int code, double width, In<double> weights,
+                            bool body) {
+            new (at) VirtualMotionEdges(vector(starts), vector(nodes), seen(z, noisy, trust, sensor, code, width),
+                                        vector(weights), body);
+        });
+    nb::class_<MarginalEdges, Family>(m, "MarginalEdges")
+        .def("__init__", [](MarginalEdges* at, In<Place> starts, In<Place> nodes, In<double> z, In<double> noisy,
+                            In<double> trust, std::array<double, 6> sensor, int code, double width, bool body) {
+            new (at) MarginalEdges(vector(starts), vector(nodes), seen(z, noisy, trust, sensor, code, width), body);
+        })
+        // e (M, 3), W (M, 6), its factor of trust and kernel (M,), the lever (M, 2), m̂ (G, 3) and the cost
+        .def("around_means", [](const MarginalEdges& edges, In<double> state, In<double> reference) {
+            const AroundMeans around = edges.around_means({state.data(), reference.data()});
+            const std::size_t count = around.sightings.size(), groups = around.means.size();
+            std::vector<double> e, W, factor, lever, means;
+            e.reserve(3 * count), W.reserve(6 * count), factor.reserve(count), lever.reserve(2 * count);
+            for (const AroundMean& s : around.sightings) {
+                e.insert(e.end(), {s.e.x, s.e.y, s.e.t});
+                W.insert(W.end(), {s.W.xx, s.W.xy, s.W.yy, s.W.xt, s.W.yt, s.W.tt});
+                factor.push_back(s.factor);
+                lever.insert(lever.end(), {s.lever.x, s.lever.y});
+            }
+            for (const Vector& m : around.means) means.insert(means.end(), {m.x, m.y, m.t});
+            return nb::make_tuple(array(std::move(e), {count, 3}), array(std::move(W), {count, 6}), array(std::move(factor)),
+                                  array(std::move(lever), {count, 2}), array(std::move(means), {groups, 3}), around.cost);
+        });
+}
+
+void bind_kernels(nb::module_& m) {
+    const auto each = [](const In<double>& squares, auto function) {
+        std::vector<double> out(squares.size());
+        for (std::size_t k = 0; k < out.size(); ++k) out[k] = function(squares.data()[k]);
+        return array(std::move(out));
+    };
+    m.def("robust_loss", [each](int code, double width, In<double> squares) {
+        return each(squares, [kernel = kernel_of(code, width)](double r2) { return kernel.loss(r2); });
+    });
+    m.def("robust_weight", [each](int code, double width, In<double> squares) {
+        return each(squares, [kernel = kernel_of(code, width)](double r2) { return kernel.weight(r2); });
+    });
+    m.def("robust_expectations", [](int code, double width, int dimension) {
+        return expectations(kernel_of(code, width), dimension);
+    });
+}
+
+void bind_starts(nb::module_& m) {
+    m.def("follow_headings", [](In<Place> first, In<Place> second, In<double> turn, In<double> information,
+                                InOut<double> headings, InOut<bool> known) {
+        return solve::follow_headings({span(first), span(second), {}, span(turn), span(information)}, span(headings),
+                                      span(known));
+    });
+    m.def("add_headings", [](In<Place> first, In<Place> second, In<Place> pairs, In<double> turn, In<double> information,
+                             In<double> unit, In<Place> start, In<Place> rows, InOut<double> values, InOut<double> xi,
+                             InOut<Place> workspace) {
+        System system = system_of(start, rows, values, xi, workspace);
+        solve::add_headings({span(first), span(second), span(pairs), span(turn), span(information)}, span(unit), system);
+    });
+    m.def("add_positions", [](In<Place> first, In<Place> second, In<Place> pairs, In<double> offset, In<double> information,
+                              In<double> position, In<Place> start, In<Place> rows, InOut<double> values, InOut<double> xi,
+                              InOut<Place> workspace) {
+        System system = system_of(start, rows, values, xi, workspace);
+        solve::add_positions({span(first), span(second), span(pairs), span(offset), span(information)}, span(position),
+                             system);
+    });
+    m.def("turned_to_world", [](In<double> state, In<Place> first, In<double> measured, In<double> information) {
+        const std::size_t count = first.size();
+        std::vector<double> offset(2 * count), omega(4 * count);
+        solve::turn_to_world(span(state), span(first), span(measured), span(information),
+                             static_cast<int>(measured.shape(1)), offset, omega);
+        return std::pair(array(std::move(offset), {count, 2}), array(std::move(omega), {count, 2, 2}));
+    });
+    // the inner product of two arrays; NumPy would start threads for large ones
+    m.def("inner", [](In<double> a, In<double> b) {
+        double total = 0.0;
+        for (std::size_t k = 0; k < a.size(); ++k) total += a.data()[k] * b.data()[k];
+        return total;
+    });
+}
+
+}  // namespace
+
+void bind_edges(nb::module_& m) {
+    bind_families(m);
+    bind_kernels(m);
+    bind_starts(m);
+}
+
+}  // namespace vmslam::python

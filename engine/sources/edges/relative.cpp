@@ -1,0 +1,60 @@
+#include "vmslam/edges/relative.hpp"
+
+namespace vmslam::edges {
+
+template <bool poses, bool world>
+double RelativeEdges::add(const State& state, System* system, std::span<const Place> pairs) const {
+    double total = 0.0;
+    Place turning = -1;
+    Rotation axes;
+    for (std::size_t k = 0; k < edges_.size(); ++k) {
+        const auto& [i, j, z, omega] = edges_[k];
+        const double *const a = state.node(i), *const b = state.node(j);
+        // the edges of a pose often follow each other
+        if (i != turning) axes = Rotation(a[2]), turning = i;
+        // e in world axes: p_j - p_i - R t
+        const double dx = b[0] - a[0], dy = b[1] - a[1];
+        const double rx = axes.c * z.x - axes.s * z.y, ry = axes.s * z.x + axes.c * z.y;
+        const Vector e{dx - rx, dy - ry, poses ? wrap(b[2] - a[2] - z.t) : 0.0};
+        // Both frames have the Jacobians -[I, u; 0, 1] and [I, 0; 0, 1]: u is the derivative of the rotated measurement
+        // (world: information held still) or of the offset itself (body: information turns along).
+        const Lever u = world ? Lever{-ry, rx} : Lever{-dy, dx};
+        Symmetric W = turned(world ? Rotation(state.reference_of(i)[2]) : axes, omega);
+        Vector g = W * e;
+        const double squares = dot(g, e);
+        if (kernel_) {
+            total += kernel_.loss(squares);
+            W = kernel_.weight(squares) * W;
+            g = W * e;
+        } else {
+            total += squares;
+        }
+        if (!system) continue;
+        if constexpr (poses)
+            add_pair(*system, i, j, pairs[k], W, g, u, {0.0, 0.0});
+        else
+            add_point(*system, i, j, pairs[k], W, g, u);
+    }
+    return total;
+}
+
+double RelativeEdges::accumulate(const State& state, System* system, std::span<const Place> pairs) const {
+    if (poses_) return world_ ? add<true, true>(state, system, pairs) : add<true, false>(state, system, pairs);
+    return world_ ? add<false, true>(state, system, pairs) : add<false, false>(state, system, pairs);
+}
+
+double AnchorEdges::accumulate(const State& state, System* system, std::span<const Place>) const {
+    double total = 0.0;
+    for (const auto& [i, j, z, omega] : anchors_) {
+        const double* const x = state.node(i);
+        const Vector e{x[0] - z.x, x[1] - z.y, wrap(x[2] - z.t)};
+        const Vector g = omega * e;
+        total += dot(g, e);
+        if (!system) continue;
+        add_block(system->diagonal(i), omega, {0.0, 0.0});
+        add_gradient(system->xi + 3 * i, -1.0, g, {0.0, 0.0});
+    }
+    return total;
+}
+
+}  // namespace vmslam::edges
