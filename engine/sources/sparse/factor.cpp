@@ -2,12 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <system_error>
-#ifndef __wasm__
-#include <thread>
-#endif
 
 #include "panel.hpp"
+#include "parallel.hpp"
 
 namespace vmslam::sparse {
 namespace {
@@ -15,27 +12,6 @@ namespace {
 /// Nodes of a wide panel that are factorised before the rest is updated at once; the update of the rest of a wider panel is
 /// large enough to copy its operands.
 constexpr Step inner = 16, outer = 64;
-
-/// The flops from which on a product is shared among threads, and how many node columns one takes at a time.
-constexpr double shared_flops = 1.0e7;
-constexpr Step shared_nodes = 32;
-
-/// work(0) to work(count - 1) at the same time; what gets no thread is done here.
-template <class Work>
-void in_parallel(int count, const Work& work) {
-#ifdef __wasm__
-    for (int k = 0; k < count; ++k) work(k);
-#else
-    std::vector<std::jthread> threads;
-    int started = 1;
-    try {
-        for (; started < count; ++started) threads.emplace_back(work, started);
-    } catch (const std::system_error&) {
-    }
-    work(0);
-    for (; started < count; ++started) work(started);
-#endif
-}
 
 /// A panel in work: its numbers, its front, and scratch for products for each of the threads that may work on it.
 template <class Block>
@@ -50,9 +26,7 @@ struct Panel {
     /// computed as on one thread.
     template <class Work>
     void share(Step nodes, Step rows, Step depth, const Work& work) const {
-        const double flops = 2.0 * static_cast<double>(rows) * static_cast<double>(Block::columns * nodes * depth);
-        const Step chunks = (nodes + shared_nodes - 1) / shared_nodes;
-        const int count = flops < shared_flops ? 1 : static_cast<int>(std::min<Step>(scratch.size(), chunks));
+        const int count = threads_for(scratch.size(), nodes, rows, depth, Block::columns * nodes);
         if (count == 1) {
             work(Step{0}, nodes, packed());
             return;

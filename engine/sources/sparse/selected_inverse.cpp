@@ -6,13 +6,14 @@
 #include <cstring>
 
 #include "panel.hpp"
+#include "parallel.hpp"
 #include "vmslam/sparse/factor.hpp"
 
 namespace vmslam::sparse {
 namespace {
 
 constexpr Step narrow = 4;  ///< nodes up to which one at a time is faster than a block
-constexpr Step wide = 16;   ///< nodes of a block
+constexpr Step wide = 32;   ///< nodes of a block, so that Z_RR is read seldom
 
 /// X L = B: the row solve of L' with its columns and coefficients in reverse order.
 void solve_from_right(double* x, Step h, Step count, const Real3::Pivot& p) {
@@ -61,9 +62,12 @@ void negative_product(Columns c, ConstColumns a, Right b, Step rows, Step column
 /// that a step is about hold anything: they are computed with their group of eight and written later.
 class FrontInverse {
    public:
-    explicit FrontInverse(Step tallest)
+    FrontInverse(Step tallest, int threads)
         : z_(tallest * tallest), y_(3 * wide * tallest), product_(3 * wide * tallest), turned_(3 * wide * tallest),
-          square_(3 * wide * 3 * wide), packed_(pack_rows * pack_depth) {}
+          square_(3 * wide * 3 * wide) {
+        const Step size = tallest * tallest > 2 * pack_rows * pack_depth ? pack_rows * pack_depth : 0;
+        for (int k = 0; k < threads; ++k) packed_.emplace_back(size);
+    }
 
     double* column(Step j) { return z_.data() + j * height_; }
 
@@ -105,7 +109,7 @@ class FrontInverse {
                 }
                 solve_from_right(y + top, h, rows, p);
                 negative_product({f + top, h}, {column(below) + top, h}, {y + below, 1, h}, rows, 3, end - below,
-                                 packed_.data());
+                                 packed_[0].data());
             }
             set_diagonal(f, p, at, below, end);
         }
@@ -147,26 +151,36 @@ class FrontInverse {
             solve_from_right(y + 3 * j * h + top, h, rows, Real3::Pivot::load(l + row(first + j), h));
         }
         double* const z = product_.data();
-        negative_product({z + top, h}, {column(end) + top, h}, {y + end, 1, h}, rows, k, deep, packed_.data());
+        // rows are shared among threads; every number is computed as on one thread
+        const int count = rows * k * deep * 2 < 8 * shared_flops ? 1 : static_cast<int>(packed_.size());
+        const Step part = (rows / count + pack_rows) / pack_rows * pack_rows;
+        in_parallel(count, [&](int t) {
+            const Step from = t * part, height = std::min(part, rows - from);
+            if (height > 0)
+                negative_product({z + top + from, h}, {column(end) + top + from, h}, {y + end, 1, h}, height, k, deep,
+                                 packed_[t].data());
+        });
         for (Step j = 0; j < k; ++j)
             std::memcpy(column(row(first) + j) + end, z + j * h + end, deep * sizeof(double));
-        for (Step i = end; i < h; ++i) {
-            double *const turned = turned_.data() + (i - end) * padded, *const mirrored = column(i) + row(first);
-            for (Step j = 0; j < k; ++j) {
-                turned[j] = y[j * h + i];
-                mirrored[j] = z[j * h + i];
-            }
-            std::memset(turned + k, 0, (padded - k) * sizeof(double));
-        }
+        for (Step i = end; i < h; ++i) std::memset(turned_.data() + (i - end) * padded + k, 0, (padded - k) * sizeof(double));
+        // by tiles, because the columns lie far apart
+        constexpr Step tile = 8;
+        for (Step j = 0; j < k; j += tile)
+            for (Step i = end; i < h; ++i)
+                for (Step c = j; c < std::min(j + tile, k); ++c) {
+                    turned_.data()[(i - end) * padded + c] = y[c * h + i];
+                    column(i)[row(first) + c] = z[c * h + i];
+                }
         double* const square = square_.data();
-        negative_product({square, padded}, {turned_.data(), padded}, {z + end, 1, h}, padded, k, deep, packed_.data());
+        negative_product({square, padded}, {turned_.data(), padded}, {z + end, 1, h}, padded, k, deep, packed_[0].data());
         for (Step j = 0; j < k; ++j)
             for (Step i = 0; i < k; ++i) column(row(first) + j)[row(first) + i] += square[j * padded + i];
     }
 
     const double* x_ = nullptr;
     Step height_ = 0, pad_ = 0;
-    Numbers z_, y_, product_, turned_, square_, packed_;
+    Numbers z_, y_, product_, turned_, square_;
+    std::vector<Numbers> packed_;
 };
 
 }  // namespace
@@ -175,7 +189,7 @@ SelectedInverse::SelectedInverse(const Factor<Real3>& factor)
     : symbolic_(factor.shared_symbolic()), panels_(symbolic_->panel_start.back()), diagonal_(9 * symbolic_->nodes()) {
     const Symbolic& t = *symbolic_;
     Numbers updates(t.stack_size);
-    FrontInverse inverse(t.tallest);
+    FrontInverse inverse(t.tallest, t.threads);
     for (Node s = t.supernodes() - 1; s >= 0; --s) {
         const Front front = t.front(s);
         const Step h = front.height, own = 3 * front.w, below = 3 * front.r;
