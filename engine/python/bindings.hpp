@@ -5,6 +5,7 @@
 namespace vmslam::python {
 
 void bind_edges(nanobind::module_& module);
+void bind_factors(nanobind::module_& module);
 void bind_sparse(nanobind::module_& module);
 
 }  // namespace vmslam::python

@@ -4,5 +4,6 @@
 NB_MODULE(_engine, module) {
     module.doc() = "The engine of virtual-motion-slam; see the Python modules that use it.";
     vmslam::python::bind_edges(module);
+    vmslam::python::bind_factors(module);
     vmslam::python::bind_sparse(module);
 }

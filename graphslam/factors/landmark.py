@@ -9,13 +9,13 @@ from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
 from ..checks import check_choice
+from ..engine import engine
 from ..errors import OptionError, quoted
 from ..models import SensorModel
 from ..precision import SMALLEST, check_size
 from ..se2 import Array, rotation, wrap
 from .arguments import PoseLike, check_sighted, frozen_at, in_world_frame, numbers, sensor_of
 from .base import POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys
-from .landmark_kernels import pair_cost, pair_sums, placed
 
 WEIGHTS = ("pairs", "tempered", "marginal")
 #: the number of rows of e; the residual; e alone
@@ -113,15 +113,14 @@ def _pairs(
         np.linalg.inv(covariance) * (scale * trust[a] * trust[b])[:, None, None]
     )
 
+    pairs = engine.LandmarkPairs(node, z, ahead, sensor.offset, not world, a, b, information)
+
     def error(*at: Coordinates) -> Array:
-        y, _, c, s = placed(np.array(at), node, z, sensor.offset, ahead, not world)
         # the norm of e is enough where no Jacobians are asked for
-        return np.append(np.zeros(3 * poses), pair_cost(a, b, y, c, s, information) ** 0.5)
+        return np.append(np.zeros(3 * poses), pairs.cost(np.array(at)) ** 0.5)
 
     def residual(*at: Coordinates) -> Linearized:
-        x = np.array(at)
-        y, lever, c, s = placed(x, node, z, sensor.offset, ahead, not world)
-        e, R = compressed(*pair_sums(a, b, node, x, y, lever, c, s, information, not world))
+        e, R = compressed(*pairs.sums(np.array(at)))
         return e, [R[:, k : k + 3] for k in range(0, 3 * poses, 3)]
 
     return 3 * poses + 1, residual, error
@@ -154,10 +153,11 @@ def _marginal(
     information *= trust[:, None, None]
     # W = L L', in the axes of the robot, or the world's
     L_transposed = np.swapaxes(np.linalg.cholesky(information), 1, 2)
-    ahead = np.zeros(K)
+    none = np.zeros(0, dtype=np.int64)
+    sightings = engine.LandmarkPairs(node, z, np.zeros(K), sensor.offset, not world, none, none, np.zeros((0, 3, 3)))
 
     def weighted(x: Array) -> tuple[Array, ...]:
-        y, lever, c, s = placed(x, node, z, sensor.offset, ahead, not world)
+        y, lever, c, s = sightings.placed(x)
         # from the world's axes to those of the robot
         axes = np.zeros((K, d, d))
         axes[:] = np.eye(d)

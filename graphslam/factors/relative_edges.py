@@ -1,18 +1,15 @@
 """Many relative poses and points in one factor: one callback for all of them."""
 
-# mypy: disable-error-code="no-untyped-def"
-
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from ..edges.robust import code_and_width, kernel_of
+from ..engine import engine
 from ..errors import OptionError
-from ..incremental.kernels import loss, weight
 from ..se2 import Array
 from .arguments import check_heading, in_world_frame, numbers, positive_definite
 from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys
@@ -80,8 +77,8 @@ class RelativeEdgesFactor(Factor):
         of_rows = {d: code_and_width(edge_kernel and edge_kernel.of_dimension(d)) for d in (2, 3)}
         code, widths = of_rows[3][0], np.array([of_rows[d][1] for d in rows.tolist()])
         robust = np.ones(len(i), dtype=bool) if robust is None else np.array(robust, dtype=bool)
-        starts = np.concatenate([[0], np.cumsum(rows)])
-        edges = (i, j, starts, z, root, frozen, world, np.where(robust, code, 0), widths)
+        codes = np.where(robust, code, 0)
+        edges = engine.WhitenedEdges(i, j, rows, z, root, frozen, codes, widths, poses, world)
 
         def stacked(nodes: tuple[Coordinates, ...]) -> Array:
             at = np.zeros((len(nodes), 3))
@@ -91,10 +88,10 @@ class RelativeEdgesFactor(Factor):
             return at
 
         def error(*nodes: Coordinates) -> Array:
-            return _residuals(stacked(nodes), *edges)
+            return edges.residuals(stacked(nodes))
 
         def residual(*nodes: Coordinates) -> Linearized:
-            e, jacobians = _linearized(stacked(nodes), poses, *edges)
+            e, jacobians = edges.linearized(stacked(nodes))
             return e, [jacobian[: 3 if k < poses else 2].T for k, jacobian in enumerate(jacobians)]
 
         options = {"points": points, "frame": frame, "at": frozen if world else None, "kernel": kernel}
@@ -102,79 +99,5 @@ class RelativeEdgesFactor(Factor):
         super().__init__(
             keys, [POSE] * poses + [POINT] * points, residual,
             arguments | {"edge_kernel": edge_kernel, "robust": robust},
-            covariance=np.eye(int(starts[-1])), in_own_axes=True, error=error,
+            covariance=np.eye(int(rows.sum())), in_own_axes=True, error=error,
         )  # fmt: skip
-
-
-@njit(inline="always", error_model="numpy")
-def _edge(k, x, i, j, z, frozen, world):
-    """e of edge k before whitening, the cosine and sine of its axes, and its derivative by the heading of the first end."""
-    a, b = x[i[k]], x[j[k]]
-    axes = frozen[k] if world else a[2]
-    c, s, ahead = np.cos(axes), np.sin(axes), a[2] - axes
-    dx, dy = b[0] - a[0], b[1] - a[1]
-    sx, sy = c * dx + s * dy, -s * dx + c * dy
-    mx, my = np.cos(ahead) * z[k, 0] - np.sin(ahead) * z[k, 1], np.sin(ahead) * z[k, 0] + np.cos(ahead) * z[k, 1]
-    turn = b[2] - a[2] - z[k, 2]
-    turn -= 2 * np.pi * np.floor((turn + np.pi) / (2 * np.pi))
-    # the world's axes stay, and the measurement turns; the robot's axes turn, and the measurement stays
-    ux, uy = (my, -mx) if world else (sy, -sx)
-    return (sx - mx, sy - my, turn), c, s, ux, uy
-
-
-@njit(cache=True, error_model="numpy")
-def _residuals(x, i, j, starts, z, root, frozen, world, codes, widths):
-    """Whitened residuals (rows,), those of an edge with a kernel scaled so that their squares sum to its loss."""
-    out = np.empty(starts[-1])
-    for k in range(len(i)):
-        e, _, _, _, _ = _edge(k, x, i, j, z, frozen, world)
-        start, rows = starts[k], starts[k + 1] - starts[k]
-        squares = 0.0
-        for r in range(rows):
-            value = 0.0
-            for v in range(r, rows):
-                value += root[k, r, v] * e[v]
-            out[start + r] = value
-            squares += value * value
-        if codes[k] and squares > 0:
-            out[start : start + rows] *= np.sqrt(loss(codes[k], widths[k], squares) / squares)
-    return out
-
-
-@njit(cache=True, error_model="numpy")
-def _linearized(x, poses, i, j, starts, z, root, frozen, world, codes, widths):
-    """Whitened residuals (rows,) and Jacobians (keys, 3, rows), each key's by its own axes; a kernel as a weight."""
-    out, jacobians = np.empty(starts[-1]), np.zeros((len(x), 3, starts[-1]))
-    by_first, by_second = np.zeros((3, 3)), np.zeros((3, 3))
-    by_first[2, 2], by_second[2, 2] = -1.0, 1.0
-    for k in range(len(i)):
-        e, c, s, ux, uy = _edge(k, x, i, j, z, frozen, world)
-        start, rows = starts[k], starts[k + 1] - starts[k]
-        # a pose moves in its own axes, a point in the world's
-        theta = x[i[k], 2]
-        ca, sa = np.cos(theta) * c + np.sin(theta) * s, np.sin(theta) * c - np.cos(theta) * s
-        by_first[0, 0], by_first[0, 1], by_first[0, 2] = -ca, sa, ux
-        by_first[1, 0], by_first[1, 1], by_first[1, 2] = -sa, -ca, uy
-        theta = x[j[k], 2] if j[k] < poses else 0.0
-        ca, sa = np.cos(theta) * c + np.sin(theta) * s, np.sin(theta) * c - np.cos(theta) * s
-        by_second[0, 0], by_second[0, 1] = ca, -sa
-        by_second[1, 0], by_second[1, 1] = sa, ca
-        squares = 0.0
-        for r in range(rows):
-            value = 0.0
-            for v in range(r, rows):
-                value += root[k, r, v] * e[v]
-            out[start + r] = value
-            squares += value * value
-        factor = np.sqrt(weight(codes[k], widths[k], squares)) if codes[k] else 1.0
-        for r in range(rows):
-            out[start + r] *= factor
-            for column in range(3):
-                first, second = 0.0, 0.0
-                for v in range(r, rows):
-                    first += root[k, r, v] * by_first[v, column]
-                    second += root[k, r, v] * by_second[v, column]
-                jacobians[i[k], column, start + r] += factor * first
-                if column < rows:
-                    jacobians[j[k], column, start + r] += factor * second
-    return out, jacobians

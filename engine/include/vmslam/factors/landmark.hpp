@@ -1,0 +1,43 @@
+// All pairs of sightings of one landmark in one factor of GTSAM: the sums that it needs at every evaluation.
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "vmslam/edges/arithmetic.hpp"
+
+namespace vmslam::factors {
+
+using edges::Place;
+
+/// Where the sightings z (l, phi[, psi]) of poses put their landmark, y = h^-1(x, z), its heading not wrapped; what turning
+/// the pose does to y; and the axes of the pairs whose first sighting it is, which stand at theta + ahead, or are the world's.
+struct PlacedSighting {
+    Place node;
+    edges::Vector y;
+    edges::Lever lever;
+    edges::Rotation axes;
+};
+
+/// Sightings, and the pairs (a, b) of them with the information of e = y_b - y_a in the axes of a.
+struct LandmarkPairs {
+    std::vector<Place> nodes;
+    std::vector<double> z, ahead;
+    int dimension;
+    double offset_x, offset_y;
+    bool turning;
+    std::vector<Place> a, b;
+    std::vector<edges::Symmetric> information;
+
+    std::vector<PlacedSighting> placed(std::span<const double> x) const;
+    /// The sum of e' Omega e.
+    double cost(std::span<const double> x) const;
+    /// A'A (3P, 3P) and A'b (3P) by perturbations of the P poses in their own axes, and b'b.
+    struct Sums {
+        std::vector<double> omega, slope;
+        double total = 0.0;
+    };
+    Sums sums(std::span<const double> x) const;
+};
+
+}  // namespace vmslam::factors
