@@ -6,13 +6,13 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-from numba import njit
 
 from ..checks import first
 from ..edges import ConstantEdges
+from ..engine import engine
 from ..errors import GraphError
 from ..graph import Graph
 from ..linear.cholesky import amd
@@ -29,7 +29,7 @@ from .certificate import (
     PROVEN,
     Certificate,
 )
-from .minorants import Curvature, Forces, Minorant, curvature, forces, minorant, strains
+from .minorants import Curvature, Minorant
 
 #: where J is at most `PROVEN`, and all residuals at most this part of what the edges measure, J counts as zero
 ZERO = 1e-6
@@ -195,7 +195,8 @@ class _Problem:
     indptr: np.ndarray
     indices: np.ndarray
     symbolic: HermitianSymbolic
-    forces: Forces
+    #: the edges at the state, in the engine: their ``cost`` (E,), whether all residuals are ``zero``, see `minorants`
+    forces: Any
     given: int
     #: (N,) a bound on the rounding errors of sums over the edges that meet at a node, in units of their terms
     summation: Array
@@ -239,9 +240,9 @@ class _Problem:
             order = amd(system.indptr, system.indices)
         free = np.ones(n, dtype=bool)
         free[fixed] = False
-        ends = _hold_roots(first, second, free)
+        ends = engine.hold_roots(first, second, free)
         symbolic = analyze_hermitian(system.indptr, system.indices, order)
-        force = Forces(*forces(nodes, *joined))
+        force = engine.Candidate(nodes, *joined)
         summation = ROUNDOFF * (128.0 + 4 * ends)
         return cls(nodes, joined, free, system.indptr, system.indices, symbolic, force, given, summation)
 
@@ -280,14 +281,11 @@ class _Problem:
 
     def curvature(self, share: float) -> Curvature:
         """The split of the information of all edges for one share."""
-        oriented, information = self.edges[5:]
-        return Curvature(*curvature(information, oriented, self.forces, share))
+        return Curvature(*self.forces.curvature(share))
 
     def minorant(self, curve: Curvature) -> Minorant:
         """The function below J for a split."""
-        first, second, _, end, _, oriented, _ = self.edges
-        pattern = self.free, self.indptr, self.indices
-        return Minorant(*minorant(self.state, first, second, end, oriented, *pattern, self.forces, curve))
+        return Minorant(*self.forces.minorant(self.free, self.indptr, self.indices, *curve))
 
     def bound(self, function: Minorant, shift: Array | float = 0.0) -> tuple[float, HermitianFactor]:
         """A lower bound on the cost of all states, -inf where S is not proven positive definite, and the factor of S.
@@ -299,11 +297,11 @@ class _Problem:
         # S is at least what is assembled minus ``assembled``, and L L^H is at most that minus ``assembled + margin``,
         # so that S is at least L L^H plus ``margin``.
         shifts = np.full(len(function.scale), shift)
-        assembled, margin = _margins(
+        assembled, margin = engine.margins(
             function.scale, shifts, self.summation, self.symbolic.rounding, self.symbolic.order
         )
         while True:
-            values = _changed(function.values, self.indptr, function.scale, shifts, assembled, margin)
+            values = engine.changed(function.values, self.indptr, function.scale, shifts, assembled, margin)
             factor = factorize(self.symbolic, values)
             if factor.negative is not None:
                 return -np.inf, factor
@@ -327,7 +325,6 @@ class _Problem:
         direction of S, in which every edge takes the split that is best there, and averages it with the ones before
         (Frank and Wolfe 1956, for the smallest eigenvalue).
         """
-        first, second, _, end, _, _, _ = self.edges
         choices = [self.curvature(share) for share in SHARES]
         best = -np.inf
         for k in range(ROUNDS):
@@ -336,10 +333,10 @@ class _Problem:
             if shift == 0.0 or factor is None:
                 break
             x = self.smallest(factor, function)
-            stretched, turned = strains(self.state, first, second, end, self.forces.reached, x)
+            stretched, turned = self.forces.strains(x)
             part = 2 / (k + 3)
             gains = [np.where(c.beta < 0, -np.inf, c.beta * stretched + c.A * turned) for c in choices]
-            chosen = np.argmax(gains, axis=0), np.arange(len(first))
+            chosen = np.argmax(gains, axis=0), np.arange(len(curve.beta))
             beta, A, error, slack = (np.array(rows)[chosen] for rows in zip(*choices))
             beta, A = (1 - part) * curve.beta + part * beta, (1 - part) * curve.A + part * A
             out = (curve.beta < 0) | (beta < 0)
@@ -385,21 +382,6 @@ def _semidefinite(W: Array) -> bool:
     return min(a, c, f, two, a * (c * f - e * e) - b * (b * f - d * e) + d * (b * e - c * d)) >= 0
 
 
-@njit(cache=True)
-def _take_upper(matrices, rows, tolerance):  # type: ignore[no-untyped-def]
-    """Write the upper triangles of matrices (E, d, d) into ``rows`` (E, 6); whether all are symmetric, but for rounding."""
-    d = matrices.shape[1]
-    for e in range(len(matrices)):
-        W, k = matrices[e], 0
-        for j in range(d):
-            for i in range(j + 1):
-                if abs(W[i, j] - W[j, i]) > tolerance * (abs(W[i, i]) + abs(W[j, j])):
-                    return False
-                rows[e, k] = W[i, j]
-                k += 1
-    return True
-
-
 def _joined(parts: Sequence[ConstantEdges]) -> tuple[Array, ...]:
     first = np.concatenate([np.zeros(0, np.int64), *(edges.first for edges in parts)])
     second = np.concatenate([np.zeros(0, np.int64), *(edges.second for edges in parts)])
@@ -409,77 +391,9 @@ def _joined(parts: Sequence[ConstantEdges]) -> tuple[Array, ...]:
     at = 0
     for edges in parts:
         to = at + len(edges.first)
-        if not _take_upper(edges.information, information[at:to], ROUNDED[0]):
+        if not engine.take_upper(edges.information, information[at:to], ROUNDED[0]):
             raise GraphError("the information of an edge is not symmetric")
         if edges.turn is not None:
             turn[at:to], oriented[at:to] = edges.turn, True
         at = to
     return first, second, start, end, turn, oriented, information
-
-
-@njit(cache=True)
-def _hold_roots(first, second, free):  # type: ignore[no-untyped-def]
-    """Hold one node of every piece that nothing ties to the world: the cost does not change when such a piece moves.
-
-    Returns the number (n,) of edges at each node.
-    """
-    n = len(free)
-    ends = np.zeros(n, np.int64)
-    for e in range(len(first)):
-        if first[e] >= 0:
-            ends[first[e]] += 1
-        ends[second[e]] += 1
-    # node n is the world, which is also every node that is held
-    parent = np.arange(n + 1)
-    for e in range(len(first) + n):
-        if e < len(first):
-            a, b = first[e], second[e]
-        else:
-            a, b = -1, e - len(first)
-            if free[b]:
-                continue
-        if a < 0:
-            a = n
-        while parent[a] != a:
-            parent[a] = parent[parent[a]]
-            a = parent[a]
-        while parent[b] != b:
-            parent[b] = parent[parent[b]]
-            b = parent[b]
-        # the lower number becomes the root, so that the first pose of a piece is held
-        if a != b:
-            parent[max(a, b)] = min(a, b)
-    world = n
-    while parent[world] != world:
-        world = parent[world]
-    for k in range(n):
-        if parent[k] == k and k != world:
-            free[k] = False
-    return ends
-
-
-@njit(cache=True)
-def _margins(scale, shifts, summation, rounding, order):  # type: ignore[no-untyped-def]
-    """What S may be less than assembled, and its least margin above L L^H, (N, 2) each; a node that is not free has 1."""
-    assembled, margin = np.empty(scale.shape), np.ones(scale.shape)
-    largest = rounding.max() if len(rounding) else 0.0
-    for k in range(len(order)):
-        i = order[k]
-        for c in range(2):
-            size = scale[i, c] + (shifts[i] if c == 0 else 0.0)
-            assembled[i, c] = summation[i] * size
-            if scale[i, c] > 0:
-                margin[i, c] = assembled[i, c] + 2 * np.sqrt(rounding[k] * largest) * size
-    return assembled, margin
-
-
-@njit(cache=True)
-def _changed(values, indptr, scale, shifts, assembled, margin):  # type: ignore[no-untyped-def]
-    """S with its diagonal shifted, and lowered by what `_Problem.bound` says; 1 where a node is not free."""
-    out = values.copy()
-    for j in range(len(indptr) - 1):
-        block = out[indptr[j + 1] - 1]
-        for c in range(2):
-            change = (shifts[j] if c == 0 else 0.0) - assembled[j, c] - 2 * margin[j, c]
-            block[c, c] += change if scale[j, c] > 0 else 1.0
-    return out

@@ -16,8 +16,8 @@ from graphslam import (
     certify,
     solve,
 )
-from graphslam.certificate.minorants import _split
 from graphslam.edges import AnchorEdges, RelativePoseEdges
+from graphslam.engine import engine
 from graphslam.linear.hermitian import analyze_hermitian, factorize
 from graphslam.linear.information import BlockSystem
 
@@ -193,7 +193,8 @@ def test_the_split_leaves_a_positive_semidefinite_rest(benchmark):
         if rng.random() < 0.3:
             omega[:2, :2] = np.eye(2) * np.trace(omega[:2, :2])
         share = float(rng.choice([0.02, 0.3, 0.95]))
-        beta, kappa = _split(*omega[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]].tolist(), share)
+        upper = omega[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+        beta, kappa = engine.split_information(upper, share)
         if beta <= 0 or kappa <= 0:
             continue
         rest = [[Fraction(value) for value in row] for row in omega.tolist()]

@@ -1,0 +1,91 @@
+// The convex quadratic function below J that touches it at a candidate: its matrix S, its gradient, rounding errors.
+//
+// Pose i is a unit complex number z_i = exp(i theta_i) and a complex position t_i. With w = t_b + z_b d_b - t_a - z_a d_a an
+// edge with constant information has e_xy = conj(z_a) w and e_theta = theta_b - theta_a - turn. Its cost e' Omega e is at
+// least
+//
+//     J_e(v) + 2 Re(conj(p) (e_xy - v_xy)) + beta |e_xy - v_xy|² + 2 A (1 - cos f) + 2 g sin f,   f = e_theta - v_theta,
+//
+// for all e, with equality at the residual v of the candidate, where p = (Omega v)_xy, g = (Omega v)_theta,
+// Omega - diag(beta, beta, kappa) is positive semidefinite, A = kappa u / tan u and u = g / kappa, if abs(u) < pi. For
+// abs(z_i) = 1 this is a Hermitian form of (z, t). See docs/certificate.md for the derivation.
+#pragma once
+
+#include <array>
+#include <span>
+#include <vector>
+
+#include "vmslam/certificate/exact.hpp"
+#include "vmslam/sparse/graph.hpp"
+
+namespace vmslam::certificate {
+
+using sparse::Place;
+
+/// Edges whose information W = (w00, w01, w11, w02, w12, w22) is constant in the axes of their first node, which is -1 for
+/// the origin of the world. `oriented` edges measure the heading.
+struct Edges {
+    std::span<const Place> first, second;
+    std::span<const double> start, end, turn;
+    std::span<const bool> oriented;
+    std::span<const double> information;
+
+    Place size() const { return static_cast<Place>(first.size()); }
+    Complex d_a(Place e) const { return {start[2 * e], start[2 * e + 1]}; }
+    Complex d_b(Place e) const { return {end[2 * e], end[2 * e + 1]}; }
+};
+
+/// An edge at a candidate state.
+struct Force {
+    Complex p;             ///< (Omega v)_xy of the computed residual v
+    double p_error, g;     ///< a bound on the rounding error of p; (Omega v)_theta
+    Complex reached;       ///< where the end lies in the axes of the first node
+    double place_error, heading_error;  ///< how far v may be from the residual of the state
+    double cost;
+    double slack;  ///< a bound on the rounding errors of the function that touches J, whatever its split
+    bool zero;     ///< whether the residual of the state may be zero, so far as its rounding tells
+};
+
+/// The split of the information of an edge.
+struct Curvature {
+    double beta, A;  ///< beta = -1 leaves the edge out
+    double error;    ///< a bound on the rounding error of A, in units
+    double slack;    ///< what the parts of beta and kappa leave of the rounding errors that they absorb
+};
+
+/// The function below J at a candidate state of N nodes, in the variables (z, t) of the nodes that are free.
+struct Minorant {
+    std::vector<std::complex<double>> values;    ///< the 2 x 2 blocks of S on the pattern of the graph
+    std::vector<std::complex<double>> gradient;  ///< (N, 2) half the gradient at the candidate
+    std::vector<double> scale;                   ///< (N, 2) the sums of what was added to each diagonal entry of S, or more
+    std::vector<double> error;                   ///< (N, 2) a bound on the rounding error of the gradient, in units
+    double touched = 0.0, slack = 0.0;           ///< the cost at the candidate, and a bound on its rounding errors
+};
+
+/// beta and kappa with Omega - diag(beta, beta, kappa) positive semidefinite, also after rounding; beta = -1 for none.
+struct Split {
+    double beta, kappa;
+};
+Split split(const double* information, double share);
+
+/// The edges at a state (N, 3).
+std::vector<Force> forces(std::span<const double> state, const Edges& edges);
+
+/// The split of each edge. `share` chooses it: beta = (1 - share) times the smallest eigenvalue of the position block of
+/// Omega, and kappa the largest number that this beta allows. Where Omega does not correlate position and heading, share
+/// counts as 0.
+std::vector<Curvature> curvatures(const Edges& edges, std::span<const Force> forces, double share);
+
+/// The function below J. The cost is constant in nodes that are not `free`.
+Minorant minorant(std::span<const double> state, const Edges& edges, std::span<const bool> free,
+                  std::span<const Place> column_start, std::span<const Place> rows, std::span<const Force> forces,
+                  std::span<const Curvature> curvatures);
+
+/// By how much a change x (N, 2) of (z, t) stretches and turns each edge: what multiplies beta and A in x^H S x.
+struct Strains {
+    std::vector<double> stretched, turned;
+};
+Strains strains(std::span<const double> state, const Edges& edges, std::span<const Complex> reached,
+                std::span<const std::complex<double>> x);
+
+}  // namespace vmslam::certificate

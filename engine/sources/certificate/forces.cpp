@@ -1,0 +1,129 @@
+#include <algorithm>
+#include <numbers>
+
+#include "vmslam/certificate/minorant.hpp"
+
+namespace vmslam::certificate {
+namespace {
+
+constexpr double pi = std::numbers::pi;
+/// The part of beta and of kappa that absorbs rounding errors.
+constexpr double absorbed = 1e-9;
+/// How far abs(u) must stay below pi.
+constexpr double half_turn = pi - 1e-6;
+/// Shares to try for one edge, where its own split leaves no curvature in the heading.
+constexpr double more_shares[] = {0.5, 0.8, 0.95, 0.99};
+
+double wrap(double angle) { return angle - 2 * pi * std::floor((angle + pi) / (2 * pi)); }
+
+Force force(std::span<const double> state, const Edges& edges, Place e) {
+    const Place a = edges.first[e], b = edges.second[e];
+    const double* const w = edges.information.data() + 6 * e;
+    const auto axes = [&](Place i) { return Complex{std::cos(state[3 * i + 2]), std::sin(state[3 * i + 2])}; };
+    const auto place = [&](Place i) { return Complex{state[3 * i], state[3 * i + 1]}; };
+    const Complex za = a >= 0 ? axes(a) : Complex{1.0, 0.0}, ta = a >= 0 ? place(a) : Complex{};
+    const double heading = a >= 0 ? state[3 * a + 2] : 0.0, ahead = state[3 * b + 2];
+    const Complex tb = place(b), d_a = edges.d_a(e), d_b = edges.d_b(e);
+    Force f;
+    f.reached = conj(za) * (tb + axes(b) * d_b - ta);
+    const Complex v = f.reached - d_a;
+    const double size = length(ta) + length(tb) + length(d_a) + 2 * length(d_b) + length(f.reached) + length(v);
+    f.place_error = 16 * roundoff * size;
+    f.heading_error = 0.0;
+    double h = 0.0;
+    if (edges.oriented[e]) {
+        h = wrap(ahead - heading - edges.turn[e]);
+        f.heading_error = 16 * roundoff * (std::abs(heading) + std::abs(ahead) + std::abs(edges.turn[e]) + pi);
+    }
+    f.p = {dot(w[0], w[1], w[3], v.re, v.im, h), dot(w[1], w[2], w[4], v.re, v.im, h)};
+    f.g = dot(w[3], w[4], w[5], v.re, v.im, h);
+    f.cost = f.p.re * v.re + f.p.im * v.im + f.g * h;
+    f.zero = (f.p == Complex{} || length(v) <= f.place_error) && (f.g == 0 || std::abs(h) <= f.heading_error);
+    // The function touches J_e at the computed residual. Its value at the state differs by the errors of v times p and g.
+    // An error of g counts by the range of e_theta; those of p are absorbed by beta.
+    const double rows = std::abs(w[0]) + 2 * std::abs(w[1]) + std::abs(w[2]) + std::abs(w[3]) + std::abs(w[4]);
+    const double p_size = length(f.p), v_size = length(v), unit = 4 * roundoff * (4 * roundoff);
+    f.p_error = 2 * roundoff * p_size + unit * rows * (v_size + std::abs(h));
+    const double g_error =
+        2 * roundoff * std::abs(f.g) + unit * ((std::abs(w[3]) + std::abs(w[4])) * v_size + std::abs(w[5] * h));
+    f.slack = 3 * p_size * f.place_error + 3 * std::abs(f.g) * f.heading_error + f.p_error * v_size + 16 * g_error;
+    return f;
+}
+
+Curvature curvature(const double* w, bool oriented, const Force& force, double share) {
+    const bool coupled = w[3] != 0 || w[4] != 0;
+    const double g = std::abs(force.g);
+    auto [beta, kappa] = split(w, share);
+    for (const double other : more_shares) {
+        if (!oriented || !coupled || !(beta > 0) || g < half_turn * kappa) break;
+        if (other > share) {
+            const Split again = split(w, other);
+            beta = again.beta, kappa = again.kappa;
+        }
+    }
+    Curvature out{beta, 0.0, 0.0, 0.0};
+    // an edge may measure the heading alone, or nothing about it
+    if (w[0] == 0 && w[1] == 0 && w[2] == 0 && !coupled) {
+        out.beta = 0.0;
+    } else if (beta > 0) {
+        // with w0 the rounding error of w, beta |w|² - 2 p_error |w| is at least (1 - absorbed) beta |w - w0|² - slack
+        const double lost = force.p_error + beta * force.place_error;
+        out.slack = lost * lost / (absorbed * beta) + beta * (force.place_error * force.place_error);
+        out.beta *= 1 - absorbed;
+    }
+    if (!oriented || (force.g == 0 && kappa == 0)) return out;
+    const double absorbing = absorbed * kappa;
+    kappa -= absorbing;
+    if (!(g < half_turn * kappa)) {
+        out.beta = -1.0;
+        return out;
+    }
+    const double u = force.g / kappa;
+    if (std::abs(u) < 1e-4) {
+        // u / tan u >= 1 - u² for these u
+        out.A = kappa * (1 - u * u);
+        out.error = kappa;
+    } else {
+        const double ratio = u / std::sin(u);
+        out.A = kappa * u / std::tan(u);
+        out.error = kappa + std::abs(out.A) + kappa * (ratio * ratio);
+    }
+    // cos f changes with the rounding of f by less than a part of f²
+    const double lost = std::abs(out.A) * force.heading_error;
+    out.slack += lost * lost / absorbing + 2 * lost * force.heading_error;
+    return out;
+}
+
+}  // namespace
+
+Split split(const double* w, double share) {
+    const double o00 = w[0], o01 = w[1], o11 = w[2], o02 = w[3], o12 = w[4], o22 = w[5];
+    const double mean = (o00 + o11) / 2, half = (o00 - o11) / 2, largest = mean + std::sqrt(half * half + o01 * o01);
+    // the determinant has an error of 3 units in o00 o11, and largest, of 4 units, is at least as large as both
+    const double smallest =
+        largest > 0 ? (o00 * o11 - o01 * o01) / largest - 16 * roundoff * std::min(o00, o11) : 0.0;
+    if (o02 == 0 && o12 == 0) return {smallest > 0 ? smallest : -1.0, o22};
+    if (!(smallest > 0)) return {-1.0, 0.0};
+    const double beta = (1 - share) * smallest;
+    const double determinant = (smallest - beta) * (largest * (1 - 8 * roundoff) - beta);
+    if (!(determinant > 0)) return {-1.0, 0.0};
+    const double m00 = o00 - beta, m11 = o11 - beta;
+    const double first = o02 * o02 * m11, second = 2 * o02 * o12 * o01, third = o12 * o12 * m00;
+    const double size = (first + std::abs(second) + third) / determinant;
+    return {beta, o22 - (first - second + third) / determinant - 16 * roundoff * (o22 + size)};
+}
+
+std::vector<Force> forces(std::span<const double> state, const Edges& edges) {
+    std::vector<Force> out(edges.size());
+    for (Place e = 0; e < edges.size(); ++e) out[e] = force(state, edges, e);
+    return out;
+}
+
+std::vector<Curvature> curvatures(const Edges& edges, std::span<const Force> forces, double share) {
+    std::vector<Curvature> out(edges.size());
+    for (Place e = 0; e < edges.size(); ++e)
+        out[e] = curvature(edges.information.data() + 6 * e, edges.oriented[e], forces[e], share);
+    return out;
+}
+
+}  // namespace vmslam::certificate

@@ -1,0 +1,122 @@
+#include "vmslam/certificate/minorant.hpp"
+
+#include <algorithm>
+
+namespace vmslam::certificate {
+namespace {
+
+void add(std::complex<double>& to, Complex a) { to = {to.real() + a.re, to.imag() + a.im}; }
+
+/// The function in work, and the directions of all nodes.
+struct Sum {
+    std::span<const Place> column_start, rows;
+    std::vector<Complex> axes;
+    Minorant out;
+
+    std::complex<double>* block(Place k) { return out.values.data() + 4 * k; }
+    std::complex<double>* diagonal(Place node) { return block(column_start[node + 1] - 1); }
+
+    /// Add [position, corner; conj(corner), beta] to a diagonal block.
+    void add_diagonal(Place node, double position, Complex corner, double beta) {
+        std::complex<double>* const d = diagonal(node);
+        add(d[0], position);
+        add(d[1], corner);
+        add(d[2], conj(corner));
+        add(d[3], beta);
+    }
+
+    /// Half the gradient at a node.
+    void pull(Place node, Complex by_heading, Complex by_position) {
+        add(out.gradient[2 * node], by_heading);
+        add(out.gradient[2 * node + 1], by_position);
+    }
+
+    /// Add the block [q00, q01; q10, -beta] of the nodes a and b, which is stored above the diagonal.
+    void add_between(Place a, Place b, Complex q00, Complex q01, Complex q10, double beta) {
+        const auto [low, high] = std::minmax(a, b);
+        const auto begin = rows.begin() + column_start[high], end = rows.begin() + column_start[high + 1];
+        std::complex<double>* const V = block(std::lower_bound(begin, end, low) - rows.begin());
+        add(V[0], a < b ? q00 : conj(q00));
+        add(V[1], a < b ? q01 : conj(q10));
+        add(V[2], a < b ? q10 : conj(q01));
+        add(V[3], -beta);
+    }
+};
+
+}  // namespace
+
+Minorant minorant(std::span<const double> state, const Edges& edges, std::span<const bool> free,
+                  std::span<const Place> column_start, std::span<const Place> rows, std::span<const Force> forces,
+                  std::span<const Curvature> curvatures) {
+    const std::size_t n = state.size() / 3;
+    Sum sum{column_start, rows, std::vector<Complex>(n), {}};
+    for (std::size_t i = 0; i < n; ++i) sum.axes[i] = {std::cos(state[3 * i + 2]), std::sin(state[3 * i + 2])};
+    Minorant& out = sum.out;
+    out.values.resize(4 * rows.size());
+    out.gradient.resize(2 * n);
+    out.scale.resize(2 * n);
+    out.error.resize(2 * n);
+    double rest = 0.0;
+    for (Place e = 0; e < edges.size(); ++e) {
+        const Place a = edges.first[e], b = edges.second[e];
+        const Force& force = forces[e];
+        const auto [beta, A, A_error, split_slack] = curvatures[e];
+        const Complex p = force.p, reached = force.reached, d_b = edges.d_b(e);
+        const double g = force.g;
+        // J_e >= 0 is the bound that remains
+        if (beta < 0) continue;
+        const Exact touched = two_sum(out.touched, force.cost);
+        out.touched = touched.value;
+        rest += touched.error;
+        out.slack += force.slack + split_slack + 8 * roundoff * std::abs(force.cost);
+        // a constant
+        if (a == b) continue;
+        const Complex za = a >= 0 ? sum.axes[a] : Complex{1.0, 0.0}, zb = sum.axes[b];
+        const double strength = length(p), reach = length(reached), pulled = strength * (reach + length(d_b));
+        // of p times the rounding error of the place, in units of 64
+        const double far = strength * force.place_error / (64 * roundoff);
+        const double curved = 4 * A_error + 4 * std::abs(g) + (beta > 0 ? strength * strength / beta : 0.0);
+        if (a >= 0 && free[a]) {
+            sum.add_diagonal(a, beta * (reach * reach) + A - (conj(p) * reached).re, beta * conj(reached) - conj(p), beta);
+            sum.pull(a, za * Complex{0.0, -(p * conj(reached)).im - g}, -(p * za));
+            out.scale[2 * a] += 4 * beta * (reach * reach) + curved + 2 * pulled;
+            out.scale[2 * a + 1] += 8 * beta;
+            out.error[2 * a] += 2 * pulled + std::abs(g) + far;
+            out.error[2 * a + 1] += 2 * strength;
+        }
+        if (free[b]) {
+            const Complex force_b = conj(zb) * za * p * conj(d_b);
+            sum.add_diagonal(b, beta * square(d_b) + A - force_b.re, beta * conj(d_b), beta);
+            sum.pull(b, zb * Complex{0.0, force_b.im + g}, p * za);
+            // without a heading row and a lever, the node has no heading
+            if (edges.oriented[e] || !(d_b == Complex{})) out.scale[2 * b] += 4 * beta * square(d_b) + curved + 2 * pulled;
+            out.scale[2 * b + 1] += 8 * beta;
+            out.error[2 * b] += 2 * pulled + std::abs(g);
+            out.error[2 * b + 1] += 2 * strength;
+        }
+        if (a >= 0 && free[a] && free[b]) {
+            const Complex to = conj(p) - beta * conj(reached);
+            sum.add_between(a, b, to * d_b + Complex{-A, -g} * za * conj(zb), to, -(beta * d_b), beta);
+        }
+    }
+    out.touched += rest;
+    out.slack *= 1 + 4 * static_cast<double>(edges.size()) * roundoff;
+    return std::move(out);
+}
+
+Strains strains(std::span<const double> state, const Edges& edges, std::span<const Complex> reached,
+                std::span<const std::complex<double>> x) {
+    Strains out{std::vector<double>(edges.size()), std::vector<double>(edges.size())};
+    const auto axes = [&](Place i) { return Complex{std::cos(state[3 * i + 2]), std::sin(state[3 * i + 2])}; };
+    for (Place e = 0; e < edges.size(); ++e) {
+        const Place a = edges.first[e], b = edges.second[e];
+        const Complex za = a >= 0 ? axes(a) : Complex{1.0, 0.0}, zb = axes(b);
+        const Complex xa = a >= 0 ? Complex(x[2 * a]) : Complex{}, ta = a >= 0 ? Complex(x[2 * a + 1]) : Complex{};
+        const Complex xb = x[2 * b], tb = x[2 * b + 1];
+        out.stretched[e] = square(tb - ta + xb * edges.d_b(e) - xa * reached[e]);
+        out.turned[e] = square(xb * za * conj(zb) - xa);
+    }
+    return out;
+}
+
+}  // namespace vmslam::certificate
