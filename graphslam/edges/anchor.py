@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -47,6 +46,5 @@ class AnchorEdges(EngineEdges):
         ends = np.full(self.count, -1), self.nodes
         return ConstantEdges(*ends, self.values[:, :2], np.zeros((self.count, 2)), self.values[:, 2], self.information)
 
-    @cached_property
-    def in_engine(self) -> Any:
+    def _to_engine(self) -> Any:
         return engine.AnchorEdges(self.nodes, self.values, self.information)

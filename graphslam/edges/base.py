@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import first
+from ..checks import first, make_read_only
 from ..errors import GraphError
 from ..linear.information import BlockSystem
 from ..se2 import Array, turn_matrix
@@ -181,9 +181,13 @@ class EngineEdges(EdgeFamily):
     """A family whose sums the engine computes (``engine/include/vmslam/edges``)."""
 
     @cached_property
-    @abstractmethod
     def in_engine(self) -> Any:
-        """The same edges in the engine."""
+        """The same edges in the engine, made at the first use. From then on the arrays of the family cannot be written to."""
+        make_read_only(self, *(name for name in vars(self) if isinstance(vars(self)[name], np.ndarray)))
+        return self._to_engine()
+
+    @abstractmethod
+    def _to_engine(self) -> Any: ...
 
     def blocks(self, system: BlockSystem) -> np.ndarray:
         """The block between the ends of each edge, (E,), for families that list their edges."""

@@ -57,6 +57,5 @@ class CartesianObservationEdges(ObservationEdges, EngineEdges):
         weights = self.kernel_weights(state)[:, None, None]
         return edges if self.kernel is None else replace(edges, information=edges.information * weights)
 
-    @property
-    def in_engine(self) -> Any:  # type: ignore[override]
+    def _to_engine(self) -> Any:
         return self.relative.in_engine

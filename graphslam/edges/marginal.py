@@ -25,7 +25,6 @@ and the kernel on each of its edges.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -100,8 +99,7 @@ class MarginalEdges(LandmarkSightings):
         remedy = "the sightings of this landmark do not determine it; change the noise of the sensor"
         return means[:, :d], inverses(self.information_per_weight * information, "landmark", remedy)
 
-    @cached_property
-    def in_engine(self) -> Any:
+    def _to_engine(self) -> Any:
         return engine.MarginalEdges(self.starts, self.nodes, *self._for_engine, self.frame == "body")
 
     def _around_means(self, state: Array, reference: Array) -> tuple[Array, Array, Array, Array, Array, float]:

@@ -7,7 +7,6 @@ the bearing is undefined. `edges.cartesian` has none of them; start from its opt
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -44,6 +43,5 @@ class PolarObservationEdges(ObservationEdges, EngineEdges):
     def constant(self, state: Array) -> ConstantEdges:
         raise GraphError("the residual h(x, m) - z of landmark nodes has no such form; use residual='cartesian'")
 
-    @cached_property
-    def in_engine(self) -> Any:
+    def _to_engine(self) -> Any:
         return engine.PolarEdges(self.first, self.second, *self._for_engine)

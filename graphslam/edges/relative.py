@@ -15,7 +15,6 @@ reference state: the lectures' motion edge e = x_j - f(x_i, u), whose Omega is r
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -74,8 +73,7 @@ class _RelativeEdges(PairEdges, EngineEdges):
         """The code and width of a robust kernel on every edge."""
         return code_and_width(None)
 
-    @cached_property
-    def in_engine(self) -> Any:
+    def _to_engine(self) -> Any:
         edges = self.first, self.second, self.measured, self.information
         return engine.RelativeEdges(*edges, self.frame == "world", *self._robust)
 

@@ -129,8 +129,7 @@ class VirtualMotionEdges(LandmarkSightings):
             self.nodes[a], self.nodes[b], place[a, :2], place[b, :2], facing[a] - facing[b], information
         )
 
-    @cached_property
-    def in_engine(self) -> Any:
+    def _to_engine(self) -> Any:
         sightings = self.starts, self.nodes, *self._for_engine
         return engine.VirtualMotionEdges(*sightings, self.group_weights, self.frame == "body")
 

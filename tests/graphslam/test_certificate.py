@@ -194,8 +194,8 @@ def test_residuals_of_half_a_turn_are_not_proven():
         state[1, 2] = heading
         proof = certify(graph, state)
         assert proof.lower_bound <= graph.cost(state) * (1 + 1e-12)
-    edges.measured[:, 2] = np.pi
-    state = poses.copy()
+    half = replace(edges, measured=np.column_stack([edges.measured[:, :2], np.full(2, np.pi)]))
+    graph, state = replace(graph, families=(half,)), poses.copy()
     proof = certify(graph, state)
     assert proof.status == "not proven"
     assert "half a turn" in proof.reason
