@@ -1,4 +1,4 @@
-"""Compile the numba kernels ahead of their first use: ``python -m comparisons.kernels [--all]``, two processes side by side.
+"""Compile the numba kernels ahead of their first use: ``python -m comparisons.kernels [--all]``.
 
 numba compiles a function when it is first called and keeps the result beside the source. Without ``--all`` only those
 that a comparison on a small log needs are compiled, because the others take longer. This is optional.
@@ -22,23 +22,6 @@ from graphslam import MotionModel, OnlineSolver, SensorModel, simulate
 
 from .estimators import ESTIMATORS
 from .options import RunOptions
-
-
-def edges() -> None:
-    """What a graph does before Omega is factorised, and GTSAM's factor of a landmark."""
-    from graphslam import Graph, load, sample_log_path
-    from graphslam.factors import LandmarkFactor
-    from graphslam.solvers.gtsam_solver import to_values
-
-    log = load(sample_log_path())
-    graph = Graph.from_log(log)
-    graph.linearize(graph.initial)
-    graph.cost(graph.initial)
-    of_first = log.landmarks == log.landmarks[0]
-    factor = LandmarkFactor(log.steps[of_first].tolist(), log.sightings[of_first])
-    at = to_values(graph, log.initial_poses)
-    factor.error(at)
-    factor.linearize(at)
 
 
 def filters() -> None:
@@ -89,13 +72,11 @@ def warm_up(estimator: str) -> None:
 
 
 def main() -> None:
-    """Compile both halves, and with ``--all`` then the two others, which use the first."""
-    halves = [(edges, filters)]
+    """Compile what a comparison needs, and with ``--all`` then the rest, side by side."""
+    filters()
     if "--all" in sys.argv[1:]:
-        halves.append((sampled_association, online))
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        for half in halves:
-            for done in [pool.submit(function) for function in half]:
+        with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+            for done in [pool.submit(function) for function in (sampled_association, online)]:
                 done.result()
 
 
