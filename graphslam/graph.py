@@ -348,10 +348,16 @@ class Graph:
 
     def _hold(self) -> None:
         """Take out of the system what does not move: fixed nodes, and the third coordinate of landmarks without one."""
-        if len(self.landmark_ids) and self.landmark_dimension == 2:
-            self.system.rest(np.arange(len(self.steps), self.num_nodes), 2)
+        if len(self.without_heading):
+            self.system.rest(self.without_heading, 2)
         if len(self.fixed):
             self.system.hold(self.fixed)
+
+    @property
+    def without_heading(self) -> np.ndarray:
+        """The landmarks whose third coordinate is not used."""
+        flat = len(self.landmark_ids) and self.landmark_dimension == 2
+        return np.arange(len(self.steps), self.num_nodes) if flat else _none()
 
     def names(self, nodes: np.ndarray) -> str:
         """The names of nodes in a sentence: 'poses 3 and 4', 'landmark 7', 'pose 2 and landmark 5'."""

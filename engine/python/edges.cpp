@@ -12,6 +12,7 @@
 #include "vmslam/edges/polar.hpp"
 #include "vmslam/edges/relative.hpp"
 #include "vmslam/edges/virtual_motion.hpp"
+#include "vmslam/solve/objective.hpp"
 #include "vmslam/solve/start.hpp"
 
 namespace vmslam::python {
@@ -158,18 +159,22 @@ void bind_starts(nb::module_& m) {
         solve::add_positions({span(first), span(second), span(pairs), span(offset), span(information)}, span(position),
                              system);
     });
+    // the rows and columns of nodes become those of the identity
+    m.def("hold", [](In<Place> start, In<Place> rows, InOut<double> values, InOut<double> xi, InOut<Place> workspace,
+                     In<Place> blocks, In<Place> nodes) {
+        solve::hold(system_of(start, rows, values, xi, workspace), span(blocks), span(nodes));
+    });
+    // those of nodes from a coordinate on
+    m.def("rest", [](In<Place> start, In<Place> rows, InOut<double> values, InOut<double> xi, InOut<Place> workspace,
+                     In<Place> nodes, int coordinate) {
+        solve::rest(system_of(start, rows, values, xi, workspace), span(nodes), coordinate);
+    });
     m.def("turned_to_world", [](In<double> state, In<Place> first, In<double> measured, In<double> information) {
         const std::size_t count = first.size();
         std::vector<double> offset(2 * count), omega(4 * count);
         solve::turn_to_world(span(state), span(first), span(measured), span(information),
                              static_cast<int>(measured.shape(1)), offset, omega);
         return std::pair(array(std::move(offset), {count, 2}), array(std::move(omega), {count, 2, 2}));
-    });
-    // the inner product of two arrays; NumPy would start threads for large ones
-    m.def("inner", [](In<double> a, In<double> b) {
-        double total = 0.0;
-        for (std::size_t k = 0; k < a.size(); ++k) total += a.data()[k] * b.data()[k];
-        return total;
     });
 }
 

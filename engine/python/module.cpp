@@ -7,4 +7,5 @@ NB_MODULE(_engine, module) {
     vmslam::python::bind_edges(module);
     vmslam::python::bind_factors(module);
     vmslam::python::bind_sparse(module);
+    vmslam::python::bind_solve(module);
 }

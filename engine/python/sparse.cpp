@@ -40,18 +40,6 @@ void bind_patterns(nb::module_& m) {
             blocks[e] = block_between(span(start), span(rows), first.data()[e], second.data()[e]);
         return array(std::move(blocks));
     });
-    // the rows and columns of nodes become those of the identity from a coordinate on
-    m.def("hold", [](InOut<double> values, InOut<double> xi, In<Place> blocks, In<Place> diagonal, In<Place> nodes) {
-        for (const Place block : span(blocks)) std::fill_n(values.data() + 9 * block, 9, 0.0);
-        for (const Place node : span(nodes)) {
-            std::fill_n(xi.data() + 3 * node, 3, 0.0);
-            for (int c = 0; c < 3; ++c) values.data()[9 * diagonal.data()[node] + 4 * c] = 1.0;
-        }
-    });
-    m.def("rest", [](InOut<double> values, In<Place> diagonal, In<Place> nodes, int coordinate) {
-        for (const Place node : span(nodes))
-            for (int c = coordinate; c < 3; ++c) values.data()[9 * diagonal.data()[node] + 4 * c] = 1.0;
-    });
 }
 
 void bind_orders(nb::module_& m) {

@@ -146,6 +146,12 @@ class Factor:
             vector[node, component] = 1.0
         raise SingularPivot(node, component, vector / np.abs(vector).max())
 
+    @property
+    def in_engine(self) -> Any:
+        """The factor in the engine, for somebody who factorises there; this object is invalid until `refactorize`."""
+        self._inverse, self._valid = None, False
+        return self._factor
+
     def _check(self) -> None:
         if not self._valid:
             raise ValueError("no valid factorisation: the last one failed or none was made")

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -90,6 +90,11 @@ class BlockSystem:
         """
         return self._factor.refactorize(self.values, damping=damping)
 
+    @property
+    def factor_in_engine(self) -> Any:
+        """The memory of `factorize` in the engine, which a solver may use until the next call of `factorize`."""
+        return self._factor.in_engine
+
     def own_factor(self) -> Factor:
         """Omega = L L' in memory of its own: it becomes the caller's, and the next call of `factorize` takes other memory.
 
@@ -102,14 +107,18 @@ class BlockSystem:
 
     def hold(self, nodes: np.ndarray) -> None:
         """Take nodes out of the system: their rows and columns become those of the identity, their xi zero."""
+        engine.hold(*self.arrays, self.blocks_of(nodes), np.asarray(nodes, np.int64))
+
+    def blocks_of(self, nodes: np.ndarray) -> np.ndarray:
+        """The numbers of all blocks in the rows and columns of nodes."""
         key = tuple(nodes.tolist())
         if key not in self._held:
             self._held[key] = engine.blocks_of_nodes(self.indptr, self.indices, np.asarray(nodes, np.int64))
-        engine.hold(self.values, self.xi, self._held[key], self.diagonal_slots, np.asarray(nodes, np.int64))
+        return self._held[key]
 
     def rest(self, nodes: np.ndarray, coordinate: int) -> None:
         """Hold the coordinates of nodes from ``coordinate`` on, which no edge may touch: their diagonal becomes 1."""
-        engine.rest(self.values, self.diagonal_slots, np.asarray(nodes, np.int64), coordinate)
+        engine.rest(*self.arrays, np.asarray(nodes, np.int64), coordinate)
 
     def clear(self) -> None:
         """Set Omega and xi to zero, keeping the pattern."""

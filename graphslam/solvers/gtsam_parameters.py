@@ -17,6 +17,7 @@ import numpy as np
 
 from .. import edges
 from .. import factors as factor_types
+from ..engine import engine
 from ..errors import GraphError
 from ..factors.base import POSE, Factor, noise_model, turned
 from ..graph import Graph
@@ -27,7 +28,6 @@ from ..se2 import Array, rotation, turn_matrix, wrap
 from .gtsam_factors import to_gtsam
 from .gtsam_values import eliminated_landmarks, from_values, to_values
 from .iteration import Run
-from .mixing import AndersonMixing
 
 #: the most steps between two freezings
 STEPS = 10
@@ -37,7 +37,7 @@ FINER = 0.1
 
 def solve_jointly_with_gtsam(joint: JointGraph, run: Run) -> None:
     """Freeze, minimise over nodes and parameters, and freeze again, from ``run.state`` until it moves no more."""
-    mixing = AndersonMixing()
+    mixing = engine.AndersonMixing()
     while len(run.step_norms) < run.max_iterations:
         inner = max(run.tolerance / 10, FINER * run.step_norms[-1] if run.step_norms else FINER)
         move = _minimum(joint, run.state, inner) - run.state

@@ -14,6 +14,7 @@ import numpy as np
 
 from .. import factors as factor_types
 from ..checks import check_count, check_positive
+from ..engine import engine
 from ..errors import GraphError
 from ..graph import Graph, check_graph
 from ..se2 import Array, wrap
@@ -22,8 +23,7 @@ from .auto import DAMPED, best_end
 from .gtsam_factors import to_gtsam
 from .gtsam_parameters import solve_jointly_with_gtsam
 from .gtsam_values import eliminated_landmarks, from_values, to_values
-from .iteration import PROMISE, Run
-from .mixing import AndersonMixing
+from .iteration import PROMISE, Run, rounding
 from .starting import starting_state
 from .with_parameters import FIRST, best_of_starts, solve_jointly
 
@@ -43,7 +43,7 @@ def solve_with_gtsam(
 
     GTSAM's noise models are fixed. Where the information depends on the state (``frame="world"``, or no psi) an outer
     loop freezes it, solves, and freezes it again at the result, until that moves by less than the tolerance. As this
-    converges slowly, Anderson acceleration mixes its iterates (`AndersonMixing`). ``iterations`` and ``step_norms``
+    converges slowly, Anderson acceleration mixes its iterates (Anderson 1965). ``iterations`` and ``step_norms``
     count the outer loop then, and GTSAM's own iterations otherwise. ``seconds`` counts the start, as for `solve`, but
     not the first translation of the graph into factors.
 
@@ -192,7 +192,7 @@ def _promises_little(
 ) -> bool:
     """Whether an undamped step from the optimizer's values, a state (n, 3), promises a negligible decrease of J.
 
-    Negligible is ``part`` of J, or what rounding errors of 1e-15 of the coordinates make of it, as for `Run.negligible`.
+    Negligible is ``part`` of J, or what rounding errors of 1e-15 of the coordinates make of it, as for `solve`.
     """
     values = optimizer.values()
     linear = factors.linearize(values)
@@ -205,12 +205,12 @@ def _promises_little(
     if abs(predicted) <= 2 * max(PROMISE, part) * optimizer.error():
         return True
     system, _ = graph.linearize(state)
-    return abs(predicted) <= Run(state, part).rounding(system)
+    return abs(predicted) <= rounding(state, system)
 
 
 def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str) -> tuple[Array, list[float], bool]:
     """Freeze the information, solve, and freeze it again, until the solution no longer moves."""
-    state, mixing = graph.initial.copy(), AndersonMixing()
+    state, mixing = graph.initial.copy(), engine.AndersonMixing()
     norms: list[float] = []
     while len(norms) < max_iterations:
         # every freezing changes the inner problem, so there is no use in solving it much more closely than that

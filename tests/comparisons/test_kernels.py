@@ -1,9 +1,8 @@
-from comparisons.kernels import edges, filters, online, sampled_association
+from comparisons.kernels import filters, online, sampled_association
 
 
 def test_the_kernels_are_called_as_the_solvers_call_them():
     """All run; that they leave numba nothing to compile is seen by the clock of make compare."""
-    edges()
     filters()
     sampled_association()
     online()

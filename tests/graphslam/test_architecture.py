@@ -123,7 +123,7 @@ def test_the_two_solvers_share_only_their_start():
         "best_end",
         "DAMPED",
         "Run",
-        "AndersonMixing",
+        "rounding",
         "FIRST",
         "solve_jointly",
         "PROMISE",

@@ -1,0 +1,77 @@
+// What an iteration needs of the cost that it minimises.
+#pragma once
+
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "vmslam/edges/family.hpp"
+#include "vmslam/sparse/factor.hpp"
+
+namespace vmslam::solve {
+
+using edges::Place;
+
+/// A cost J with the linear system Omega Delta = xi. States have three numbers for each node; `reference` is the one at which
+/// information that depends on the state is evaluated.
+class Objective {
+   public:
+    virtual ~Objective() = default;
+
+    /// Omega and xi at a state; returns J.
+    virtual double linearize(std::span<const double> state, std::span<const double> reference) = 0;
+    virtual double cost(std::span<const double> state, std::span<const double> reference) = 0;
+    /// L L' = Omega + damping diag(Omega) of the last `linearize`; false where there is no such factor.
+    virtual bool factorize(double damping) = 0;
+    /// Omega^-1 xi with the last factor and the last xi; false where xi is not finite.
+    virtual bool solve(std::span<double> delta) = 0;
+    virtual std::span<const double> xi() = 0;
+    /// The scalar diagonal of Omega.
+    virtual std::vector<double> diagonal() = 0;
+
+    bool state_dependent = false;  ///< whether some information depends on the state
+    bool reweighted = false;       ///< whether some edges have a robust kernel
+};
+
+/// What does not move: blocks and nodes whose rows and columns become those of the identity, and nodes without a heading.
+struct Held {
+    std::span<const Place> blocks, nodes, without_heading;
+};
+
+/// A graph of edge families.
+class GraphObjective : public Objective {
+   public:
+    struct Member {
+        const edges::Family* family;
+        std::span<const Place> pairs;  ///< the blocks of its pairs, see `Family::accumulate`
+    };
+
+    /// `constant` is added to J, such as priors of what is not solved for.
+    GraphObjective(std::vector<Member> families, edges::System system, Held held, double constant,
+                   sparse::Factor<sparse::Real3>& factor)
+        : families_(std::move(families)), system_(system), held_(held), constant_(constant), factor_(factor) {}
+
+    double linearize(std::span<const double> state, std::span<const double> reference) override;
+    double cost(std::span<const double> state, std::span<const double> reference) override;
+    bool factorize(double damping) override;
+    bool solve(std::span<double> delta) override;
+    std::span<const double> xi() override { return {system_.xi, 3 * nodes()}; }
+    std::vector<double> diagonal() override;
+
+   private:
+    std::size_t nodes() const { return system_.start.size() - 1; }
+    std::span<const double> values() const { return {system_.values, 9 * system_.rows.size()}; }
+
+    std::vector<Member> families_;
+    edges::System system_;
+    Held held_;
+    double constant_;
+    sparse::Factor<sparse::Real3>& factor_;
+};
+
+/// Take nodes out of a system: their rows and columns become those of the identity, their xi zero.
+void hold(const edges::System& system, std::span<const Place> blocks, std::span<const Place> nodes);
+/// Hold the coordinates of nodes from `coordinate` on, which no edge touches: their diagonal becomes 1.
+void rest(const edges::System& system, std::span<const Place> nodes, int coordinate);
+
+}  // namespace vmslam::solve

@@ -1,0 +1,94 @@
+// An iteration Omega Delta = xi, x <- x + Delta, and the rules that stop it.
+#pragma once
+
+#include <functional>
+#include <limits>
+#include <optional>
+#include <vector>
+
+#include "vmslam/solve/mixing.hpp"
+#include "vmslam/solve/objective.hpp"
+
+namespace vmslam::solve {
+
+/// How an iteration ended.
+enum class End {
+    most_steps,        ///< it has taken all its steps
+    diverged,          ///< the cost is infinite or not a number
+    cost_settled,      ///< the last step changed the cost by less than the tolerance
+    short_step,        ///< the last step was short and promised little
+    small_decrease,    ///< the last step promised less than the cost tolerance
+    rounding_floor,    ///< the steps are no longer than rounding makes them
+    no_lower_cost,     ///< no step lowers the cost, however short
+    singular,          ///< damped steps lead to a state where Omega is singular
+    not_determined,    ///< Omega has no factor at the last state
+};
+
+struct Rules {
+    double tolerance;              ///< the step norm below which the iteration has converged
+    int most_steps = 100;          ///< the most steps to take
+    double cost_tolerance = 0.0;   ///< the relative change of J below which it has converged; 0 for none
+    bool descend = false;          ///< damped steps must lower J itself, with information evaluated at both ends
+    double kept = 0.01;            ///< after a plain step that lowers J by at most this part of it the factor is kept
+};
+
+/// An iteration under way.
+class Run {
+   public:
+    Rules rules;
+    std::vector<double> state;
+    std::optional<AndersonMixing> mixing;  ///< of the steps, or none for plain steps
+    std::vector<double> costs, norms;      ///< J before each step, and the norm of each step
+    double predicted = std::numeric_limits<double>::infinity();  ///< how much the last step should lower J
+    bool converged = false;
+    End end = End::most_steps;
+    double cost_at_end = 0.0, damping = 0.0;  ///< of `diverged` and `no_lower_cost`; of `not_determined`
+    int damped_from = -1;                     ///< the first step of damped ones that followed plain ones, or -1
+    int factorizations = 0;
+    std::function<void(const Run&)> observer;  ///< called after each step
+
+    int steps() const { return static_cast<int>(norms.size()); }
+    /// Whether the last step was a mixture of iterates.
+    bool mixed() const { return mixing && mixing->active(); }
+
+    /// Take a correction from a state with this cost.
+    void step(double cost, std::span<const double> delta);
+    /// Whether the cost is infinite or not a number.
+    bool diverged(double cost);
+    /// Whether the last step changed the cost by less than the cost tolerance, and should have.
+    bool settled(double cost);
+    /// Whether the last step, which should lower J by `decrease`, was short enough to stop.
+    bool finished(double decrease, Objective& objective);
+    /// Whether a predicted decrease is a small part of J, or no more than rounding makes of it.
+    bool negligible(double decrease, Objective& objective) const;
+
+   private:
+    bool converge(End reason);
+};
+
+/// What J is, at least, by rounding errors of 1e-15 of all coordinates: the sum of diag(Omega) errors².
+double rounding(std::span<const double> state, std::span<const double> diagonal);
+double inner(std::span<const double> a, std::span<const double> b);
+
+/// Iterate x <- x + Omega^-1 xi with Omega = sum B' Omega_e B and xi = - sum B' Omega_e e.
+///
+/// Plain steps converge slowly where information, or a kernel's weights, are re-evaluated at every step; there the iterates
+/// are mixed. They also converge slowly, or oscillate, where residuals are large, because Omega leaves out the second
+/// derivatives of the residuals; the iterates are therefore mixed after some plain steps in any case. Where neither the
+/// lowest J nor the shortest step improves for a while, damped steps lead on from the best state. They converge slowly, too,
+/// so that after some of them undamped ones follow.
+///
+/// Source: Nocedal and Wright, Numerical Optimization, section 10.3.
+void gauss_newton(Objective& objective, Run& run);
+
+/// Iterate (Omega + lambda diag(Omega)) Delta = xi, with lambda chosen so that J falls. Returns whether it only ended
+/// because it has taken `most` steps.
+///
+/// lambda is Marquardt's damping by the diagonal, updated by Nielsen's rule from the gain, the actual decrease of J divided
+/// by the predicted one. The end counts as converged only where an undamped step confirms it: beside very large entries of
+/// Omega (a pose on a landmark) even the smallest damping hides the other directions.
+///
+/// Source: Madsen, Nielsen and Tingleff, Methods for non-linear least squares problems (2004), section 3.2.
+bool levenberg_marquardt(Objective& objective, Run& run, int most);
+
+}  // namespace vmslam::solve

@@ -1,0 +1,175 @@
+// Iterations on graphs of edge families, some of which may be written in Python.
+#include <nanobind/stl/function.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <functional>
+
+#include "arrays.hpp"
+#include "bindings.hpp"
+#include "vmslam/solve/run.hpp"
+
+namespace vmslam::python {
+namespace {
+
+using namespace solve;
+using Factor = sparse::Factor<sparse::Real3>;
+using release = nb::call_guard<nb::gil_scoped_release>;
+
+/// A state (n, 3) as an array of its own.
+Out<double> state_array(const double* at, std::size_t size) {
+    return array(std::vector<double>(at, at + size), {size / 3, 3});
+}
+
+/// A family written in Python: accumulate(state, reference, whether to add to the system) is the cost.
+class PythonFamily : public edges::Family {
+   public:
+    PythonFamily(nb::callable accumulate, std::size_t size) : accumulate_(std::move(accumulate)), size_(size) {}
+
+    double accumulate(const edges::State& state, edges::System* system, std::span<const Place>) const override {
+        const nb::gil_scoped_acquire python;
+        return nb::cast<double>(
+            accumulate_(state_array(state.at, size_), state_array(state.reference, size_), system != nullptr));
+    }
+
+   private:
+    nb::callable accumulate_;
+    std::size_t size_;
+};
+
+/// A graph whose families and arrays Python owns.
+class BoundGraph : public GraphObjective {
+   public:
+    BoundGraph(std::vector<Member> families, edges::System system, Held held, double constant, Factor& factor, nb::object owned)
+        : GraphObjective(std::move(families), system, held, constant, factor), owned_(std::move(owned)) {}
+
+   private:
+    nb::object owned_;
+};
+
+/// An objective written in Python: linearize, cost, factorize, solve, xi and diagonal.
+class PythonObjective : public Objective {
+   public:
+    explicit PythonObjective(nb::object object) : object_(std::move(object)) {}
+
+    double linearize(std::span<const double> state, std::span<const double> reference) override {
+        const nb::gil_scoped_acquire python;
+        const double cost = nb::cast<double>(object_.attr("linearize")(whole(state), whole(reference)));
+        read(object_.attr("xi"), xi_);
+        return cost;
+    }
+    double cost(std::span<const double> state, std::span<const double> reference) override {
+        const nb::gil_scoped_acquire python;
+        return nb::cast<double>(object_.attr("cost")(whole(state), whole(reference)));
+    }
+    bool factorize(double damping) override {
+        const nb::gil_scoped_acquire python;
+        object_.attr("factorize")(damping);
+        return true;
+    }
+    bool solve(std::span<double> delta) override {
+        const nb::gil_scoped_acquire python;
+        std::vector<double> found;
+        read(object_.attr("solve")(), found);
+        std::copy(found.begin(), found.end(), delta.begin());
+        return true;
+    }
+    std::span<const double> xi() override { return xi_; }
+    std::vector<double> diagonal() override {
+        const nb::gil_scoped_acquire python;
+        std::vector<double> out;
+        read(object_.attr("diagonal")(), out);
+        return out;
+    }
+
+   private:
+    static Out<double> whole(std::span<const double> state) { return state_array(state.data(), state.size()); }
+    static void read(nb::handle source, std::vector<double>& out) {
+        const auto values = nb::cast<In<double>>(source);
+        out.assign(values.data(), values.data() + values.size());
+    }
+
+    nb::object object_;
+    std::vector<double> xi_;
+};
+
+void bind_objectives(nb::module_& m) {
+    nb::class_<PythonFamily, edges::Family>(m, "PythonFamily").def(nb::init<nb::callable, std::size_t>());
+    nb::class_<Objective>(m, "Objective")
+        .def_rw("state_dependent", &Objective::state_dependent)
+        .def_rw("reweighted", &Objective::reweighted);
+    nb::class_<BoundGraph, Objective>(m, "GraphObjective")
+        // the tuple holds families, their pairs, the arrays of the system, what is held, and the factor
+        .def("__init__", [](BoundGraph* at, nb::tuple owned, double constant) {
+            std::vector<GraphObjective::Member> members;
+            const nb::tuple families = owned[0], pairs = owned[1], system = owned[2], held = owned[3];
+            for (std::size_t k = 0; k < families.size(); ++k)
+                members.push_back({nb::cast<const edges::Family*>(families[k]), span(nb::cast<In<Place>>(pairs[k]))});
+            const auto values = nb::cast<InOut<double>>(system[2]), xi = nb::cast<InOut<double>>(system[3]);
+            const auto workspace = nb::cast<InOut<Place>>(system[4]);
+            const auto places = [](nb::handle h) { return span(nb::cast<In<Place>>(h)); };
+            new (at) BoundGraph(std::move(members),
+                                {places(system[0]), places(system[1]), values.data(), xi.data(), workspace.data()},
+                                {places(held[0]), places(held[1]), places(held[2])}, constant,
+                                *nb::cast<Factor*>(owned[4]), owned);
+        });
+    nb::class_<PythonObjective, Objective>(m, "PythonObjective").def(nb::init<nb::object>());
+}
+
+void bind_runs(nb::module_& m) {
+    nb::enum_<End>(m, "End")
+        .value("most_steps", End::most_steps)
+        .value("diverged", End::diverged)
+        .value("cost_settled", End::cost_settled)
+        .value("short_step", End::short_step)
+        .value("small_decrease", End::small_decrease)
+        .value("rounding_floor", End::rounding_floor)
+        .value("no_lower_cost", End::no_lower_cost)
+        .value("singular", End::singular)
+        .value("not_determined", End::not_determined);
+    nb::class_<Run>(m, "Run")
+        .def("__init__", [](Run* at, In<double> state, double tolerance, int most_steps, double cost_tolerance, bool descend,
+                            double kept, nb::object callback) {
+            new (at) Run{{tolerance, most_steps, cost_tolerance, descend, kept}, {state.data(), state.data() + state.size()}};
+            if (callback.is_none()) return;
+            // number, state, the cost before the step, and its norm
+            at->observer = [callback](const Run& run) {
+                const nb::gil_scoped_acquire python;
+                callback(run.steps(), state_array(run.state.data(), run.state.size()), run.costs.back(), run.norms.back());
+            };
+        }, nb::arg("state"), nb::arg("tolerance"), nb::arg("most_steps"), nb::arg("cost_tolerance"), nb::arg("descend"),
+           nb::arg("kept"), nb::arg("callback").none())
+        .def_prop_ro("state", [](const Run& run) { return state_array(run.state.data(), run.state.size()); },
+                     nb::rv_policy::move)
+        .def_ro("costs", &Run::costs)
+        .def_ro("norms", &Run::norms)
+        .def_ro("predicted", &Run::predicted)
+        .def_ro("converged", &Run::converged)
+        .def_ro("end", &Run::end)
+        .def_ro("cost_at_end", &Run::cost_at_end)
+        .def_ro("damping", &Run::damping)
+        .def_ro("damped_from", &Run::damped_from)
+        .def_ro("factorizations", &Run::factorizations);
+    m.def("gauss_newton", &gauss_newton, release());
+    m.def("levenberg_marquardt", &levenberg_marquardt, release());
+    nb::class_<AndersonMixing>(m, "AndersonMixing")
+        .def(nb::init<>())
+        .def_prop_ro("active", &AndersonMixing::active)
+        .def("next", [](AndersonMixing& mixing, In<double> x, In<double> f) {
+            const std::vector<double> next = mixing.next(span(x), span(f));
+            return state_array(next.data(), next.size());
+        });
+    m.def("rounding", [](In<double> state, In<double> diagonal) { return rounding(span(state), span(diagonal)); });
+    // the inner product of two arrays; NumPy would start threads for large ones
+    m.def("inner", [](In<double> a, In<double> b) { return inner(span(a), span(b)); });
+}
+
+}  // namespace
+
+void bind_solve(nb::module_& m) {
+    bind_objectives(m);
+    bind_runs(m);
+}
+
+}  // namespace vmslam::python

@@ -1,0 +1,107 @@
+#include <cmath>
+
+#include "vmslam/solve/run.hpp"
+
+namespace vmslam::solve {
+namespace {
+
+using State = std::vector<double>;
+
+/// Gauss-Newton that has not converged after so many plain steps converges slowly, or oscillates: the iterates are mixed.
+constexpr int plain_steps = 8;
+/// Plain and mixed steps without progress after which the steps are damped.
+constexpr int patience = 10, patience_mixed = 30;
+/// So many damped steps follow, and then undamped ones again.
+constexpr int damped_steps = 20;
+/// A kept factor is renewed where the gain that it predicts, or the square of the step's length, is more than this part of
+/// that of the step before it.
+constexpr double shrinking = 0.1;
+constexpr double confirmed = 1e3, promise = 1e-6;  ///< see run.cpp
+
+/// Delta = Omega^-1 xi, with the factor of an earlier state where Omega hardly changes.
+class Step {
+   public:
+    Step(Objective& objective, Run& run) : objective_(objective), run_(run), delta(run.state.size()) {}
+
+    /// The correction at the present state; false where there is none. `enough` is a decrease that ends the iteration.
+    bool compute(double enough) {
+        if (kept_) {
+            if (!solve()) return false;
+            const double longest = shrinking * run_.norms.back() * run_.norms.back();
+            if (predicted > enough && (predicted > shrinking * run_.predicted || inner(delta, delta) > longest)) kept_ = false;
+        }
+        if (kept_) return true;
+        ++run_.factorizations;
+        kept_ = objective_.factorize(0.0) && solve();
+        return kept_;
+    }
+    void renew() { kept_ = false; }
+
+   private:
+    Objective& objective_;
+    Run& run_;
+    bool kept_ = false;
+
+   public:
+    std::vector<double> delta;
+    double predicted = 0.0;  ///< the quadratic model predicts that J falls by Delta' Omega Delta = xi' Delta
+
+   private:
+    bool solve() {
+        if (!objective_.solve(delta)) return false;
+        predicted = inner(objective_.xi(), delta);
+        return true;
+    }
+};
+
+/// Steps until the run stops, or makes no progress: then the best state, otherwise none. The iterates are mixed after `plain`
+/// steps. Without plain steps, a run that takes all its iterations also ends at the best state.
+std::optional<State> undamped(Objective& objective, Run& run, int plain) {
+    const int mixed_from = objective.state_dependent || objective.reweighted ? 0 : plain;
+    run.mixing.reset();
+    Step step(objective, run);
+    State best = run.state;
+    double lowest = std::numeric_limits<double>::infinity(), shortest = lowest;
+    int progress = 0;
+    const int most = run.rules.most_steps - run.steps();
+    for (int k = 0; k < most; ++k) {
+        if (k == mixed_from) run.mixing.emplace();
+        const double cost = objective.linearize(run.state, run.state);
+        if (run.diverged(cost) || run.settled(cost)) return std::nullopt;
+        if (cost < lowest) best = run.state, lowest = cost, progress = k;
+        const double enough = confirmed * run.rules.cost_tolerance * cost;
+        if (!step.compute(enough)) {
+            run.end = End::not_determined;
+            return std::nullopt;
+        }
+        run.step(cost, step.delta);
+        if (run.finished(step.predicted, objective)) {
+            if (cost <= lowest * (1 + promise) || objective.state_dependent) return std::nullopt;
+            // mixed steps may also end at a maximum, or in a higher minimum
+            run.converged = false;
+            return best;
+        }
+        if (run.norms.back() < shortest) shortest = run.norms.back(), progress = k;
+        if (k - progress >= (run.mixed() ? patience_mixed : patience)) return best;
+        if (step.predicted > (run.mixing ? enough : run.rules.kept * cost)) step.renew();
+    }
+    if (plain) return std::nullopt;
+    return best;
+}
+
+}  // namespace
+
+void gauss_newton(Objective& objective, Run& run) {
+    run.end = End::most_steps;
+    std::optional<State> best = undamped(objective, run, plain_steps);
+    const int damped_from = run.steps();
+    while (best) {
+        run.state = *best;
+        run.end = End::most_steps;
+        if (run.steps() == run.rules.most_steps || !levenberg_marquardt(objective, run, damped_steps)) break;
+        best = undamped(objective, run, 0);
+    }
+    if (run.steps() > damped_from) run.damped_from = damped_from;
+}
+
+}  // namespace vmslam::solve

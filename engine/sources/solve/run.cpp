@@ -1,0 +1,92 @@
+#include "vmslam/solve/run.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+namespace vmslam::solve {
+namespace {
+
+/// A step shorter than the tolerance ends the iteration only where it promises to lower J by less than this part of it, or
+/// less than the tolerance itself where that is greater: a rough tolerance asks for a rough end.
+constexpr double promise = 1e-6;
+/// A step is confirmed where its predicted decrease of J is below this many times the cost tolerance.
+constexpr double confirmed = 1e3;
+
+}  // namespace
+
+double inner(std::span<const double> a, std::span<const double> b) {
+    double total = 0.0;
+    for (std::size_t k = 0; k < a.size(); ++k) total += a[k] * b[k];
+    return total;
+}
+
+double rounding(std::span<const double> state, std::span<const double> diagonal) {
+    std::array<double, 3> largest{}, sums{};
+    for (std::size_t k = 0; k < state.size(); ++k) {
+        const double size = std::abs(state[k]);
+        if (!(size <= largest[k % 3])) largest[k % 3] = size;
+        sums[k % 3] += diagonal[k];
+    }
+    double total = 0.0;
+    for (int c = 0; c < 3; ++c) {
+        const double error = 1e-15 * (1 + largest[c]);
+        total += sums[c] * (error * error);
+    }
+    return total;
+}
+
+void Run::step(double cost, std::span<const double> delta) {
+    if (mixing)
+        state = mixing->next(state, delta);
+    else
+        for (std::size_t k = 0; k < state.size(); ++k) state[k] += delta[k];
+    costs.push_back(cost);
+    norms.push_back(std::sqrt(inner(delta, delta)));
+    if (observer) observer(*this);
+}
+
+bool Run::diverged(double cost) {
+    if (std::isfinite(cost)) return false;
+    end = End::diverged;
+    cost_at_end = cost;
+    return true;
+}
+
+// The predicted decrease must be small, too: a step from one side of a valley to the other also leaves J unchanged.
+bool Run::settled(double cost) {
+    const double enough = costs.empty() ? 0.0 : rules.cost_tolerance * costs.back();
+    if (std::abs(predicted) <= confirmed * enough && std::abs(costs.back() - cost) <= enough && enough != 0)
+        converge(End::cost_settled);
+    return converged;
+}
+
+// A short step alone proves nothing where J is steep: it must also promise little, compared with J or with what rounding of
+// the state (about 1e-15 of each coordinate) does to J.
+//
+// On badly scaled graphs rounding keeps the steps from becoming shorter than some 1e-7 (INTEL). Therefore a step that no
+// longer shrinks is also the last one, if its predicted decrease is below the rounding error of J. Mixed steps may grow for a
+// while and shrink again, so ten of them are compared.
+bool Run::finished(double decrease, Objective& objective) {
+    predicted = decrease;
+    const double norm = norms.back(), small = rules.cost_tolerance * costs.back();
+    const std::size_t window = mixed() ? 10 : 1;
+    if (norm < rules.tolerance && negligible(decrease, objective)) return converge(End::short_step);
+    if (std::abs(decrease) <= small && small != 0) return converge(End::small_decrease);
+    if (std::abs(decrease) < 1e-15 * costs.back() && norms.size() > window &&
+        norm > 0.5 * *std::min_element(norms.end() - 1 - window, norms.end() - 1))
+        return converge(End::rounding_floor);
+    return converged;
+}
+
+bool Run::negligible(double decrease, Objective& objective) const {
+    const double part = std::max({promise, rules.tolerance, rules.cost_tolerance});
+    return std::abs(decrease) <= part * costs.back() || std::abs(decrease) <= rounding(state, objective.diagonal());
+}
+
+bool Run::converge(End reason) {
+    end = reason;
+    return converged = true;
+}
+
+}  // namespace vmslam::solve
