@@ -237,8 +237,10 @@ class Comparison(Displayed):
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """What is probably wrong with the log, see `graphslam.plausibility`, or with the noise that was given."""
-        return (*plausibility(self.log), *self._noise_findings())
+        """What is probably wrong with the log, see `graphslam.plausibility`, or with its noise."""
+        estimated = self.options.calibration
+        doubts = () if estimated is None else tuple(Finding("doubtful noise", each) for each in estimated.doubts)
+        return (*plausibility(self.log), *doubts, *self._noise_findings())
 
     def _noise_findings(self) -> Iterator[Finding]:
         """Noise that was given, such as that of another robot, and is less than this log shows.

@@ -52,7 +52,8 @@ class Calibration:
         source: "truth" or "residuals"; the latter, too, where true poses without a map tell the numbers of the motion only.
         logs: the names of the logs.
         notes: what the user should know, one sentence each.
-        doubts: why the noise should not be used, one sentence each: the biases of several logs differ beyond chance.
+        doubts: why the noise should not be used, one sentence each: the biases of several logs differ beyond chance, or
+            `RobotEstimate.doubts`.
     """
 
     motion: MotionModel | None
@@ -119,7 +120,10 @@ class Calibration:
                 *noise.notes,
                 *(f"{one.log.name}: {said}" if others else said for one in every for said in one.remarks),
             ),
-            doubts=noise.doubts,
+            doubts=(
+                *noise.doubts,
+                *(f"{one.log.name}: {doubt}" if others else doubt for one in every for doubt in one.doubts),
+            ),
         )  # fmt: skip
 
     def __repr__(self) -> str:

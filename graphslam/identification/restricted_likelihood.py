@@ -45,10 +45,12 @@ def improve_variances(unknowns: Unknowns) -> tuple[float, Array]:
             terms.append((edges, part, r, weighted))
     solved, solved_values = linear.solve(right, right_values)
     gradient, information = np.zeros(len(names)), np.zeros((len(names), len(names)))
-    for edges in linear.edges:
+    for kind, edges in enumerate(linear.edges):
         rows = [k for k, term in enumerate(terms) if term[0] is edges]
         pulled = edges.information @ edges.residuals[:, :, None]
-        excess = edges.information - edges.information @ linear.fitted(edges) @ edges.information
+        fitted = linear.fitted(edges)
+        unknowns.hidden[kind] = np.sum(edges.information * fitted, axis=(1, 2)) / edges.weights
+        excess = edges.information - edges.information @ fitted @ edges.information
         follows = edges.moved(solved, solved_values)
         for k in rows:
             _, part, r, weighted = terms[k]

@@ -28,7 +28,7 @@ from ..parameters.corrections import corrected_log
 from ..parameters.declared import ParameterEstimate
 from ..se2 import Array
 from .restricted_likelihood import improve_variances
-from .sighting_errors import LAGS, checked_ids, correlations, inflation, smoothed
+from .sighting_errors import LAGS, SHORT, checked_ids, correlations, inflation, smoothed
 from .unknowns import Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
@@ -55,6 +55,20 @@ KINDS = {
 CONVINCING = 1.0
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = {"sightings": 60, "poses": 20}
+#: an estimate is doubtful with fewer sightings than this, with more than this part of the ids wrong, and with a bias that is
+#: so many standard deviations of its prior from its ideal value, for which these are likely causes
+FEW, MANY_MISREAD, IMPLAUSIBLE = 150, 0.2, 4.0
+CAUSES = {
+    "wheel_scale": "is the odometry in metres per second?",
+    "turn_scale": "is the odometry in radians per second? Noise in recorded turns makes the scale too large.",
+    "turn_rate_bias": "is the gyroscope calibrated?",
+    "curvature_bias": "does one wheel have another radius?",
+    "range_bias": "do ranges count from another point of the sensor?",
+    "bearing_bias": "is the sensor mounted straight?",
+    "sensor_ahead": "is the place of the sensor right (sensor offset)?",
+    "sensor_left": "is the place of the sensor right (sensor offset)?",
+    "sensor_delay": "do odometry and sensor have the same clock?",
+}
 #: of longer logs only so many sightings are used at once where this is enough
 MOST = 6000
 
@@ -104,6 +118,28 @@ class RobotEstimate:
         if self.parameters.names:
             lines.append(f"biases estimated from this log: {self.parameters.sentence}")
         return (*lines, *self.remarks)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why the result may be wrong although noise and biases were found, one sentence each."""
+        p, lines = self.parameters, []
+        for k, name in enumerate(p.names):
+            mean, deviation = p.priors[name]
+            if abs(p.values[k] - mean) > IMPLAUSIBLE * deviation:
+                lines.append(
+                    f"{name}, estimated as {p.values[k]:.3g}, is rarely so far from {mean:g}; {CAUSES[name]} If the value is "
+                    "wrong, so are the trajectory and its standard deviations"
+                )
+        if self.misread > MANY_MISREAD:
+            lines.append(
+                f"{self.misread:.0%} of the ids contradict the other sightings; is the column of the ids right?"
+            )
+        if len(self.changed) < FEW:
+            lines.append(
+                f"the log has only {len(self.changed)} sightings, which tell the noise roughly: the trajectory may be "
+                "several times less accurate than with the true noise, which --noise FILE or the noise options give"
+            )
+        return tuple(lines)
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -202,7 +238,7 @@ def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotE
         second.hold([name for kind in without for name in KINDS[kind]])
         second = _fitted(second, ROUNDS[2])[0]
     rho = smoothed(correlations(named, second, used, rng))
-    factor = COMMON * inflation(named, rho) if rho[:3].max() >= HARDLY else 1.0
+    factor = COMMON * inflation(named, rho) if rho[:SHORT].max() >= HARDLY else 1.0
     if factor > 1:
         below = np.flatnonzero(rho < DEPENDENT)
         chosen = _thinned(named, LAGS[below[0]] if len(below) else LAGS[-2])[0]

@@ -31,6 +31,8 @@ WEAK = 0.33
 LAGS = np.array([0.0, 0.15, 0.4, 1.0, 2.5, 6.0, 15.0, 40.0])
 #: errors correlated by less than this count as independent, and fewer pairs than this tell no correlation
 INDEPENDENT, FEWEST = 0.1, 20
+#: errors are correlated where rho of one of so many of the shortest lags is above so many of its standard errors
+SHORT, SIGNIFICANT = 3, 2.0
 #: residuals beyond so many standard deviations count as so many
 FAR = 3.0
 
@@ -105,7 +107,8 @@ def checked_ids(log: Log, unknowns: Unknowns, rng: np.random.Generator) -> Ids:
 def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.Generator) -> Array:
     """rho of the errors of one landmark for the lags between `LAGS`, NaN where too few pairs tell it.
 
-    The numbers of a sighting count together, each by how much of its residuals is the sensor's own noise.
+    The numbers of a sighting count together, each by how much of its residuals is the sensor's own noise. All are zero where
+    none is significant: their standard errors come from the differences between landmarks, whose errors are independent.
 
     Args:
         used: (M,) bool: the sightings that the solution has used.
@@ -122,14 +125,16 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
     e, errors = edges.residuals / noise, errors / noise[:, :, None]
     far = np.minimum(1.0, FAR / np.maximum(np.abs(e), 1e-9))
     e, errors = e * far, errors * far[:, :, None]
-    t, landmarks, d = times[log.steps[rows]], log.landmarks[rows], e.shape[1]
+    t, landmarks = times[log.steps[rows]], log.landmarks[rows]
     whole, predicted = np.mean(e**2, axis=0), np.mean(errors**2, axis=(0, 2))
     if not whole.all():
         # sightings that are all alike, whose errors are exactly zero
         return np.full(len(LAGS) - 1, np.nan)
     own = np.maximum(whole - predicted, 1e-3 * whole)
     share = np.clip(own / whole, 0.02, 1.0) ** 2
-    total, count, lag = np.zeros((len(LAGS) - 1, d)), np.zeros(len(LAGS) - 1), 1
+    group = np.unique(landmarks, return_inverse=True)[1].ravel()
+    total, count = np.zeros((group[-1] + 1, len(LAGS) - 1)), np.zeros((group[-1] + 1, len(LAGS) - 1))
+    lag = 1
     while lag < len(rows):
         lapse = t[lag:] - t[:-lag]
         first = np.flatnonzero((landmarks[lag:] == landmarks[:-lag]) & (lapse < LAGS[-1]))
@@ -137,13 +142,15 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
             break
         second, at = first + lag, np.searchsorted(LAGS, lapse[first], side="right") - 1
         products = e[first] * e[second] - np.mean(errors[first] * errors[second], axis=2)
-        for k in range(d):
-            total[:, k] += np.bincount(at, products[:, k], minlength=len(count))
-        count += np.bincount(at, minlength=len(count))
+        np.add.at(total, (group[first], at), products @ share / float(own @ share))
+        np.add.at(count, (group[first], at), 1)
         # neighbours one by one, and then a part of the many that are far apart
         lag += 1 if lag < 8 else lag // 4
-    rho = (total @ share) / np.maximum(count, 1) / float(own @ share)
-    return np.where(count < FEWEST, np.nan, rho)
+    pairs = np.maximum(count.sum(axis=0), 1)
+    rho = total.sum(axis=0) / pairs
+    error = np.sqrt(np.sum((total - rho * count) ** 2, axis=0)) / pairs
+    significant = np.any((rho > SIGNIFICANT * error)[:SHORT])
+    return np.where(count.sum(axis=0) < FEWEST, np.nan, rho if significant else 0.0)
 
 
 def smoothed(rho: Array) -> Array:

@@ -9,7 +9,9 @@ residuals are
 
 where r and direction lead from the sensor to the landmark. A sighting that is late by tau was made from x_t moved back by tau
 times the control. The covariances are sums of variances times known parts (`identification.parts`), and every edge has the
-weight u = (nu + d) / (nu + e' W e) of Student's t, so that slipping wheels and wrong sightings count little.
+weight u = (nu + d) / (nu + e' W e + tr(W F)) of Student's t, so that slipping wheels and wrong sightings count little. F is
+the covariance of the residual due to that of the solution: the residual of an edge that nothing else determines is near zero,
+but the error that it hides is as large as C says.
 
 Nodes and parameters are solved together: with C = sum B' W J, D = sum J' W J + P and J = de/dp,
 
@@ -46,7 +48,7 @@ TYPICAL = {
     "range_rate": 0.01, "range_std": 0.03, "bearing_std": 0.01, "orientation_std": 0.02,
 }  # fmt: skip
 #: the standard deviation of the logarithm of a variance about its typical value
-SPREAD = 2.5
+SPREAD = 5.0
 #: the most that the logarithm of a variance changes in one step
 LONGEST = 1.5
 #: the variance of a motion in every direction [m², rad²], because A M A' has rank 2
@@ -55,6 +57,9 @@ LEAST_MOTION = 1e-8
 STILL = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0, epsilon=LEAST_MOTION)
 #: degrees of freedom of Student's t: of sightings, among which some are wrong, and of motions
 DEGREES_SIGHTINGS, DEGREES_MOTIONS = 4.0, 8.0
+#: fitted to Gaussian errors of d numbers, Student's t has so much of their variance: the s² of
+#: E[(nu + d) q / (nu s² + q)] = d, q chi-squared with d degrees of freedom; of sightings by d, and of motions
+OF_GAUSSIAN_SIGHTINGS, OF_GAUSSIAN_MOTIONS = {2: 0.7267, 3: 0.7559}, 0.8389
 #: parameters that differ by less than this part of the standard deviations of their priors are near
 NEAR = 0.2
 #: the standard deviation of the prior of a parameter that is held
@@ -91,11 +96,11 @@ class Edges:
     weights: Array = field(default_factory=lambda: np.empty(0))
     squares: Array = field(default_factory=lambda: np.empty(0))
 
-    def weigh(self, covariances: Array, degrees: float) -> None:
-        """Set the information and the weights."""
+    def weigh(self, covariances: Array, degrees: float, hidden: Array | float) -> None:
+        """Set the information and the weights; ``hidden`` (E,) is tr(W F) without the weights."""
         inverse, d = np.linalg.inv(covariances), self.residuals.shape[1]
         self.squares = np.einsum("ei,ei->e", self.residuals, (inverse @ self.residuals[:, :, None])[:, :, 0])
-        self.weights = (degrees + d) / (degrees + self.squares)
+        self.weights = (degrees + d) / (degrees + self.squares + hidden)
         self.information = self.weights[:, None, None] * inverse
 
     def pull(self, forces: Array, nodes: Array) -> Array:
@@ -159,6 +164,8 @@ class Unknowns:
             poses = start.trajectory if start.poses == self.poses else self.dead_reckoning()
         self.longest, self.last_change = np.full(len(self.centres), LONGEST), np.zeros(len(self.centres))
         self.state: Array = np.concatenate([poses, self._places(poses, group)])
+        #: tr(W F) of motions and sightings, see `Edges.weigh`; `improve_variances` sets it
+        self.hidden: list[Array | float] = [0.0, 0.0]
         self.take_noise()
         self.system = BlockSystem.from_cliques(
             len(self.state), [_pairs(self.before, self.after), _pairs(self.seen_from, self.seen)]
@@ -204,12 +211,13 @@ class Unknowns:
 
     @property
     def models(self) -> tuple[MotionModel, SensorModel]:
-        """The noise models with the variances, and the estimated place of the sensor."""
+        """The noise models whose Gaussian errors the variances fit, and the estimated place of the sensor."""
         variances = self.variances
+        sightings = OF_GAUSSIAN_SIGHTINGS[self.sightings.shape[1]]
         sensor = replace(corrected_sensor(self.parameters), range_rate=0.0, range_std=1.0)
         return (
-            with_variances(STILL, {name: variances[name] for name in self.motion_parts}),
-            with_variances(sensor, {name: variances[name] for name in self.sensor_parts}),
+            with_variances(STILL, {name: variances[name] / OF_GAUSSIAN_MOTIONS for name in self.motion_parts}),
+            with_variances(sensor, {name: variances[name] / sightings for name in self.sensor_parts}),
         )
 
     @property
@@ -340,8 +348,8 @@ class Unknowns:
             GraphError: it determines no solution.
         """
         motions, sightings = self.motions(), self.sighted()
-        motions.weigh(self.covariances(motions), DEGREES_MOTIONS)
-        sightings.weigh(self.covariances(sightings), DEGREES_SIGHTINGS)
+        motions.weigh(self.covariances(motions), DEGREES_MOTIONS, self.hidden[0])
+        sightings.weigh(self.covariances(sightings), DEGREES_SIGHTINGS, self.hidden[1])
         return Linear(self, (motions, sightings))
 
     def iterate(self, steps: int) -> None:
