@@ -232,16 +232,15 @@ class _Problem:
         n, joined = len(nodes), _joined(edges)
         first, second = joined[:2]
         if system is not None:
-            order = system.symbolic.order
+            symbolic = system.structure.hermitian
         else:
             tied = first >= 0
             pairs = np.sort(np.column_stack([first[tied], second[tied]]), axis=1)
             system = BlockSystem.from_cliques(n, [(np.arange(0, 2 * len(pairs) + 1, 2), pairs.ravel())])
-            order = amd(system.indptr, system.indices)
+            symbolic = analyze_hermitian(system.indptr, system.indices, amd(system.indptr, system.indices))
         free = np.ones(n, dtype=bool)
         free[fixed] = False
         ends = engine.hold_roots(first, second, free)
-        symbolic = analyze_hermitian(system.indptr, system.indices, order)
         force = engine.Candidate(nodes, *joined)
         summation = ROUNDOFF * (128.0 + 4 * ends)
         return cls(nodes, joined, free, system.indptr, system.indices, symbolic, force, given, summation)

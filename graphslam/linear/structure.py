@@ -12,6 +12,7 @@ import numpy as np
 
 from ..engine import engine
 from .cholesky import Symbolic, analyze
+from .hermitian import HermitianSymbolic, analyze_hermitian
 
 #: structures are kept as long as they have together at most so many blocks; the last one is always kept
 MOST_BLOCKS = 1_000_000
@@ -28,6 +29,11 @@ class Structure:
     def symbolic(self) -> Symbolic:
         """Ordering and structure of the factor, computed at the first use."""
         return analyze(self.indptr, self.indices)
+
+    @cached_property
+    def hermitian(self) -> HermitianSymbolic:
+        """The structure of the factor of a Hermitian matrix of this pattern, in the same order."""
+        return analyze_hermitian(self.indptr, self.indices, self.symbolic.order)
 
 
 class Structures:
