@@ -17,7 +17,7 @@ from pathlib import Path
 import numba
 import numpy as np
 
-import graphslam
+import fastslam
 from graphslam import MotionModel, OnlineSolver, SensorModel, simulate
 
 from .estimators import ESTIMATORS
@@ -54,7 +54,7 @@ def online() -> None:
 
 def compiled() -> bool:
     """Whether numba has compiled kernels of this installation before."""
-    folder = Path(numba.config.CACHE_DIR or Path(graphslam.__file__).parent)
+    folder = Path(numba.config.CACHE_DIR or Path(fastslam.__file__).parent)
     return any(folder.rglob("*.nbi"))
 
 

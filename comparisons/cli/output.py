@@ -168,7 +168,7 @@ class Output:
         """Say that kernels are compiled, where they never were and the work takes a while: an error comes at once."""
         from ..kernels import compiled
 
-        text = "Compiling the numerical kernels. This happens once and takes about a minute."
+        text = "Compiling the numerical kernels. This happens once and takes about half a minute."
         timer = Timer(2.0, self.progress, [text])
         timer.daemon = True
         if not compiled():
