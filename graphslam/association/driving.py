@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import GraphError
 from ..graph import Graph
 from ..log import Log
 from ..models import MotionModel, SensorModel
@@ -80,7 +81,11 @@ def drive(
             labels[_alone(labels, log.steps[: first[t + 1]], t - OPEN * window)] = -1
             if not np.any(labels >= 0):
                 break
-            solved = Solved.of(backbone, labels, poses)
+            try:
+                solved = Solved.of(backbone, labels, poses)
+            except GraphError:
+                # the labels contradict the motions so much that solving diverges; `refine` finds it, too
+                break
             poses = solved.poses
             joined, deferred = _join(log, solved, t - OPEN * window, backbone.known, densities, classes, options)
             if not joined:
