@@ -1,7 +1,8 @@
 """Robots that nobody has calibrated: the default result of drives whose noise, biases and misread ids are unknown.
 
     python benchmarks/unknown_robot.py [--seeds tuning|reporting|1000-1009] [--drives 20] [--jobs 2] [--misread 0.05]
-                                       [--option noise=auto] [--plain] [--json FILE] [--oracles FOLDER]
+                                       [--option noise=auto] [--plain] [--also fastslam2] [--json FILE]
+                                       [--oracles FOLDER]
 
 Each seed is a `Drive.random`. Its log goes through three ways:
 
@@ -26,7 +27,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -61,6 +62,7 @@ class Outcome:
         misread: the part of the sightings that it found misread or clutter, or None where it does not say.
         warnings: what it said, one sentence each.
         seconds: of the processor, without reading.
+        others: {further estimator: its ATE [m]}, with the same noise and ids.
     """
 
     poses: Array
@@ -68,14 +70,16 @@ class Outcome:
     misread: float | None
     warnings: tuple[str, ...]
     seconds: float
+    others: dict[str, float | None] = field(default_factory=dict)
 
 
 #: a way from a log to its outcome
 Runner = Callable[[Log], Outcome]
 
 
-def default_run(log: Log, **options: Any) -> Outcome:
+def default_run(log: Log, also: tuple[str, ...] = (), **options: Any) -> Outcome:
     """`comparisons.run` with the estimator ``graph``; its notes tell the share of the ids that contradict their place."""
+    assert log.true_poses is not None
     begin = time.process_time()
     found = comparisons.run(log, estimators=["graph"], **options)
     seconds = time.process_time() - begin
@@ -84,7 +88,13 @@ def default_run(log: Log, **options: Any) -> Outcome:
         said.append(result.reason)
     shares = [re.search(r"\((\d+\.\d+)%\) contradict their id", note) for note in found.log.notes]
     share = next((float(each[1]) / 100 for each in shares if each), 0.0)
-    return Outcome(result.poses, found.nees["graph"], share, tuple(said), seconds)
+    others: dict[str, float | None] = {}
+    for name in also:
+        try:
+            others[name] = ate(log.true_poses, comparisons.run(log, estimators=[name], **options)[name].poses)
+        except SlamError:
+            others[name] = None
+    return Outcome(result.poses, found.nees["graph"], share, tuple(said), seconds, others)
 
 
 def plain_seconds(log: Log) -> float:
@@ -166,6 +176,7 @@ class Row:
     plain: float | None = None
     warnings: tuple[str, ...] = ()
     failure: str = ""
+    others: dict[str, float | None] = field(default_factory=dict)
 
     @property
     def ratio(self) -> float | None:
@@ -210,7 +221,7 @@ def row(
             outcome = run(log)
             figures |= {
                 "default": ate(log.true_poses, outcome.poses), "nees": outcome.nees, "found": outcome.misread,
-                "seconds": outcome.seconds, "warnings": outcome.warnings,
+                "seconds": outcome.seconds, "warnings": outcome.warnings, "others": outcome.others,
             }  # fmt: skip
         except SlamError as error:
             figures["failure"] = f"default: {error}"
@@ -245,6 +256,7 @@ def line(r: Row) -> str:
     cells += [
         f"{'-' if r.plain is None else format(r.plain, '.2f'):>6} {r.seconds:6.2f}",
         "SILENT" if r.silently_bad else "warned" if r.warnings else "",
+        *(f"{name} {'-' if error is None else format(error, '.4f')}" for name, error in r.others.items()),
     ]
     return " ".join([*cells, r.failure]).rstrip()
 
@@ -282,6 +294,10 @@ def summary(rows: list[Row]) -> str:
         if timed:
             slow = sum(seconds > 3 * plain + 1 for seconds, plain in timed)
             lines[-1] += f", plain {np.median(timed, axis=0)[1]:.2f} s; above three times plain and one second: {slow}"
+        for name in both[0].others:
+            ratios = np.array([(r.others[name] or np.nan) / r.default for r in both if r.default])
+            lines.append(f"ATE of {name} over that of the graph: median {np.nanmedian(ratios):.2f}, 95 % "
+                         f"{np.nanquantile(ratios, 0.95):.2f}, without a result {np.sum(np.isnan(ratios))}")  # fmt: skip
     return "\n".join(lines)
 
 
@@ -313,11 +329,15 @@ def main() -> None:
     parser.add_argument(
         "--option", action="append", default=[], metavar="NAME=VALUE", help="an option of slam-compare run"
     )
+    parser.add_argument(
+        "--also", default="", help="further estimators with the same noise, for example fastslam,fastslam2"
+    )
     parser.add_argument("--plain", action="store_true", help="time the graph with the noise of the book, too")
     parser.add_argument("--oracles", type=Path, help="a folder that keeps the figures of the oracle")
     parser.add_argument("--json", type=Path, help="write the rows there")
     arguments = parser.parse_args()
     options = dict(value_of(word) for word in arguments.option)
+    options["also"] = tuple(filter(None, arguments.also.split(",")))
     task = partial(
         row, misread=arguments.misread, run=partial(default_run, **options), plain=arguments.plain,
         oracles=arguments.oracles,

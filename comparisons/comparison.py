@@ -11,7 +11,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from graphslam import AssociationScore, Certificate, GraphError, Log, MotionModel, SensorModel, SlamError
+from graphslam import AssociationScore, Certificate, GraphError, Log, MotionModel, SensorModel, SlamError, Solution
 from graphslam.association import score
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import Metrics, evaluate
@@ -273,7 +273,8 @@ class Comparison(Displayed):
 
         A file that cannot be made for another reason, such as the figure, is left out with a note.
 
-        comparison.json (docs/json.md), the figure, trajectories NAME.tum and maps NAME-map.csv (see `exchange`), the
+        comparison.json (docs/json.md), the figure, trajectories NAME.tum and maps NAME-map.csv (see `exchange`), of solved
+        graphs NAME-map.npz with the joint covariance of the landmarks, for ``--map`` with other logs, the
         graph as graph.g2o where pose-graph files can hold it, noise and biases that were estimated from the log as
         noise.toml, for ``--noise`` with other logs of the robot, and the configuration as config.toml.
 
@@ -304,6 +305,11 @@ class Comparison(Displayed):
                 with noted(files.notes, f"there is no {name}"):
                     (folder / name).write_text(text(), encoding="utf-8")
                     files["config" if name == "config.toml" else name] = directory / name
+            for result in self.results:
+                if isinstance(result.origin, Solution) and result.landmarks and result.named:
+                    with noted(files.notes, f"there is no {(name := f'{result.name}-map.npz')}"):
+                        result.origin.map.save(folder / name)
+                        files[name] = directory / name
             if self.options.calibration is not None:
                 with noted(files.notes, "there is no noise.toml"):
                     write_noise(self.options.calibration, folder / "noise.toml", self.log.name)

@@ -36,6 +36,7 @@ def config_text(
         "estimators": estimators,
         "time_limit": time_limit,
         **{each.name: value for each, value in options.changed() if each.only != "python"},
+        "map": None if options.map is None else _path_text(options.map.absolute()),
         # what was estimated from the log is estimated again
         **{
             name: asdict(model)
@@ -66,7 +67,7 @@ def read_config(path: Path) -> dict[str, Any]:
     if "estimators" in values:
         file.attempt(lambda: check_estimators(values["estimators"]))
     file.attempt(lambda: LimitOptions.of(time_limit=values.get("time_limit")))
-    for key in ("log", "noise"):
+    for key in ("log", "noise", "map"):
         if key in values and (key == "log" or Path(values[key]) not in (AUTO, BOOK)):
             values[key] = path.parent / _path_of(values[key])
     return values

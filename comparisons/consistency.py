@@ -27,7 +27,7 @@ from graphslam.metrics import pose_nees
 from graphslam.se2 import Array, wrap
 
 from .display import Displayed
-from .estimators import FILTERS, particle_filter
+from .filters import FILTERS, particle_filter
 from .options import ConsistencyOptions, RunOptions
 from .pool import results
 from .saving import jsonable

@@ -14,20 +14,19 @@ import numpy as np
 
 import fastslam
 import graphslam
-from fastslam.samples import Samples
 from graphslam import Graph, GraphError, Log, OptionError, SensorModel, SlamError, Solution
 from graphslam.checks import suggestion
-from graphslam.defaults import suitable_edges, suitable_for_isam2, suitable_kernel
+from graphslam.defaults import edges_for_map, suitable_edges, suitable_for_isam2, suitable_kernel
 from graphslam.errors import quoted
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import wrap
 
-from .association import identified, unused_ids
+from .association import identified
 from .failures import noted
+from .filters import FILTER, LOCALISATION, fastslam1, fastslam2, mcl
 from .option import options_of
 from .options import FrontEndOptions, GraphOptions, RunOptions
 from .results import EstimatorResult
-from .seeds import of_several_seeds
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
 PATIENCE = 0.5
@@ -77,7 +76,7 @@ def make_graph(log: Log, options: RunOptions) -> Graph:
         GraphError: the log does not determine it.
     """
     known, found = identified(log, options)
-    keywords = graph_keywords(options)
+    keywords = graph_keywords(options) | {"map": options.landmark_map}
     return Graph.from_log(known, **(keywords if found is None else keywords | {"motion": found.motion}))
 
 
@@ -95,6 +94,8 @@ def chosen(log: Log, options: RunOptions) -> RunOptions:
 
     The choice is that of `Graph.from_log`.
     """
+    if options.landmark_map is not None:
+        options = replace(options, edges=edges_for_map(log, options.edges))
     return replace(options, edges=options.edges or suitable_edges(log), kernel=options.kernel or suitable_kernel(log))
 
 
@@ -111,6 +112,7 @@ def dead_reckoning(log: Log, options: RunOptions) -> EstimatorResult:
 
 def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """The lectures' program as it stands, with the book's threshold; J is the world-frame cost that it works on."""
+    _no_map("textbook", options)
     edges = options.edges
     if edges not in graphslam.textbook.THRESHOLDS:
         edges = "virtual" if log.controls is None else "virtual+motion"
@@ -187,13 +189,19 @@ def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineEsti
     return graphslam.steps_of(_online_graph(log, options), lag=options.lag)
 
 
+def _no_map(name: str, options: RunOptions) -> None:
+    if options.landmark_map is not None:
+        raise OptionError(f"{name} does not use a map; graph, gtsam, online, mcl, fastslam1 and fastslam2 do")
+
+
 def _online_graph(log: Log, options: RunOptions) -> Graph:
     fixed = {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
-    return Graph.from_log(log, **(online_keywords(options) | fixed))
+    return Graph.from_log(log, **(online_keywords(options) | fixed), map=options.landmark_map)
 
 
 def isam2(log: Log, options: RunOptions) -> EstimatorResult:
     """ISAM2 on our factor types, step by step through the log, as a robot that drives could."""
+    _no_map("isam2", options)
     options = isam2_options(log, options)
     keywords = online_keywords(options)
     result = _of_solution("isam2", log, options, graphslam.solve_online(log, **keywords))
@@ -228,32 +236,9 @@ def _no_gnc(options: RunOptions) -> None:
         )
 
 
-def mcl(log: Log, options: RunOptions) -> EstimatorResult:
-    """Monte Carlo localisation on the true map: what a robot could know that need not map. It estimates no map.
-
-    Raises:
-        OptionError: the log does not have the true map.
-    """
-    if log.true_landmarks is None:
-        raise OptionError(
-            f"mcl localises on the true map of the landmarks, which {log.name} does not have; fastslam1 and fastslam2 "
-            "estimate a map"
-        )
-    return replace(_particle_filter("mcl", log, options), knows="true map")
-
-
-def fastslam1(log: Log, options: RunOptions) -> EstimatorResult:
-    """FastSLAM 1.0; trajectory and map of the best particle, with ``smoothing`` the means of those drawn backwards."""
-    return _particle_filter("fastslam1", log, options)
-
-
-def fastslam2(log: Log, options: RunOptions) -> EstimatorResult:
-    """FastSLAM 2.0, whose proposal is corrected by the sightings; trajectory and map as for `fastslam1`."""
-    return _particle_filter("fastslam2", log, options)
-
-
 def particle_gibbs(log: Log, options: RunOptions) -> EstimatorResult:
     """Particle Gibbs: the means of sampled trajectories and maps, with the covariances of the samples."""
+    _no_map("particle-gibbs", options)
     sampler = fastslam.ParticleGibbs(
         log, seed=options.filter.seed, threads=options.filter.threads, options=options.gibbs, motion=options.motion,
         sensor=options.sensor,
@@ -278,58 +263,6 @@ def particle_gibbs(log: Log, options: RunOptions) -> EstimatorResult:
     )
 
 
-#: the particle filters by the name of their estimator, as names in `fastslam`, which is imported when one is used
-FILTERS = {"mcl": "MonteCarloLocalization", "fastslam1": "FastSLAM1", "fastslam2": "FastSLAM2"}
-
-
-def particle_filter(name: str, log: Log, options: RunOptions) -> fastslam.ParticleFilter:
-    """A particle filter on a log, with the options that it uses.
-
-    Raises:
-        SlamError: it cannot run on this log.
-    """
-    filter_class: type[fastslam.ParticleFilter] = getattr(fastslam, FILTERS[name])
-    return filter_class(log, options=options.filter, motion=options.motion, sensor=options.sensor)
-
-
-def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResult:
-    return of_several_seeds(lambda given: _one_run(name, log, given), log, options)
-
-
-def _one_run(name: str, log: Log, options: RunOptions) -> EstimatorResult:
-    particles = particle_filter(name, log, options)
-    begin = time.perf_counter()
-    result = particles.run()
-    seconds = time.perf_counter() - begin
-    # a filter that ignores the ids numbers its landmarks itself
-    named = name == "mcl" or result.options.uses_ids
-    notes = [] if named else ["landmarks are numbered by discovery, and matched to the true ones by position"]
-    if not log.identified:
-        why = unused_ids(log) or "the sightings have no ids"
-        by_class = ", and heeds the classes of sightings" if log.classes is not None and not named else ""
-        notes = [f"{why}: {result.options.association} association finds the landmarks{by_class}"]
-    maps = name != "mcl"
-    reason = f"processed the log once with {options.filter.particles} particles"
-    reported: fastslam.FilterResult | Samples = result
-    if result.smoothed is not None:
-        reported = result.smoothed
-        reason += f", and drew {options.filter.smoothing} trajectories backwards"
-    return EstimatorResult(
-        name=name,
-        poses=reported.poses,
-        estimated=np.ones(log.num_poses, dtype=bool),
-        seconds=seconds,
-        landmarks=dict(reported.landmarks) if maps else {},
-        landmark_covariances=dict(reported.landmark_covariances) if maps else {},
-        named=named,
-        notes=tuple(notes),
-        association=result.association,
-        options={k: v for k, v in asdict(result.options).items() if k in ("seed", *ESTIMATORS[name].uses)},
-        reason=reason,
-        origin=result,
-    )
-
-
 def pair_count(log: Log) -> int:
     """The number of virtual-motion edges of a log: the sum of K (K-1) / 2 over its landmarks; none without ids."""
     sightings = _sighting_counts(log)
@@ -341,8 +274,8 @@ def _sighting_counts(log: Log) -> np.ndarray:
     return np.unique(log.landmarks[log.landmarks != UNIDENTIFIED], return_counts=True)[1]
 
 
-def _textbook_seconds(log: Log, _: RunOptions) -> float:
-    if not log.identified:  # the lectures' program refuses them at once
+def _textbook_seconds(log: Log, options: RunOptions) -> float:
+    if not log.identified or options.landmark_map is not None:  # the lectures' program refuses them at once
         return 0.0
     # 50 us of plain Python per edge; the dense solve at some 10 GFLOP/s
     return 5e-5 * (pair_count(log) + log.num_poses) + 2 / 3 * (3.0 * log.num_poses) ** 3 / 1e10
@@ -385,11 +318,7 @@ def _isam2_seconds(log: Log, options: RunOptions) -> float:
 _GRAPH = tuple(options_of(GraphOptions))
 #: and what finds the ids for it
 _SOLVED = (*_GRAPH, *options_of(FrontEndOptions), "class_confusion")
-_FILTER = tuple(name for name in options_of(fastslam.FilterOptions) if name not in ("seed", "threads"))
 _GIBBS = tuple(name for name, each in options_of(RunOptions).items() if each.model == "gibbs")
-#: localisation knows its map: it has no association, no landmarks to update and no corrected proposal
-_LOCALISATION = ("particles", "resampling", "ess_threshold", "stage")
-
 #: the estimators by name, in the order in which they run and are shown
 ESTIMATORS: dict[str, Estimator] = {
     "dead-reckoning": Estimator(dead_reckoning),
@@ -404,9 +333,9 @@ ESTIMATORS: dict[str, Estimator] = {
     "isam2": Estimator(
         isam2, tuple(name for name in _SOLVED if name not in ("initialize", "estimate")), _isam2_seconds
     ),
-    "mcl": Estimator(mcl, _LOCALISATION),
-    "fastslam1": Estimator(fastslam1, _FILTER),
-    "fastslam2": Estimator(fastslam2, _FILTER),
+    "mcl": Estimator(mcl, LOCALISATION),
+    "fastslam1": Estimator(fastslam1, FILTER),
+    "fastslam2": Estimator(fastslam2, FILTER),
     "particle-gibbs": Estimator(particle_gibbs, _GIBBS, on_request=True),
 }
 
@@ -445,7 +374,8 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
     # the fields that both have under the same names
     shared = {f.name for f in fields(EstimatorResult)} & {f.name for f in fields(Solution)}
     values = {field: getattr(solution, field) for field in shared}
-    notes = list(solution.notes)
+    # the notes of a log are shown once
+    notes = [note for note in solution.notes if note not in log.notes]
     with noted(notes, "the covariances of the map are not known"):
         values["landmark_covariances"] = solution.landmark_covariances
     parameters = solution.parameters

@@ -10,7 +10,7 @@ An estimated trajectory has the poses of the log, and between them the ends of t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from graphslam import ControlPath, GraphError, Log, control_path
+from graphslam.map_files import map_text
 from graphslam.relative import relative_graph
 from graphslam.se2 import Array, wrap
 
@@ -32,8 +33,6 @@ INTERVAL = 0.1
 
 #: a graph with more edges than this is not listed one by one
 MOST_EDGES = 200_000
-
-MAP_COLUMNS = "id,x,y,heading,var_x,cov_xy,var_y,cov_x_heading,cov_y_heading,var_heading"
 
 
 def times_of(log: Log) -> Array:
@@ -69,22 +68,6 @@ def tum_text(times: Array, poses: Array, note: str = "") -> str:
     quaternion = [zero, zero, zero, np.sin(heading / 2), np.cos(heading / 2)]
     rows = np.column_stack([times, poses[:, 0], poses[:, 1], *quaternion])
     lines += [" ".join(map(repr, row)) for row in rows.tolist()]
-    return "\n".join(lines) + "\n"
-
-
-def map_text(landmarks: Mapping[int, Array], covariances: Mapping[int, Array]) -> str:
-    """A map {id: (2,) or (3,)} with covariances {id: (n, n)} as a table; what is not known stays empty."""
-    lines = [MAP_COLUMNS]
-    for j in sorted(landmarks):
-        mean = np.asarray(landmarks[j], dtype=float).tolist()
-        cells: list[float | None] = [*mean, *[None] * (3 - len(mean))]
-        C = covariances.get(j)
-        if C is None:
-            cells += [None] * 6
-        else:
-            cells += [C[0, 0], C[0, 1], C[1, 1]]
-            cells += [C[0, 2], C[1, 2], C[2, 2]] if len(C) == 3 else [None] * 3
-        lines.append(",".join([str(j), *("" if c is None or np.isnan(c) else repr(float(c)) for c in cells)]))
     return "\n".join(lines) + "\n"
 
 

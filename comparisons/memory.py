@@ -8,7 +8,7 @@ import fastslam
 from fastslam.memory import GIGABYTE, Forecast, available_memory, forecast
 from graphslam import Log, OptionError
 
-from .estimators import FILTERS
+from .filters import FILTERS
 from .options import RunOptions
 
 #: what may be needed without a word [bytes]

@@ -11,8 +11,6 @@ To add an option, add a field and use it where it takes effect.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -20,13 +18,14 @@ from typing import Any
 from fastslam.options import FilterOptions, GibbsOptions
 from graphslam.checks import option
 from graphslam.errors import OptionError
+from graphslam.landmark_map import USES, LandmarkMap
 from graphslam.models import RESIDUALS, MotionModel, SensorModel
 from graphslam.parameters.declared import PARAMETERS, parsed
 from graphslam.sources.simulator import MotionFaults, SensorFaults
 from graphslam.sources.worlds import WORLDS, World
 from graphslam.tables.options import TableOptions
 
-from .option import Options, options_of
+from .option import Options
 
 #: the noise models: parameter name of an estimator and table of a TOML file -> the model
 MODELS: dict[str, type[MotionModel] | type[SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
@@ -158,6 +157,21 @@ class GraphOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class MapOptions(Options):
+    """A map to localise in; see `graphslam.LandmarkMap`."""
+
+    panel = "Graph"
+    map: Path | None = option(
+        None, "Map of landmarks to localise in (.csv, .npz, .yaml, .geojson), such as graph-map.npz of an earlier run. "
+        "The log needs its ids, and no start pose.", metavar="FILE", default_text="none",
+    )  # fmt: skip
+    map_use: str = option(
+        USES[0], "Errors of the map: joint, all that it says; own, without correlations; fixed, exact.", choices=USES
+    )
+    landmark_map: LandmarkMap | None = option(None, "The map itself, instead of a file.", only="python")
+
+
+@dataclass(frozen=True, kw_only=True)
 class OnlineOptions(Options):
     """The estimator ``online``."""
 
@@ -199,7 +213,7 @@ class SmootherOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions(OnlineOptions, FrontEndOptions, GraphOptions, LogOptions, SmootherOptions):
+class RunOptions(MapOptions, OnlineOptions, FrontEndOptions, GraphOptions, LogOptions, SmootherOptions):
     """All options of a run: reading, noise, graph, filters and smoother; ``comparisons.run(log, kernel="huber")``."""
 
     components = LogOptions.components | {"filter": (FilterOptions, FILTER)} | SmootherOptions.components
@@ -412,24 +426,6 @@ class ImportOptions(Options):
         None, "Also keep a pose at least once in this time, even where nothing was seen.", unit="s", positive=True,
         default_text="poses only where something was seen", panel=OUTPUT,
     )  # fmt: skip
-
-
-def hint_of_import(text: str, known: Collection[str] = ()) -> str | None:
-    """Where options of ``import`` that a sentence advises stand for a verb that does not have them; None where it names none.
-
-    Args:
-        text: the sentence.
-        known: names of the options of the verb.
-    """
-    names = [f"--{name.replace('_', '-')}" for name in options_of(TableOptions) if name not in known]
-    named = [name for name in names if re.search(rf"{name}\b", text)]
-    if not named:
-        return None
-    are, them = ("are options", "them") if len(named) > 1 else ("is an option", "it")
-    return (
-        f"{', '.join(named)} {are} of slam-compare import; other verbs read {them} from import.toml in the folder of the "
-        "tables, or from the TOML file of the bag's name (docs/own_robot.md)"
-    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,12 +27,14 @@ from graphslam.errors import quoted
 from graphslam.files import check_file
 from graphslam.identification.robot import known_robot
 from graphslam.keyframes import with_poses_every
+from graphslam.landmark_map import as_map
+from graphslam.localization import in_frame_of
 from graphslam.parameters.corrections import without_biases
 from graphslam.parameters.declared import CORRECTIONS, of_sensor_alone
 
 from .noise_files import read_noise
 from .option import options_of
-from .options import AUTO, BOOK, LogOptions, NoiseOptions, ReadingOptions
+from .options import AUTO, BOOK, LogOptions, MapOptions, NoiseOptions, ReadingOptions
 
 Given = TypeVar("Given", bound=LogOptions)
 
@@ -51,12 +53,13 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
         The log; where it came from, None for a `Log`; the options, whose noise models are those of the options, else
         those of the noise file, else those of the log, else those estimated from it, else the book's. Its ``noise`` is
         `AUTO` where they were estimated, with what was found as its ``calibration``, and None otherwise; its ``numbers``
-        are those of the filters.
+        are those of the filters. With a map the log is in its frame, and the map its ``landmark_map``.
 
     Raises:
         FormatError: a file cannot be read.
         LogError: the log lacks what is asked for, or a corrected range would not be above zero.
         OptionError: an option does not apply to this log.
+        GraphError: the log does not fit the map.
     """
     data, source = read_log(log, options)
     data, values, found = _with_noise(data, options)
@@ -69,9 +72,19 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
     if options.max_range is not None:
         # what is farther away has been left out, so that the sensor does not see it
         sensor = replace(sensor, max_range=min(sensor.max_range, options.max_range))
+    in_map: dict[str, Any] = {}
+    if isinstance(options, MapOptions) and (options.map or options.landmark_map) is not None:
+        landmark_map = as_map(options.landmark_map or options.map).used_as(options.map_use)
+        data, notes = in_frame_of(data, landmark_map, motion=motion, sensor=sensor)
+        data = data.replace(notes=(*data.notes, *notes))
+        in_map = {"landmark_map": landmark_map}
     others = {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)}
     models: dict[str, Any] = {"motion": motion, "sensor": sensor, "calibration": found}
-    return data, source, replace(options, noise=AUTO if found else None, numbers=others, **models, **corrected)
+    return (
+        data,
+        source,
+        replace(options, noise=AUTO if found else None, numbers=others, **models, **corrected, **in_map),
+    )
 
 
 def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], Calibration | None]:

@@ -14,6 +14,7 @@ from fastslam.gibbs.result import GibbsResult
 from fastslam.samples import Samples
 from fastslam.state import FilterResult
 from graphslam import Association, Certificate, Graph, Log, MotionModel, Solution, certify
+from graphslam.localization import drifted
 from graphslam.parameters import ParameterEstimate
 from graphslam.parameters.corrected import motion_edges, sighted_edges
 from graphslam.se2 import Array, compose, inverse, rotation, wrap
@@ -190,22 +191,8 @@ def of_expected(cost: float, graph: Graph) -> float | None:
 
 
 def dead_reckoning_covariances(log: Log, motion: MotionModel | None = None) -> Array:
-    """The accumulated motion noise (T+1, 3, 3) along a drive from a start that is known exactly, in world axes.
-
-    Sigma_{t+1} = F Sigma F' + J Q J', where m is the motion in the axes of pose t, Q its covariance,
-    F = d compose(x, m) / dx and J = d compose(x, m) / dm.
-    """
-    motions, noise = log.motions(motion)
-    pose, covariance = log.initial_poses[0], np.zeros((3, 3))
-    covariances = [covariance]
-    for m, Q in zip(motions, noise):
-        after = compose(pose, m)
-        F = np.array([[1, 0, pose[1] - after[1]], [0, 1, after[0] - pose[0]], [0, 0, 1]])
-        J = np.eye(3)
-        J[:2, :2] = rotation(pose[2])
-        pose, covariance = after, F @ covariance @ F.T + J @ Q @ J.T
-        covariances.append(covariance)
-    return np.array(covariances)
+    """The accumulated motion noise (T+1, 3, 3) along a drive from a start that is known exactly; see `drifted`."""
+    return drifted(log.initial_poses[0], *log.motions(motion))[1]
 
 
 def typical_costs(result: EstimatorResult) -> dict[str, float]:

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from graphslam.association import ids_by_map
 from graphslam.association.classes import Classes
 from graphslam.errors import OptionError
+from graphslam.landmark_map import as_map
+from graphslam.log import Log
 from graphslam.se2 import Array
 
 from .anonymous_maps import AnonymousLandmarks
@@ -25,6 +28,8 @@ from .state import LandmarkEstimate, weighted_covariance, weighted_mean
 #: the largest range [m] and standard deviation, whose inverse is the smallest standard deviation: products of three
 #: variances and squares of covariances are then finite
 LARGEST = 1e50
+#: the standard deviation [m, rad] of landmarks that are exact in a map
+EXACT = 1e-6
 
 
 class FastSLAM1(ParticleFilter):
@@ -56,13 +61,27 @@ class FastSLAM1(ParticleFilter):
     Landmarks of a particle that turn out to be one are merged. "auto" uses ids where the log has them, else it is
     `options.WITHOUT_IDS`. See docs/fastslam.md, "Unknown association".
 
-    Arguments and errors are those of `ParticleFilter`; all options are fields of `FilterOptions`. The
+    With ``landmarks``, a map that is known beforehand (`graphslam.landmark_map.as_map` says in which forms), every particle
+    begins with its landmarks and their own covariances. Correlations between landmarks are not used, and exact ones have a
+    standard deviation of `EXACT`. The ids of the sightings must be those of the map, and its frame that of ``start``.
+
+    All other arguments and errors are those of `ParticleFilter`; all options are fields of `FilterOptions`. The
     new_landmark_threshold p decides when a sighting belongs to a new landmark: where its likelihood under every known
     landmark is below the density at the border of the ellipse that holds 1 - p of the sightings of a perfectly known
     landmark. For each new landmark a particle's weight is multiplied by that density.
     """
 
     _maps: IdentifiedLandmarks | AnonymousLandmarks | None = None
+
+    def __init__(self, log: Log | None = None, *, landmarks: Any = None, **keywords: Any) -> None:
+        super().__init__(log, **keywords)
+        self._given = None if landmarks is None else as_map(landmarks)
+        if self._given is not None and not self._needs_ids:
+            raise OptionError("a map is used by the ids of its landmarks: leave out the option association, or the map")
+        if self._given is not None and self.options.smoothing:
+            raise OptionError(
+                "trajectories that are drawn backwards do not know a map: leave out smoothing, or the map"
+            )
 
     @property
     def _needs_ids(self) -> bool:
@@ -95,6 +114,7 @@ class FastSLAM1(ParticleFilter):
                     landmark_update=self.options.landmark_update,
                     range_noise=(self.sensor.range_rate, self.sensor.range_std) if estimated else None,
                 )
+                self._place_given(self._maps)
             else:
                 self._maps = AnonymousLandmarks(*shape, self.options, self.sensor, self._classes)
         if isinstance(self._maps, IdentifiedLandmarks):
@@ -105,6 +125,18 @@ class FastSLAM1(ParticleFilter):
         else:
             shown = self._classes.shown[rows].copy()
         return self._weigh_anonymous(self._maps, sightings, q, shown)
+
+    def _place_given(self, maps: IdentifiedLandmarks) -> None:
+        """Put the landmarks of the map that is given into all maps."""
+        n = maps.coordinates
+        for j, place in (self._given or {}).items():
+            if len(place) < n:
+                raise OptionError(
+                    f"landmark {j} of the map has no heading, and the sightings have psi: use log.without_orientation()"
+                )
+            assert self._given is not None
+            own = self._given.covariances.get(j, np.zeros((3, 3)))[:n, :n]
+            maps.place(j, place[:n], own + EXACT**2 * np.eye(n))
 
     def _weigh_identified(self, maps: IdentifiedLandmarks, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
         """Weigh sightings with ids, as `_weigh`."""

@@ -100,6 +100,13 @@ class IdentifiedLandmarks:
             sighted = _Sighted(np.empty((0, self._shape[1])), poses, 1, evidence, row, variances, np.zeros(1))
         self._columns[landmark] = _Column(self._genealogy.level(), numbers, sighted)
 
+    def place(self, landmark: int, mean: Array, covariance: Array) -> None:
+        """Give all particles the same Gaussian, mean (n,) and covariance (n, n), of a landmark that is known beforehand."""
+        numbers, n = np.zeros(self._shape), len(mean)
+        rows, columns = np.triu_indices(n)
+        numbers[:n], numbers[n:] = mean[:, None], covariance[rows, columns][:, None]
+        self._columns[landmark] = _Column(self._genealogy.level(), numbers)
+
     def update(self, landmark: int, poses: Array, z: Array, q: Array, log_likelihood: Array) -> None:
         """Schedule a later sighting: add log N(z; h(m), V) to log_likelihood (N,), then the Kalman update."""
         column = self._columns[landmark]

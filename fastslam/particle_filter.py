@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from graphslam.checks import check_type, suggestion
 from graphslam.errors import LogError, OptionError, quoted
 from graphslam.identification.robot import known_robot
+from graphslam.localization import Fix
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
@@ -35,6 +36,9 @@ from .samples import Samples
 from .state import FilterResult, LandmarkEstimate, ParticleState
 from .threads import Threads
 from .weight_kernels import normalize
+
+#: the standard deviations of particles around a first fix, over those of the fix
+SPREAD = 2.0
 
 
 class VanishedWeightsWarning(RuntimeWarning):
@@ -70,7 +74,9 @@ class ParticleFilter(ABC):
         log: controls and sightings; None for a filter that is used with `move` and `observe`.
         options: the options; ``keywords`` replace single options and are the fields of `FilterOptions`.
         motion, sensor: the models; default: those of the log, else the book's.
-        start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose.
+        start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose. A
+            `graphslam.Fix` in a map: poses are drawn with `SPREAD` times its standard deviations, because the sightings from
+            which it comes weigh the particles again.
 
     Raises:
         OptionError: an option has an impossible value, the log has sightings without ids and the filter needs them, or the
@@ -90,7 +96,7 @@ class ParticleFilter(ABC):
         options: FilterOptions | None = None,
         motion: MotionModel | None = None,
         sensor: SensorModel | None = None,
-        start: ArrayLike | None = None,
+        start: ArrayLike | Fix | None = None,
         **keywords: Any,
     ) -> None:
         for name, value, kind in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
@@ -121,6 +127,8 @@ class ParticleFilter(ABC):
 
         if start is None:
             start = np.zeros(3) if log is None else log.initial_poses[0]
+        elif isinstance(start, Fix):
+            start = self._rng.multivariate_normal(start.pose, SPREAD**2 * start.covariance, self.particles)
         expected = f"a finite pose (3,) or one per particle ({self.particles}, 3)"
         poses = np.empty((3, self.particles))
         poses[:] = np.atleast_2d(self.sensor.mount(finite("start", start, expected, [(3,), (self.particles, 3)]))).T

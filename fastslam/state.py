@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from graphslam.errors import OptionError
+from graphslam.landmark_map import LandmarkMap
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
 
@@ -138,6 +139,12 @@ class FilterResult:
     association: np.ndarray | None = None
     unconfirmed: np.ndarray | None = None
     smoothed: Samples | None = None
+
+    @property
+    def map(self) -> LandmarkMap:
+        """The map of the best particle with the covariances of its landmarks, which are those given its path."""
+        known = {j: C for j, C in self.landmark_covariances.items() if np.any(C)}
+        return LandmarkMap(self.landmarks, known)
 
     def __repr__(self) -> str:
         drawn = "" if self.smoothed is None else f", {self.smoothed.trajectories.shape[1]} trajectories drawn backwards"

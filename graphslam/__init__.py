@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     from .incremental.solver import OnlineSolver
     from .incremental.stream import OnlineEstimate, online, solve_by_steps, steps_of
     from .keyframes import with_poses_every
+    from .landmark_map import LandmarkMap
+    from .localization import Fix, first_fix
     from .log import Log
-    from .mapping import LandmarkMap, estimate_map
+    from .mapping import estimate_map
     from .models import MotionModel, SensorModel
     from .parameters import PARAMETERS, Parameter, ParameterEstimate
     from .parameters.corrections import without_biases
@@ -58,8 +60,10 @@ _PUBLIC = {
     "incremental.solver": "OnlineSolver",
     "incremental.stream": "OnlineEstimate online solve_by_steps steps_of",
     "keyframes": "with_poses_every",
+    "localization": "Fix first_fix",
     "log": "Log",
-    "mapping": "LandmarkMap estimate_map",
+    "landmark_map": "LandmarkMap",
+    "mapping": "estimate_map",
     "models": "MotionModel SensorModel",
     "parameters": "PARAMETERS Parameter ParameterEstimate",
     "parameters.corrections": "without_biases",

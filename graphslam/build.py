@@ -16,9 +16,11 @@ from .edges import (
     AnchorEdges,
     CartesianObservationEdges,
     EdgeFamily,
+    LandmarkPriors,
     LandmarkSightings,
     MarginalEdges,
     PolarObservationEdges,
+    PriorEdges,
     RelativePointEdges,
     RelativePoseEdges,
     VirtualMotionEdges,
@@ -27,6 +29,7 @@ from .edges import (
 from .edges.robust import Kernel
 from .errors import GraphError
 from .formats.pose_graph import PoseGraphFile
+from .landmark_map import LandmarkMap
 from .log import Log
 from .mapping import estimate_map
 from .models import MotionModel, SensorModel
@@ -45,8 +48,12 @@ def parts_of_log(
     scale: float,
     kernel: Kernel | None,
     residual: str,
+    landmark_map: LandmarkMap | None = None,
 ) -> dict[str, Any]:
-    """The parts of the graph of a log; arguments and errors as in `Graph.from_log`, ``scale`` for the motion edges."""
+    """The parts of the graph of a log; arguments and errors as in `Graph.from_log`, ``scale`` for the motion edges.
+
+    With a map the log is in its frame already, and the map takes the place of the anchor.
+    """
     with_motion = edges.endswith("+motion")
     _check_log(log, with_motion)
     check_log(log, motion, sensor)
@@ -54,16 +61,18 @@ def parts_of_log(
     parts: dict[str, Any] = {"trajectory": log.initial_poses, "log": log, "sensor": sensor}
     if edges.startswith("landmark"):
         steps = np.arange(log.num_poses)
-        ids = log.landmark_ids
+        d = log.sightings.shape[1]
+        known = _usable(landmark_map, d, set(log.landmark_ids.tolist()))
+        ids = np.union1d(log.landmark_ids, np.array(list(known), dtype=np.int64))
         nodes = log.num_poses + np.searchsorted(ids, log.landmarks)
         seen = (log.steps, nodes, log.sightings, sensor)
         if residual == "polar":
             sighted = PolarObservationEdges(*seen, kernel=kernel)
         else:
             sighted = CartesianObservationEdges(*seen, kernel=kernel, frame=frame)
-        d = log.sightings.shape[1]
         landmarks = np.zeros((len(ids), 3))
-        landmarks[:, :d] = list(estimate_map(log, log.initial_poses, sensor=sensor).values())
+        for j, place in (estimate_map(log, log.initial_poses, sensor=sensor) | known).items():
+            landmarks[np.searchsorted(ids, j), : min(len(place), d)] = place[:d]
         parts |= {"landmark_ids": ids, "landmark_dimension": d, "sighting_rows": np.arange(len(log.steps))}
     else:
         steps, notes = _tied_steps(log, with_motion)
@@ -78,10 +87,13 @@ def parts_of_log(
         landmarks = np.zeros((0, 3))
         parts |= {"sighting_rows": rows, "notes": tuple(notes)}
     poses = log.initial_poses[steps]
-    families: list[EdgeFamily] = [
-        AnchorEdges(np.zeros(1, dtype=int), poses[:1].copy(), ANCHOR_INFORMATION[None]),
-        sighted,
-    ]
+    initial = np.concatenate([poses, landmarks])
+    if landmark_map is None:
+        families: list[EdgeFamily] = [AnchorEdges(np.zeros(1, dtype=int), poses[:1].copy(), ANCHOR_INFORMATION[None])]
+    else:
+        families, parts["fixed"] = _priors(landmark_map, known, ids, initial, d)
+        parts["map"] = landmark_map
+    families.append(sighted)
     if with_motion:
         assert log.controls is not None and log.dt is not None
         families.append(
@@ -90,9 +102,32 @@ def parts_of_log(
                 control_variances=log.control_variances, recorded_dt=log.recorded_dt, frame=frame, scale=scale,
             )
         )  # fmt: skip
-    return parts | {
-        "initial": np.concatenate([poses, landmarks]), "families": tuple(families), "steps": steps, "pose_ids": steps,
-    }  # fmt: skip
+    return parts | {"initial": initial, "families": tuple(families), "steps": steps, "pose_ids": steps}
+
+
+def _usable(landmark_map: LandmarkMap | None, d: int, seen: set[int]) -> dict[int, Array]:
+    """The landmarks of a map that can be nodes with d coordinates: the map, or sightings, must determine them all."""
+    if landmark_map is None:
+        return {}
+    uncertain = landmark_map.covariances
+    return {j: place for j, place in landmark_map.items() if len(place) >= d or (j in uncertain and j in seen)}
+
+
+def _priors(
+    landmark_map: LandmarkMap, known: dict[int, Array], ids: np.ndarray, initial: Array, d: int
+) -> tuple[list[EdgeFamily], np.ndarray]:
+    """The edges of a map, and its nodes that are held, in a graph with the landmarks ``ids`` in the last rows of initial."""
+    poses = len(initial) - len(ids)
+    uncertain = [j for j in known if j in landmark_map.covariances]
+    fixed = poses + np.searchsorted(ids, [j for j in known if j not in landmark_map.covariances])
+    nodes = poses + np.searchsorted(ids, uncertain)
+    if not uncertain:
+        return [], fixed
+    if landmark_map.joint is not None:
+        information = landmark_map.joint_information(uncertain, d)
+        return [PriorEdges(nodes, initial[nodes], information)], fixed
+    information = np.array([landmark_map.own_information(j, d) for j in uncertain])
+    return [LandmarkPriors(nodes, initial[nodes], information)], fixed
 
 
 def _check_log(log: Log, with_motion: bool) -> None:
@@ -156,7 +191,8 @@ def parts_of_file(data: PoseGraphFile, path: Path) -> dict[str, Any]:
         first = np.searchsorted(data.pose_ids, data.point_edges[:, 0])
         second = num_poses + np.searchsorted(data.landmark_ids, data.point_edges[:, 1])
         families.append(RelativePointEdges(first, second, data.point_measured, data.point_information))
-    fixed = np.searchsorted(data.pose_ids, data.fixed) if data.fixed else np.zeros(1, dtype=np.int64)
+    ids = np.concatenate([data.pose_ids, data.landmark_ids])
+    fixed = np.flatnonzero(np.isin(ids, data.fixed)) if data.fixed else np.zeros(1, dtype=np.int64)
     num_nodes = num_poses + len(data.landmark_ids)
     label = _pieces(num_nodes, [family.first for family in families], [family.second for family in families])
     loose = np.flatnonzero(~np.isin(label, label[fixed]))
@@ -193,7 +229,7 @@ def file_of_parts(
     poses: list[EdgeFamily] = []
     points: list[EdgeFamily] = []
     for family in families:
-        if isinstance(family, AnchorEdges):
+        if isinstance(family, AnchorEdges) and not isinstance(family, LandmarkPriors):
             held.append(family.nodes)
         elif isinstance(family, RelativePoseEdges) and not family.state_dependent_information:
             poses.append(family)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .edges.robust import Kernel
+from .errors import GraphError
 from .log import Log
 from .models import MotionModel
 
@@ -20,6 +21,19 @@ def suitable_edges(log: Log) -> str:
         return "virtual"
     of_lectures = log.simulated or log.motion in (None, MotionModel())
     return "virtual+motion" if log.has_orientation and of_lectures else "landmark+motion"
+
+
+def edges_for_map(log: Log, edges: str | None) -> str:
+    """The edges of a graph with a map, whose landmarks are nodes.
+
+    Raises:
+        GraphError: other edges are asked for, or the log has no controls.
+    """
+    if edges not in (None, "landmark+motion"):
+        raise GraphError(f"a map needs its landmarks as nodes: use edges='landmark+motion', not {edges!r}, or no map")
+    if log.controls is None:
+        raise GraphError(f"{log.name} has no controls, and a graph with a map needs motion edges between its poses")
+    return "landmark+motion"
 
 
 def suitable_kernel(log: Log) -> str:

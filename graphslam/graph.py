@@ -13,16 +13,26 @@ import numpy as np
 
 from .build import file_of_parts, node_names, parts_of_file, parts_of_log
 from .checks import array_of, check_choice, check_positive, check_type, make_read_only
-from .defaults import pairs_overweight, suitable_edges, suitable_kernel
-from .edges import AnchorEdges, EdgeFamily, LandmarkSightings, MarginalEdges, SightingEdges
+from .defaults import edges_for_map, pairs_overweight, suitable_edges, suitable_kernel
+from .edges import (
+    AnchorEdges,
+    EdgeFamily,
+    LandmarkPriors,
+    LandmarkSightings,
+    MarginalEdges,
+    PriorEdges,
+    SightingEdges,
+)
 from .edges.robust import Kernel, kernel_of
 from .errors import GraphError, OptionError, quoted
 from .files import path_of
 from .formats.pose_graph import read_pose_graph, write_g2o
 from .identification.robot import AUTO, BOOK, known_robot
+from .landmark_map import LandmarkMap, as_map
 from .linear.information import BlockSystem
+from .localization import in_frame_of
 from .log import Log, check_is_log
-from .mapping import LandmarkMap, estimate_map
+from .mapping import estimate_map
 from .models import RESIDUALS, MotionModel, SensorModel
 from .parameters.declared import Parameters, declared
 from .se2 import Array
@@ -56,6 +66,7 @@ class Graph:
         sighting_rows: (M,) the row of the log's sightings that each sighting of the edges comes from.
         parameters: what is unknown about vehicle and sensor beside the nodes, or None; the edges are those at its values.
         held: parameters that were estimated before and are not solved for; covariances contain their uncertainty.
+        map: the map whose landmarks are fixed or have priors, in the place of an anchor; None where there is none.
     """
 
     initial: Array
@@ -73,6 +84,7 @@ class Graph:
     sighting_rows: np.ndarray = field(default_factory=_none)
     parameters: Parameters | None = None
     held: Parameters | None = None
+    map: LandmarkMap | None = None
 
     def __post_init__(self) -> None:
         make_read_only(self, "initial", "steps", "trajectory", "pose_ids", "landmark_ids", "fixed", "sighting_rows")
@@ -102,8 +114,11 @@ class Graph:
         residual: str = "cartesian",
         estimate: str | Iterable[str] | Mapping[str, float | None] | None = None,
         noise: str | None = None,
+        map: LandmarkMap | Mapping[int, Array] | str | PathLike[str] | None = None,
     ) -> Graph:
         """The graph of a log: an anchor at the first node, edges from the sightings, and motion edges where asked for.
+
+        With a map the graph is in its frame, and has no anchor. The first fix needs no start pose (`first_fix`).
 
         Args:
             log: the controls and sightings of the robot.
@@ -130,6 +145,10 @@ class Graph:
             noise: "auto": estimate noise and biases of the robot and misread ids from the log, and take them out of it
                 (`graphslam.estimate_robot`); "book": the values of the lectures. Default: the models of the log, the book's
                 for logs of `simulate`, and else "auto" where the log can tell them. Not used where models are given.
+            map: a `LandmarkMap`, {id: (x, y)}, the path of its file, or a solution of another log. Its landmarks are nodes:
+                without a covariance they are fixed, otherwise they have priors, together where the map has a joint
+                covariance. Landmarks that it does not have are added. psi is not used where a fixed landmark that is seen
+                has no heading.
 
         Raises:
             GraphError: the log lacks what the options need, or the edges cannot determine the poses; the message names
@@ -150,14 +169,22 @@ class Graph:
         log = _with_dimensions(log, dimensions)
         if motion is None and sensor is None:
             log, _ = known_robot(log, noise)
+        motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
+        known_map: LandmarkMap | None = None
+        found: tuple[str, ...] = ()
+        if map is not None:
+            known_map = as_map(map)
+            edges = edges_for_map(log, edges)
+            log, found = in_frame_of(log, known_map, motion=motion, sensor=sensor)
         recorded = log
         edges = suitable_edges(log) if edges is None else edges
         kernel = suitable_kernel(log) if kernel is None else kernel
-        motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
         parts = parts_of_log(
             log, motion=motion, sensor=sensor, edges=edges, frame=frame, weight=weight, scale=motion_weight,
-            kernel=kernel_of(kernel), residual=residual,
+            kernel=kernel_of(kernel), residual=residual, landmark_map=known_map,
         )  # fmt: skip
+        if found:
+            parts["notes"] = (*parts.get("notes", ()), *found)
         parameters = declared(estimate, recorded, motion, sensor, edges, residual, motion_weight)
         held, once = None, edges == "landmark+motion" or (edges == "virtual+motion" and weight == "marginal")
         if parameters is None and once and residual == RESIDUALS[0]:
@@ -301,8 +328,16 @@ class Graph:
     def degrees_of_freedom(self) -> int:
         """The independent numbers that the edges measure, minus the unknowns: not above zero where nothing is checked."""
         rows = sum(family.numbers[0] for family in self.families) + self._priors
-        of_nodes = 3 * (len(self.steps) - 1) + self.landmark_dimension * len(self.landmark_ids)
-        return rows - of_nodes - len(self.parameters or ())
+        of_nodes = 3 * len(self.steps) + self.landmark_dimension * len(self.landmark_ids)
+        of_nodes -= self.landmark_dimension * int(np.sum(self.fixed >= len(self.steps)))
+        # one pose is the gauge, unless the map is
+        return rows - of_nodes + 3 * (self.map is None) - len(self.parameters or ())
+
+    @property
+    def mapped(self) -> np.ndarray:
+        """The landmark nodes that a map gives: those that are fixed, or have priors."""
+        of_map = [family.nodes for family in self.families if isinstance(family, (LandmarkPriors, PriorEdges))]
+        return np.concatenate([self.fixed[self.fixed >= len(self.steps)], *of_map]).astype(np.int64)
 
     @property
     def _priors(self) -> int:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -11,18 +9,10 @@ from .checks import array_of
 from .edges import MarginalEdges
 from .edges.robust import Kernel, kernel_of
 from .errors import OptionError
+from .landmark_map import LandmarkMap
 from .log import UNIDENTIFIED, Log
 from .models import SensorModel
 from .precision import check_log
-from .se2 import Array
-
-
-class LandmarkMap(dict[int, Array]):
-    """{id: (x, y) or (x, y, heading)}, with ``covariances`` {id: (2, 2) or (3, 3)} given the trajectory."""
-
-    def __init__(self, means: Mapping[int, Array], covariances: Mapping[int, Array]) -> None:
-        super().__init__(means)
-        self.covariances = dict(covariances)
 
 
 def estimate_map(
@@ -79,4 +69,4 @@ def estimate_map(
         kernel=kernel_of(kernel), trust=trusted[rows],
     )  # fmt: skip
     means, covariances = edges.map(trajectory)
-    return LandmarkMap(dict(zip(ids.tolist(), means)), dict(zip(ids.tolist(), covariances)))
+    return LandmarkMap.of_estimate(dict(zip(ids.tolist(), means)), dict(zip(ids.tolist(), covariances)))

@@ -26,8 +26,10 @@ from .edges import (
     AnchorEdges,
     CartesianObservationEdges,
     EdgeFamily,
+    LandmarkPriors,
     ObservationEdges,
     PolarObservationEdges,
+    PriorEdges,
     RelativePointEdges,
     RelativePoseEdges,
     SightingEdges,
@@ -74,6 +76,8 @@ def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
         return _weighted(replace(seen.relative, frame="body"), family, state)
     if isinstance(family, RelativePoseEdges):
         return replace(family, frame="body")
+    if isinstance(family, (LandmarkPriors, PriorEdges)):
+        raise GraphError("pose-graph files have no line for the priors of a map; use it as fixed (map_use fixed)")
     if isinstance(family, (AnchorEdges, RelativePointEdges)):
         return family
     if isinstance(family, VirtualMotionEdges):

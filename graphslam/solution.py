@@ -13,11 +13,12 @@ from .certificate import Certificate, prove
 from .checks import make_read_only
 from .errors import OptionError, quoted
 from .graph import Graph
-from .mapping import LandmarkMap
+from .landmark_map import LandmarkMap
 from .metrics import pose_nees
 from .parameters.declared import ParameterEstimate
 from .parameters.doubt import doubts
 from .se2 import Array, wrap
+from .solved_map import solved_map
 from .uncertainty import Uncertainty
 
 
@@ -144,6 +145,15 @@ class Solution:
         blocks = self._uncertainty.diagonal[len(graph.steps) :]
         d = graph.landmark_dimension
         return {j: block[:d, :d].copy() for j, block in zip(self.landmarks, blocks)}
+
+    @cached_property
+    def map(self) -> LandmarkMap:
+        """The map with the joint covariance of its landmarks, to localise other logs in; see `solved_map.solved_map`.
+
+        Raises:
+            OptionError: the solution has no landmarks. GraphError: the edges do not determine them.
+        """
+        return solved_map(self._solved_graph, self.state, self._uncertainty)
 
     def nees(self, true_poses: ArrayLike) -> Array:
         """The normalised estimation error squared e' P^-1 e / 3 of every pose, (T+1,); 1 on average if consistent.

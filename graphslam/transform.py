@@ -14,12 +14,15 @@ from dataclasses import fields, replace
 import numpy as np
 
 from .edges import (
+    ANCHOR_INFORMATION,
     AnchorEdges,
     CartesianObservationEdges,
     EdgeFamily,
+    LandmarkPriors,
     LandmarkSightings,
     ObservationEdges,
     PolarObservationEdges,
+    PriorEdges,
     RelativePointEdges,
     RelativePoseEdges,
     SightingEdges,
@@ -80,10 +83,15 @@ def with_landmark_nodes(graph: Graph) -> Graph | None:
 
 
 def poses_only(graph: Graph, families: list[EdgeFamily]) -> Graph:
-    """The graph of the poses alone, with these edges but for those to landmarks that are measured as points."""
+    """The graph of the poses alone, with these edges but for those of landmarks; an anchor takes the place of a map."""
+    count = len(graph.steps)
+    of_landmarks = (RelativePointEdges, LandmarkPriors, PriorEdges)
+    kept = [family for family in families if not isinstance(family, of_landmarks)]
+    if graph.map is not None:
+        kept.append(AnchorEdges(np.zeros(1, dtype=int), graph.initial[:1].copy(), ANCHOR_INFORMATION[None]))
     return replace(
-        graph, initial=graph.initial[: len(graph.steps)], landmark_ids=graph.landmark_ids[:0], log=None,
-        families=tuple(family for family in families if not isinstance(family, RelativePointEdges)),
+        graph, initial=graph.initial[:count], landmark_ids=graph.landmark_ids[:0], log=None, map=None,
+        families=tuple(kept), fixed=graph.fixed[graph.fixed < count],
     )  # fmt: skip
 
 
@@ -115,6 +123,8 @@ def _with_landmarks(graph: Graph, poses: np.ndarray) -> np.ndarray:
     for family in graph.families:
         if isinstance(family, ObservationEdges | RelativePointEdges):
             used[family.second[used[family.first]]] = True
+        elif isinstance(family, PriorEdges):
+            used[family.nodes] = True
     return used
 
 
@@ -133,6 +143,8 @@ def _among(graph: Graph, used: np.ndarray) -> tuple[Graph, np.ndarray]:
 
 def _edges_among(family: EdgeFamily, used: np.ndarray, number: np.ndarray) -> EdgeFamily:
     """The edges between nodes that are used (n,), with the new number (n,) of each node."""
+    if isinstance(family, PriorEdges):
+        return replace(family, nodes=number[family.nodes])
     if isinstance(family, LandmarkSightings):
         ends: tuple[str, ...] = ("nodes",)
         counts = np.bincount(family.group[used[family.nodes]])

@@ -76,6 +76,16 @@ class Uncertainty:
             block = block + self._joint.reach[i] @ self._joint.covariance @ self._joint.reach[j].T
         return block
 
+    def joint(self, nodes: np.ndarray) -> Array:
+        """The covariance (3k, 3k) of nodes (k,) together."""
+        whole = self._factor.joint_covariance(nodes)
+        if self._joint is not None:
+            reach = self._joint.reach[nodes].reshape(len(whole), -1)
+            whole = whole + reach @ self._joint.covariance @ reach.T
+        held = np.repeat(np.isin(nodes, self._graph.fixed), 3)
+        whole[held], whole[:, held] = 0.0, 0.0
+        return np.asarray(whole)
+
     def solve(self, right: Array) -> Array:
         """Omega^-1 times right-hand sides, (n, 3) or (n, 3, k)."""
         return self._factor.solve(right)

@@ -74,9 +74,10 @@ def source_and_out(words: list[str]) -> tuple[Path | None, Path | None]:
 def show(output: Output, log: LogFile = None, *, reading: ReadingOptions, drawing: FigureOptions) -> None:
     """Look at a log before it is solved: times, rates, landmarks, histograms, and what is probably wrong."""
     from ..option import options_of
-    from ..options import ReadingOptions, hint_of_import
+    from ..options import ReadingOptions
     from ..overview import inspect_log
     from ..saving import FIGURE_FORMATS, check_can_write
+    from .hints import hint_of_import
 
     if drawing.figure is not None:
         check_can_write(drawing.figure, endings=FIGURE_FORMATS)

@@ -56,13 +56,14 @@ def run(
     named = [
         p.name
         for kind, p in files.items()
-        if not kind.endswith((".tum", ".csv", ".g2o")) and kind not in ("html", "mcap", "rerun")
+        if not kind.endswith((".tum", ".csv", ".g2o", "-map.npz")) and kind not in ("html", "mcap", "rerun")
     ]
-    named += ["trajectories (*.tum)", "maps (*-map.csv)"]
+    named += ["trajectories (*.tum)", "maps (*-map.csv, *-map.npz)"]
     named += ["associations (*-sightings.csv)"] * any(name.endswith("-sightings.csv") for name in files)
     named += ["graph.g2o"] * ("graph.g2o" in files)
     from ..option import options_of
-    from ..options import RunOptions, hint_of_import
+    from ..options import RunOptions
+    from .hints import hint_of_import
 
     if advice := hint_of_import(
         " ".join([*outcome.log.notes, *(finding.message for finding in outcome.findings)]), options_of(RunOptions)
@@ -79,6 +80,8 @@ def run(
     output.hint(f"Interactive report:  {command('report', log, 'report.html', options=(chosen, options))}")
     if (advice := _noise_advice(outcome, log, options)) is not None:
         output.hint(advice)
+    if "graph-map.npz" in files:
+        output.hint(f"Localise in this map: {command('run', 'OTHER_LOG', '--map', files['graph-map.npz'])}")
     if options.kernel != "gnc":
         output.hint(f"Animation:           {command('animate', log, 'animation.gif', options=options)}")
     if "graph" in outcome and (reason := reason_without_graph(outcome)):

@@ -43,6 +43,7 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
     """
     from .. import options as declared
     from ..option import Options, options_of
+    from .hints import hint_of_import
 
     # the modules of the verbs do not import the options, so that the list of all verbs is shown at once
     hints = get_type_hints(function, localns=vars(declared), include_extras=True)
@@ -59,7 +60,7 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
     configurable = any(issubclass(group, declared.ReadingOptions) for group in groups.values())
 
     def command(ctx: typer.Context, quiet: bool, verbose: bool, config: Path | None = None, **values: Any) -> None:
-        with sentences(verbose, lambda text: declared.hint_of_import(text, options)):
+        with sentences(verbose, lambda text: hint_of_import(text, options)):
             values = _without_outranked(ctx, values, options)
             if config is not None:
                 _check_log(ctx, values.get("log"))

@@ -16,7 +16,7 @@ from typing import Any
 
 from graphslam import Log, OptionError, SlamError
 
-from ..estimators import FILTERS
+from ..filters import FILTERS
 from ..memory import Announce, announce_memory
 from ..options import RunOptions, SweepOptions
 from ..pool import default_jobs

@@ -7,6 +7,7 @@ from .marginal import MarginalEdges
 from .motion import motion_edges
 from .observation import ObservationEdges
 from .polar import PolarObservationEdges
+from .prior import LandmarkPriors, PriorEdges
 from .relative import RelativePointEdges, RelativePoseEdges
 from .sightings import LandmarkSightings, SightingEdges
 from .virtual_motion import VirtualMotionEdges
@@ -17,11 +18,13 @@ __all__ = [
     "CartesianObservationEdges",
     "ConstantEdges",
     "EdgeFamily",
+    "LandmarkPriors",
     "LandmarkSightings",
     "Linearization",
     "MarginalEdges",
     "ObservationEdges",
     "PolarObservationEdges",
+    "PriorEdges",
     "RelativePointEdges",
     "RelativePoseEdges",
     "Relations",

@@ -9,6 +9,7 @@ from .anchor import AnchorFactor
 from .description import FactorDescription, describe, load_factors, save_factors
 from .landmark import LandmarkFactor
 from .observation import InverseObservationFactor, ObservationFactor, RelativePointFactor
+from .prior import PriorFactor
 from .relative_edges import RelativeEdgesFactor
 from .relative_pose import MotionFactor, RelativePoseFactor
 from .residual import ResidualFactor
@@ -21,6 +22,7 @@ __all__ = [
     "LandmarkFactor",
     "MotionFactor",
     "ObservationFactor",
+    "PriorFactor",
     "RelativeEdgesFactor",
     "RelativePointFactor",
     "RelativePoseFactor",

@@ -199,8 +199,8 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
                 if id not in values:
                     raise FormatError(path, edge.line, f"the edge uses {kind} {id}, which no vertex line gives")
     for node, line in lines.fixed.items():
-        if node not in pose_values:
-            raise FormatError(path, line, f"FIX names node {node}, which is no pose of the file")
+        if node not in pose_values and node not in landmark_values:
+            raise FormatError(path, line, f"FIX names node {node}, which is no pose or landmark of the file")
     pose_ids, landmark_ids = (np.array(sorted(values), dtype=np.int64) for values in (pose_values, landmark_values))
     poses = np.array([pose_values[k] for k in pose_ids.tolist()]).reshape(-1, 3)
     return PoseGraphFile(

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from ..edges import EdgeFamily
-from ..edges.base import Linearization
+from ..edges import EdgeFamily, PriorEdges
 from ..edges.relative import RobustPointEdges, RobustPoseEdges
 from ..edges.robust import Kernel
 from ..errors import GraphError
 from ..graph import Graph
-from ..linear.information import BlockSystem
-from ..se2 import Array, wrap
+from ..se2 import Array
 from ..solvers.gauss_newton import gauss_newton
 from ..solvers.iteration import Run
 from ..solvers.levenberg_marquardt import levenberg_marquardt
@@ -24,46 +20,7 @@ from .arrays import Edges, Nodes
 from .lag import Prior
 
 
-@dataclass(frozen=True, eq=False)
-class _PriorEdges(EdgeFamily):
-    """v' information v - 2 rhs' v of k nodes, with v (3k,) the way from where they are, in world axes."""
-
-    nodes: np.ndarray
-    values: Array
-    information: Array
-    rhs: Array
-
-    @cached_property
-    def _pairs(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.triu_indices(len(self.nodes), 1)
-
-    @property
-    def count(self) -> int:
-        return 1
-
-    def cliques(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.array([0, len(self.nodes)]), self.nodes
-
-    def linearize(self, state: Array, reference: Array) -> Linearization:
-        raise NotImplementedError("a prior is solved by `accumulate` only")
-
-    def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:  # noqa: ARG002
-        way = state[self.nodes] - self.values
-        way[:, 2] = wrap(way[:, 2])
-        v = way.ravel()
-        if system is not None:
-            k = len(self.nodes)
-            blocks = self.information.reshape(k, 3, k, 3).transpose(0, 2, 1, 3)
-            system.values[system.diagonal_slots[self.nodes]] += blocks[np.arange(k), np.arange(k)]
-            if k > 1:
-                i, j = self._pairs
-                system.values[system.slots_of(self.nodes[i], self.nodes[j])[2]] += blocks[i, j]
-            system.xi[self.nodes] += (self.rhs - self.information @ v).reshape(k, 3)
-        least = np.linalg.lstsq(self.information, self.rhs, rcond=None)[0] @ self.rhs
-        return float(v @ self.information @ v - 2 * self.rhs @ v + least)
-
-
-def _prior_edges(prior: Prior, nodes: Nodes, number: np.ndarray) -> _PriorEdges:
+def _prior_edges(prior: Prior, nodes: Nodes, number: np.ndarray) -> PriorEdges:
     """A prior in world axes, with its nodes in ascending order."""
     order = np.argsort(number[prior.members])
     at, k = prior.members[order], len(order)
@@ -73,7 +30,7 @@ def _prior_edges(prior: Prior, nodes: Nodes, number: np.ndarray) -> _PriorEdges:
     turn[pose, :2, :2] = np.array([[c, s], [-s, c]]).transpose(2, 0, 1)[pose]
     parts = (3 * order[:, None] + np.arange(3)).ravel()
     information, T = prior.information[np.ix_(parts, parts)], block_diag(*turn)
-    return _PriorEdges(number[at], centre, T.T @ information @ T, T.T @ prior.rhs[parts])
+    return PriorEdges(number[at], centre, T.T @ information @ T, T.T @ prior.rhs[parts])
 
 
 def batch_state(

@@ -11,17 +11,22 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 
 from ..checks import check_count, check_positive, check_type, real_array
 from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError, quoted
+from ..landmark_map import LandmarkMap, as_map
 from ..models import MotionModel, SensorModel
 from ..precision import check_model, inverses
 from ..reading import NO_ID, UNIDENTIFIED
 from ..se2 import Array, wrap
 from .append import MOTION, RELATION, SIGHTING
 from .system import OnlineSystem
+
+#: the standard deviation [m, rad] of landmarks that are exact in a map
+EXACT = 1e-5
 
 Model = TypeVar("Model", MotionModel, SensorModel)
 
@@ -46,6 +51,9 @@ class OnlineSolver:
         tolerance: a step ends where the next pass would lower J by less than this part of it. Together with what passes
             leave out, J was at most 1.1e-6 above that of the batch solver on all steps that were compared
             (`docs/benchmarks.md`).
+        map: landmarks that are known beforehand, in a form that `Graph.from_log` takes; exact ones have a standard deviation
+            of `EXACT`. Sightings have psi where all its landmarks have headings, and else not. Give ``start`` in its frame.
+        start_covariance: (3, 3) of the first pose; default: it is anchored. After a first fix, four times its covariance.
 
     Raises:
         OptionError: an option has an impossible value.
@@ -62,6 +70,8 @@ class OnlineSolver:
         kernel: Kernel | str | None = None,
         tolerance: float = 1e-7,
         lag: int | None = None,
+        map: Any = None,
+        start_covariance: ArrayLike | None = None,
     ) -> None:
         check_positive(motion_weight=motion_weight, tolerance=tolerance)
         if lag is not None:
@@ -81,8 +91,21 @@ class OnlineSolver:
         self._columns: int | None = None
         #: the times of the latest step and of the newest pose, not a number where it is unknown
         self._time, self._arrived = -np.inf, np.nan
-        self._system.add_prior(0, _numbers("start", start, (3,)), ANCHOR_INFORMATION)
+        held = ANCHOR_INFORMATION if start_covariance is None else _information(start_covariance)
+        self._system.add_prior([0], _numbers("start", start, (3,))[None], held)
         self._system.solve(self._poses, [], self._poses)
+        if map is not None:
+            known = as_map(map)
+            self._begin_with(*priors_of(known, 3 if known.oriented else 2))
+
+    def _begin_with(self, ids: Sequence[int], places: Array, information: Array, columns: int) -> None:
+        """Landmarks (K,) at places (K, 3), with information (3K, 3K) in world axes, which sightings of ``columns`` see."""
+        self._columns = columns
+        self._system.use_kernel(self.kernel, columns)
+        self._landmarks = {j: self._system.add_node() for j in ids}
+        nodes = list(self._landmarks.values())
+        self._system.add_prior(nodes, places, information, points=columns == 2)
+        self._system.solve(nodes, [], self._poses)
 
     def __copy__(self) -> OnlineSolver:
         """A solver of its own, as `copy.deepcopy` makes one: steps of one do not change the other."""
@@ -375,6 +398,22 @@ class OnlineSolver:
         d = self._columns or 2
         kept = [0, 1, 2, *(3 * k + c for k in range(1, len(landmarks) + 1) for c in range(d))]
         return block[np.ix_(kept, kept)]
+
+
+def priors_of(known: LandmarkMap, columns: int) -> tuple[list[int], Array, Array, int]:
+    """The ids, places (K, 3), information (3K, 3K) and number of coordinates of the landmarks of a map."""
+    ids, count = list(known), len(known)
+    places = np.zeros((count, 3))
+    places[:, :columns] = [place[:columns] for place in known.values()]
+    if known.joint is not None:
+        information = known.joint_information(ids, columns)
+    else:
+        information = block_diag(
+            *(known.own_information(j, columns) if j in known.covariances else np.zeros((3, 3)) for j in ids)
+        )
+    exact = np.repeat([j not in known.covariances for j in ids], 3) & np.tile(np.arange(3) < columns, count)
+    information[exact, exact] = EXACT**-2
+    return ids, places, information, columns
 
 
 def _packed(information: Array) -> Array:

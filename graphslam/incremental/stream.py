@@ -16,7 +16,10 @@ from ..graph import Graph
 from ..log import Log
 from ..se2 import Array
 from ..solution import Solution, make_solution
-from .solver import OnlineSolver
+from .solver import OnlineSolver, priors_of
+
+#: the variances [m², m², rad²] of a first pose that only a map holds
+ANYWHERE = (1e4, 1e4, 1e2)
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,7 @@ def solve_by_steps(graph: Graph, *, tolerance: float = 1e-7, lag: int | None = N
     seconds, state = time.perf_counter() - begin, graph.initial.copy()
     state[: len(graph.steps)] = last.poses
     state[len(graph.steps) :, : graph.landmark_dimension] = list(last.landmarks.values())
+    state[graph.fixed] = graph.initial[graph.fixed]
     return make_solution(
         graph, state, step_norms=[], costs=[], converged=converged, reason=reason, seconds=seconds,
         solver="online",
@@ -93,8 +97,20 @@ def steps_of(graph: Graph, *, tolerance: float = 1e-7, lag: int | None = None) -
         raise GraphError(
             "the solver step by step needs a graph of edges='landmark+motion' with residual='cartesian' and frame='body'"
         )
-    solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=sighted.kernel, tolerance=tolerance, lag=lag)
+    options: dict[str, Any] = {"sensor": graph.sensor, "kernel": sighted.kernel, "tolerance": tolerance, "lag": lag}
     total = len(graph.steps)
+    if graph.map is None:
+        solver = OnlineSolver(graph.initial[0], **options)
+    else:
+        # the map holds the first pose; this says next to nothing
+        solver = OnlineSolver(graph.initial[0], start_covariance=np.diag(ANYWHERE), **options)
+        known, d = graph.map, graph.landmark_dimension
+        if any(len(known[j]) < d for j in graph.landmark_ids.tolist() if j in known):
+            raise GraphError(
+                "the solver step by step needs the headings of all landmarks of the map where sightings have psi; use "
+                "dimensions=2"
+            )
+        solver._begin_with(*priors_of(known.among(graph.landmark_ids.tolist()), d))
     rows = np.argsort(sighted.first, kind="stable")
     bounds = np.searchsorted(sighted.first[rows], np.arange(total + 1))
     ids = graph.landmark_ids[sighted.second - total]

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ..edges.robust import Kernel, code_and_width
 from ..errors import GraphError
-from ..se2 import Array
+from ..se2 import Array, turn_matrix
 from .advance import APART, DONE, HELD, INDEFINITE, ROBUST_APART, advance
 from .append import append, detach
 from .arrays import (
@@ -84,12 +86,18 @@ class OnlineSystem:
         self.num_nodes += 1
         return self.num_nodes - 1
 
-    def add_prior(self, node: int, centre: Array, information: Array) -> None:
-        """Put a node at a place (3,), with information (3, 3)."""
-        for name in ("x", "passed", "evaluated"):
-            self.nodes[name][node] = centre
-        self.nodes["axes"][node] = np.cos(centre[2]), np.sin(centre[2])
-        self._add_prior(np.array([node], np.int32), information, np.zeros(3))
+    def add_prior(self, nodes: Sequence[int], centres: Array, information: Array, *, points: bool = False) -> None:
+        """Put nodes (k,) at places (k, 3), with information (3k, 3k) in world axes; ``points`` have no heading."""
+        for node, centre in zip(nodes, centres):
+            for name in ("x", "passed", "evaluated"):
+                self.nodes[name][node] = centre
+            self.nodes["axes"][node] = np.cos(centre[2]), np.sin(centre[2])
+            self.nodes["point"][node] = points
+        if not points:
+            # increments of poses are in their own axes
+            turn = block_diag(*turn_matrix(centres[:, 2]))
+            information = turn.T @ information @ turn
+        self._add_prior(np.array(nodes, np.int32), information, np.zeros(3 * len(nodes)))
 
     def _add_prior(self, members: np.ndarray, information: Array, carry: Array) -> None:
         rhs = carry - information @ self.nodes["d"][members].ravel()

@@ -95,4 +95,6 @@ def _tree(graph: Graph) -> _Tree:
             at_landmark = second >= poses
             parents[second[at_landmark]] = first[at_landmark]
             offsets[second[at_landmark], columns] = relations.value[backwards][at_landmark]
+    # those of a map stay where they are
+    parents[graph.mapped] = -1
     return _Tree(parents, offsets)

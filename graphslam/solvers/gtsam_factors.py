@@ -46,13 +46,39 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
     made = gtsam.NonlinearFactorGraph()
     joined, families = _joined(graph, reference) if factors == "fastest" else ([], graph.families)
     for family in families:
+        if isinstance(family, edges.PriorEdges):
+            made.add(_prior_factor(graph, family.nodes, family.values, family.information))
+            continue
+        if isinstance(family, edges.LandmarkPriors):
+            for k in range(family.count):
+                one = slice(k, k + 1)
+                made.add(_prior_factor(graph, family.nodes[one], family.values[one], family.information[k]))
+            continue
         for factor in _factors_of(family, reference, graph.num_nodes, factors):
             made.add(factor)
     for factor in joined:
         made.add(factor)
     for node in graph.fixed.tolist():
-        made.add(gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node])))
+        if _is_point(graph, node):
+            made.add(gtsam.NonlinearEqualityPoint2(node, gtsam.Point2(*graph.initial[node, :2])))
+        else:
+            made.add(gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node])))
     return made
+
+
+def _is_point(graph: Graph, node: int) -> bool:
+    """Whether the value at a node is a `gtsam.Point2`."""
+    return node >= len(graph.steps) and graph.landmark_dimension == 2
+
+
+def _prior_factor(graph: Graph, nodes: np.ndarray, values: Array, information: Array) -> gtsam.NonlinearFactor:
+    """The factor of a prior of landmarks with information (3K, 3K), zero for coordinates about which it says nothing."""
+    known = np.diagonal(information).reshape(-1, 3) > 0
+    rows = known.ravel()
+    return factor_types.PriorFactor(
+        nodes.tolist(), values, information[np.ix_(rows, rows)], coordinates=known.sum(axis=1).tolist(),
+        points=len(nodes) if graph.landmark_dimension == 2 else 0,
+    )  # fmt: skip
 
 
 def _joined(graph: Graph, reference: Array) -> tuple[list[gtsam.NonlinearFactor], Sequence[edges.EdgeFamily]]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..edges import AnchorEdges, ObservationEdges, RelativePoseEdges
+from ..edges import AnchorEdges, ObservationEdges, PriorEdges, RelativePoseEdges
 from ..edges.base import Relations
 from ..engine import engine
 from ..errors import GraphError, quoted
@@ -128,7 +128,10 @@ def _turn_variance(information: Array) -> Array:
 
 
 def place_landmarks(graph: Graph, poses: Array) -> Array:
-    """A state (n, 3) of poses (P, 3) and every landmark node at the mean of where its trusted sightings put it."""
+    """A state (n, 3) of poses (P, 3) and every landmark node at the mean of where its trusted sightings put it.
+
+    Landmarks of a map are where that puts them.
+    """
     state = np.concatenate([poses, graph.initial[len(graph.steps) :]])
     for family in graph.families:
         if isinstance(family, ObservationEdges):
@@ -142,16 +145,22 @@ def place_landmarks(graph: Graph, poses: Array) -> Array:
             if d == 3:
                 # the circular mean does not depend on where headings wrap
                 state[seen, 2] = np.arctan2(total[seen, 3], total[seen, 2])
+    state[graph.mapped] = graph.initial[graph.mapped]
     return state
 
 
 def _held(graph: Graph, state: Array) -> np.ndarray:
-    """The nodes that keep their values; anchored ones get the value of their anchor."""
+    """The nodes that keep their values; anchored ones, and those of a map, get the value that is given for them.
+
+    A map may leave all headings open, so that the first pose keeps its value, too: that of the first fix.
+    """
     held = [graph.fixed]
     for family in graph.families:
-        if isinstance(family, AnchorEdges):
+        if isinstance(family, AnchorEdges | PriorEdges):
             state[family.nodes] = family.values
             held.append(family.nodes)
+    if graph.map is not None:
+        held.append(np.zeros(1, dtype=np.int64))
     nodes = np.concatenate(held)
     return nodes if len(nodes) else np.zeros(1, dtype=np.int64)
 

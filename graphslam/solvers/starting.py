@@ -7,8 +7,10 @@ from contextlib import suppress
 from functools import partial
 
 from ..checks import check_choice
+from ..edges import ObservationEdges
 from ..errors import GraphError
 from ..graph import Graph
+from ..localization import registered
 from ..se2 import Array
 from ..transform import coarse, filled, with_cartesian_sightings, without_landmarks
 from .gauss_newton import gauss_newton
@@ -70,7 +72,16 @@ def virtual_motion_first(graph: Graph) -> Array:
         easier = easier.with_initial(filled(graph, nodes[: len(poses)], poses))
     run = Run(easier.initial.copy(), tolerance=_roughly(graph))
     gauss_newton(easier, run)
-    return place_landmarks(graph, run.state)
+    return place_landmarks(graph, _in_map(graph, run.state))
+
+
+def _in_map(graph: Graph, poses: Array) -> Array:
+    """Poses (P, 3) as a whole where the map of the graph puts them, if it has one."""
+    family = next(family for family in graph.families if isinstance(family, ObservationEdges))
+    if graph.map is None:
+        return poses
+    ids = graph.landmark_ids[family.second - len(graph.steps)]
+    return registered(poses, family.first, family.sightings, ids, graph.map, family.sensor)
 
 
 def _roughly(graph: Graph) -> float:

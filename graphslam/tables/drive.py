@@ -393,7 +393,9 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
 
 
 def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None = None) -> dict[int, Array]:
-    """The true landmarks, {id: (x, y) or (x, y, heading)}; ``names`` are those of the sightings.
+    """The landmarks of a map, {id: (x, y) or (x, y, heading)}; ``names`` are those of the sightings.
+
+    An empty cell of the heading says that it is not known.
 
     Raises:
         LogError: a column is missing, a number is none, or two rows have one id.
@@ -404,13 +406,15 @@ def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None 
     ids = ids_of(table, column, names).numbers
     if (k := first(ids == UNIDENTIFIED)) is not None:
         raise table.error(k, f"the id {table.title(column)} is empty; each landmark of the map needs one")
-    places = reader.numbers("x", "y", *(["theta"] if reader.has("theta") else []))
+    places = reader.numbers("x", "y")
+    headings = reader.numbers("theta", finite=False)[:, 0] if reader.has("theta") else np.full(len(ids), np.nan)
     _, firsts, counts = np.unique(ids, return_index=True, return_counts=True)
     if (k := first(counts > 1)) is not None:
         again = int(np.flatnonzero(ids == ids[firsts[k]])[1])
         name = next((name for name, number in (names or {}).items() if number == ids[again]), ids[again])
         raise table.error(again, f"landmark {name} is in the map twice; each landmark has one place")
-    return {int(j): place for j, place in zip(ids, places)}
+    rows = zip(ids.tolist(), places, headings.tolist())
+    return {j: place if np.isnan(heading) else np.append(place, heading) for j, place, heading in rows}
 
 
 def _ordered(

@@ -31,8 +31,8 @@ def test_run_leaves_a_figure_and_json(invoke: Invoke, log_file: Path, tmp_path: 
     (folder,) = (p for p in (tmp_path / "results").iterdir() if not p.is_symlink())
     names = ["comparison.json", "comparison.pdf", "comparison.png", "config.toml"]
     written = sorted(p.name for p in folder.iterdir())
-    assert [name for name in written if not name.endswith((".tum", ".csv"))] == [*names, "graph.g2o"]
-    assert {"truth.tum", "graph.tum", "graph-map.csv", "gtsam.tum"} < set(written)
+    assert [name for name in written if not name.endswith((".tum", ".csv", ".npz"))] == [*names, "graph.g2o"]
+    assert {"truth.tum", "graph.tum", "graph-map.csv", "graph-map.npz", "gtsam.tum"} < set(written)
     assert (tmp_path / "results" / "latest").resolve() == folder.resolve()
     for word in (
         *names,

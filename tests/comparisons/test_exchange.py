@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import comparisons
-from comparisons.exchange import MAP_COLUMNS, map_text, tum_text
+from comparisons.exchange import tum_text
 from graphslam import Graph, OptionError, simulate, solve
+from graphslam.map_files import map_text
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ def test_trajectories_keep_every_bit(saved):
 def test_maps_are_tables(saved):
     comparison, folder, _ = saved
     lines = (folder / "graph-map.csv").read_text().splitlines()
-    assert lines[0] == MAP_COLUMNS
+    assert lines[0] == "id,x,y,heading,var_x,cov_xy,var_y,cov_x_heading,cov_y_heading,var_heading"
     result = comparison["graph"]
     for line in lines[1:]:
         j, x, y, heading, var_x, cov_xy, var_y, *_ = line.split(",")

@@ -17,7 +17,8 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from comparisons.cli import app
-from comparisons.estimators import make_graph, particle_filter
+from comparisons.estimators import make_graph
+from comparisons.filters import particle_filter
 from comparisons.option import options_of
 from comparisons.options import AnimationOptions, RunOptions
 from comparisons.show.ellipses import ellipses

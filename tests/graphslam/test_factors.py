@@ -11,7 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from graphslam import MotionModel, OptionError, SensorModel, textbook
-from graphslam.factors import AnchorFactor, MotionFactor, RelativePoseFactor, VirtualMotionFactor
+from graphslam.factors import AnchorFactor, MotionFactor, PriorFactor, RelativePoseFactor, VirtualMotionFactor
 from graphslam.factors.arguments import sighted_covariance
 from graphslam.factors.relative_pose import _from_origin
 from graphslam.precision import small_inverse
@@ -68,6 +68,29 @@ def test_virtual_motion_jacobians(a, b, z1, z2, frame, d, at1, at2):
 @given(pose, pose, st.floats(-1, 1), st.floats(-1, 1), st.floats(0.1, 3), st.sampled_from(["world", "body"]), pose)
 def test_motion_jacobians(a, b, nu, omega, dt, frame, at):
     check(MotionFactor(x1, x2, [nu, omega], dt, motion, frame=frame, at=at), a, b)
+
+
+@given(pose, pose, pose, pose, st.sampled_from([(3, 3), (2, 3), (3, 2), (2, 2)]))
+def test_prior_jacobians(a, b, held_1, held_2, coordinates):
+    n = sum(coordinates)
+    omega = np.eye(n) + 0.1 * np.add.outer(np.arange(n), np.arange(n))
+    factor = PriorFactor([x1, x2], [held_1, held_2], omega @ omega.T, coordinates=coordinates)
+    e = factor.unwhitenedError(values_of(a, b))
+    assert np.allclose(e[:2], a[:2] - held_1[:2]) and np.allclose(e[coordinates[0] :][:2], b[:2] - held_2[:2])
+    assume(all(abs(abs(wrap(x[2] - held[2])) - np.pi) > 1e-3 for x, held in ((a, held_1), (b, held_2))))
+    check(factor, a, b)
+
+
+def test_a_prior_of_points_can_be_saved_and_says_what_it_needs(tmp_path):
+    factor = PriorFactor([7, 9], [[1, 2, 3], [4, 5, 0]], np.diag([1.0, 2, 3, 4, 5]), points=1)
+    values = gtsam.Values()
+    values.insert(7, gtsam.Pose2(1.5, 2, 3))
+    values.insert(9, gtsam.Point2(4, 6))
+    # half of 1 * 0.5² + 5 * 1²
+    assert factor.error(values) == pytest.approx(0.5 * (0.25 + 5))
+    assert factor.description.build().error(values) == factor.error(values)
+    with pytest.raises(OptionError, match="2 for points"):
+        PriorFactor([7, 9], np.zeros((2, 3)), np.eye(6), coordinates=[3, 3], points=1)
 
 
 @given(pose, pose)

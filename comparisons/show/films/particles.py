@@ -17,7 +17,7 @@ from fastslam.state import ParticleState
 from graphslam import Log
 from graphslam.se2 import Array
 
-from ...estimators import particle_filter
+from ...filters import particle_filter
 from ...options import AnimationOptions, RunOptions
 from ..placement import placement_of
 from ..style import FLASH, PARTICLE

@@ -1,0 +1,67 @@
+"""A Gaussian prior of several nodes together, such as the landmarks of a map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import OptionError, quoted
+from .arguments import numbers, positive_definite
+from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, wrapped
+
+
+class PriorFactor(Factor):
+    """The values at keys, with a joint prior: e = x - x̂ of all of them in world axes, headings wrapped.
+
+    Args:
+        keys: of the nodes, each a `gtsam.Pose2` or a `gtsam.Point2`.
+        values: x̂ (K, 3); the heading of a point is not used.
+        information: (N, N), for the coordinates of all keys in their order.
+        coordinates: (K,) 3 or 2, how many coordinates of each key the prior is about; default: all that it has.
+        points: the number of points; they are the last keys.
+        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
+
+    Raises:
+        OptionError: an argument has an impossible value.
+    """
+
+    keys_in_list = True
+
+    def __init__(
+        self,
+        keys: Sequence[int],
+        values: ArrayLike,
+        information: ArrayLike,
+        *,
+        coordinates: Sequence[int] | np.ndarray | None = None,
+        points: int = 0,
+        kernel: KernelLike = None,
+    ) -> None:
+        keys = listed_keys("PriorFactor", keys)
+        poses, held = len(keys) - points, numbers("values", values, (3,), rows=len(keys))
+        kinds = [POSE] * poses + [POINT] * points
+        most = [3] * poses + [2] * points
+        used = most if coordinates is None else list(coordinates)
+        if len(used) != len(keys) or any(n not in (2, 3) or n > m for n, m in zip(used, most)):
+            raise OptionError(f"coordinates must be 2 or 3 for each key, and 2 for points, not {quoted(coordinates)}")
+        omega = positive_definite(information, sum(used))
+        starts = np.cumsum([0, *used]).tolist()
+        jacobians = []
+        for start, n, m in zip(starts, used, most):
+            jacobian = np.zeros((sum(used), m))
+            jacobian[start : start + n, :n] = np.eye(n)
+            jacobians.append(jacobian)
+        rows = held.tolist()
+
+        def residual(*nodes: Coordinates) -> Linearized:
+            e: list[float] = []
+            for at, (x, y, theta), n in zip(nodes, rows, used):
+                e += [at[0] - x, at[1] - y] + ([wrapped(at[2] - theta)] if n == 3 else [])
+            return e, jacobians
+
+        arguments = {
+            "values": held, "information": omega, "coordinates": np.array(used), "points": points, "kernel": kernel,
+        }  # fmt: skip
+        super().__init__(keys, kinds, residual, arguments, information=omega)

@@ -1,0 +1,103 @@
+"""`slam-compare run LOG --map FILE`: the map of one log serves another one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import Result
+
+import comparisons
+from graphslam import Graph, LandmarkMap, Log, MotionModel, SensorModel, save, simulate, solve
+from graphslam.se2 import wrap
+
+Invoke = Callable[..., Result]
+IN_MAP = ["graph", "gtsam", "mcl", "fastslam1", "fastslam2", "dead-reckoning"]
+
+
+def log_of(seed: int, start: tuple[float, float, float], **options: object) -> Log:
+    return simulate(seed=seed, steps=30, clean=True, start=start, name=f"log{seed}", **options)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> tuple[Path, Path]:
+    """Two logs of the book's world, the second one from another place, with its first pose at the origin."""
+    first, second = log_of(1, (0.0, -3.0, 0.0)), log_of(2, (-2.0, 0.0, 1.0))
+    save(first, tmp_path / "first.npz")
+    save(second.replace(initial_poses=second.initial_poses - second.initial_poses[0]), tmp_path / "second.npz")
+    return tmp_path / "first.npz", tmp_path / "second.npz"
+
+
+def test_the_map_of_one_run_is_the_prior_of_the_next(invoke: Invoke, logs: tuple[Path, Path], tmp_path: Path) -> None:
+    first, second = logs
+    made = invoke("run", first, "--estimators", "graph,gtsam", "--out", "one")
+    assert made.exit_code == 0, made.output
+    assert "Localise in this map: slam-compare run OTHER_LOG --map one/graph-map.npz" in " ".join(made.output.split())
+    result = invoke("run", second, "--map", "one/graph-map.npz", "--out", "two", "--particles", 100, "--json", "-")
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    rows = {each["name"]: each for each in document["estimators"]}
+    # in the frame of the map: that of the first log, whose first pose is the true one
+    truth = log_of(2, (-2.0, 0.0, 1.0)).true_poses
+    assert truth is not None
+    for name in IN_MAP:
+        error = np.array(rows[name]["poses"])[0] - truth[0]
+        assert np.hypot(*error[:2]) < 1.0 and abs(wrap(error[2])) < 0.5, name
+    assert np.allclose(rows["graph"]["poses"], rows["gtsam"]["poses"], atol=1e-7)
+    assert rows["textbook"]["reason"].startswith("textbook does not use a map")
+    assert any("first pose was found in the map" in note for note in document["log"]["notes"])
+    # the map that is written is that of both
+    one, two = (LandmarkMap.load(tmp_path / run / "graph-map.npz") for run in ("one", "two"))
+    assert list(one) == list(two) and np.trace(two.joint) < np.trace(one.joint)
+    again = invoke("run", "--config", "two/config.toml", "--json", "-", "--out", "three")
+    poses = {each["name"]: each["poses"] for each in json.loads(again.stdout)["estimators"]}
+    assert poses == {name: row["poses"] for name, row in rows.items()}
+
+
+def test_python_and_the_command_line_do_the_same(invoke: Invoke, logs: tuple[Path, Path], tmp_path: Path) -> None:
+    _, second = logs
+    known = solve(Graph.from_log(log_of(1, (0.0, -3.0, 0.0)))).map
+    known.save(tmp_path / "map.npz")
+    here = comparisons.run(second, estimators=["graph"], map=tmp_path / "map.npz", map_use="own")["graph"]
+    there = comparisons.run(second, estimators=["graph"], landmark_map=known.used_as("own"))["graph"]
+    result = invoke("run", second, "--map", "map.npz", "--map-use", "own", "--estimators", "graph", "--json", "-")
+    told = json.loads(result.stdout)["estimators"][0]
+    assert np.array_equal(here.poses, there.poses) and np.array_equal(here.poses, told["poses"])
+    assert here.cost == told["cost"]
+    fixed = comparisons.run(second, estimators=["graph"], map=tmp_path / "map.npz", map_use="fixed")["graph"]
+    assert all(np.array_equal(fixed.landmarks[j], known[j]) for j in known)
+
+
+def test_sightings_of_landmarks_that_localisation_does_not_know_are_left_out(logs: tuple[Path, Path]) -> None:
+    true = log_of(1, (0.0, -3.0, 0.0)).true_landmarks
+    assert true is not None
+    some = LandmarkMap({j: m for j, m in true.items() if j != 0})
+    result = comparisons.run(logs[1], estimators=["mcl", "graph"], landmark_map=some, particles=100)
+    assert any("not on the map, and left out" in note for note in result["mcl"].notes)
+    assert 0 in result["graph"].landmarks
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("id,x,y\n1,0,0\n1,1,1\n", "map.csv:3: landmark 1 is in the map twice"),
+        ("id,x,y\n101,0,0\n102,1,1\n", "sees no landmark of the map"),
+        ("id,x,y\n1,2000,-3000\n2,3000,3000\n3,0,4000\n0,-4000,2000\n4,1000,1000\n5,-3000,-1000\n", "in millimetres"),
+        ("id,x,y\n1,2,3\n2,3,-3\n3,0,-4\n0,-4,-2\n4,1,-1\n5,-3,1\n", "mirrored"),
+    ],
+)
+def test_a_map_that_does_not_fit_is_one_sentence(content: str, message: str, invoke: Invoke, tmp_path: Path) -> None:
+    models = {
+        "sensor": SensorModel(range_rate=0.02, bearing_std=0.02),
+        "motion": MotionModel(nn=0.05, no=0.001, on=0.03, oo=0.05, epsilon=1e-6),
+    }
+    log = log_of(1, (0.0, -3.0, 0.0), orientation=False, max_range=10.0, **models)
+    save(log.replace(**models), tmp_path / "log.npz")
+    (tmp_path / "map.csv").write_text(content)
+    result = invoke("run", "log.npz", "--map", "map.csv", "--estimators", "graph")
+    assert result.exit_code == 2
+    assert message in " ".join(result.stderr.split())
+    assert "Traceback" not in result.output

@@ -1,0 +1,70 @@
+"""Particle filters with a map that is known beforehand."""
+
+import numpy as np
+import pytest
+
+from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
+from graphslam import LandmarkMap, OptionError, SensorModel, first_fix, simulate
+
+LOG = simulate(seed=1, clean=True)
+
+
+@pytest.mark.parametrize("orientation", [True, False])
+@pytest.mark.parametrize("update", ["kalman", "moments", "joint"])
+def test_fastslam_on_an_exact_map_is_localisation(update, orientation):
+    """The same random numbers, and the same likelihoods, so far as 1e-6 m are exact."""
+    log = LOG if orientation else LOG.without_orientation()
+    options = {"particles": 200, "seed": 3}
+    here = FastSLAM1(log, landmarks=LOG.true_landmarks, landmark_update=update, **options).run()
+    there = MonteCarloLocalization(log, landmarks=LOG.true_landmarks, **options).run()
+    assert np.allclose(here.poses, there.poses, atol=1e-9)
+    assert here.log_evidence == pytest.approx(there.log_evidence, abs=0.01)
+    assert all(
+        np.allclose(here.landmarks[j], LOG.true_landmarks[j][: len(m)], atol=1e-4) for j, m in here.landmarks.items()
+    )
+
+
+def test_a_prior_is_updated_like_a_kalman_filter():
+    sensor = SensorModel(range_rate=0.0, range_std=0.1, bearing_std=0.05)
+    mean, S = np.array([3.0, 1.0]), np.array([[0.04, 0.01], [0.01, 0.09]])
+    z, pose = np.array([3.2, 0.25]), np.zeros(3)
+    filter = FastSLAM1(landmarks=LandmarkMap({7: mean}, {7: S}), particles=1, sensor=sensor, landmark_update="kalman",
+                       range_noise="measured", start=pose)  # fmt: skip
+    filter.observe([7], z[None])
+    H, Q = sensor.H(pose, mean), sensor.Q(z)
+    K = S @ H.T @ np.linalg.inv(H @ S @ H.T + Q)
+    estimate = filter.state.map()[7]
+    assert np.allclose(estimate.mean, mean + K @ (z - sensor.h(pose, mean)), atol=1e-9)
+    assert np.allclose(estimate.covariance, (np.eye(2) - K @ H) @ S, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
+def test_landmarks_that_are_not_seen_stay_and_new_ones_are_added(kind):
+    known = LandmarkMap({0: LOG.true_landmarks[0], 50: (9.0, 9.0, 0.0)}, {50: 0.1 * np.eye(3)})
+    result = kind(LOG, landmarks=known, particles=100).run()
+    assert set(result.landmarks) == {*LOG.landmark_ids.tolist(), 50}
+    assert np.allclose(result.landmarks[50], [9, 9, 0]) and np.allclose(
+        result.landmark_covariances[50], 0.1 * np.eye(3)
+    )
+    again = result.map
+    assert isinstance(again, LandmarkMap) and np.array_equal(again.covariances[50], result.landmark_covariances[50])
+
+
+def test_particles_begin_around_the_first_fix():
+    fix = first_fix(LOG, LOG.true_landmarks)
+    filter = MonteCarloLocalization(LOG, landmarks=LOG.true_landmarks, start=fix, particles=20_000, seed=0)
+    poses = filter.state.poses
+    expected = 4 * fix.covariance
+    # of 20,000: a variance is known to a hundredth, a mean to a hundredth of a standard deviation
+    assert np.all(np.abs(poses.mean(axis=0) - fix.pose) < 0.04 * np.sqrt(np.diagonal(expected)))
+    assert np.allclose(np.cov(poses.T) / np.sqrt(np.outer(np.diagonal(expected), np.diagonal(expected))),
+                       expected / np.sqrt(np.outer(np.diagonal(expected), np.diagonal(expected))), atol=0.04)  # fmt: skip
+
+
+def test_a_map_needs_the_ids_and_headings_where_sightings_have_psi():
+    with pytest.raises(OptionError, match="leave out the option association"):
+        FastSLAM1(LOG, landmarks=LOG.true_landmarks, association="maximum-likelihood")
+    with pytest.raises(OptionError, match="leave out smoothing"):
+        FastSLAM1(LOG, landmarks=LOG.true_landmarks, smoothing=10)
+    with pytest.raises(OptionError, match="has no heading, and the sightings have psi"):
+        FastSLAM1(LOG, landmarks={j: m[:2] for j, m in LOG.true_landmarks.items()}).run()

@@ -1,0 +1,150 @@
+"""Maps and their files: what is written is read again, and what cannot be is refused with its place."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+from graphslam import FormatError, LandmarkMap, OptionError, SlamError
+
+
+def random_covariance(rng, n):
+    A = rng.normal(size=(n, n + 2))
+    return A @ A.T / n
+
+
+@pytest.fixture
+def mixed():
+    """Landmarks with and without headings, covariances and classes."""
+    rng = np.random.default_rng(1)
+    means = {7: (1.0, 2.0, 0.5), -3: (0.1 + 0.2, -1e-7), 12: (4.0, 5.0, -3.0), 2**40: (0.0, 1.0)}
+    covariances = {7: random_covariance(rng, 3), -3: random_covariance(rng, 2)}
+    return LandmarkMap(means, covariances, classes={7: "pole, red", 12: "tree"})
+
+
+def same(a, b):
+    assert list(a) == list(b)
+    assert all(np.array_equal(a[j], b[j]) for j in a)
+    assert a.covariances.keys() == b.covariances.keys()
+    assert all(np.array_equal(a.covariances[j], b.covariances[j]) for j in a.covariances)
+    assert a.classes == b.classes
+    assert (a.joint is None) == (b.joint is None)
+    assert a.joint is None or np.array_equal(a.joint, b.joint)
+
+
+@pytest.mark.parametrize("name", ["map.csv", "map.npz", "map.yaml", "map.geojson", "map.json"])
+def test_a_written_map_is_read_exactly(mixed, name, tmp_path):
+    mixed.save(tmp_path / name)
+    same(LandmarkMap.load(tmp_path / name), mixed)
+
+
+def test_a_joint_covariance_is_kept_by_npz_and_its_blocks_by_others(tmp_path):
+    joint = random_covariance(np.random.default_rng(2), 5)
+    known = LandmarkMap({1: (0, 0), 2: (1, 0), 3: (1, 1, 2)}, joint=joint, joint_ids=[3, 1])
+    assert repr(known) == "<LandmarkMap of 3 landmarks: 2 with a joint covariance, 1 exact>"
+    # in the order of the ids: landmark 1 has the first two rows
+    assert np.array_equal(known.covariances[1], (joint[:2, :2] + joint[:2, :2].T) / 2)
+    known.save(tmp_path / "map.npz")
+    same(LandmarkMap.load(tmp_path / "map.npz"), known)
+    same(pickle.loads(pickle.dumps(known)), known)
+    known.save(tmp_path / "map.csv")
+    same(LandmarkMap.load(tmp_path / "map.csv"), known.used_as("own"))
+    assert not known.used_as("fixed").covariances
+
+
+def test_the_joint_information_of_some_landmarks_is_the_schur_complement_of_the_others():
+    rng = np.random.default_rng(3)
+    joint = random_covariance(rng, 6)
+    known = LandmarkMap({1: (0, 0), 2: (1, 0), 3: (1, 1)}, joint=joint)
+    whole = np.linalg.inv(joint)
+    gone, kept = whole[4:, 4:], whole[:4, :4]
+    expected = kept - whole[:4, 4:] @ np.linalg.solve(gone, whole[4:, :4])
+    found = known.joint_information([1, 2], 2)
+    assert np.allclose(found[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])], expected, rtol=1e-12)
+    assert not found[2].any() and not found[:, 5].any()
+
+
+def test_tables_of_other_programs_are_read(tmp_path):
+    (tmp_path / "tags.csv").write_text("tag_id;pos_x [cm];pos_y [cm];yaw [deg]\n3;100;250;90\n4;0;-50;\n")
+    known = LandmarkMap.load(tmp_path / "tags.csv")
+    assert np.allclose(known[3], [1.0, 2.5, np.pi / 2])
+    assert np.allclose(known[4], [0.0, -0.5])
+
+
+def test_yaml_of_apriltag_bundles_and_of_tagslam_is_read(tmp_path):
+    (tmp_path / "tags.yaml").write_text(
+        "tag_bundles:\n  - name: wall\n    layout:\n"
+        "      - {id: 3, size: 0.16, x: 1.0, y: 2.0, z: 0.3, qw: 0.7071067811865476, qx: 0, qy: 0, qz: 0.7071067811865476}\n"
+        "bodies:\n- lab:\n    tags:\n    - id: 4\n      pose:\n        position: {x: 3.0, y: 1.0, z: 2.0}\n"
+        "        rotation: {x: 1.5, y: 0.0, z: 0.0}\n"
+    )
+    known = LandmarkMap.load(tmp_path / "tags.yaml")
+    assert np.allclose(known[3], [1.0, 2.0, np.pi / 2])
+    assert np.allclose(known[4], [3.0, 1.0])
+    (tmp_path / "named.yml").write_text("5: {x: 1, y: 2, heading: 0.25}\n6: {x: 3, y: 4}\n")
+    assert np.allclose(LandmarkMap.load(tmp_path / "named.yml")[5], [1, 2, 0.25])
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("m.csv", "id,x,y\n1,0,0\n1,1,1\n", "m.csv:3: landmark 1 is in the map twice"),
+        ("m.csv", "id,x,y\n1,0,\n", "m.csv:2: 'y' is empty"),
+        ("m.csv", "id,x,y,var_x,cov_xy,var_y\n1,0,0,1,,1\n", "m.csv:2: the covariance of landmark 1 is not complete"),
+        ("m.csv", "id,x,y,var_x,cov_xy,var_y\n1,0,0,1,2,1\n", "negative eigenvalue -1"),
+        ("m.yaml", "tags:\n- {id: 1, x: 2, y: 3}\n- {id: 2, x: two, y: 3}\n", "m.yaml:3: tag 2 needs a number as x"),
+        ("m.yaml", "tags:\n- {id: 1, x: 2, y: 3}\n- {id: 1, x: 2, y: 3}\n", "m.yaml:3: landmark 1 is in the map twice"),
+        ("m.yaml", "tags: [\n", "m.yaml:2: not YAML"),
+        ("m.yaml", "tags: []\n", "there is no landmark in it"),
+        ("m.json", "{\n,", "m.json:2: not JSON"),
+        ("m.json", "[]", "a FeatureCollection"),
+        ("m.txt", "", "the file is empty"),
+        ("m.npz", "PK", "not a readable .npz archive"),
+        ("m.xlsx", "", "a map is a file .csv, .npz, .yaml or .geojson, not '.xlsx'"),
+    ],
+)  # fmt: skip
+def test_a_file_that_holds_no_map_is_refused_with_its_line(name, text, message, tmp_path):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(SlamError) as caught:
+        LandmarkMap.load(tmp_path / name)
+    assert message in str(caught.value)
+
+
+def test_degrees_of_longitude_and_latitude_are_refused(tmp_path):
+    features = [
+        {"type": "Feature", "geometry": {"type": "Point", "coordinates": [139.5 + k / 1e4, 35.7]}, "id": k}
+        for k in range(3)
+    ]
+    (tmp_path / "m.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    with pytest.raises(FormatError, match="longitude and latitude"):
+        LandmarkMap.load(tmp_path / "m.geojson")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (({-1: (0, 0)},), "stands for no id"),
+        (({1.5: (0, 0)},), "whole numbers"),
+        (({1: (0, np.nan)},), "landmark 1 of the map must be finite"),
+        (({1: (0, 0)}, {2: np.eye(2)}), "landmark 2, which is not in the map"),
+        (({1: (0, 0)}, {1: np.eye(3)}), r"shape \(2, 2\)"),
+        (({1: (0, 0)}, {1: [[1, 2], [0, 1]]}), "symmetric"),
+    ],
+)
+def test_an_impossible_map_is_refused(arguments, message):
+    with pytest.raises(OptionError, match=message):
+        LandmarkMap(*arguments)
+
+
+def test_a_singular_covariance_is_no_prior():
+    with pytest.raises(OptionError, match="singular"):
+        LandmarkMap({1: (0, 0)}, {1: np.zeros((2, 2))}).own_information(1, 2)
+
+
+def test_a_log_is_no_map(tmp_path):
+    from graphslam import save, simulate
+
+    save(simulate(steps=3), tmp_path / "log.npz")
+    with pytest.raises(FormatError, match="the archive is a log"):
+        LandmarkMap.load(tmp_path / "log.npz")

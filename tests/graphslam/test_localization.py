@@ -1,0 +1,129 @@
+"""The first fix in a map: closed forms, misread ids, calibrated covariances, and what is said where there is none."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from graphslam import GraphError, LandmarkMap, Log, MotionModel, SensorModel, first_fix, simulate
+from graphslam.registration import Points, register
+from graphslam.se2 import between, compose, wrap
+
+ANGLES, PLACES = st.floats(-np.pi, np.pi), st.floats(-50, 50)
+
+
+def points_of(measured, places, ids, std=0.01):
+    count = len(ids)
+    covariances = np.tile(std**2 * np.eye(3), (count, 1, 1))
+    return Points(np.array(measured), covariances, np.array(places), 0 * covariances, np.array(ids), 100.0)
+
+
+def log_of(sightings, ids, sensor):
+    """A log of one pose, anywhere."""
+    return Log(dt=np.zeros(0), controls=np.zeros((0, 2)), initial_poses=[[7, 8, 0]], steps=np.zeros(len(ids), dtype=int),
+               landmarks=ids, sightings=sightings, sensor=sensor)  # fmt: skip
+
+
+@given(PLACES, PLACES, ANGLES)
+def test_two_landmarks_fix_the_pose_exactly(x, y, theta):
+    pose, sensor = np.array([x, y, theta]), SensorModel()
+    places = {1: pose[:2] + (3.0, 1.0), 2: pose[:2] + (-1.0, 2.0)}
+    z = np.array([sensor.h(pose, places[j]) for j in (1, 2)])
+    fix = first_fix(log_of(z, [1, 2], sensor), LandmarkMap(places))
+    assert np.allclose(fix.pose[:2], pose[:2], atol=1e-9)
+    assert abs(wrap(fix.pose[2] - theta)) < 1e-9
+    assert len(fix.agree) == 2 and not len(fix.disagree)
+
+
+@given(PLACES, PLACES, ANGLES)
+def test_one_landmark_with_a_heading_fixes_the_pose(x, y, theta):
+    pose, place = np.array([x, y, theta]), np.array([x + 2.0, y - 1.0, 0.7])
+    matches = register(points_of(compose(np.array([0, 0, 0]), between(pose, place))[None], place[None], [4]))
+    assert np.allclose(matches[0].pose[:2], pose[:2], atol=1e-9)
+    assert abs(wrap(matches[0].pose[2] - theta)) < 1e-9
+
+
+def test_a_landmark_with_a_wrong_id_is_found():
+    pose = np.array([1.0, 2.0, 0.3])
+    places = np.array([[3.0, 0, np.nan], [0, 4.0, np.nan], [-2.0, -1.0, np.nan], [5.0, 5.0, np.nan]])
+    measured = places.copy()
+    measured[:, :2] = between(pose, np.nan_to_num(places))[:, :2]
+    wrong = places[[0, 1, 2, 0]]
+    best, *_ = register(points_of(measured, wrong, [0, 1, 2, 0]))
+    assert best.agree.tolist() == [True, True, True, False]
+    assert np.allclose(best.pose, pose, atol=1e-9)
+
+
+MODELS = {
+    "sensor": SensorModel(range_rate=0.03, bearing_std=0.02),
+    "motion": MotionModel(nn=0.05, no=0.001, on=0.03, oo=0.05, epsilon=1e-6),
+}
+
+
+def errors_of_fixes(seeds, share=0.0, **world):
+    """e' P^-1 e of the first fixes of drives, of whose ids this share is misread."""
+    rng, squares = np.random.default_rng(0), []
+    for seed in range(seeds):
+        log = simulate(clean=True, orientation=False, seed=seed, **world, **MODELS)
+        misread = rng.random(len(log.steps)) < share
+        ids = log.landmarks.copy()
+        ids[misread] = rng.integers(0, 6, misread.sum())
+        known = {j: m[:2] for j, m in log.true_landmarks.items()}
+        fix = first_fix(log.replace(landmarks=ids), known, **MODELS)
+        error = fix.pose - log.true_poses[0]
+        error[2] = wrap(error[2])
+        squares.append(error @ np.linalg.solve(fix.covariance, error))
+    return np.array(squares)
+
+
+def test_the_covariance_of_the_fix_is_that_of_its_errors():
+    """The errors follow chi square with three degrees of freedom, although sightings share those of the odometry."""
+    squares = errors_of_fixes(300, steps=8, max_range=10.0)
+    # 3.3 standard deviations of the mean of 300: one test in a thousand fails
+    assert abs(np.mean(squares) - 3) < 3.3 * np.sqrt(6 / 300)
+    assert np.mean(squares > chi2.ppf(0.99, 3)) < 0.01 + 3.3 * np.sqrt(0.01 / 300)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3])
+def test_misread_ids_do_not_move_the_fix(share):
+    squares = errors_of_fixes(100, share, steps=30)
+    # of right fixes one in 10^5 has an error beyond 26
+    assert np.all(squares < 26)
+
+
+def test_where_the_robot_is_in_the_log_does_not_matter():
+    log = simulate(steps=10, seed=3)
+    known = LandmarkMap(log.true_landmarks)
+    moved = log.replace(initial_poses=compose(np.array([100.0, -50.0, 2.0]), log.initial_poses))
+    assert np.allclose(first_fix(moved, known).pose, first_fix(log, known).pose, atol=1e-9)
+
+
+def test_the_fix_turns_with_the_map():
+    log, frame = simulate(steps=10, seed=4), np.array([3.0, -4.0, 2.5])
+    turned = {j: compose(frame, m) for j, m in log.true_landmarks.items()}
+    there, here = first_fix(log, turned), first_fix(log, log.true_landmarks)
+    expected = compose(frame, here.pose)
+    assert np.allclose(there.pose[:2], expected[:2], atol=1e-6)
+    assert abs(wrap(there.pose[2] - expected[2])) < 1e-6
+    assert there.odds == pytest.approx(here.odds, rel=2)  # the area of the map is that of its bounding box
+
+
+def refused(log, known):
+    with pytest.raises(GraphError) as caught:
+        first_fix(log, known, **MODELS)
+    return str(caught.value)
+
+
+def test_maps_that_do_not_fit_are_refused_with_the_cause():
+    log = simulate(steps=40, seed=1, clean=True, orientation=False, max_range=10.0, **MODELS)
+    true = {j: m[:2] for j, m in log.true_landmarks.items()}
+    assert "mirrored" in refused(log, {j: m * (1, -1) for j, m in true.items()})
+    assert "in millimetres" in refused(log, {j: m * 1000 for j, m in true.items()})
+    assert "in feet" in refused(log, {j: m / 0.3048 for j, m in true.items()})
+    rng = np.random.default_rng(0)
+    assert "another place" in refused(log, {j: rng.uniform(-20, 20, 2) for j in true})
+    assert "sees no landmark of the map" in refused(log, {100 + j: m for j, m in true.items()})
+    assert "two are needed" in refused(log, {1: true[1]})
+    unknown = log.replace(landmarks=np.full(len(log.steps), np.iinfo(np.int64).min))
+    assert "without ids" in refused(unknown, true)
