@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -25,7 +25,7 @@ def objective_of(graph: Any) -> Any:
 def _of_graph(graph: Graph) -> Any:
     system, fixed = graph.system, np.ascontiguousarray(graph.fixed, dtype=np.int64)
     families = tuple(_in_engine(family, graph) for family in graph.families)
-    pairs = tuple(family.blocks(system) if isinstance(family, EngineEdges) else _NONE for family in graph.families)
+    pairs = tuple(family.blocks(system) if _is_of_engine(family) else _NONE for family in graph.families)
     held = (system.blocks_of(fixed) if len(fixed) else _NONE, fixed, graph.without_heading)
     return engine.GraphObjective((families, pairs, system.arrays, held, system.factor_in_engine), graph.prior_cost)
 
@@ -33,8 +33,13 @@ def _of_graph(graph: Graph) -> Any:
 _NONE = np.zeros(0, dtype=np.int64)
 
 
+def _is_of_engine(family: EdgeFamily) -> TypeGuard[EngineEdges]:
+    """Whether the engine computes the sums of a family: it is of the engine, and no derived class has sums of its own."""
+    return isinstance(family, EngineEdges) and type(family).accumulate is EngineEdges.accumulate
+
+
 def _in_engine(family: EdgeFamily, graph: Graph) -> Any:
-    if isinstance(family, EngineEdges):
+    if _is_of_engine(family):
         return family.in_engine
     return engine.PythonFamily(_accumulate(family, graph.system), graph.initial.size)
 

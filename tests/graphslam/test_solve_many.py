@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -97,7 +97,13 @@ def test_processes_return_the_same_and_what_goes_wrong_costs_one_graph(graph: Gr
         """No other process finds this class."""
 
     def anchored(kind: type[AnchorEdges]) -> Graph:
-        return replace(graph, families=(kind(**vars(graph.families[0])), *graph.families[1:]))
+        return replace(
+            graph,
+            families=(
+                kind(**{f.name: getattr(graph.families[0], f.name) for f in fields(AnchorEdges)}),
+                *graph.families[1:],
+            ),
+        )
 
     read, wrong = [], {2: singular(graph), 4: anchored(Deadly), 5: anchored(Local)}
 

@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from graphslam import WORLDS, Graph, OptionError, simulate, solve, solve_with_gtsam, textbook
+from graphslam.edges import AnchorEdges
 from graphslam.se2 import wrap
 from graphslam.solvers import gauss_newton
 from graphslam.solvers.iteration import Run
@@ -232,3 +235,19 @@ def test_options_that_are_no_such_numbers(book_log, options):
 def test_a_step_number_is_whole(book_log):
     with pytest.raises(OptionError, match=r"there is no pose 1\.0"):
         solve(Graph.from_log(book_log, edges="virtual+motion", kernel="none")).covariance(1.0)
+
+
+def test_a_family_derived_from_one_of_the_engine_may_have_its_own_sums(book_log):
+    class Heavier(AnchorEdges):
+        """An anchor that costs 1 more than it should."""
+
+        def accumulate(self, state, reference, system):
+            return super().accumulate(state, reference, system) + 1.0
+
+    graph = Graph.from_log(book_log, edges="virtual+motion", kernel="none")
+    anchor = next(family for family in graph.families if isinstance(family, AnchorEdges))
+    heavier = Heavier(anchor.nodes, anchor.values, anchor.information)
+    changed = replace(graph, families=tuple(heavier if family is anchor else family for family in graph.families))
+    plain, costlier = (solve(each, initialize="given") for each in (graph, changed))
+    np.testing.assert_allclose(costlier.costs, np.array(plain.costs) + 1, rtol=1e-9)
+    np.testing.assert_allclose(costlier.state, plain.state, atol=1e-9)
