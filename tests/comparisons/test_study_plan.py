@@ -108,8 +108,8 @@ def test_a_study_knows_every_option_of_a_run(folder: Path) -> None:
     for name, each in options_of(RunOptions).items():
         if name in ("seed", "noise", "sensor_offset", "truth_offset", "threads", "estimate") or each.only == "python":
             continue
-        named = {"format": "npz", "smoothing": 20}
-        value = each.choices[-1] if each.choices else named.get(name, values[each.each])
+        named = {"format": "npz", "smoothing": 20, "map": "map.csv"}
+        value = each.choices[-1] if each.choices else named.get(name, values.get(each.each))
         line = f"{each.model}.{each.field}" if each.model in MODELS else name
         for table in ("options", "options.vary"):
             written = "true" if value is True else repr(value)
