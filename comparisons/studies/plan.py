@@ -218,6 +218,11 @@ def _methods(file: TomlFile, names: tuple[str, ...]) -> Iterator[tuple[str, str,
     if "seed" in table:
         raise file.error("options.seed", "a study has seeds: set seeds at the top of the file instead of options.seed")
 
+    if "map" in table or "map" in (table.get("vary") or {}):
+        raise file.error(
+            "options.map", "studies do not localise in maps; use slam-compare run LOG --map FILE for each log"
+        )
+
     def check(file: TomlFile, part: Mapping[str, Any], where: str) -> dict[str, Any]:
         values = file.options(part, _OPTIONS, where)
         file.attempt(lambda: RunOptions.of(**values), where)

@@ -106,16 +106,24 @@ def test_a_study_knows_every_option_of_a_run(folder: Path) -> None:
     values: dict[type, object] = {str: None, int: 2, float: 0.5, bool: True}
     estimators = ["graph", "fastslam1", "particle-gibbs", "online"]
     for name, each in options_of(RunOptions).items():
-        if name in ("seed", "noise", "sensor_offset", "truth_offset", "threads", "estimate") or each.only == "python":
+        if (
+            name in ("seed", "noise", "sensor_offset", "truth_offset", "threads", "estimate", "map", "map_use")
+            or each.only == "python"
+        ):
             continue
-        named = {"format": "npz", "smoothing": 20, "map": "map.csv"}
-        value = each.choices[-1] if each.choices else named.get(name, values.get(each.each))
+        named = {"format": "npz", "smoothing": 20}
+        value = each.choices[-1] if each.choices else named.get(name, values[each.each])
         line = f"{each.model}.{each.field}" if each.model in MODELS else name
         for table in ("options", "options.vary"):
             written = "true" if value is True else repr(value)
             shown = f"[{written}]" if table.endswith("vary") else written
             text = f"logs = ['a.npz']\nestimators = {estimators}\n[{table}]\n{line} = {shown}\n"
             assert {run.options.get(name) for run in study_of(folder, text)} - {None} == {value}, name
+
+
+def test_studies_do_not_localise_in_maps(folder: Path) -> None:
+    with pytest.raises(FormatError, match="studies do not localise in maps"):
+        study_of(folder, "logs = ['a.npz']\nestimators = ['graph']\n[options]\nmap = 'map.csv'\n")
 
 
 def test_a_noise_file_counts_by_its_content(folder: Path) -> None:
