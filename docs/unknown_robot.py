@@ -65,5 +65,5 @@ fig, ax = plt.subplots(figsize=(7, 3))
 for name, solution in steps.items():
     off = solution.poses[:, :2] - log.true_poses[:, :2]
     ax.semilogy(log.times, (off**2).sum(axis=1) ** 0.5, lw=1, label=name)
-ax.set(xlabel="time [s]", ylabel="distance to the truth [m]")
+ax.set(xlabel="time [s]", ylabel="distance to the truth [m]", ylim=(1e-3, 100))
 ax.legend(fontsize=8)
