@@ -131,6 +131,22 @@ class EstimatorResult:
             return None
         return None if isinstance(self._of_graph, str) else self._of_graph
 
+    def _relative_covariances(self, covariances: Array) -> Array | None:
+        """The covariances (T+1, 3, 3) of the poses of a graph against its first pose, whose errors move all others along.
+
+        With errors d of the poses in world axes, pose k is off by d_k - J d_0, J = [1, 0, -dy; 0, 1, dx; 0, 0, 1], (dx, dy)
+        the way from the first pose. So P = P_kk - J P_0k - P_k0 J' + J P_00 J'.
+        """
+        if self.graph is None or self.state is None:
+            return None
+        J = np.broadcast_to(np.eye(3), covariances.shape).copy()
+        J[:, 0, 2], J[:, 1, 2] = self.poses[0, 1] - self.poses[:, 1], self.poses[:, 0] - self.poses[0, 0]
+        crossed = np.full(covariances.shape, np.nan)
+        steps = self.graph.steps
+        crossed[steps] = Uncertainty(self.graph, self.state).with_node(0)[: len(steps)]
+        mixed = J @ np.swapaxes(crossed, 1, 2)
+        return covariances - mixed - np.swapaxes(mixed, 1, 2) + J @ covariances[0] @ np.swapaxes(J, 1, 2)
+
     @property
     def covariance_failure(self) -> str | None:
         """Why the covariances of the graph's poses cannot be computed, one sentence; None where they can."""
@@ -154,7 +170,8 @@ class EstimatorResult:
     def nees(self, truth: Array | None) -> float | None:
         """The mean over the poses of e' P^-1 e / 3; 1 means consistent, above 1 overconfident.
 
-        e is the error of a pose relative to the first pose, which is held, so that no alignment is needed.
+        e is the error of a pose relative to the first pose, so that no alignment is needed, and P its covariance: that of
+        the pose where the first one is held, and `_relative_covariances` in a map.
 
         Args:
             truth: (T+1, 3) true poses, NaN where unknown; or None.
@@ -162,18 +179,23 @@ class EstimatorResult:
         Returns:
             None where the truth of the first pose, or the covariances, are not known.
         """
-        if truth is None or not np.isfinite(truth[0]).all() or self.pose_covariances is None:
+        covariances = self.pose_covariances
+        if truth is None or not np.isfinite(truth[0]).all() or covariances is None:
+            return None
+        if np.any(covariances[0]):
+            covariances = self._relative_covariances(covariances)
+        if covariances is None:
             return None
         frame = compose(truth[0], inverse(self.poses[0]))
         error = compose(frame, self.poses) - truth
         error[:, 2] = wrap(error[:, 2])
         turn = np.eye(3)
         turn[:2, :2] = rotation(frame[2])
-        known = np.isfinite(error).all(axis=1) & np.isfinite(self.pose_covariances).all(axis=(1, 2))
+        known = np.isfinite(error).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
         known[0] = False
         if not known.any():
             return None
-        covariances = turn @ self.pose_covariances[known] @ turn.T
+        covariances = turn @ covariances[known] @ turn.T
         try:
             weighted = np.linalg.solve(covariances, error[known][..., None])[..., 0]
         except np.linalg.LinAlgError:

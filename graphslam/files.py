@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from .errors import FormatError, OptionError, quoted, shortened
 
@@ -40,6 +44,29 @@ def path_of(path: object) -> Path:
         return Path(path)  # type: ignore[arg-type]
     except TypeError:
         raise OptionError(f"the path of a file is text or a Path, not {quoted(path)}") from None
+
+
+def read_archive(path: Path, kind: str) -> dict[str, Any]:
+    """The arrays of an .npz archive of a kind, such as "a log".
+
+    Raises:
+        FormatError: it cannot be read, or would take too much memory.
+    """
+    try:
+        # from memory: np.load leaves a file open that turns out not to be an archive
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
+            # a small file can claim to hold any number of zeros
+            if (size := sum(entry.file_size for entry in archive.zip.infolist())) > MOST_BYTES:
+                raise FormatError(
+                    path, None, f"its arrays would take {size / 1e9:.1f} GB; those of {kind} take at most 1 GB"
+                )
+            return {name: archive[name] for name in archive.files}
+    except FormatError:
+        raise
+    except Exception as error:  # what a damaged archive raises depends on the byte
+        raise FormatError(
+            path, None, f"not a readable .npz archive ({shortened(str(error))}); was it cut short?"
+        ) from None
 
 
 def check_path(path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import array_of, check_choice
-from .errors import OptionError, quoted
+from .errors import FormatError, OptionError, quoted
 from .files import path_of
 from .map_files import read_map, write_map
 from .reading import NO_ID, UNIDENTIFIED
@@ -87,10 +87,15 @@ class LandmarkMap(dict[int, Array]):
         """The map of a file: .npz, a table (.csv, .tsv, .txt, .parquet), YAML of tags, or GeoJSON; see `graphslam.map_files`.
 
         Raises:
-            FormatError: the file cannot be read, or holds no map; with the line where one is the cause.
-            OptionError: its covariances are impossible.
+            FormatError: the file cannot be read, or holds no map or impossible covariances; with the line where one is
+                the cause.
         """
-        return cls(**read_map(path_of(path)))
+        path = path_of(path)
+        parts = read_map(path)
+        try:
+            return cls(**parts)
+        except OptionError as error:
+            raise FormatError(path, None, str(error)) from None
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the map in the format of the name's ending: .npz keeps everything, the others no joint covariance.

@@ -133,7 +133,7 @@ def in_frame_of(
     notes.append(f"the first pose was found in the map: {fix.sentence}")
     seen = [j for j in log.landmark_ids.tolist() if j in landmarks]
     if log.has_orientation and (bare := [j for j in seen if j not in landmarks.covariances and len(landmarks[j]) == 2]):
-        notes.append(f"psi is not used, because {listed('landmark', bare)} of the map is exact and has no heading")
+        notes.append(f"psi is not used, because the map has no heading of {listed('landmark', bare)}, exact in it")
         log = log.without_orientation()
     return log.replace(initial_poses=placed), tuple(notes)
 
@@ -215,6 +215,12 @@ def _rows(log: Log, landmarks: LandmarkMap) -> np.ndarray:
             f"{log.name} has sightings without ids, and a map is used by the ids of its landmarks; leave the map out, or "
             "give the sightings its ids"
         )
+    for missing, name in (
+        (not landmarks, "the map has no landmarks"),
+        (not len(log.steps), f"{log.name} has no sightings"),
+    ):
+        if missing:
+            raise GraphError(f"{name}, so that the robot cannot be found in the map")
     rows = np.flatnonzero(np.isin(log.landmarks, list(landmarks)))
     if len(rows) == 0:
         seen, known = (listed("landmark", sorted(ids), most=4) for ids in (log.landmark_ids.tolist(), landmarks))

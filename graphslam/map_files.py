@@ -27,8 +27,8 @@ from typing import Any
 
 import numpy as np
 
-from .errors import FormatError, OptionError, quoted, reason_of, shortened
-from .files import MOST_BYTES, check_file, read_text, write_whole
+from .errors import FormatError, OptionError, quoted, reason_of
+from .files import check_file, read_archive, read_text, write_whole
 from .se2 import Array
 from .tables.columns import plain
 from .tables.drive import map_of
@@ -38,6 +38,8 @@ from .tables.sources import PARQUET, TEXT, table_of
 VERSION = "graphslam-map-1"
 #: the columns of covariances, in the order of the upper triangle of (3, 3), column by column
 COVARIANCE = ("var_x", "cov_xy", "var_y", "cov_x_heading", "cov_y_heading", "var_heading")
+#: the first word of other names of errors
+_OF_ERRORS = ("var", "cov", "std", "sigma")
 _UPPER = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 #: means, covariances, classes and joint covariance: the arguments of `LandmarkMap`
@@ -101,6 +103,14 @@ def _table(path: Path) -> Parts:
     columns = {plain(name)[0]: k for k, name in enumerate(table.names)}
     ids = list(means)
     parts: Parts = {"means": means}
+    other = [name for name in columns if name.split("_")[0] in _OF_ERRORS and name not in COVARIANCE]
+    if other or (columns.keys() & set(COVARIANCE) and "var_x" not in columns):
+        odd = other[0] if other else next(name for name in COVARIANCE if name in columns)
+        raise table.error(
+            None,
+            f"the column {odd} seems to belong to a covariance, which is var_x, cov_xy and var_y [m²]; rename or square it, "
+            "or remove it: without a covariance a landmark counts as exact",
+        )
     if "var_x" in columns:
         missing = [name for name in COVARIANCE[:3] if name not in columns]
         if missing:
@@ -130,17 +140,7 @@ def _symmetric(numbers: Mapping[str, float]) -> Array:
 
 
 def _archive(path: Path) -> Parts:
-    try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
-            if (size := sum(entry.file_size for entry in archive.zip.infolist())) > MOST_BYTES:
-                raise FormatError(path, None, f"its arrays would take {size / 1e9:.1f} GB; those of a map at most 1 GB")
-            content = {name: archive[name] for name in archive.files}
-    except FormatError:
-        raise
-    except Exception as error:  # what a damaged archive raises depends on the byte
-        raise FormatError(
-            path, None, f"not a readable .npz archive ({shortened(str(error))}); was it cut short?"
-        ) from None
+    content = read_archive(path, "a map")
     if str(content.get("format")) != VERSION:
         kind = "a log" if str(content.get("format", "")).startswith("graphslam-log") else "no map"
         raise FormatError(path, None, f"the archive is {kind}: the entry 'format' of a map is {VERSION!r}")

@@ -76,6 +76,18 @@ class Uncertainty:
             block = block + self._joint.reach[i] @ self._joint.covariance @ self._joint.reach[j].T
         return block
 
+    def with_node(self, j: int) -> Array:
+        """The covariances (n, 3, 3) between every node and node j, by one solution: the columns of node j in Omega^-1."""
+        if j in self._graph.fixed:
+            return np.zeros((self._graph.num_nodes, 3, 3))
+        columns = np.zeros((self._graph.num_nodes, 3, 3))
+        columns[j] = np.eye(3)
+        blocks = self.solve(columns)
+        if self._joint is not None:
+            blocks = blocks + self._joint.reach @ self._joint.covariance @ self._joint.reach[j].T
+        blocks[self._graph.fixed] = 0.0
+        return blocks
+
     def joint(self, nodes: np.ndarray) -> Array:
         """The covariance (3k, 3k) of nodes (k,) together."""
         whole = self._factor.joint_covariance(nodes)

@@ -12,7 +12,6 @@ pickles.
 
 from __future__ import annotations
 
-import io
 import zipfile
 from collections.abc import Mapping
 from dataclasses import astuple, fields
@@ -22,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from ..checks import real_array
-from ..errors import FormatError, OptionError, SlamError, reason_of, shortened
-from ..files import MOST_BYTES, check_file, write_whole
+from ..errors import FormatError, OptionError, SlamError, reason_of
+from ..files import check_file, read_archive, write_whole
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..reading import ReadOptions, finite_fault, range_faults, sound_rows
@@ -41,21 +40,7 @@ _OPTIONAL = (
 
 def _read(path: Path, options: ReadOptions) -> Log:
     check_file(path)
-    try:
-        # from memory: np.load leaves a file open that turns out not to be an archive
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
-            # a small file can claim to hold any number of zeros
-            if (size := sum(entry.file_size for entry in archive.zip.infolist())) > MOST_BYTES:
-                raise FormatError(
-                    path, None, f"its arrays would take {size / 1e9:.1f} GB; those of a log take at most 1 GB"
-                )
-            content = {name: archive[name] for name in archive.files}
-    except FormatError:
-        raise
-    except Exception as error:  # what a damaged archive raises depends on the byte
-        raise FormatError(
-            path, None, f"not a readable .npz archive ({shortened(str(error))}); was it cut short?"
-        ) from None
+    content = read_archive(path, "a log")
     if str(content.get("format")) != VERSION:
         raise FormatError(path, None, f"the archive is not a log: its entry 'format' should be {VERSION!r}")
     missing = [name for name in _REQUIRED if name not in content]

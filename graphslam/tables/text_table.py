@@ -43,14 +43,14 @@ class TextTable(Table):
         self.path, self.source = path, str(path)
         text = read_text(path)
         if not text.strip():
-            raise FormatError(path, None, "the file is empty; a table with a row for each time is needed here")
+            raise FormatError(path, None, "the file is empty; a table with a header and rows is needed here")
         text = text.strip("\n")
         lines: list[str] = []
         if "#" in text or re.search(r"\n[ \t\r\f\v]*\n", text) or not text.partition("\n")[0].strip():
             lines = text.split("\n")
             text = "\n".join(line for line in lines if line.strip() and not line.lstrip().startswith("#"))
         if not text:
-            raise FormatError(path, None, "the file has comments only; a table with a row for each time is needed here")
+            raise FormatError(path, None, "the file has comments only; a table with a header and rows is needed here")
         if '"' in text:
             _check_length(path, text)
         head = text.split("\n", _HEAD + 1)[: _HEAD + 1]

@@ -12,7 +12,8 @@ from typer.testing import Result
 
 import comparisons
 from graphslam import Graph, LandmarkMap, Log, MotionModel, SensorModel, save, simulate, solve
-from graphslam.se2 import wrap
+from graphslam.se2 import between, wrap
+from graphslam.uncertainty import Uncertainty
 
 Invoke = Callable[..., Result]
 IN_MAP = ["graph", "gtsam", "mcl", "fastslam1", "fastslam2", "dead-reckoning"]
@@ -78,6 +79,39 @@ def test_sightings_of_landmarks_that_localisation_does_not_know_are_left_out(log
     result = comparisons.run(logs[1], estimators=["mcl", "graph"], landmark_map=some, particles=100)
     assert any("not on the map, and left out" in note for note in result["mcl"].notes)
     assert 0 in result["graph"].landmarks
+
+
+def test_nees_in_a_map_is_that_of_errors_against_the_first_pose() -> None:
+    """The first pose is not held in a map: the covariances against it come from the joint one of both poses."""
+    values = []
+    for seed in range(2, 8):
+        log = simulate(seed=seed, clean=True)
+        truth, true = log.true_poses, log.true_landmarks
+        assert truth is not None and true is not None
+        known = LandmarkMap({j: m[:2] for j, m in true.items()})
+        results = comparisons.run(log, estimators=["graph", "gtsam"], landmark_map=known)
+        own = results["graph"]
+        assert own.nees(truth) == pytest.approx(results["gtsam"].nees(truth), rel=1e-4)
+        values.append(own.nees(truth))
+        if seed > 2:
+            continue
+        assert own.graph is not None and own.state is not None
+        each, uncertainty = [], Uncertainty(own.graph, own.state)
+        for k in range(1, len(truth)):
+            joint = uncertainty.joint(np.array([0, k]))
+            # the pose k in the frame of pose 0, and the derivative of it by both poses
+            found, right = between(own.poses[0], own.poses[k]), between(truth[0], truth[k])
+            c, s = np.cos(own.poses[0, 2]), np.sin(own.poses[0, 2])
+            turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+            by_first = -turn.copy()
+            by_first[:2, 2] = found[1], -found[0]
+            derivative = np.hstack([by_first, turn])
+            error = found - right
+            error[2] = wrap(error[2])
+            each.append(error @ np.linalg.solve(derivative @ joint @ derivative.T, error) / 3)
+        assert own.nees(truth) == pytest.approx(np.mean(each), rel=1e-6)
+    # 27 with the covariances in the axes of the map
+    assert 0.4 < np.mean(values) < 2.0
 
 
 @pytest.mark.parametrize(

@@ -127,3 +127,7 @@ def test_maps_that_do_not_fit_are_refused_with_the_cause():
     assert "two are needed" in refused(log, {1: true[1]})
     unknown = log.replace(landmarks=np.full(len(log.steps), np.iinfo(np.int64).min))
     assert "without ids" in refused(unknown, true)
+    empty = np.zeros(0, dtype=np.intp)
+    blind = log.replace(steps=empty, landmarks=empty, sightings=np.zeros((0, 3)))
+    assert "has no sightings" in refused(blind, true)
+    assert "the map has no landmarks" in refused(log, {})
