@@ -2,9 +2,10 @@
 
     python benchmarks/unknown_robot.py [--seeds tuning|reporting|1000-1009] [--drives 20] [--jobs 2] [--misread 0.05]
                                        [--option noise=auto] [--plain] [--also fastslam2] [--json FILE]
-                                       [--oracles FOLDER]
+                                       [--oracles FOLDER] [--drive odometry|sightings]
 
-Each seed is a `Drive.random`. Its log goes through three ways:
+Each seed is a `Drive.random`, or with ``--drive`` two minutes with almost perfect odometry or sightings. Its log goes through
+three ways:
 
 default         what ``slam-compare run LOG --estimators graph`` does, with the options given by ``--option NAME=VALUE``
 oracle          the same log with the right ids and without clutter, the true noise, and all biases estimated with priors
@@ -42,7 +43,7 @@ from graphslam import Graph, GraphError, Log, SensorModel, SlamError, Solution, 
 from graphslam.metrics import ate
 from graphslam.models import MotionModel
 from graphslam.se2 import Array
-from graphslam.sources.drives import SPREADS, Drive, DriveTruth
+from graphslam.sources.drives import SENSORS, SPREADS, Drive, DriveTruth
 
 #: never tune on these
 REPORTING = range(200)
@@ -50,6 +51,26 @@ REPORTING = range(200)
 TUNING = range(1000, 1200)
 #: beyond so many times the oracle a result is bad, and below so many metres nobody minds
 BAD, HARMLESS = 3.0, 0.01
+
+
+def accurate_odometry(seed: int) -> Drive:
+    """No biases and hardly any noise of the motion; errors of the sightings are correlated on two of three seeds."""
+    exact = MotionModel(nn=1e-4, no=0.0, on=1e-4, oo=1e-4, epsilon=1e-12)
+    return Drive(seed=seed, duration=120.0, motion=exact, parameters={}, correlated=0.3 * (seed % 3))
+
+
+def accurate_sightings(seed: int) -> Drive:
+    """Ranges to a millimetre, bearings to a milliradian."""
+    exact = replace(SENSORS["camera"], range_rate=1e-3, range_std=1e-3, bearing_std=1e-3)
+    return Drive(seed=seed, duration=120.0, sensor=exact)
+
+
+#: what a seed stands for
+DRIVES: dict[str, Callable[[int], Drive]] = {
+    "random": Drive.random,
+    "odometry": accurate_odometry,
+    "sightings": accurate_sightings,
+}
 
 
 @dataclass(frozen=True)
@@ -197,9 +218,10 @@ def row(
     run: Runner = default_run,
     plain: bool = False,
     oracles: Path | None = None,
+    kind: str = "random",
 ) -> Row:
-    """All ways on one drive; ``misread`` replaces the part of the ids that are misread."""
-    drive = Drive.random(seed)
+    """All ways on one drive of `DRIVES`; ``misread`` replaces the part of the ids that are misread."""
+    drive = DRIVES[kind](seed)
     log, truth = (drive if misread is None else replace(drive, misread=misread)).simulate()
     assert log.true_poses is not None
     figures: dict[str, Any] = {
@@ -208,7 +230,7 @@ def row(
     }  # fmt: skip
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        kept = None if oracles is None else oracles / f"{seed}-{misread}.json"
+        kept = None if oracles is None else oracles / f"{'' if kind == 'random' else kind}{seed}-{misread}.json"
         if kept is not None and kept.exists():
             figures |= json.loads(kept.read_text(encoding="utf-8"))
         else:
@@ -332,6 +354,7 @@ def main() -> None:
     parser.add_argument(
         "--also", default="", help="further estimators with the same noise, for example fastslam,fastslam2"
     )
+    parser.add_argument("--drive", choices=DRIVES, default="random", help="what the seeds stand for")
     parser.add_argument("--plain", action="store_true", help="time the graph with the noise of the book, too")
     parser.add_argument("--oracles", type=Path, help="a folder that keeps the figures of the oracle")
     parser.add_argument("--json", type=Path, help="write the rows there")
@@ -340,7 +363,7 @@ def main() -> None:
     options["also"] = tuple(filter(None, arguments.also.split(",")))
     task = partial(
         row, misread=arguments.misread, run=partial(default_run, **options), plain=arguments.plain,
-        oracles=arguments.oracles,
+        oracles=arguments.oracles, kind=arguments.drive,
     )  # fmt: skip
     rows = []
     print(HEAD)

@@ -18,7 +18,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..se2 import Array
-from .unknowns import LONGEST, SPREAD, Edges, Unknowns
+from .edges import Edges
+from .unknowns import DEGREES_MOTIONS, DEGREES_SIGHTINGS, LONGEST, SPREAD, Unknowns
 
 
 def improve_variances(unknowns: Unknowns) -> tuple[float, Array]:
@@ -63,7 +64,9 @@ def improve_variances(unknowns: Unknowns) -> tuple[float, Array]:
     now = np.array([unknowns.logarithms[name] for name in names])
     gradient -= prior * (now - np.array([unknowns.centres[name] for name in names]))
     information = (information + information.T) / 2 + prior * np.eye(len(names))
-    step = np.linalg.solve(information, gradient)
+    free = np.array([name not in unknowns.held_variances for name in names])
+    step = np.zeros(len(names))
+    step[free] = np.linalg.solve(information[np.ix_(free, free)], gradient[free])
     gain = float(gradient @ step)
     # a variance that turns back was moved too far: such as two that explain the same errors, each in turn
     longest = np.minimum(unknowns.longest * np.where(step * unknowns.last_change < 0, 0.5, 1.5), LONGEST)
@@ -72,3 +75,19 @@ def improve_variances(unknowns: Unknowns) -> tuple[float, Array]:
     unknowns.logarithms = dict(zip(names, (now + change).tolist()))
     unknowns.longest, unknowns.last_change = longest, change
     return gain, np.sqrt(np.diag(np.linalg.inv(information)))
+
+
+def log_likelihood(unknowns: Unknowns) -> float:
+    """The logarithm of the restricted likelihood at the present values, by Laplace's approximation; constants are left out.
+
+    It is the sum of the log densities of Student's t over the edges, and of the priors of the parameters, plus one half of
+    the log determinant of the covariance of nodes and parameters.
+    """
+    linear = unknowns.linearized()
+    total = -0.5 * float(linear.factor.log_determinant + np.linalg.slogdet(linear.schur)[1])
+    for edges, degrees in zip(linear.edges, (DEGREES_MOTIONS, DEGREES_SIGHTINGS)):
+        determinants = np.linalg.slogdet(unknowns.covariances(edges))[1]
+        tails = (degrees + edges.residuals.shape[1]) * np.log1p(edges.squares / degrees)
+        total -= 0.5 * float(np.sum(determinants + tails))
+    away = unknowns.parameters.values - unknowns.parameters.means
+    return total + 0.5 * float(np.sum(np.log(linear.prior)) - linear.prior @ away**2)

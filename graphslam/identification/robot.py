@@ -8,7 +8,8 @@ biases, and the sightings that contradict their episode. Then:
 1. the landmarks by their ids, from the trajectory of the first problem;
 2. ids that contradict their place get the id of the landmark that fits, or count as clutter (`sighting_errors`);
 3. the noise again from few sightings of each landmark, so far apart that their errors are hardly correlated, and whether
-   there are biases at all; from all other sightings the correlation of the errors, and from this how much a sighting counts;
+   there are biases and noise of the odometry at all; from all other sightings the correlation of the errors, and from this
+   how much a sighting counts;
 4. the noise once more from as many sightings as are nearly independent.
 
 The second-order theory is that of `identification.unknowns` and `identification.restricted_likelihood`.
@@ -16,6 +17,7 @@ The second-order theory is that of `identification.unknowns` and `identification
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +29,7 @@ from ..models import MotionModel, SensorModel
 from ..parameters.corrections import corrected_log
 from ..parameters.declared import ParameterEstimate
 from ..se2 import Array
-from .restricted_likelihood import improve_variances
+from .restricted_likelihood import improve_variances, log_likelihood
 from .sighting_errors import LAGS, SHORT, checked_ids, correlations, inflation, smoothed
 from .unknowns import Unknowns
 
@@ -53,6 +55,9 @@ KINDS = {
     "sensor": ("range_bias", "bearing_bias", "sensor_ahead", "sensor_left", "sensor_delay"),
 }
 CONVINCING = 1.0
+#: the gain of the log likelihood, in independent sightings, without which odometry counts as exact; with few sightings, and
+#: with one of each landmark in so many seconds
+NEEDED, MORE = 7.5, 1.0
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = {"sightings": 60, "poses": 20}
 #: an estimate is doubtful with fewer sightings than this, with more than this part of the ids wrong, and with a bias that is
@@ -85,6 +90,7 @@ class RobotEstimate:
         changed, dropped: (M,) bool, rows of the given log whose id was replaced, and that fit no landmark.
         correlations: (B,) of the errors of one landmark over the lags between `LAGS`.
         inflation: the factor on the variances of the sensor with which its errors count as independent; 1: they are.
+        nearly_exact: whether nothing in the log speaks against exact odometry, whose noise is then a part of its estimate.
         poses: (T+1, 3) the trajectory of the search.
     """
 
@@ -97,6 +103,7 @@ class RobotEstimate:
     dropped: np.ndarray
     correlations: Array
     inflation: float
+    nearly_exact: bool
     poses: Array
 
     def __repr__(self) -> str:
@@ -149,6 +156,11 @@ class RobotEstimate:
             for kind, names in KINDS.items()
             if not set(names) & set(self.parameters.names)
         ]
+        if self.nearly_exact:
+            lines.append(
+                "the sightings are explained as well by odometry without noise: that of the motion is a quarter of what "
+                "was found"
+            )
         wrong, dropped = int(self.changed.sum()), int(self.dropped.sum())
         if wrong or dropped:
             lines.append(
@@ -225,18 +237,18 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
 
 def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotEstimate:
     """`estimate_robot` for a log that has enough."""
-    local, doubtful = _local(log, sensor)
+    local, doubtful, alone = _local(log, sensor)
     kept = log.with_sightings(~doubtful)
     fewer = _at_most(kept, MOST)
     first = _fitted(Unknowns(fewer, fewer.landmarks, sensor, local), ROUNDS[1])[0]
-    ids = checked_ids(log, first, rng)
+    ids = checked_ids(log, first, alone, rng)
     named = log.with_sightings(~ids.dropped, landmarks=ids.landmarks[~ids.dropped])
     sparse, used = _sparse(named)
     second = _fitted(Unknowns(sparse, sparse.landmarks, sensor, first), ROUNDS[2])[0]
-    without = [kind for kind, names in KINDS.items() if second.evidence_against(names) > CONVINCING]
-    if without:
-        second.hold([name for kind in without for name in KINDS[kind]])
-        second = _fitted(second, ROUNDS[2])[0]
+    exact = _fitted(second.with_exact_odometry(), ROUNDS[2])[0]
+    held, held_with_exact = _hold_needless(second), _hold_needless(exact)
+    if nearly_exact := _is_exact(named, second, exact, used, rng):
+        second, held = exact, held_with_exact
     rho = smoothed(correlations(named, second, used, rng))
     factor = COMMON * inflation(named, rho) if rho[:SHORT].max() >= HARDLY else 1.0
     if factor > 1:
@@ -251,14 +263,14 @@ def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotE
         bearing_std=seen.bearing_std * factor**0.5, orientation_std=seen.orientation_std * factor**0.5,
     )  # fmt: skip
     # exactly, without the rounding of the last step
-    last.hold([name for kind in without for name in KINDS[kind]])
+    last.hold(held)
     parameters = replace(last.parameters, recorded=named)
-    free = [k for k, name in enumerate(parameters.names) if not any(name in KINDS[kind] for kind in without)]
+    free = [k for k, name in enumerate(parameters.names) if name not in held]
     names, means, deviations = (
         np.array(each)[free].tolist() for each in (parameters.names, parameters.means, parameters.deviations)
     )
     corrected = corrected_log(parameters).replace(
-        motion=motion, sensor=seen, uncertain={**(log.uncertain or {}), **dict(zip(names, deviations))}
+        motion=motion, sensor=seen, uncertain={**held, **(log.uncertain or {}), **dict(zip(names, deviations))}
     )
     corrected = corrected.replace(initial_poses=corrected.dead_reckoning())
     estimate = ParameterEstimate(
@@ -267,7 +279,8 @@ def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotE
     )  # fmt: skip
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, changed=ids.changed,
-        dropped=ids.dropped, correlations=rho, inflation=factor, poses=last.trajectory.copy(),
+        dropped=ids.dropped, correlations=rho, inflation=factor, nearly_exact=nearly_exact,
+        poses=last.trajectory.copy(),
     )  # fmt: skip
 
 
@@ -284,8 +297,9 @@ def _check(log: Log) -> None:
         )
 
 
-def _local(log: Log, sensor: SensorModel) -> tuple[Unknowns, np.ndarray]:
-    """The problem of episodes, solved; and the sightings (M,) bool that stand alone in time, or contradict their episode."""
+def _local(log: Log, sensor: SensorModel) -> tuple[Unknowns, np.ndarray, np.ndarray]:
+    """The problem of episodes, solved; and (M,) bool which sightings stand alone in time or contradict their episode, and
+    which stand alone."""
     for pause in PAUSES:
         episodes = _episodes(log, pause)
         alone = np.bincount(episodes)[episodes] == 1
@@ -304,7 +318,7 @@ def _local(log: Log, sensor: SensorModel) -> tuple[Unknowns, np.ndarray]:
         local.iterate(4)
     doubtful = alone.copy()
     doubtful[np.flatnonzero(local.used)] |= local.linearized().edges[1].squares > CONTRADICTS
-    return local, doubtful
+    return local, doubtful, alone
 
 
 def _episodes(log: Log, pause: float) -> np.ndarray:
@@ -332,6 +346,51 @@ def _fitted(unknowns: Unknowns, rounds: int) -> tuple[Unknowns, dict[str, float]
     unknowns.iterate(1)
     names = [*unknowns.motion_parts, *unknowns.sensor_parts]
     return unknowns, {name: float(error) / 2 for name, error in zip(names, errors)}
+
+
+def _hold_needless(fitted: Unknowns) -> dict[str, float]:
+    """Hold the biases of the kinds of which the log shows none: {name: the standard deviation that it may still have}.
+
+    With the evidence K the ideal values have the probability P = K / (1 + K), and the mean square of a bias about them is
+    (1 - P) times that of the estimate.
+    """
+    held: dict[str, float] = {}
+    for names in KINDS.values():
+        evidence = fitted.evidence_against(names)
+        if evidence > CONVINCING:
+            left = (1.0 + np.exp(min(evidence, 700.0))) ** -0.5
+            held |= {name: float(left * fitted.distance(name)) for name in names}
+    if held:
+        fitted.hold(held)
+        _fitted(fitted, ROUNDS[2])
+    return held
+
+
+def _is_exact(log: Log, fitted: Unknowns, exact: Unknowns, used: np.ndarray, rng: np.random.Generator) -> bool:
+    """Whether the log does not speak against odometry without noise.
+
+    Both problems are those of few sightings, (M,) bool ``used``, with noise of the motion and without. Such noise follows
+    errors of the sightings that are correlated, which then do not show. So the gain of the log likelihood is divided by the
+    number of sightings that count as one where there is no such noise.
+    """
+    rho = smoothed(correlations(log, exact, used, rng))
+    if _gain(fitted, exact) >= NEEDED * inflation(fitted.log, rho):
+        return False
+    more = _at_most(_thinned(log, MORE)[0], MOST)
+    fitted, exact = (
+        _fitted(Unknowns(more, more.landmarks, fitted.sensor, each), ROUNDS[1])[0] for each in (fitted, exact)
+    )
+    return _gain(fitted, exact) < NEEDED * inflation(more, rho)
+
+
+def _gain(fitted: Unknowns, exact: Unknowns) -> float:
+    """The log likelihood of a problem over that of the same with exact odometry."""
+    fitted, exact = copy(fitted), copy(exact)
+    # with the same weights for edges without residuals
+    fitted.hidden, exact.hidden = [0.0, fitted.hidden[1]], [0.0, exact.hidden[1]]
+    for each in (fitted, exact):
+        each.iterate(2)
+    return log_likelihood(fitted) - log_likelihood(exact)
 
 
 def _thinned(log: Log, interval: float) -> tuple[Log, np.ndarray]:

@@ -17,7 +17,8 @@ import numpy as np
 
 from ..log import Log
 from ..se2 import Array
-from .unknowns import Edges, Unknowns
+from .edges import Edges
+from .unknowns import Unknowns
 
 #: samples of the covariance of the solution
 SAMPLES = 24
@@ -25,6 +26,10 @@ SAMPLES = 24
 CONTRADICTS, FITS = 25.0, 9.0
 #: ... that is better than all others by this
 BETTER = 9.0
+#: a sighting that stands alone keeps its id where this is right with this probability; else it counts as so far from it
+BELIEVED, UNLIKELY = 0.5, 100.0
+#: so many sightings that stand alone count as right before any is seen
+RIGHT = 2.0
 #: a landmark with fewer sightings than this part of the median may be made of misread ids
 WEAK = 0.33
 #: limits of the lags [s] over which correlations are averaged
@@ -32,7 +37,7 @@ LAGS = np.array([0.0, 0.15, 0.4, 1.0, 2.5, 6.0, 15.0, 40.0])
 #: errors correlated by less than this count as independent, and fewer pairs than this tell no correlation
 INDEPENDENT, FEWEST = 0.1, 20
 #: errors are correlated where rho of one of so many of the shortest lags is above so many of its standard errors
-SHORT, SIGNIFICANT = 3, 2.0
+SHORT, SIGNIFICANT = 5, 2.0
 #: residuals beyond so many standard deviations count as so many
 FAR = 3.0
 
@@ -52,12 +57,17 @@ class Predictions:
         )
         return edges, edges.moved(self._nodes, self._values)
 
-    def distances(self, log: Log, rows: np.ndarray, landmarks: np.ndarray) -> Array:
-        """The squared Mahalanobis distances (M,) of sightings in rows (M,) from landmarks (M,), numbers of nodes."""
+    def distances(self, log: Log, rows: np.ndarray, landmarks: np.ndarray) -> tuple[Array, Array]:
+        """How well sightings in rows (M,) fit landmarks (M,), numbers of nodes.
+
+        Returns:
+            The squared Mahalanobis distances (M,), and the logarithms (M,) of the densities of the differences.
+        """
         edges, errors = self.compare(log, rows, landmarks)
         covariances = self._unknowns.covariances(edges) + errors @ np.swapaxes(errors, 1, 2) / SAMPLES
         weighted = np.linalg.solve(covariances, edges.residuals[:, :, None])[:, :, 0]
-        return np.einsum("ei,ei->e", edges.residuals, weighted)
+        squares = np.einsum("ei,ei->e", edges.residuals, weighted)
+        return squares, -0.5 * (squares + np.linalg.slogdet(2 * np.pi * covariances)[1])
 
 
 @dataclass(frozen=True)
@@ -74,25 +84,30 @@ class Ids:
     dropped: np.ndarray
 
 
-def checked_ids(log: Log, unknowns: Unknowns, rng: np.random.Generator) -> Ids:
+def checked_ids(log: Log, unknowns: Unknowns, alone: np.ndarray, rng: np.random.Generator) -> Ids:
     """Compare every sighting with its landmark, and those that contradict it with all others.
 
     A landmark that was seen much less often than others may be made of misread ids alone, so its sightings are compared with
     the others as well. Where these do not fit, they keep their ids, as those of landmarks do that the solution does not have.
+
+    Args:
+        alone: (M,) bool, the sightings that stand alone in time, which the solution has not used. Before a loop is closed
+            they fit everything, so they keep their ids only where these are more probably right than wrong (`_unlikely`).
     """
     predictions, ids = Predictions(unknowns, rng), unknowns.ids
     landmarks = log.landmarks.copy()
     changed, dropped = np.zeros(len(landmarks), dtype=bool), np.zeros(len(landmarks), dtype=bool)
     seen = np.bincount(np.searchsorted(ids, landmarks[np.isin(landmarks, ids)]), minlength=len(ids))
     strong = np.flatnonzero(seen >= WEAK * np.median(seen))
-    own = np.full(len(landmarks), np.inf)
+    own, density = np.full(len(landmarks), np.inf), np.full(len(landmarks), -np.inf)
     known = np.flatnonzero(np.isin(landmarks, ids))
-    own[known] = predictions.distances(log, known, np.searchsorted(ids, landmarks[known]))
+    own[known], density[known] = predictions.distances(log, known, np.searchsorted(ids, landmarks[known]))
+    own[_unlikely(log, np.flatnonzero(alone), density)] = UNLIKELY
     supported = np.isin(landmarks, ids[strong])
     tried = np.flatnonzero((own > CONTRADICTS) | ~supported)
     if len(tried) == 0 or len(strong) == 0:
         return Ids(landmarks, changed, dropped)
-    others = np.stack([predictions.distances(log, tried, np.full(len(tried), j)) for j in strong.tolist()])
+    others = np.stack([predictions.distances(log, tried, np.full(len(tried), j))[0] for j in strong.tolist()])
     best = others.argmin(axis=0)
     nearest = np.sort(others, axis=0)
     fits = nearest[0] < FITS
@@ -102,6 +117,25 @@ def checked_ids(log: Log, unknowns: Unknowns, rng: np.random.Generator) -> Ids:
     changed[tried[fits]] = True
     dropped[tried[~fits]] = np.isfinite(own[tried[~fits]]) & (own[tried[~fits]] > CONTRADICTS)
     return Ids(landmarks, changed, dropped)
+
+
+def _unlikely(log: Log, rows: np.ndarray, density: Array) -> np.ndarray:
+    """Those of the sightings in rows (K,) whose id is right with less than the probability `BELIEVED`.
+
+    A sighting with the right id has the density N(e; 0, S) of ``density`` (M,), logarithms; one with a wrong id is anywhere
+    in view, and so is one of a landmark that the solution does not have (-inf). The part of the right ones is that with
+    which the sightings of the others are most probable together (EM), as if `RIGHT` further ones were right.
+    """
+    if len(rows) == 0:
+        return rows
+    told = np.isfinite(density[rows])
+    in_view = -np.sum(np.log(np.maximum(np.ptp(log.sightings, axis=0), 1e-6)))
+    gain = np.where(told, np.exp(np.clip(density[rows] - in_view, -700, 700)), 1.0)
+    part = 0.5
+    for _ in range(50):
+        right = part * gain / (part * gain + 1 - part)
+        part = (float(right[told].sum()) + RIGHT) / (np.count_nonzero(told) + RIGHT)
+    return rows[right < BELIEVED]
 
 
 def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.Generator) -> Array:

@@ -21,7 +21,8 @@ Nodes and parameters are solved together: with C = sum B' W J, D = sum J' W J + 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from ..models import MotionModel, SensorModel
 from ..parameters.corrections import controls_at_steps, corrected_controls, corrected_sensor, motion_slopes
 from ..parameters.declared import Parameters, ideal_values
 from ..se2 import Array, mounted, perpendicular, rotation, wrap
+from .edges import Edges
 from .parts import motion_parts, sensor_parts, with_variances
 
 #: the parameters of an unknown robot, with the standard deviations of their priors. The scale of ranges is not among them:
@@ -62,56 +64,14 @@ DEGREES_SIGHTINGS, DEGREES_MOTIONS = 4.0, 8.0
 OF_GAUSSIAN_SIGHTINGS, OF_GAUSSIAN_MOTIONS = {2: 0.7267, 3: 0.7559}, 0.8389
 #: parameters that differ by less than this part of the standard deviations of their priors are near
 NEAR = 0.2
+#: where nothing speaks against exact odometry, its noise has this part of the estimate (docs/decisions.md)
+EXACT = 1 / 4
 #: the standard deviation of the prior of a parameter that is held
 HELD = 1e-7
 #: the least distance between sensor and landmark [m], where the bearing is undefined
 NEAREST = 1e-3
 #: what Omega's diagonal is raised by, where rounding makes it singular
 DAMPING = (0.0, 1e-10, 1e-7)
-
-
-@dataclass
-class Edges:
-    """Edges of one kind at one state.
-
-    Attributes:
-        first, second: (E,) nodes.
-        residuals: (E, d).
-        by_first, by_second: (E, d, 3) Jacobians.
-        by_parameters: (E, d, K).
-        parts: {name of a variance: C (E, d, d)}.
-        information: W (E, d, d), the inverse covariance times the weights.
-        weights: u (E,) of Student's t.
-        squares: (E,) e' W e without the weights.
-    """
-
-    first: np.ndarray
-    second: np.ndarray
-    residuals: Array
-    by_first: Array
-    by_second: Array
-    by_parameters: Array
-    parts: Mapping[str, Array]
-    information: Array = field(default_factory=lambda: np.empty(0))
-    weights: Array = field(default_factory=lambda: np.empty(0))
-    squares: Array = field(default_factory=lambda: np.empty(0))
-
-    def weigh(self, covariances: Array, degrees: float, hidden: Array | float) -> None:
-        """Set the information and the weights; ``hidden`` (E,) is tr(W F) without the weights."""
-        inverse, d = np.linalg.inv(covariances), self.residuals.shape[1]
-        self.squares = np.einsum("ei,ei->e", self.residuals, (inverse @ self.residuals[:, :, None])[:, :, 0])
-        self.weights = (degrees + d) / (degrees + self.squares + hidden)
-        self.information = self.weights[:, None, None] * inverse
-
-    def pull(self, forces: Array, nodes: Array) -> Array:
-        """Add B' f for forces f (E, d, k) to right-hand sides (n, 3, k), and return J' f (K, k)."""
-        np.add.at(nodes, self.first, np.swapaxes(self.by_first, 1, 2) @ forces)
-        np.add.at(nodes, self.second, np.swapaxes(self.by_second, 1, 2) @ forces)
-        return np.einsum("edp,edk->pk", self.by_parameters, forces)
-
-    def moved(self, nodes: Array, parameters: Array) -> Array:
-        """How residuals change, (E, d, k), when nodes (n, 3, k) and parameters (K, k) do."""
-        return self.by_first @ nodes[self.first] + self.by_second @ nodes[self.second] + self.by_parameters @ parameters
 
 
 class Unknowns:
@@ -164,6 +124,8 @@ class Unknowns:
             poses = start.trajectory if start.poses == self.poses else self.dead_reckoning()
         self.longest, self.last_change = np.full(len(self.centres), LONGEST), np.zeros(len(self.centres))
         self.state: Array = np.concatenate([poses, self._places(poses, group)])
+        #: the names of variances that keep their values
+        self.held_variances: frozenset[str] = frozenset() if start is None else start.held_variances
         #: tr(W F) of motions and sightings, see `Edges.weigh`; `improve_variances` sets it
         self.hidden: list[Array | float] = [0.0, 0.0]
         self.take_noise()
@@ -196,6 +158,13 @@ class Unknowns:
         scaled = covariance / np.outer(p.deviations[k], p.deviations[k])
         return float(-0.5 * away @ np.linalg.solve(covariance, away) - 0.5 * np.linalg.slogdet(scaled)[1])
 
+    def distance(self, name: str) -> float:
+        """The root of the mean square of a parameter about its ideal value, its uncertainty included."""
+        p = self.parameters
+        k = p.names.index(name)
+        away = p.values[k] - p.means[k]
+        return float(np.sqrt(self.linearized().parameter_covariance[k, k] + away**2))
+
     def hold(self, names: Collection[str]) -> None:
         """Keep parameters at their ideal values."""
         p = self.parameters
@@ -203,6 +172,17 @@ class Unknowns:
         self.parameters = replace(
             p, values=np.where(held, p.means, p.values), deviations=np.where(held, HELD, p.deviations)
         )
+
+    def with_exact_odometry(self) -> Unknowns:
+        """The same problem with `EXACT` times the noise of the motion, which is kept."""
+        exact = copy(self)
+        exact.longest, exact.last_change = self.longest.copy(), self.last_change.copy()
+        exact.hidden, exact.held_variances = [0.0, self.hidden[1]], frozenset(self.motion_parts)
+        exact.logarithms = {
+            name: value + (2 * np.log(EXACT) if name in self.motion_parts else 0.0)
+            for name, value in self.logarithms.items()
+        }
+        return exact
 
     @property
     def variances(self) -> dict[str, float]:
