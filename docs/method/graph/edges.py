@@ -7,22 +7,27 @@ from graphslam import MotionModel, SensorModel, load, sample_log_path, textbook
 log = load(sample_log_path())
 
 # %% figure
-# the first 14 poses, the true ones, with their motion edges and the virtual-motion edges of one landmark
+# the first 14 poses, the true ones, with their motion edges and the virtual-motion edges of the landmark seen most often
 used = range(14)
-seen = [t for t, j in zip(log.steps, log.landmarks) if j == log.landmarks[0] and t in used]
+early = log.steps < len(used)
+landmark = np.bincount(log.landmarks[early]).argmax()
+seen = log.steps[early & (log.landmarks == landmark)]
+assert len(seen) == 10  # K sightings, so K (K - 1) / 2 = 45 virtual-motion edges
 fig, ax = plt.subplots()
-x = log.true_poses
+x, m = log.true_poses, log.true_landmarks[int(landmark)]
 for t in used[1:]:
     ax.annotate("", x[t, :2], x[t - 1, :2], arrowprops={"arrowstyle": "->", "color": "C0"})
 for k, t1 in enumerate(seen):
     for t2 in seen[k + 1 :]:
-        ax.plot(x[[t1, t2], 0], x[[t1, t2], 1], "C1-", lw=0.8, alpha=0.6)
-ax.plot(x[used, 0], x[used, 1], "C0o", label="poses, and motion edges as arrows")
-m = log.true_landmarks[int(log.landmarks[0])]
-ax.plot(m[0], m[1], "k*", ms=12, label="a landmark")
+        middle = (x[t1, :2] + x[t2, :2]) / 2
+        bow = middle + 0.12 * (m[:2] - middle)  # drawn towards the landmark, so that the edges do not cover each other
+        ax.plot(*np.array([x[t1, :2], bow, x[t2, :2]]).T, "C1-", lw=0.8, alpha=0.6)
+ax.plot(*x[seen, :2].T, "C1o", ms=9, fillstyle="none", label="poses that saw the landmark")
+ax.plot(x[used, 0], x[used, 1], "C0o", ms=4, label="poses, and motion edges as arrows")
+ax.plot(m[0], m[1], "k*", ms=12, label="landmark")
 ax.plot([], [], "C1-", label="virtual-motion edges of the landmark")
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-ax.legend(fontsize=8)
+ax.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
 
 # %% motion
 motion = MotionModel()

@@ -42,6 +42,7 @@ for j in solution.landmarks:
     truth = log.true_landmarks[j]
     weighted.append(np.hypot(*(best[:2] - truth[:2])))
     plain.append(np.hypot(*(np.mean(places, axis=0)[:2] - truth[:2])))
+assert np.mean(weighted) < 0.6 * np.mean(plain)
 print(f"on the true poses: weighted mean {np.mean(weighted):.3f} m off, plain mean {np.mean(plain):.3f} m off")
 
 # %% minimum
