@@ -48,6 +48,7 @@ WORDS = {
         "slides": "| 節 | 説明 | 関数 | テスト |",
         "notebook": "このページのノートブック",
         "colab": "Colabで開く",
+        "untranslated": "このページは英語版のみです",
     },
 }
 #: weights of pages in the search: a word in a chapter counts more than in the pages that name everything
@@ -96,6 +97,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
         return "\n".join(indent + line if line else line for line in made.splitlines())
 
     made = _MARKER.sub(text, cells.markers(markdown))
+    if page.file.url.startswith("ja/") and language == "en":
+        made = f'!!! note "{WORDS["ja"]["untranslated"]}"\n\n{made}'
     if source.exists():
         url = get_relative_url(_notebook(source, language), page.file.url)
         links = f'<a href="{url}" download>{WORDS[language]["notebook"]}</a>'

@@ -34,7 +34,7 @@ for variance, colour in ((0.001, "C0"), (0.3, "C1")):
         colour,
         label=f"standard deviation of the landmark {np.sqrt(variance):.2f} m",
     )
-ax.set(xlabel="measured range [m]", ylabel="density of the sighting")
+ax.set(xlabel="measured range [m]", ylabel="density of the sighting", ylim=(0, 1.9))
 ax.legend()
 
 # %% determinant

@@ -31,7 +31,7 @@ ax.plot(*solution.landmarks[j][:2], "C0*", ms=14, label="m*, the weighted mean")
 ax.plot(*log.true_landmarks[j][:2], "k+", ms=14, label="true landmark")
 ax.plot([], [], "C1-", label="sightings, one standard deviation")
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-ax.legend(fontsize=8)
+ax.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 # %% mean
 weighted, plain = [], []

@@ -39,7 +39,7 @@ ax.add_patch(
 )
 ax.plot(0, 0, "ko", label="start")
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-ax.legend(fontsize=8)
+ax.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 far = np.abs(ends[:, 1]) > 1.5
 assert ends[far, 0].mean() < mean[0] - 0.4  # the strip is bent: its ends lie behind the mean of the Gaussian
 

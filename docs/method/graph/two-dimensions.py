@@ -30,7 +30,7 @@ for angle in np.linspace(0, 2 * np.pi, 13)[:-1]:
 ax.plot(0, 0, "k*", ms=14, label="landmark")
 ax.plot([], [], "C0-", label="poses with the same sighting (2 m, 0.4 rad)")
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-ax.legend(loc="lower right", fontsize=8)
+ax.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 # %% solved
 solution = textbook.solve(log, edges="virtual+motion", motion_copies=100)
