@@ -21,7 +21,7 @@ PAGES = sorted(
     if not page.name.endswith(".ja.md")
 )
 #: pages of which both languages exist, besides those above
-TRANSLATED = [DOCS / "index.md", DOCS / "gallery.md", DOCS / "films.md"]
+TRANSLATED = [DOCS / f"{name}.md" for name in ("index", "gallery", "films", "sample_log", "command-line", "own_robot")]
 MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure) (.+?) \}\}$", re.MULTILINE)
 
 
