@@ -54,8 +54,8 @@ WORDS = {
 #: weights of pages in the search: a word in a chapter counts more than in the pages that name everything
 BOOST = {"api/": 0.02, "decisions": 0.02, "json": 0.1, "index": 0.3, "method/": 2, "beyond/": 2, "tutorials/": 2}
 SEARCHED_WORDS = tomllib.loads((cells.DOCS / "_site" / "questions.toml").read_text())["words"]
-#: where the search divides text into words; Japanese, which has no spaces, also where the script changes and after each kanji,
-#: but not before the star that the search itself adds
+#: where the search divides text into words; Japanese, which has no spaces, also where the script changes and after each
+#: kanji, but not before the star that the search itself adds
 SEPARATOR = {
     "en": r"[\s\-,:!=\[\]()\"/]+|\.(?!\d)",
     "ja": r"[\s\-,:!=\[\]()\"/　、。，．・：「」（）]+|\.(?!\d)|(?<=[A-Za-z0-9])(?=[ぁ-んァ-ヴ一-龠])"
