@@ -1,7 +1,8 @@
-"""The notebooks in ``examples/``, made from pages: ``python docs/_site/bundled.py`` writes them with their outputs.
+"""The notebooks in ``examples/`` and the code in the tutorials: ``python docs/_site/bundled.py`` writes both from cells.
 
 The site has a notebook of every page with cells. These few are kept in the repository, where Colab and GitHub can open them.
-A test fails when a page has changed and its notebook has not.
+The tutorials repeat the code of their cells, so that they can be read in the repository, too.
+A test fails when a page has changed and its notebook has not, or a cell has changed and its tutorial has not.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ LANGUAGES = {"en": ".md", "ja": ".ja.md"}
 
 def make(source: Path, language: str, results: Mapping[str, cells.Cell], folder: Path) -> dict[str, Any]:
     """Return the notebook of a page in one language."""
-    text = source.with_suffix(LANGUAGES[language]).read_text()
+    text = cells.markers(source.with_suffix(LANGUAGES[language]).read_text())
     return notebooks.notebook(
         text, results, folder, lambda arguments: listings.listing(*shlex.split(arguments), language=language)
     )
@@ -38,12 +39,21 @@ def bundled() -> list[tuple[Path, Path, str]]:
     ]
 
 
+def tutorials() -> list[tuple[Path, str]]:
+    """Return each page that repeats code, with its text as the cells are now."""
+    pages = [page for page in sorted((cells.DOCS / "tutorials").glob("*.md")) if "<!-- end -->" in page.read_text()]
+    codes = [cells.split((page.parent / f"{page.name.split('.')[0]}.py").read_text()) for page in pages]
+    return [(page, cells.with_code(page.read_text(), code)) for page, code in zip(pages, codes, strict=True)]
+
+
 def sources(notebook: Mapping[str, Any]) -> list[str]:
     """The text and code of a notebook without its outputs and without the cell that installs."""
     return [cell["source"] for cell in notebook["cells"][1:]]
 
 
 if __name__ == "__main__":
+    for page, text in tutorials():
+        page.write_text(text)
     for file, source, language in bundled():
         notebooks.write(file, make(source, language, cells.run(source), cells.folder(source)))
         print(f"{file.relative_to(cells.ROOT)}: {len(json.loads(file.read_text())['cells'])} cells")

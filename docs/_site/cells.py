@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -59,6 +60,24 @@ def split(source: str) -> dict[str, str]:
     """Return the code of each cell by its name, in order."""
     parts = re.split(r"^# %% (\S+)\n", source, flags=re.MULTILINE)
     return {name: code.strip("\n") for name, code in zip(parts[1::2], parts[2::2], strict=True)}
+
+
+#: a cell as pages in the repository show it: a comment with its marker, its code, and the end
+_READABLE = re.compile(
+    r"^<!-- ((?:cell|output|figure) .+?) -->\n```python\n(.*?)```\n<!-- end -->$", re.MULTILINE | re.DOTALL
+)
+
+
+def markers(page: str) -> str:
+    """Return a page with a marker for each cell whose code it repeats."""
+    return _READABLE.sub(r"{{ \1 }}", page)
+
+
+def with_code(page: str, codes: Mapping[str, str]) -> str:
+    """Return a page with the present code of its cells, where it repeats the code so that the file can be read."""
+    return _READABLE.sub(
+        lambda found: f"<!-- {found[1]} -->\n```python\n{codes[found[1].split()[1]]}\n```\n<!-- end -->", page
+    )
 
 
 def folder(path: Path) -> Path:

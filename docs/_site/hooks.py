@@ -14,6 +14,7 @@ The cells are described in `cells`. The alternative text describes the figure fo
 from __future__ import annotations
 
 import html
+import json
 import re
 import shlex
 import shutil
@@ -26,10 +27,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import bundled
 import cells
+import formulas
 import listings
-import mathml
 import notebooks
 from mkdocs.exceptions import PluginError
+from mkdocs.plugins import event_priority
 from mkdocs.utils import get_relative_url
 
 _MARKER = re.compile(r"^([ \t]*)\{\{ (code|cell|output|figure|slides)(?: (.+?))? \}\}$", re.MULTILINE)
@@ -46,7 +48,18 @@ WORDS = {
         "slides": "| 節 | 説明 | 関数 | テスト |",
         "notebook": "このページのノートブック",
         "colab": "Colabで開く",
+        "untranslated": "このページは英語版のみです",
     },
+}
+#: weights of pages in the search: a word in a chapter counts more than in the pages that name everything
+BOOST = {"api/": 0.02, "decisions": 0.02, "json": 0.1, "index": 0.3, "method/": 2, "beyond/": 2, "tutorials/": 2}
+SEARCHED_WORDS = tomllib.loads((cells.DOCS / "_site" / "questions.toml").read_text())["words"]
+#: where the search divides text into words; Japanese, which has no spaces, also where the script changes and after each
+#: kanji, but not before the star that the search itself adds
+SEPARATOR = {
+    "en": r"[\s\-,:!=\[\]()\"/]+|\.(?!\d)",
+    "ja": r"[\s\-,:!=\[\]()\"/　、。，．・：「」（）]+|\.(?!\d)|(?<=[A-Za-z0-9])(?=[ぁ-んァ-ヴ一-龠])"
+    r"|(?<=[ァ-ヴー])(?![ァ-ヴー*])|(?<=[一-龠々])(?!\*)|(?<=[ぁ-ん])(?![ぁ-ん*])",
 }
 
 
@@ -66,6 +79,9 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Replace the markers of a page."""
     language = "ja" if page.file.src_uri.endswith(".ja.md") else "en"
     source = cells.DOCS / re.sub(r"(\.ja)?\.md$", ".py", page.file.src_uri)
+    boost = next((value for start, value in BOOST.items() if page.file.src_uri.startswith(start)), 1)
+    words = SEARCHED_WORDS.get(re.sub(r"(\.ja)?\.md$", "", page.file.src_uri), "")
+    page.meta |= {"search": {"boost": boost}, "tags": words.split()}
 
     def text(found: re.Match[str]) -> str:
         indent, kind, arguments = found[1], found[2], shlex.split(found[3] or "")
@@ -80,7 +96,9 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
             made = _cell(kind, source, arguments, page, language)
         return "\n".join(indent + line if line else line for line in made.splitlines())
 
-    made = _MARKER.sub(text, markdown)
+    made = _MARKER.sub(text, cells.markers(markdown))
+    if page.file.url.startswith("ja/") and language == "en":
+        made = f'!!! note "{WORDS["ja"]["untranslated"]}"\n\n{made}'
     if source.exists():
         url = get_relative_url(_notebook(source, language), page.file.url)
         links = f'<a href="{url}" download>{WORDS[language]["notebook"]}</a>'
@@ -93,19 +111,28 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
 
 
 def on_page_content(html: str, page: Any, config: Any, files: Any) -> str:
-    """Show the formulas of a page as MathML; load its pictures when they come into view; search its text, not its code.
+    """Render the formulas of a page; load its pictures when they come into view; search its text, not its code.
 
     Every page loads the index of the search, which would be twice as large with the code.
     """
     try:
-        made = re.sub(r"<img (?![^>]*loading=)", '<img loading="lazy" ', mathml.replace(html))
-        return re.sub(r'<div class="(?=[^"]*\bhighlight\b|formula")', '<div data-search-exclude class="', made)
-    except mathml.FormulaError as error:
+        made = re.sub(r"<img (?![^>]*loading=)", '<img loading="lazy" ', formulas.replace(html))
+        return re.sub(r'<(div|span) class="(?=[^"]*\bhighlight\b|formula")', r'<\1 data-search-exclude class="', made)
+    except formulas.FormulaError as error:
         raise PageError(f"{page.file.src_uri}: {error}") from None
 
 
+def on_post_page(output: str, page: Any, config: Any) -> str:
+    """Let Japanese pages search the index in ``ja/``, which `on_post_build` writes."""
+    if page.file.url.startswith("ja/"):
+        output = re.sub(r'("base": ")(?:\.\./|\.(?=\."))', r"\1", output, count=1)
+    return output
+
+
+@event_priority(-101)  # after the plugin of the languages, which writes the index last
 def on_post_build(config: Any) -> None:
-    """Copy the figures of all pages into the site, and write the notebooks."""
+    """Copy the figures of all pages into the site, write the notebooks, and give each language its index of the search."""
+    _split_index(Path(config["site_dir"]))
     for source in cells.sources():
         if cells.folder(source).exists():
             target = Path(config["site_dir"]) / _place(source)
@@ -113,6 +140,25 @@ def on_post_build(config: Any) -> None:
         for language in bundled.LANGUAGES:
             content = bundled.make(source, language, cells.results(source), cells.folder(source))
             notebooks.write(Path(config["site_dir"]) / _notebook(source, language), content)
+
+
+def _split_index(site: Path) -> None:
+    """Write the index of the search by language; pages without a translation are in both."""
+    index = json.loads((site / "search" / "search_index.json").read_text())
+    pages: dict[str, list[dict[str, str]]] = {"en": [], "ja": []}
+    for section in index["docs"]:
+        language = "ja" if section["location"].startswith("ja/") else "en"
+        pages[language].append({**section, "location": section["location"].removeprefix("ja/")})
+    translated = {section["location"].split("#")[0] for section in pages["ja"]}
+    pages["ja"] += [section for section in pages["en"] if section["location"].split("#")[0] not in translated]
+    for language, place in (("en", site), ("ja", site / "ja")):
+        languages = ["en"] if language == "en" else ["en", "ja"]
+        made = {
+            "config": {**index["config"], "lang": languages, "separator": SEPARATOR[language]},
+            "docs": pages[language],
+        }
+        (place / "search").mkdir(parents=True, exist_ok=True)
+        (place / "search" / "search_index.json").write_text(json.dumps(made, ensure_ascii=False, separators=(",", ":")))
 
 
 def _notebook(source: Path, language: str) -> str:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import mathml
+import formulas
 from cells import Cell
 
 _MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure|slides)(?: (.+?))? \}\}$", re.MULTILINE)
@@ -81,7 +81,7 @@ def _text(markdown: str) -> list[dict[str, Any]]:
         markdown = re.sub(r"^(?: {4})+(?=\S)", "", markdown, flags=re.MULTILINE)
         markdown = re.sub(r" \{ ?#[\w-]+ ?\}$", "", markdown, flags=re.MULTILINE)
         markdown = re.sub(r"!?\[([^\]]*)\]\((?!https?:)[^)]*\)", r"\1", markdown)
-        for pattern, replacement in mathml.MACROS:
+        for pattern, replacement in formulas.MACROS:
             markdown = re.sub(pattern, replacement, markdown)
     return [{"cell_type": "markdown", "metadata": {}, "source": markdown.strip("\n")}]
 

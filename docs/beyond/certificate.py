@@ -37,6 +37,24 @@ def draw(star):
 
 slider("u*", [0.0, 0.5, 1.0, 1.5, 2.0, 2.5], draw)  # noqa: F821  # given by the site: one figure for each value
 
+# %% shift
+Omega = np.array([[4.0, 1.0, 2.0], [1.0, 3.0, -1.0], [2.0, -1.0, 5.0]])  # information of x, y and heading
+beta, kappa = 1.0, 1.0
+P = Omega - np.diag([beta, beta, kappa])
+assert np.linalg.eigvalsh(P)[0] >= 0
+least = np.inf
+for _ in range(10_000):
+    found, v = rng.uniform(-1, 1, 3), rng.uniform(-2, 2, 3)
+    v[2] = rng.uniform(-np.pi, np.pi)
+    p = (P @ found)[2]
+    turned, star = v[2] + p / kappa, found[2] + p / kappa
+    if abs(star) < np.pi:
+        angle = star**2 + 2 * star / np.sin(star) * (np.cos(star) - np.cos(turned))  # at most turned²
+        bound = beta * v[:2] @ v[:2] + 2 * (P @ found)[:2] @ v[:2] - found @ P @ found + kappa * angle - p**2 / kappa
+        least = min(least, v @ Omega @ v - bound)
+print("J of the edge minus the bound is never below", round(least, 6))
+assert least > -1e-9
+
 # %% proof
 proof = best.certificate
 print(proof.status, "-", proof.reason)
@@ -60,6 +78,7 @@ for star in np.linspace(0.01, 3.1, 100):
     bound = star**2 + 2 * star / np.sin(star) * (np.cos(star) - np.cos(u))
     worst = min(worst, (u**2 - bound).min())
 print("smallest value of u² minus the bound:", worst)
+assert worst > -1e-9
 
 # %% wrong
 wild = graph.initial.copy()
@@ -68,3 +87,4 @@ wrong = solve(graph.with_initial(wild), initialize="given")
 proof = wrong.certificate
 print(f"J {wrong.cost:.2f} against {best.cost:.2f} of the best: {proof.status}")
 print("its lower bound is above the best cost:", proof.lower_bound > best.cost)
+assert not proof.lower_bound > best.cost

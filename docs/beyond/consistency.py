@@ -32,6 +32,8 @@ for seed in range(10):
         joint[name].append(solution.joint_nees(log.true_poses))
 for name, values in joint.items():
     print(f"{name:15} joint ANEES {np.mean(values):.2f}")
+assert np.mean(joint["pairs"]) > 5
+assert all(0.9 < np.mean(joint[name]) < 1.1 for name in ("tempered", "marginal", "landmark nodes"))
 
 # %% bars
 fig, ax = plt.subplots(figsize=(6.4, 3.2))
@@ -70,6 +72,7 @@ right = 1 / (variances[0] + 1 / W[1:].sum())
 tempered = 2 / len(variances) * pairs
 print(f"one coarse sighting: pairs {pairs:.3f}, tempered {tempered:.3f}, right {right:.3f}")
 pairs, right = np.sum(1 / between[-1, :-1]), 1 / (variances[-1] + 1 / W[:-1].sum())
+assert 0.15 < 2 / len(variances) * pairs / right < 0.25
 print(f"one fine sighting:   pairs {pairs:.3f}, tempered {2 / len(variances) * pairs:.3f}, right {right:.3f}")
 
 # %% band

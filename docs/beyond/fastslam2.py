@@ -61,22 +61,28 @@ for name, (x, w) in weights.items():
 # %% filters
 sensor = SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005)  # a tenth of the book's noise
 log = simulate(seed=0, clean=True, sensor=sensor)
+filters = {}
 for method in (FastSLAM1, FastSLAM2):
     errors, sizes = [], []
     for seed in range(5):
         result = method(log, particles=100, seed=seed, sensor=sensor).run()
         errors.append(np.sqrt(np.mean((result.poses - log.true_poses)[:, :2] ** 2)))
         sizes.append(np.mean(result.ess))
+    filters[method] = np.median(errors), np.median(sizes)
     print(f"{method.__name__}: position error {np.median(errors):.3f} m, mean ESS {np.median(sizes):.1f} of 100")
+assert filters[FastSLAM2][0] < filters[FastSLAM1][0]
+assert filters[FastSLAM2][1] > 10 * filters[FastSLAM1][1]
 
 # %% narrow
+sizes = {}
 for range_std in (0.5, 0.1, 0.02):
     mean, std = proposal()
     drawn = mean + std * rng.standard_normal(N)
     w1 = normal(z, h(moved), range_std)
     w2 = normal(z, h(drawn), range_std) * normal(drawn, 0, motion_std) / normal(drawn, mean, std)
-    ess1, ess2 = (w.sum() ** 2 / (w**2).sum() / N for w in (w1, w2))
-    print(f"sensor noise {range_std} m: ESS / N {ess1:.3f} (1.0), {ess2:.3f} (2.0)")
+    sizes[range_std] = [w.sum() ** 2 / (w**2).sum() / N for w in (w1, w2)]
+    print(f"sensor noise {range_std} m: ESS / N {sizes[range_std][0]:.3f} (1.0), {sizes[range_std][1]:.3f} (2.0)")
+assert sizes[0.02][1] < 0.1 < sizes[0.1][1]
 
 # %% linear
 H_line, z_line, prior_std, noise = -1.0, 1.6, 0.8, 0.1  # h(x) = 2 - x: a landmark straight ahead
@@ -87,7 +93,7 @@ w = normal(z_line, 2 - x, noise) * normal(x, 0, prior_std) / normal(x, m, s)
 print("exact weights:", w.round(6), " N(z; h(m), H P H' + V):", normal(z_line, 2, np.hypot(prior_std, noise)).round(6))
 
 # %% number
-w1, w2 = weights["1.0: p(z | x)"][1], weights["2.0, exact: p(z | x) p(x) / q(x)"][1]
-ess1, ess2 = (w.sum() ** 2 / (w**2).sum() / N for w in (w1, w2))
-print(f"100 particles of 2.0 have an effective sample size of {100 * ess2:.0f}")
-print(f"1.0 needs {100 * ess2 / ess1:.0f} particles for the same")
+needed = {noise: 100 * ess2 / ess1 for noise, (ess1, ess2) in sizes.items()}
+for noise, count in needed.items():
+    print(f"sensor noise {noise} m: 100 particles of 2.0 are worth {count:.0f} of 1.0")
+assert needed[0.02] < 100 < needed[0.5] < needed[0.1]

@@ -12,14 +12,15 @@ print(f"{len(log.controls)} controls for {log.num_poses - 1} motions; composite 
 print("times of the first poses [s]:", log.times[:6].round(3))
 
 # %% biases
-quiet = MotionFaults(kicks_per_metre=0.0, velocity_bias_std=0.0)
+steady = MotionFaults(velocity_bias_std=0.0)  # the wheels still slip on pebbles
 sharp = SensorFaults(range_bias_rate_std=0.0, bearing_bias_std=0.0, orientation_bias_std=0.0)
 cases = {
     "book's simulator": {},
     "no sensor bias": {"sensor_faults": sharp},
-    "no speed bias": {"motion_faults": quiet},
-    "no bias at all": {"sensor_faults": sharp, "motion_faults": quiet},
+    "no speed bias": {"motion_faults": steady},
+    "noise alone": {"sensor_faults": sharp, "motion_faults": steady},
 }
+medians = {}
 for name, faults in cases.items():
     errors, ratios = [], []
     for seed in range(8):
@@ -27,7 +28,9 @@ for name, faults in cases.items():
         solution = solve(Graph.from_log(log, edges="landmark+motion"))
         errors.append(ate(log.true_poses, solution.poses))
         ratios.append(np.nanmean(solution.nees(log.true_poses)))
-    print(f"{name:17} median ATE {np.median(errors):.3f} m, mean NEES {np.mean(ratios):.2f}")
+    medians[name] = np.median(errors)
+    print(f"{name:17} median ATE {medians[name]:.3f} m, mean NEES {np.mean(ratios):.2f}")
+assert medians["noise alone"] < medians["no sensor bias"] < medians["no speed bias"] < medians["book's simulator"]
 
 # %% calibration
 motion, sensor = MotionModel.constant(0.05, 0.05), SensorModel(range_rate=0.0, range_std=0.05, bearing_std=0.02)
@@ -74,9 +77,12 @@ for rho in (0.0, 0.5, 0.9, 0.98):
     print(f"correlation {rho:4}: 100 sightings are worth {100 * (1 - rho) / (1 + rho):.0f} independent ones")
 
 # %% scale
+costs = []
 for scale in (0.9, 1.0, 1.1):
     stretched = true.sightings.copy()  # wheels and ranges are both wrong by the same factor
     stretched[:, 0] *= scale
     both = true.replace(sightings=stretched, controls=true.controls * [scale, 1.0], initial_poses=None)
     solution = solve(Graph.from_log(both, edges="landmark+motion", motion=motion, sensor=sensor))
+    costs.append(solution.cost)
     print(f"everything times {scale}: J {solution.cost:8.2f}, ATE {ate(true.true_poses, solution.poses):.3f} m")
+assert costs == sorted(costs)  # the smallest world has the smallest J

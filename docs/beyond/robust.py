@@ -28,9 +28,13 @@ right.legend()
 # %% compare
 clean = ate(log.true_poses, solve(Graph.from_log(log, weight="marginal")).poses)
 print(f"{'no wrong sighting':18} ATE {clean:.3f} m")
+errors = {}
 for kernel in ("none", "huber", "cauchy", "geman-mcclure"):
     solution = solve(Graph.from_log(bad, weight="marginal", kernel=kernel))
-    print(f"{kernel:18} ATE {ate(log.true_poses, solution.poses):.3f} m")
+    errors[kernel] = ate(log.true_poses, solution.poses)
+    print(f"{kernel:18} ATE {errors[kernel]:.3f} m")
+assert errors.pop("none") > 2 * clean
+assert max(errors.values()) < 1.1 * clean
 trusted = solve_gnc(Graph.from_log(bad, weight="marginal"))
 print(f"{'gnc':18} ATE {ate(log.true_poses, trusted.poses):.3f} m; {trusted.notes[-1]}")
 

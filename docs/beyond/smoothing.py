@@ -103,6 +103,7 @@ print(
     "of a standard deviation",
     std.mean().round(3),
 )
+assert np.allclose(samples.std(axis=0) / std, 1, atol=0.1)
 print("standard deviations, sampled / exact:", (samples.std(axis=0) / std)[::8].round(2))
 
 # %% figure
@@ -147,7 +148,11 @@ for sampling in (False, True):
     print(f"ancestor sampling {sampling}: {len(np.unique(firsts))} different values of step 5 in 300 sweeps")
 
 # %% early
+first, late = {}, {}
 for N in (20, 100, 500):
-    print(
-        f"{N} particles: {distinct(N)[0]} distinct poses at the first step, {distinct(N)[T - 5]} five steps before the end"
-    )
+    counts = np.mean([distinct(N) for _ in range(100)], axis=0)  # of a hundred runs
+    first[N], late[N] = counts[0], counts[T - 5]
+    print(f"{N} particles: {first[N]:.1f} distinct poses at the first step, {late[N]:.1f} five steps before the end")
+assert first[20] < 1.1
+assert first[500] < 0.03 * 500
+assert late[500] > 0.15 * 500

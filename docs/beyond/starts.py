@@ -84,6 +84,7 @@ for _ in range(10):
     for name in lost:
         end = solve(graph.with_initial(wild), initialize=name)
         lost[name] += not (end.converged and end.cost < best.cost * (1 + 1e-6))
+assert lost == {"given": 10, "rotation-first": 0, "auto": 0}
 for name, count in lost.items():
     print(f"{name:15} misses the minimum from {count} of 10 random starts")
 
@@ -96,6 +97,14 @@ for std in (0.05, 0.2, 0.5, 1.0, 2.0):
         end = solve(graph.with_initial(start), initialize="given")
         reached += bool(end.converged and end.cost < best.cost * (1 + 1e-6))
     print(f"headings {std:4} rad off: {reached} of 10 reach the minimum")
+    assert reached == 10 if std <= 1 else reached <= 3
+end = solve(graph, initialize="given")
+print(
+    "dead reckoning reaches it:",
+    bool(end.converged and np.isclose(end.cost, best.cost)),
+    f"after {end.iterations} steps",
+)
+assert np.isclose(end.cost, best.cost)
 
 # %% length
 for noise in (0.1, 1.0, 3.0):

@@ -1,7 +1,9 @@
 # %% run
 import comparisons
 
-comparison = comparisons.run(estimators=["dead-reckoning", "graph", "fastslam1"], particles=300)
+comparison = comparisons.run(
+    estimators=["dead-reckoning", "graph", "fastslam1"], edges="landmark+motion", particles=300
+)
 for row in comparison.table:
     print(f"{row.name:15} ATE {row.ate_m:.3f} m")
 
@@ -33,3 +35,23 @@ ax.legend()
 for edges in ("virtual", "virtual+motion"):
     end = solve(Graph.from_log(log, edges=edges))
     print(f"{edges:15} J {end.cost:9.2f}, {end.iterations} steps")
+
+# %% many
+import numpy as np
+
+from fastslam import FastSLAM1
+from graphslam import simulate
+from graphslam.metrics import ate
+
+errors = {"graph, landmark nodes": [], "graph, pairs": [], "FastSLAM": []}
+for seed in range(20):
+    drive = simulate(seed=seed, steps=160)
+    for name, edges in (("graph, landmark nodes", "landmark+motion"), ("graph, pairs", "virtual+motion")):
+        errors[name].append(ate(drive.true_poses, solve(Graph.from_log(drive, edges=edges)).poses))
+    errors["FastSLAM"].append(ate(drive.true_poses, FastSLAM1(drive, particles=300, seed=seed).run().poses))
+for name, values in errors.items():
+    print(f"{name:21} median ATE {np.median(values):.3f} m")
+better = sum(np.array(errors["graph, landmark nodes"]) < errors["FastSLAM"])
+print(f"landmark nodes are better than FastSLAM on {better} of 20 logs")
+assert better >= 15
+assert np.median(errors["graph, pairs"]) > np.median(errors["FastSLAM"])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import threading
+import tomllib
 from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -32,11 +34,43 @@ FAULTS = """(() => {
     if (document.documentElement.scrollWidth > innerWidth) faults.push("wider than the window");
     for (const image of document.querySelectorAll("article img")) {
         if (!image.alt) faults.push("no alternative text: " + image.src);
-        if (image.complete && !image.naturalWidth && !image.hidden) faults.push("not loaded: " + image.src);
+        if (image.complete && !image.naturalWidth && image.checkVisibility()) faults.push("not loaded: " + image.src);
     }
-    if (document.querySelector("article .arithmatex, article merror")) faults.push("a formula is not rendered");
+    for (const slider of document.querySelectorAll("figure.slider")) {
+        const images = [...slider.querySelectorAll("img")], input = slider.querySelector("input");
+        const opened = slider.closest("details:not([open])");
+        if (opened) opened.open = true;
+        for (const [number, image] of images.entries()) {
+            input.value = number;
+            input.dispatchEvent(new Event("input"));
+            if (images.some((other) => other.checkVisibility() !== (other === image))) faults.push("slider: " + image.src);
+        }
+        if (opened) opened.open = false;
+    }
+    if (document.querySelector("article .arithmatex, article .katex-error")) faults.push("a formula is not rendered");
+    const right = document.querySelector("article").getBoundingClientRect().right + 1;
+    for (const box of document.querySelectorAll("article .formula, article pre > code, article table")) {
+        let clipping = box;
+        while (clipping.tagName !== "ARTICLE" && !["auto", "scroll"].includes(getComputedStyle(clipping).overflowX))
+            clipping = clipping.parentElement;
+        const cut = clipping.tagName === "ARTICLE" && box.checkVisibility() && box.getBoundingClientRect().right > right;
+        if (cut) faults.push("cut: " + box.textContent.slice(0, 60));
+    }
     if (/[{]{2} |\\\\\\\\[a-z]+[{]/.test(text.replace(/[`]/g, ""))) faults.push("raw markup is visible");
     return faults; })()"""
+#: the pages that the search of the site finds for each question, best first
+FOUND = """(async () => {
+    const config = JSON.parse(document.getElementById("__config").textContent), worker = new Worker(config.search);
+    const index = await (await fetch(new URL(config.base + "/search/search_index.json", location))).json();
+    const ask = (type, data, answer) => new Promise((done) => {
+        worker.onmessage = (event) => event.data.type === answer && done(event.data.data);
+        worker.postMessage({ type, data });
+    });
+    await ask(0, { config: index.config, docs: index.docs, options: { suggest: false } }, 1);
+    const found = [];
+    for (const question of %s)
+        found.push((await ask(2, question, 3)).items.map((sections) => sections[0].location.split("#")[0]));
+    return found; })()"""
 
 
 class Quiet(SimpleHTTPRequestHandler):
@@ -81,3 +115,18 @@ def test_page(page: str, address: str, browser: Chromium) -> None:
     # the theme looks for a site map beside each page, to find the translation, and does without it
     assert [complaint for complaint in browser.complaints() if "sitemap.xml" not in complaint] == []
     assert browser.evaluate(LOADED) < LARGEST
+
+
+@pytest.mark.parametrize("language", ["en", "ja"])
+def test_search_finds_the_page_among_the_first_three(language: str, address: str, browser: Chromium) -> None:
+    questions = tomllib.loads((SITE.parent / "docs" / "_site" / "questions.toml").read_text())[language]
+    assert len(questions) == 30
+    browser.send("Page.navigate", url=f"{address}/{'ja/' if language == 'ja' else ''}index.html")
+    browser.wait_for("document.readyState === 'complete' && document.querySelector('article') !== null")
+    found = browser.evaluate(FOUND % json.dumps(list(questions)))
+    missed = {
+        question: pages[:5]
+        for (question, page), pages in zip(questions.items(), found, strict=True)
+        if page not in list(dict.fromkeys(pages))[:3]
+    }
+    assert missed == {}

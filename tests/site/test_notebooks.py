@@ -79,6 +79,13 @@ def test_bundled_notebooks_are_those_of_the_pages(file, source, language):
     assert any(cell.get("outputs") for cell in stored["cells"])
 
 
+def test_tutorials_repeat_the_code_of_their_cells():
+    """If this fails: python docs/_site/bundled.py."""
+    pages = bundled.tutorials()
+    assert len(pages) >= 10
+    assert [page.name for page, text in pages if page.read_text() != text] == []
+
+
 def test_there_are_no_other_notebooks():
     assert sorted(bundled.EXAMPLES.glob("*.ipynb")) == sorted(file for file, _, _ in bundled.bundled())
 

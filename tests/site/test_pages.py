@@ -10,6 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
+sys.path.insert(0, str(DOCS / "_site"))
 SLIDES = tomllib.loads((DOCS / "_site" / "slides.toml").read_text())["slide"]
 FORMULAS = tomllib.loads((DOCS / "_site" / "formulas.toml").read_text())
 LECTURES = ROOT.parent / "shared" / "slides"
@@ -20,13 +21,14 @@ PAGES = sorted(
     if not page.name.endswith(".ja.md")
 )
 #: pages of which both languages exist, besides those above
-TRANSLATED = [DOCS / "index.md", DOCS / "gallery.md", DOCS / "films.md"]
+TRANSLATED = [DOCS / f"{name}.md" for name in ("index", "gallery", "films", "sample_log", "command-line", "own_robot")]
 MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure) (.+?) \}\}$", re.MULTILINE)
 
 
 def markers(page: Path) -> list[tuple[str, ...]]:
     """The markers of a page, without the alternative texts, which are translated."""
-    return [(kind, re.sub(r' "[^"]*"$', "", arguments)) for kind, arguments in MARKER.findall(page.read_text())]
+    text = import_module("cells").markers(page.read_text())
+    return [(kind, re.sub(r' "[^"]*"$', "", arguments)) for kind, arguments in MARKER.findall(text)]
 
 
 def section_of(name: str, anchor: str) -> str:
@@ -101,9 +103,7 @@ def test_chapters_have_two_exercises_with_solutions_that_run(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))
 def test_the_code_that_a_page_shows_exists(page):
-    sys.path.insert(0, str(DOCS / "_site"))
     listings = import_module("listings")
-    sys.path.pop(0)
     for kind, arguments in markers(page):
         if kind == "code":
             assert listings.listing(*arguments.split(), language="en")
@@ -129,3 +129,11 @@ def test_every_page_is_in_the_navigation():
     listed = set(re.findall(r"([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))
     pages = {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md") if not page.name.endswith(".ja.md")}
     assert pages - listed == {"_site/README.md"}
+
+
+def test_measured_values_are_the_same_on_all_pages():
+    measured = tomllib.loads((DOCS / "_site" / "measured.toml").read_text())
+    text = "".join(page.read_text() for page in DOCS.rglob("*.md") if page.parent.name != "_site")
+    found = re.findall(r"(?:1/)?([\d.,]+)<!-- ([a-z][\w ]+) -->", text)
+    assert {name for _, name in found} == set(measured)
+    assert [(value, name) for value, name in found if measured[name] != value] == []

@@ -37,7 +37,7 @@ for ax, particle, colour in zip(axes, particles, ("C0", "C1", "C2")):
     draw_particle(ax, particle, colour)
     for m in log.true_landmarks.values():
         ax.plot(m[0], m[1], "k*")
-    ax.set(xlabel="x [m]", aspect="equal", title=f"weight {np.exp(particle.log_weight):.3f}")
+    ax.set(xlabel="x [m]", aspect="equal", title=f"weight {np.exp(particle.log_weight):.2g}")
 axes[0].set_ylabel("y [m]")
 
 # %% cloud

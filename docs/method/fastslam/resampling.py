@@ -41,6 +41,7 @@ counts = np.zeros(4)
 for seed in range(2000):
     for survivor in textbook.resample(particles, np.random.default_rng(seed)):
         counts[int(survivor.pose[0])] += 1
+assert np.allclose(counts / counts.sum(), weights, atol=0.005)
 print("share of the copies:", np.round(counts / counts.sum(), 3), " weights:", weights)
 
 # %% ess
@@ -51,6 +52,10 @@ for w in ([0.25] * 4, [0.5, 0.3, 0.15, 0.05], [0.97, 0.01, 0.01, 0.01]):
 # %% number
 from graphslam.metrics import ate
 
+medians = {}
 for count in (10, 100, 1000, 10_000):
     errors = [ate(log.true_poses, FastSLAM1(log, particles=count, seed=s).run().poses) for s in range(5)]
-    print(f"{count:6} particles: trajectory error {np.median(errors):.3f} m (median of five runs)")
+    medians[count] = np.median(errors)
+    print(f"{count:6} particles: trajectory error {medians[count]:.3f} m (median of five runs)")
+assert medians[1000] < 0.75 * medians[100]
+assert medians[10_000] > 0.9 * medians[1000]

@@ -34,17 +34,22 @@ for variance, colour in ((0.001, "C0"), (0.3, "C1")):
         colour,
         label=f"standard deviation of the landmark {np.sqrt(variance):.2f} m",
     )
-ax.set(xlabel="measured range [m]", ylabel="density of the sighting")
+ax.set(xlabel="measured range [m]", ylabel="density of the sighting", ylim=(0, 1.9))
 ax.legend()
 
 # %% determinant
 # two particles with the same residual; the second knows the landmark less well
+exponentials, weights = [], []
 for name, S in (("certain", 0.01 * np.eye(3)), ("uncertain", 0.5 * np.eye(3))):
     particle = textbook.Gaussian(landmark.mean, S)
     r = textbook.residual(pose, particle, z, sensor)
     V = textbook.innovation_covariance(pose, particle, z, sensor)
     exponential, weight = np.exp(-0.5 * r @ np.linalg.solve(V, r)), np.exp(textbook.log_density(r, V))
+    exponentials.append(exponential)
+    weights.append(weight)
     print(f"{name:10} exp(-r' V^-1 r / 2) = {exponential:.3f}, with the determinant {weight:.3f}")
+assert exponentials[0] < exponentials[1]
+assert weights[0] > weights[1]
 
 # %% logarithms
 # 400 sightings with a density of 0.1 each

@@ -35,16 +35,23 @@ for length in (4.0, 1.0):
 # the product of densities and J order trajectories in the same way
 graph = Graph.from_log(log, edges="virtual+motion", weight="pairs", kernel="none")
 best = solve(graph)
+values = []
 for factor in (0.0, 0.5, 1.0):
     poses = factor * log.initial_poses + (1 - factor) * best.poses
     J = graph.cost(poses)
+    values.append(J)
     print(
         f"{factor:.0%} dead reckoning: J = {J:10.1f}, log of the product = -J/2 + constant = {-J / 2:10.1f} + constant"
     )
 
+assert values[0] < values[2] < values[1]  # halfway is worse than either end
+
 # %% lambda
 from graphslam.metrics import ate
 
+errors = []
 for motion_weight in (0.01, 1.0, 100.0):
     poses = solve(Graph.from_log(log, edges="virtual+motion", kernel="none", motion_weight=motion_weight)).poses
-    print(f"lambda = {motion_weight:6g}: absolute trajectory error {ate(log.true_poses, poses):.3f} m")
+    errors.append(ate(log.true_poses, poses))
+    print(f"lambda = {motion_weight:6g}: absolute trajectory error {errors[-1]:.3f} m")
+assert errors[2] < errors[1] < errors[0]

@@ -7,22 +7,24 @@ from graphslam import MotionModel, SensorModel, load, sample_log_path, textbook
 log = load(sample_log_path())
 
 # %% figure
-# the first 14 poses, the true ones, with their motion edges and the virtual-motion edges of one landmark
-used = range(14)
-seen = [t for t, j in zip(log.steps, log.landmarks) if j == log.landmarks[0] and t in used]
+# true poses with their motion edges, and the virtual-motion edges of one landmark
+used, landmark = range(16, 30), 7
+seen = [t for t in log.steps[log.landmarks == landmark] if t in used]
+x, m = log.true_poses, log.true_landmarks[landmark]
 fig, ax = plt.subplots()
-x = log.true_poses
 for t in used[1:]:
     ax.annotate("", x[t, :2], x[t - 1, :2], arrowprops={"arrowstyle": "->", "color": "C0"})
-for k, t1 in enumerate(seen):
-    for t2 in seen[k + 1 :]:
-        ax.plot(x[[t1, t2], 0], x[[t1, t2], 1], "C1-", lw=0.8, alpha=0.6)
-ax.plot(x[used, 0], x[used, 1], "C0o", label="poses, and motion edges as arrows")
-m = log.true_landmarks[int(log.landmarks[0])]
-ax.plot(m[0], m[1], "k*", ms=12, label="a landmark")
-ax.plot([], [], "C1-", label="virtual-motion edges of the landmark")
+pairs = [(t1, t2) for k, t1 in enumerate(seen) for t2 in seen[k + 1 :]]
+assert len(pairs) == 28 == len(seen) * (len(seen) - 1) / 2
+for t1, t2 in pairs:
+    ax.plot(x[[t1, t2], 0], x[[t1, t2], 1], "C1-", lw=0.8)
+for t in seen:
+    ax.plot([x[t, 0], m[0]], [x[t, 1], m[1]], "k:", lw=0.5)
+ax.plot(x[used, 0], x[used, 1], "C0o", ms=4, label="poses, and motion edges as arrows")
+ax.plot(m[0], m[1], "k*", ms=12, label="landmark, with its eight sightings")
+ax.plot([], [], "C1-", label="its 28 virtual-motion edges")
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-ax.legend(fontsize=8)
+ax.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 # %% motion
 motion = MotionModel()

@@ -41,7 +41,11 @@ print("agrees with B_1:", np.abs(numerical(1) - B1).max() < 1e-8)
 print("agrees with B_2:", np.abs(numerical(2) - B2).max() < 1e-8)
 
 # %% range
+wrong = []
 for turn in (0.01, 0.1, 1.0):
     exact = textbook.virtual_motion_edge(x1, z1, x2 + [0, 0, turn], z2, SensorModel())[0]
     linear = e + B2 @ [0, 0, turn]
-    print(f"turn {turn:4g} rad: error of the linear formula {np.linalg.norm((exact - linear)[:2]):.4f} m")
+    wrong.append(np.linalg.norm((exact - linear)[:2]))
+    print(f"turn {turn:4g} rad: error of the linear formula {wrong[-1]:.4f} m")
+assert 80 < wrong[1] / wrong[0] < 120
+assert 80 < wrong[2] / wrong[1] < 120

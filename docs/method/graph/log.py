@@ -20,7 +20,7 @@ for j in log.landmark_ids:
 ax.plot([], [], "k*", label="true landmarks")
 ax.plot([], [], "C0.", label="sightings, one colour for each landmark")
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-ax.legend(fontsize=8)
+ax.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
 
 # %% psi
 # a landmark with a heading of 0.6 rad, seen from two poses

@@ -16,11 +16,12 @@ print(np.round(motion.A(x1, u, dt) @ motion.M(u, dt) @ motion.A(x1, u, dt).T, 4)
 print("eigenvalues:", np.round(np.linalg.eigvalsh(motion.A(x1, u, dt) @ motion.M(u, dt) @ motion.A(x1, u, dt).T), 6))
 
 # %% banana
-# motions with noisy controls, and the Gaussian of the edge
+# motions with noisy controls, and the Gaussian of the edge; 4 m with wheels that turn more by chance than those of the book
 rng = np.random.default_rng(0)
-noisy = u + np.sqrt(np.diag(motion.M(u, dt))) * rng.standard_normal((2000, 2))
-ends = motion.f(np.zeros((2000, 3)), noisy, dt)
-mean, C = motion.f(x1, u, dt), motion.covariance(x1, u, dt)
+turning, straight, long = MotionModel(nn=0.05, on=0.25), np.array([1.0, 0.0]), 4.0
+noisy = straight + np.sqrt(np.diag(turning.M(straight, long))) * rng.standard_normal((2000, 2))
+ends = turning.f(np.zeros((2000, 3)), noisy, long)
+mean, C = turning.f(x1, straight, long), turning.covariance(x1, straight, long)
 values, vectors = np.linalg.eigh(C[:2, :2])
 angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
 fig, ax = plt.subplots()
@@ -38,14 +39,18 @@ ax.add_patch(
 )
 ax.plot(0, 0, "ko", label="start")
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-ax.legend(fontsize=8)
+ax.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+far = np.abs(ends[:, 1]) > 1.5
+assert ends[far, 0].mean() < mean[0] - 0.4  # the strip is bent: its ends lie behind the mean of the Gaussian
 
 # %% better
+errors = {}
 for edges in ("virtual", "virtual+motion"):
     solution = textbook.solve(log, edges=edges)
     steps = np.flatnonzero(solution.estimated)
-    error = ate(log.true_poses[steps], solution.poses[steps])
-    print(f"{edges:15} {solution.iterations} iterations, trajectory error {error:.3f} m")
+    errors[edges] = ate(log.true_poses[steps], solution.poses[steps])
+    print(f"{edges:15} {solution.iterations} iterations, trajectory error {errors[edges]:.3f} m")
+assert errors["virtual+motion"] < 0.6 * errors["virtual"]
 
 # %% slip
 slipping = MotionModel(slip=0.1)
@@ -59,7 +64,9 @@ print("F S F' = S:", np.allclose(motion.F(x1, u, dt) @ S @ motion.F(x1, u, dt).T
 # %% epsilon
 for epsilon in (1e-2, 1e-4, 1e-6):
     solution = textbook.solve(log, edges="virtual+motion", motion=MotionModel(epsilon=epsilon))
-    print(f"epsilon = {epsilon:g}: trajectory error {ate(log.true_poses, solution.poses):.3f} m")
+    errors[epsilon] = ate(log.true_poses, solution.poses)
+    print(f"epsilon = {epsilon:g}: trajectory error {errors[epsilon]:.3f} m")
+assert abs(errors[1e-4] - errors[1e-6]) < 0.005 < errors[1e-2] - errors[1e-4]
 
 # %% without
 e, Omega, B1, B2 = textbook.motion_edge(x1, motion.f(x1, u, dt), u, dt, MotionModel(epsilon=1e-12))

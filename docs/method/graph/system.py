@@ -36,7 +36,7 @@ pattern[np.ix_([3, 7], [3, 7])] = 1
 axes[0].imshow(pattern, cmap="Greens", vmax=1.5)
 for i, j, name in ((3, 3, "1,1"), (3, 7, "1,2"), (7, 3, "2,1"), (7, 7, "2,2")):
     axes[0].text(j, i, name, ha="center", va="center", fontsize=7)
-axes[0].set_title("blocks of one edge, poses 3 and 7")
+axes[0].set_title("edge between poses 3 and 7")
 steps = np.unique(log.steps)
 row = {t: k for k, t in enumerate(steps)}
 seen = np.zeros((len(steps), len(steps)))
@@ -44,7 +44,7 @@ for j in log.landmark_ids:
     rows = [row[t] for t in log.steps[log.landmarks == j]]
     seen[np.ix_(rows, rows)] = 1
 axes[1].imshow(seen, cmap="Greens", vmax=1.5)
-axes[1].set_title(f"all edges of the sample log: {seen.mean():.0%} of the blocks")
+axes[1].set_title(f"Omega of the sample log: {seen.mean():.0%} filled")
 for ax in axes:
     ax.grid(False)
     ax.set(xlabel="pose", ylabel="pose")

@@ -30,7 +30,7 @@ for angle in np.linspace(0, 2 * np.pi, 13)[:-1]:
 ax.plot(0, 0, "k*", ms=14, label="landmark")
 ax.plot([], [], "C0-", label="poses with the same sighting (2 m, 0.4 rad)")
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-ax.legend(loc="lower right", fontsize=8)
+ax.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 # %% solved
 solution = textbook.solve(log, edges="virtual+motion", motion_copies=100)
@@ -38,12 +38,21 @@ error = ate(log.true_poses, solution.poses)
 print(f"textbook, motion edges counted 100 times: {solution.iterations} iterations, error {error:.3f} m")
 fast = solve(Graph.from_log(log, edges="landmark+motion", kernel="none"))
 print(f"landmarks as nodes: {fast.iterations} iterations, error {ate(log.true_poses, fast.poses):.3f} m")
+assert ate(log.true_poses, fast.poses) < error
 
 # %% copies
+errors, odometry = {}, {}
 for copies in (1, 10, 100):
     solution = textbook.solve(log, edges="virtual+motion", motion_copies=copies, max_iterations=40)
-    error = ate(log.true_poses, solution.poses)
-    print(f"motion edges counted {copies:3} times: converged {solution.converged}, error {error:.3f} m")
+    errors[copies] = ate(log.true_poses, solution.poses)
+    odometry[copies] = ate(log.initial_poses, solution.poses)  # the distance to dead reckoning
+    print(
+        f"motion edges counted {copies:3} times: converged {solution.converged}, "
+        f"error {errors[copies]:.3f} m, {odometry[copies]:.3f} m from dead reckoning"
+    )
+    assert solution.converged
+assert errors[10] < errors[1] < errors[100]
+assert odometry[100] < odometry[10] < odometry[1]
 
 # %% rank
 # the information of one edge about pose 2, with pose 1 fixed: rank 2 of 3
