@@ -124,7 +124,7 @@ std::string OnlineSystem::save() const {
     write(graph_.nodes), write(graph_.edges), write(graph_.kernel), write(graph_.gain);
     write(tree_.groups), write(std::vector<Number>(tree_.released().begin(), tree_.released().end()));
     write(tree_.stamp), write(tree_.step), write(tree_.pivot_tolerance);
-    write(priors_), write(memory_), write(ordered_), write(known_), write(lost_);
+    write(priors_), write(memory_), write(pending_), write(ordered_), write(known_), write(lost_);
     return std::move(write.bytes);
 }
 
@@ -139,7 +139,7 @@ bool OnlineSystem::restore(std::string_view bytes) {
     read(graph_.nodes), read(graph_.edges), read(graph_.kernel), read(graph_.gain);
     read(tree_.groups), read(released);
     read(tree_.stamp), read(tree_.step), read(tree_.pivot_tolerance);
-    read(priors_), read(memory_), read(ordered_), read(known_), read(lost_);
+    read(priors_), read(memory_), read(pending_), read(ordered_), read(known_), read(lost_);
     tree_.set_released(std::move(released));
     return read.finished();
 }

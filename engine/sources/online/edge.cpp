@@ -11,10 +11,19 @@ using edges::turned;
 
 /// From which relative change of its weight on an edge is linearised again; see `outdated`.
 constexpr double reweighted = 0.33;
+/// The least curvature of a sighting with a kernel along its residual, as a part of its weight.
+constexpr double least_bend = 0.1;
 
-/// W of an edge with its weight in the factor.
-Symmetric information(const Graph& graph, const Edge& edge) {
-    return (edge.weight * (edge.robust ? graph.gain : 1.0)) * edge.omega;
+/// W of a sighting with a kernel. Gauss-Newton has w W, times what turns weights into information. The second derivative of
+/// J/2 is w W + 2 w' (W e) (W e)', w' the derivative of w by r² = e' W e. Along e that is w + 2 w' r² times W, which is negative
+/// far out, and kept above `least_bend` w.
+Symmetric robust_information(const Graph& graph, const Edge& edge, const Present& now, bool bent) {
+    if (!bent || now.squares == 0.0) return (now.weight * graph.gain) * edge.omega;
+    const double slope = std::max(2 * graph.kernel.weight_slope(now.squares), (least_bend - 1) * now.weight / now.squares);
+    const double f = slope / (now.weight * now.weight);
+    const Vector& g = now.g;
+    return now.weight * edge.omega +
+           f * Symmetric{g.x * g.x, g.x * g.y, g.y * g.y, g.x * g.t, g.y * g.t, g.t * g.t};
 }
 
 /// (gamma, h) of an edge.
@@ -42,7 +51,7 @@ double store(Graph& graph, Edge& edge, const Present& now) {
     const Vector& g = now.g;
     const double phi = i.d[2], turn = edge.oriented ? j.d[2] - phi : 0.0;
     const double qx = l.c * j.d[0] - l.s * j.d[1] - i.d[0], qy = l.s * j.d[0] + l.c * j.d[1] - i.d[1];
-    const Vector p = information(graph, edge) * Vector{qx - l.u.x * phi, qy - l.u.y * phi, turn};
+    const Vector p = l.W * Vector{qx - l.u.x * phi, qy - l.u.y * phi, turn};
     const double rx = p.x + l.h.x * phi, ry = p.y + l.h.y * phi;
     const double bent = l.gamma * phi + l.h.x * qx + l.h.y * qy;
     const std::array<double, 6> rhs{
@@ -64,7 +73,7 @@ double store(Graph& graph, Edge& edge, const Present& now) {
 }
 
 void add_diagonal(Graph& graph, const Edge& edge, double sign) {
-    const Blocks parts = diagonal_blocks(graph, edge);
+    const Blocks parts = diagonal_blocks(edge);
     Symmetric &i = graph.nodes[edge.ends[0]].diagonal, &j = graph.nodes[edge.ends[1]].diagonal;
     i = i + sign * parts.first;
     j = j + sign * parts.second;
@@ -103,12 +112,13 @@ Present linearize(const Graph& graph, const Edge& edge) {
     const Vector e{ahead - edge.z.x, left - edge.z.y, turn};
     Vector g = edge.omega * e;
     double cost = dot(g, e), weight = 1.0;
+    const double squares = cost;
     if (edge.robust) {
         weight = graph.kernel.weight(cost);
         g = {weight * g.x, weight * g.y, weight * g.t};
         cost = graph.kernel.loss(cost);
     }
-    return {{-left, ahead}, c, s, weight, g, cost};
+    return {{-left, ahead}, c, s, weight, g, squares, cost};
 }
 
 Evaluated evaluate(Graph& graph, Edge& edge, double limit, const Bent& bent) {
@@ -127,19 +137,20 @@ double relinearize(Graph& graph, Edge& edge, const Bent& bent) {
     add_diagonal(graph, edge, -1.0);
     const Curvature second = curvature(edge, now, bent);
     edge.weight = now.weight;
-    edge.linear = {now.u, now.c, now.s, second.gamma, second.h};
+    const bool bent_kernel = edge.robust && bent.convex < infinity;
+    edge.linear = {edge.robust ? robust_information(graph, edge, now, bent_kernel) : edge.omega, bent_kernel,
+                   now.u, now.c, now.s, second.gamma, second.h};
     add_diagonal(graph, edge, 1.0);
     return store(graph, edge, now);
 }
 
 bool differs_from_gauss_newton(const Graph& graph, const Edge& edge, double limit) {
-    if (edge.linear.gamma != 0.0 || edge.linear.h.x != 0.0 || edge.linear.h.y != 0.0) return true;
+    if (edge.linear.bent || edge.linear.gamma != 0.0 || edge.linear.h.x != 0.0 || edge.linear.h.y != 0.0) return true;
     return outdated(graph, edge, linearize(graph, edge), limit);
 }
 
-Blocks diagonal_blocks(const Graph& graph, const Edge& edge) {
-    const Symmetric W = information(graph, edge);
-    const auto& [u, c, s, gamma, h] = edge.linear;
+Blocks diagonal_blocks(const Edge& edge) {
+    const auto& [W, bent, u, c, s, gamma, h] = edge.linear;
     const Vector a = W * Vector{u.x, u.y, 1.0};
     Rotation back;
     back.c = c, back.s = -s;
@@ -147,9 +158,8 @@ Blocks diagonal_blocks(const Graph& graph, const Edge& edge) {
 }
 
 // B_i' W B_j
-std::array<double, 9> block_between(const Graph& graph, const Edge& edge) {
-    const Symmetric W = information(graph, edge);
-    const auto& [u, c, s, gamma, h] = edge.linear;
+std::array<double, 9> block_between(const Edge& edge) {
+    const auto& [W, bent, u, c, s, gamma, h] = edge.linear;
     const Vector a = W * Vector{u.x, u.y, 1.0};
     const double x = a.x - h.x, y = a.y - h.y;
     return {-(W.xx * c + W.xy * s), W.xx * s - W.xy * c, -W.xt,  //

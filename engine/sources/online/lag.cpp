@@ -18,8 +18,8 @@ struct Dense {
 
     void add(const Graph& graph, const Edge& edge) {
         const std::size_t a = 3 * graph.nodes[edge.ends[0]].local, b = 3 * graph.nodes[edge.ends[1]].local;
-        const auto cross = block_between(graph, edge);
-        const Blocks own = diagonal_blocks(graph, edge);
+        const auto cross = block_between(edge);
+        const Blocks own = diagonal_blocks(edge);
         for (int p = 0; p < 3; ++p)
             for (int q = 0; q < 3; ++q) {
                 at(a + p, b + q) += cross[3 * p + q];
@@ -46,7 +46,7 @@ struct Dense {
 /// Take an edge out of the graph.
 void take_out(Graph& graph, Number number) {
     Edge& edge = graph.edges[number];
-    const Blocks own = diagonal_blocks(graph, edge);
+    const Blocks own = diagonal_blocks(edge);
     for (int side = 0; side < 2; ++side) {
         Node& node = graph.nodes[edge.ends[side]];
         node.diagonal = node.diagonal + -1.0 * (side == 0 ? own.first : own.second);
@@ -89,6 +89,7 @@ Triple OnlineSystem::marginalize(Number node, std::span<const Number> newest) {
 
     priors_.erase(mine, priors_.end());
     graph_.nodes[node].gone = true;
+    std::erase(pending_, node);
     Reduced rest = without_first(dense.information, dense.rhs);
     Prior prior{{members.begin() + 1, members.end()}, std::move(rest.information), rest.rhs, {}, rest.rhs};
     std::vector<double> d;
@@ -136,6 +137,8 @@ std::vector<Number> OnlineSystem::renumber() {
         for (Number& k : group.nodes) k = node[k];
     for (Prior& prior : priors_)
         for (Number& k : prior.members) k = node[k];
+    for (Number& k : pending_) k = node[k];
+    std::erase(pending_, -1);
     graph_ = std::move(kept);
     ordered_ = std::min(ordered_, graph_.size());
     node.pop_back();

@@ -15,12 +15,10 @@ namespace {
 /// In standard deviations of the edges of a node: edges are evaluated again where a node has moved by `apart`, where J is
 /// `small`. It grows with the square root of J, in fine passes up to there, in coarse passes by no more than `coarse`; these
 /// also solve the tree downwards only where a separator has moved as far.
-constexpr double apart = 0.005, small = 600.0, coarse = 10.0;
-/// `apart` with a robust kernel, whose weights change faster with a node than its Jacobians do.
-constexpr double robust_apart = 0.0015;
+constexpr double apart = 0.007, small = 600.0, coarse = 10.0;
 /// Where a pass predicts more than `slow` times the decrease of the pass before, the limit beyond which an edge is linearised
-/// again is multiplied by `stricter`, and by `easier` after every step that needs no pass.
-constexpr double slow = 0.2, stricter = 0.1, easier = 1.1;
+/// again is multiplied by `stricter`, and by `easier` after every step whose last pass does not.
+constexpr double slow = 0.2, stricter = 0.1, easier = 1.5;
 /// The same where edges were linearised again, more than `diverging` times. Where the predicted decrease grows `grows` times
 /// then, although it is below `near` times J and the limit below `strict`, all edges get their second derivatives. These make
 /// passes slow along directions that are hardly determined, so that they are not in the factor otherwise.
@@ -28,12 +26,14 @@ constexpr double diverging = 0.5, grows = 1.5, near = 1e-6, strict = 1e-4;
 /// For so many passes second derivatives are convex once exact ones have made Omega indefinite.
 constexpr int held = 3;
 /// The part of the tolerance that coarse passes may cost, and the most work that is allowed, as a part of J.
-constexpr double price = 0.1, most_work = 1e-3;
+constexpr double price = 0.3, most_work = 1e-3;
 /// By so much the largest ratio of what coarse passes cost to the square of their work falls with each fine pass, and that of
 /// the predictions of two passes with each step.
 constexpr double forget = 0.9;
 /// Passes end where one predicts that J falls by so many times itself.
 constexpr double hopeless = 10.0;
+/// What a further pass would predict, as a part of what this one predicts, is assumed to be no less.
+constexpr double least_left = 0.3;
 
 }  // namespace
 
@@ -41,14 +41,16 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done, std::span<const Number> f
                                             std::span<const Triple> before) {
     Memory& m = memory_;
     const double size = std::min(std::max(std::sqrt(m.cost / small), 0.01), coarse);
-    const double unit = graph_.kernel ? robust_apart : apart, far = unit * size, close = unit * std::min(size, 1.0);
+    const double far = apart * size, close = apart * std::min(size, 1.0);
     bool fine = m.work > m.allowed, first = fine, renewed = false;
     double last = infinity;
     std::vector<Number> moved;
     m.shrinks *= forget;
     while (done < most_passes_) {
         if (m.hold > 0 && --m.hold == 0) m.bent.exact = Bent{}.exact;
-        moved.clear();
+        moved = std::move(pending_);
+        pending_.clear();
+        std::erase_if(moved, [&](Number node) { return !graph_.nodes[node].beyond(graph_.nodes[node].evaluated, close); });
         tree_.backward(graph_, fine ? -1.0 : far, fine ? close : far, moved);
         // edges are evaluated where both ends are exact
         if (!fine && !moved.empty()) tree_.solve_paths(graph_, homes_around(moved), far);
@@ -60,11 +62,12 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done, std::span<const Number> f
         first = false;
         // what is left after this pass, if the predictions of further ones shrink as slowly as lately
         m.shrinks = std::max({m.shrinks, std::min(predicted / last, 0.9), m.bent.convex == 0.0 ? 0.75 : 0.0});
-        if (predicted * std::max(1.0, m.shrinks / (1 - m.shrinks)) <= tolerance_ * m.cost) {
-            if (!moved.empty())
-                tree_.backward(graph_, far, infinity, moved);
-            else
-                m.limit = std::min(Memory{}.limit, easier * m.limit);
+        if (predicted * std::max(least_left, m.shrinks / (1 - m.shrinks)) <= tolerance_ * m.cost) {
+            // what moves now is evaluated by the next step
+            moved.clear();
+            if (!edges.homes.empty()) tree_.backward(graph_, far, close, moved);
+            pending_ = moved;
+            if (predicted < slow * last) m.limit = std::min(Memory{}.limit, easier * m.limit);
             if (fine) return Outcome::done;
             m.work += work_of(fresh, touched, before);
             first = fine = m.work > m.allowed;
@@ -117,7 +120,7 @@ double OnlineSystem::work_of(std::span<const Number> fresh, std::span<const Numb
     double total = 0.0;
     for (const Number e : fresh) {
         const Edge& edge = graph_.edges[e];
-        const auto [u, c, s, weight, g, cost] = linearize(graph_, edge);
+        const auto [u, c, s, weight, g, squares, cost] = linearize(graph_, edge);
         const Vector a = way(edge.ends[0]), b = way(edge.ends[1]);
         total += g.x * a.x + g.y * a.y + (u.x * g.x + u.y * g.y + g.t) * a.t;
         total -= g.x * (c * b.x - s * b.y) + g.y * (s * b.x + c * b.y) + g.t * b.t;

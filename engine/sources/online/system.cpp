@@ -122,6 +122,7 @@ bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Number> n
         edge.rhs = {};
         edge.mark = 0;
     }
+    pending_.clear();
     memory_.cost = 0.0;
     memory_.work = infinity;
     const double tolerance = tree_.pivot_tolerance;

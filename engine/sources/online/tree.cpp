@@ -137,7 +137,7 @@ void Tree::put_entries(const Graph& graph, const Supernode& group, double* x) {
             const Edge& edge = graph.edges[e];
             if (edge.taken_out()) continue;
             const int side = edge.side(group.nodes[q]);
-            const auto block = block_between(graph, edge);
+            const auto block = block_between(edge);
             double* const to = column + 3 * graph.nodes[edge.ends[1 - side]].local;
             for (int k = 0; k < 3; ++k)
                 for (int i = 0; i < 3; ++i) to[side == 0 ? k * h + i : i * h + k] += block[3 * k + i];

@@ -36,12 +36,12 @@ struct Bent {
     static Bent never() { return {infinity, infinity}; }
 };
 
-/// An edge at the estimate: lever, cosine and sine of alpha, robust weight w, w W e, and its cost.
+/// An edge at the estimate: lever, cosine and sine of alpha, robust weight w, w W e, e' W e, and its cost.
 struct Present {
     Lever u;
     double c, s, weight;
     Vector g;
-    double cost;
+    double squares, cost;
 };
 Present linearize(const Graph& graph, const Edge& edge);
 
@@ -62,7 +62,7 @@ bool differs_from_gauss_newton(const Graph& graph, const Edge& edge, double limi
 struct Blocks {
     Symmetric first, second;
 };
-Blocks diagonal_blocks(const Graph& graph, const Edge& edge);
-std::array<double, 9> block_between(const Graph& graph, const Edge& edge);
+Blocks diagonal_blocks(const Edge& edge);
+std::array<double, 9> block_between(const Edge& edge);
 
 }  // namespace vmslam::online

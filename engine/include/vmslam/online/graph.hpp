@@ -52,8 +52,11 @@ struct Node {
     }
 };
 
-/// What the factor holds of an edge: lever u, cosine and sine of alpha, and second derivatives; see edge.hpp.
+/// What the factor holds of an edge: its information with the robust weight, lever u, cosine and sine of alpha, and second
+/// derivatives, those of a kernel (`bent`) in W; see edge.hpp.
 struct Linear {
+    Symmetric W{};
+    bool bent = false;
     Lever u{};
     double c = 0.0, s = 0.0;
     double gamma = 0.0;

@@ -107,6 +107,7 @@ class OnlineSystem {
     Tree tree_;
     std::vector<Prior> priors_;
     Memory memory_;
+    std::vector<Number> pending_;  ///< nodes that the last pass of a step moved, whose edges the next step evaluates
     Number ordered_ = 0;  ///< the number of nodes when all were ordered last
     bool known_ = false;  ///< whether nothing has changed since a covariance was asked for
     bool lost_ = false;   ///< whether the tree is empty, because not all nodes could be eliminated where they are
