@@ -14,6 +14,33 @@ constexpr double reweighted = 0.33;
 /// The least curvature of a sighting with a kernel along its residual, as a part of its weight.
 constexpr double least_bend = 0.1;
 
+// e = (R(theta_i)' (p_j - p_i) - (z_x, z_y), theta_j - theta_i - z_t), g = w W e
+[[gnu::always_inline]] inline Present present(const Graph& graph, const Edge& edge) {
+    const Node &a = graph.nodes[edge.ends[0]], &b = graph.nodes[edge.ends[1]];
+    double c = a.axes.c, s = a.axes.s, turn = 0.0;
+    const double dx = b.x[0] - a.x[0], dy = b.x[1] - a.x[1];
+    const double ahead = c * dx + s * dy, left = c * dy - s * dx;
+    if (edge.oriented) {
+        turn = b.x[2] - a.x[2] - edge.z.t;
+        if (std::abs(turn) > std::numbers::pi) turn = edges::wrap(turn);
+        const double p = b.axes.c, q = b.axes.s, cosine = c * p + s * q;
+        s = c * q - s * p;
+        c = cosine;
+    } else {
+        s = -s;
+    }
+    const Vector e{ahead - edge.z.x, left - edge.z.y, turn};
+    Vector g = edge.omega * e;
+    double cost = dot(g, e), weight = 1.0;
+    const double squares = cost;
+    if (edge.robust) {
+        weight = graph.kernel.weight(cost);
+        g = {weight * g.x, weight * g.y, weight * g.t};
+        cost = graph.kernel.loss(cost);
+    }
+    return {{-left, ahead}, c, s, weight, g, squares, cost};
+}
+
 /// W of a sighting with a kernel. Gauss-Newton has w W, times what turns weights into information. The second derivative of
 /// J/2 is w W + 2 w' (W e) (W e)', w' the derivative of w by r² = e' W e. Along e that is w + 2 w' r² times W, which is negative
 /// far out, and kept above `least_bend` w.
@@ -31,7 +58,7 @@ struct Curvature {
     double gamma = 0.0;
     Lever h{};
 };
-Curvature curvature(const Edge& edge, const Present& now, const Bent& bent) {
+[[gnu::always_inline]] inline Curvature curvature(const Edge& edge, const Present& now, const Bent& bent) {
     if (now.cost < bent.convex || edge.robust) return {};
     const Symmetric& W = edge.omega;
     const Vector& g = now.g;
@@ -45,7 +72,7 @@ Curvature curvature(const Edge& edge, const Present& now, const Bent& bent) {
 }
 
 /// Put -B(x)' W e + Omega_e d into the right-hand sides of the ends; returns the change of the cost.
-double store(Graph& graph, Edge& edge, const Present& now) {
+[[gnu::always_inline]] inline double store(Graph& graph, Edge& edge, const Present& now) {
     Node &i = graph.nodes[edge.ends[0]], &j = graph.nodes[edge.ends[1]];
     const Linear& l = edge.linear;
     const Vector& g = now.g;
@@ -83,7 +110,7 @@ void add_diagonal(Graph& graph, const Edge& edge, double sign) {
 /// and alpha so far that an increment of one standard deviation changes the residual, squared and in its own standard
 /// deviations, by that much. Poses that a stiff edge ties move together, so that a change of the lever in relation to itself
 /// says nothing.
-bool outdated(const Graph& graph, const Edge& edge, const Present& now, double limit) {
+[[gnu::always_inline]] inline bool outdated(const Graph& graph, const Edge& edge, const Present& now, double limit) {
     if (edge.robust && std::abs(now.weight - edge.weight) > std::min(reweighted, 3 * limit) * edge.weight + 0.01) return true;
     const Symmetric& W = edge.omega;
     const double size = graph.nodes[edge.ends[0]].turned;
@@ -94,35 +121,10 @@ bool outdated(const Graph& graph, const Edge& edge, const Present& now, double l
 
 }  // namespace
 
-// e = (R(theta_i)' (p_j - p_i) - (z_x, z_y), theta_j - theta_i - z_t), g = w W e
-Present linearize(const Graph& graph, const Edge& edge) {
-    const Node &a = graph.nodes[edge.ends[0]], &b = graph.nodes[edge.ends[1]];
-    double c = a.axes.c, s = a.axes.s, turn = 0.0;
-    const double dx = b.x[0] - a.x[0], dy = b.x[1] - a.x[1];
-    const double ahead = c * dx + s * dy, left = c * dy - s * dx;
-    if (edge.oriented) {
-        turn = b.x[2] - a.x[2] - edge.z.t;
-        if (std::abs(turn) > std::numbers::pi) turn = edges::wrap(turn);
-        const double p = b.axes.c, q = b.axes.s, cosine = c * p + s * q;
-        s = c * q - s * p;
-        c = cosine;
-    } else {
-        s = -s;
-    }
-    const Vector e{ahead - edge.z.x, left - edge.z.y, turn};
-    Vector g = edge.omega * e;
-    double cost = dot(g, e), weight = 1.0;
-    const double squares = cost;
-    if (edge.robust) {
-        weight = graph.kernel.weight(cost);
-        g = {weight * g.x, weight * g.y, weight * g.t};
-        cost = graph.kernel.loss(cost);
-    }
-    return {{-left, ahead}, c, s, weight, g, squares, cost};
-}
+Present linearize(const Graph& graph, const Edge& edge) { return present(graph, edge); }
 
 Evaluated evaluate(Graph& graph, Edge& edge, double limit, const Bent& bent) {
-    const Present now = linearize(graph, edge);
+    const Present now = present(graph, edge);
     const double change = store(graph, edge, now);
     if (outdated(graph, edge, now, limit)) return {change, true};
     const double size = graph.nodes[edge.ends[0]].turned;
@@ -133,7 +135,7 @@ Evaluated evaluate(Graph& graph, Edge& edge, double limit, const Bent& bent) {
 }
 
 double relinearize(Graph& graph, Edge& edge, const Bent& bent) {
-    const Present now = linearize(graph, edge);
+    const Present now = present(graph, edge);
     add_diagonal(graph, edge, -1.0);
     const Curvature second = curvature(edge, now, bent);
     edge.weight = now.weight;
