@@ -110,11 +110,13 @@ class OnlineSolver:
         self._system.add_prior(nodes, places, np.ascontiguousarray(information), columns == 2)
         self._system.solve(nodes, self._poses)
 
-    def _use_kernel(self, dimension: int) -> None:
-        """The robust kernel of sightings with residuals of a dimension."""
-        if self.kernel is not None:
+    def _use_kernel(self, dimension: int | None) -> None:
+        """The robust kernel of sightings with residuals of a dimension; none as long as there are no sightings."""
+        kernel, gain = None, 1.0
+        if self.kernel is not None and dimension is not None:
             kernel = self.kernel.of_dimension(dimension)
-            self._system.use_kernel(*code_and_width(kernel), kernel.information_per_weight(dimension))
+            gain = kernel.information_per_weight(dimension)
+        self._system.use_kernel(*code_and_width(kernel), gain)
 
     def __copy__(self) -> OnlineSolver:
         """A solver of its own, as `copy.deepcopy` makes one: steps of one do not change the other."""
@@ -318,7 +320,9 @@ class OnlineSolver:
             for landmark in fresh:
                 del self._landmarks[landmark]
             del self._poses[poses:]
-            self._columns = columns
+            if columns is None:
+                self._columns = None
+                self._use_kernel(None)
             raise GraphError("the step leaves a pose or landmark undetermined, so that it was not taken")
         while self.lag is not None and len(self._poses) > self.lag + 1:
             self._marginalize()

@@ -234,6 +234,14 @@ def test_a_step_that_leaves_a_pose_undetermined_is_taken_back(relations):
     np.testing.assert_array_equal(solver.covariance(landmarks=[3]), other.covariance(landmarks=[3]))
 
 
+def test_a_refused_first_step_leaves_no_kernel():
+    solver = OnlineSolver(kernel="cauchy")
+    before = everything(solver)
+    with pytest.raises(GraphError, match="undetermined"):
+        solver.step(motion=(1e99, 0, 1e99), covariance=1e-102 * np.eye(3), ids=[1, 2], sightings=[[0.5, 0.5, 0.5]] * 2)
+    assert everything(solver) == before
+
+
 def test_a_copy_goes_its_own_way():
     solver = OnlineSolver()
     for sighting in ([2.0, 0.3], [1.6, 0.4]):

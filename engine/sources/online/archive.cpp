@@ -121,7 +121,7 @@ std::string OnlineSystem::save() const {
     Writer write;
     write.raw(title, sizeof title);
     write(tolerance_), write(most_passes_), write(passes), write(converged), write(batch_solutions);
-    write(graph_.nodes), write(graph_.edges), write(graph_.kernel), write(graph_.gain);
+    write(graph_.nodes), write(graph_.edges), write(graph_.kernel.kind), write(graph_.kernel.c), write(graph_.gain);
     write(tree_.groups), write(std::vector<Number>(tree_.released().begin(), tree_.released().end()));
     write(tree_.stamp), write(tree_.step), write(tree_.pivot_tolerance);
     write(priors_), write(memory_), write(pending_), write(ordered_), write(known_), write(lost_);
@@ -136,7 +136,7 @@ bool OnlineSystem::restore(std::string_view bytes) {
     std::vector<Number> released;
     tree_ = Tree();
     read(tolerance_), read(most_passes_), read(passes), read(converged), read(batch_solutions);
-    read(graph_.nodes), read(graph_.edges), read(graph_.kernel), read(graph_.gain);
+    read(graph_.nodes), read(graph_.edges), read(graph_.kernel.kind), read(graph_.kernel.c), read(graph_.gain);
     read(tree_.groups), read(released);
     read(tree_.stamp), read(tree_.step), read(tree_.pivot_tolerance);
     read(priors_), read(memory_), read(pending_), read(ordered_), read(known_), read(lost_);

@@ -23,6 +23,9 @@ constexpr double least_bend = 0.1;
     if (edge.oriented) {
         turn = b.x[2] - a.x[2] - edge.z.t;
         if (std::abs(turn) > std::numbers::pi) turn = edges::wrap(turn);
+        // headings of 1e300 are no multiple of a rounded turn away from zero
+        if (std::abs(turn) > 4.0) [[unlikely]]
+            turn = std::remainder(turn, 2 * std::numbers::pi);
         const double p = b.axes.c, q = b.axes.s, cosine = c * p + s * q;
         s = c * q - s * p;
         c = cosine;
@@ -33,12 +36,13 @@ constexpr double least_bend = 0.1;
     Vector g = edge.omega * e;
     double cost = dot(g, e), weight = 1.0;
     const double squares = cost;
+    const Vector pull = g;
     if (edge.robust) {
         weight = graph.kernel.weight(cost);
         g = {weight * g.x, weight * g.y, weight * g.t};
         cost = graph.kernel.loss(cost);
     }
-    return {{-left, ahead}, c, s, weight, g, squares, cost};
+    return {{-left, ahead}, c, s, weight, g, pull, squares, cost};
 }
 
 /// W of a sighting with a kernel. Gauss-Newton has w W, times what turns weights into information. The second derivative of
@@ -47,10 +51,9 @@ constexpr double least_bend = 0.1;
 Symmetric robust_information(const Graph& graph, const Edge& edge, const Present& now, bool bent) {
     if (!bent || now.squares == 0.0) return (now.weight * graph.gain) * edge.omega;
     const double slope = std::max(2 * graph.kernel.weight_slope(now.squares), (least_bend - 1) * now.weight / now.squares);
-    const double f = slope / (now.weight * now.weight);
-    const Vector& g = now.g;
-    return now.weight * edge.omega +
-           f * Symmetric{g.x * g.x, g.x * g.y, g.y * g.y, g.x * g.t, g.y * g.t, g.t * g.t};
+    // in this order a residual far beyond all others underflows to zero
+    const Vector &p = now.pull, f{slope * p.x, slope * p.y, slope * p.t};
+    return now.weight * edge.omega + Symmetric{f.x * p.x, f.x * p.y, f.y * p.y, f.x * p.t, f.y * p.t, f.t * p.t};
 }
 
 /// (gamma, h) of an edge.

@@ -57,7 +57,7 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done, std::span<const Number> f
         Evaluation edges = evaluate_edges(moved);
         const double predicted = tree_.forward(graph_, edges.homes);
         // J cannot fall by more than itself: far from any minimum, undamped passes lead nowhere
-        if (!(predicted < hopeless * m.cost + 1.0)) break;
+        if (!(predicted < hopeless * m.cost + 1.0) || !std::isfinite(m.cost)) break;
         if (first) allow_work(predicted);
         first = false;
         // what is left after this pass, if the predictions of further ones shrink as slowly as lately
@@ -120,10 +120,11 @@ double OnlineSystem::work_of(std::span<const Number> fresh, std::span<const Numb
     double total = 0.0;
     for (const Number e : fresh) {
         const Edge& edge = graph_.edges[e];
-        const auto [u, c, s, weight, g, squares, cost] = linearize(graph_, edge);
+        const Present now = linearize(graph_, edge);
+        const Vector& g = now.g;
         const Vector a = way(edge.ends[0]), b = way(edge.ends[1]);
-        total += g.x * a.x + g.y * a.y + (u.x * g.x + u.y * g.y + g.t) * a.t;
-        total -= g.x * (c * b.x - s * b.y) + g.y * (s * b.x + c * b.y) + g.t * b.t;
+        total += g.x * a.x + g.y * a.y + (now.u.x * g.x + now.u.y * g.y + g.t) * a.t;
+        total -= g.x * (now.c * b.x - now.s * b.y) + g.y * (now.s * b.x + now.c * b.y) + g.t * b.t;
     }
     return std::abs(total);
 }

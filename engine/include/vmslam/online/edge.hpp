@@ -36,11 +36,11 @@ struct Bent {
     static Bent never() { return {infinity, infinity}; }
 };
 
-/// An edge at the estimate: lever, cosine and sine of alpha, robust weight w, w W e, e' W e, and its cost.
+/// An edge at the estimate: lever, cosine and sine of alpha, robust weight w, w W e, W e, e' W e, and its cost.
 struct Present {
     Lever u;
     double c, s, weight;
-    Vector g;
+    Vector g, pull;
     double squares, cost;
 };
 Present linearize(const Graph& graph, const Edge& edge);
