@@ -89,10 +89,8 @@ QUESTIONS: tuple[dict[str, Any], ...] = (
 
 def state_of(solver: OnlineSolver) -> tuple[Any, ...]:
     """What a refused step must not change, without a solution of the tree."""
-    system = solver._system
-    numbers = system.nodes["x"][: system.num_nodes].tobytes(), system.edges["cost"][: system.num_edges].tobytes()
     return (
-        *numbers,
+        solver._system.__getstate__(),
         solver.num_poses,
         solver.num_final,
         solver.converged,

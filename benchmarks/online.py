@@ -57,7 +57,8 @@ def report(name: str, seconds: list[float], gaps: list[float]) -> None:
     gap = f"above batch at most {max(gaps):.1e}, median {np.median(gaps):.1e} ({len(gaps)} steps)" if gaps else ""
     median, most = np.median(ms), ms.max()
     high = np.quantile(ms, 0.99)
-    print(f"{name:28} {len(ms):6} steps, {median:7.3f} ms median, {high:7.2f} ms 99 %, {most:7.1f} ms most; {gap}")
+    print(f"{name:28} {len(ms):6} steps in {ms.sum() / 1e3:.2f} s, {median:7.3f} ms median,", end=" ")
+    print(f"{high:7.2f} ms 99 %, {most:7.1f} ms most; {gap}")
 
 
 def ours(name: str, graph: Graph, steps: int, sampled: set[int]) -> None:
@@ -71,14 +72,15 @@ def ours(name: str, graph: Graph, steps: int, sampled: set[int]) -> None:
         if estimate.step in sampled:
             gaps.append(excess(graph, estimate))
     three = list(estimate.landmarks)[:3]
-    estimate.solver.covariance(landmarks=three)  # compiles
+    estimate.solver.covariance(landmarks=three)
     begin = time.process_time()
     for _ in range(20):
         estimate.solver.covariance(landmarks=three)
     covariance = (time.process_time() - begin) / 20
     report(name, seconds[1:], gaps)
-    size = estimate.solver._system.tree.floats.nbytes / 2**20
-    print(f"{'':28} {np.mean(passes):.2f} passes, tree {size:.0f} MiB", end=", ")
+    system = estimate.solver._system
+    print(f"{'':28} {np.mean(passes):.2f} passes, {system.batch_solutions} batch solutions", end=", ")
+    print(f"{system.bytes / 2**20:.0f} MiB", end=", ")
     print(f"covariance of the pose and three landmarks {1e3 * covariance:.3f} ms")
 
 
@@ -180,7 +182,7 @@ def endless(steps: int, lag: int | None) -> None:
         seconds.append(time.process_time() - begin)
         if step in (1000, 10_000, 30_000, steps):
             system, recent = solver._system, 1e3 * np.array(seconds[-1000:])
-            size = sum(part.nbytes for part in (system.nodes, system.edges, *system.tree)) / 2**20
+            size = system.bytes / 2**20
             print(
                 f"lag {lag}: step {step:6}, {np.median(recent):.2f} ms median, {np.quantile(recent, 0.99):.1f} ms 99 %",
                 end=", ",

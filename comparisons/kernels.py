@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import sys
 import warnings
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 
 import numba
-import numpy as np
 
 import fastslam
-from graphslam import MotionModel, OnlineSolver, SensorModel, simulate
+from graphslam import MotionModel, SensorModel, simulate
 
 from .estimators import ESTIMATORS
 from .options import RunOptions
@@ -42,16 +39,6 @@ def sampled_association() -> None:
     FastSLAM2(load(sample_log_path()), particles=10, association="sampled", merge_interval=1).run()
 
 
-def online() -> None:
-    """The online solver: some steps with a loop closure, and a covariance."""
-    solver = OnlineSolver()
-    for step in range(1, 4):
-        solver.step((1.0, 0.1), 1.0, ids=[1, 2], sightings=[[2.0 - 0.5 * step, 0.3], [1.5, -0.4]])
-    solver.step(relations=[(0, 3, solver.pose + 0.5, np.eye(3))])
-    solver.covariance(landmarks=[1])
-    _ = solver.cost
-
-
 def compiled() -> bool:
     """Whether numba has compiled kernels of this installation before."""
     folder = Path(numba.config.CACHE_DIR or Path(fastslam.__file__).parent)
@@ -72,12 +59,10 @@ def warm_up(estimator: str) -> None:
 
 
 def main() -> None:
-    """Compile what a comparison needs, and with ``--all`` then the rest, side by side."""
+    """Compile what a comparison needs, and with ``--all`` the rest, too."""
     filters()
     if "--all" in sys.argv[1:]:
-        with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-            for done in [pool.submit(function) for function in (sampled_association, online)]:
-                done.result()
+        sampled_association()
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@
 #include <random>
 #include <set>
 
+#include "expect.hpp"
 #include "vmslam/sparse/factor.hpp"
 #include "vmslam/sparse/ordering.hpp"
 #include "vmslam/sparse/pattern.hpp"
@@ -15,12 +16,6 @@ using namespace vmslam::sparse;
 namespace {
 
 int failures = 0;
-
-void expect(bool holds, const char* what, unsigned seed) {
-    if (holds) return;
-    ++failures;
-    std::printf("FAILED with seed %u: %s\n", seed, what);
-}
 
 double conjugate(double a) { return a; }
 std::complex<double> conjugate(std::complex<double> a) { return std::conj(a); }
@@ -152,6 +147,12 @@ void test_orders(unsigned seed) {
 
 }  // namespace
 
+void expect(bool holds, const char* what, unsigned seed) {
+    if (holds) return;
+    ++failures;
+    std::printf("FAILED with seed %u: %s\n", seed, what);
+}
+
 int main() {
     for (unsigned seed = 0; seed < 200; ++seed) {
         test_solution<Real3>(seed);
@@ -160,6 +161,7 @@ int main() {
         test_null_vector(seed);
         if (seed < 10) test_orders(seed);
     }
+    test_online();
     std::printf("%s\n", failures == 0 ? "all tests passed" : "tests failed");
     return failures == 0 ? 0 : 1;
 }

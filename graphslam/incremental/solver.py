@@ -15,16 +15,19 @@ from scipy.linalg import block_diag
 
 from ..checks import check_count, check_positive, check_type, real_array
 from ..edges import ANCHOR_INFORMATION
-from ..edges.robust import Kernel, kernel_of
+from ..edges.robust import Kernel, code_and_width, kernel_of
+from ..engine import engine
 from ..errors import GraphError, OptionError, quoted
 from ..landmark_map import LandmarkMap, as_map
 from ..models import MotionModel, SensorModel
 from ..precision import check_model, inverses
 from ..reading import NO_ID, UNIDENTIFIED
 from ..se2 import Array, wrap
-from .append import MOTION, RELATION, SIGHTING
-from .system import OnlineSystem
 
+#: kinds of edges: to a new pose, a sighting of a landmark, another relation of poses
+MOTION, SIGHTING, RELATION = range(3)
+#: the most passes of one step, after which the batch solver takes over
+PASSES = 15
 #: the standard deviation [m, rad] of landmarks that are exact in a map
 EXACT = 1e-5
 
@@ -38,7 +41,7 @@ class OnlineSolver:
     Cartesian residual, and the first pose is anchored. Call `step` once for each motion.
 
     The estimate follows the nearest minimum from step to step, and `converged` tells whether it was reached. Only what a
-    step changes is eliminated again; see `graphslam.incremental.top`.
+    step changes is eliminated again; see `engine/include/vmslam/online`.
 
     Args:
         start: the first pose (3,).
@@ -82,7 +85,7 @@ class OnlineSolver:
         check_model(self.motion)
         check_model(self.sensor)
         self.motion_weight, self.kernel, self.lag = motion_weight, kernel_of(kernel), lag
-        self._system = OnlineSystem(tolerance)
+        self._system = engine.OnlineSystem(tolerance, PASSES)
         #: the nodes of the poses that are not final, and the values of those that are
         self._poses: list[int] = [self._system.add_node()]
         self._final = np.zeros((64, 3))
@@ -92,8 +95,8 @@ class OnlineSolver:
         #: the times of the latest step and of the newest pose, not a number where it is unknown
         self._time, self._arrived = -np.inf, np.nan
         held = ANCHOR_INFORMATION if start_covariance is None else _information(start_covariance)
-        self._system.add_prior([0], _numbers("start", start, (3,))[None], held)
-        self._system.solve(self._poses, [], self._poses)
+        self._system.add_prior([0], _numbers("start", start, (3,)), np.ascontiguousarray(held), False)
+        self._system.solve(self._poses, self._poses)
         if map is not None:
             known = as_map(map)
             self._begin_with(*priors_of(known, 3 if known.oriented else 2))
@@ -101,11 +104,19 @@ class OnlineSolver:
     def _begin_with(self, ids: Sequence[int], places: Array, information: Array, columns: int) -> None:
         """Landmarks (K,) at places (K, 3), with information (3K, 3K) in world axes, which sightings of ``columns`` see."""
         self._columns = columns
-        self._system.use_kernel(self.kernel, columns)
+        self._use_kernel(columns)
         self._landmarks = {j: self._system.add_node() for j in ids}
         nodes = list(self._landmarks.values())
-        self._system.add_prior(nodes, places, information, points=columns == 2)
-        self._system.solve(nodes, [], self._poses)
+        self._system.add_prior(nodes, places, np.ascontiguousarray(information), columns == 2)
+        self._system.solve(nodes, self._poses)
+
+    def _use_kernel(self, dimension: int | None) -> None:
+        """The robust kernel of sightings with residuals of a dimension; none as long as there are no sightings."""
+        kernel, gain = None, 1.0
+        if self.kernel is not None and dimension is not None:
+            kernel = self.kernel.of_dimension(dimension)
+            gain = kernel.information_per_weight(dimension)
+        self._system.use_kernel(*code_and_width(kernel), gain)
 
     def __copy__(self) -> OnlineSolver:
         """A solver of its own, as `copy.deepcopy` makes one: steps of one do not change the other."""
@@ -124,12 +135,12 @@ class OnlineSolver:
     @property
     def passes(self) -> int:
         """How often the last step solved the tree again because edges had to be evaluated again."""
-        return self._system.passes
+        return int(self._system.passes)
 
     @property
     def converged(self) -> bool:
         """Whether the last step ended at the minimum. Otherwise neither its passes nor those after a batch solution ended."""
-        return self._system.converged
+        return bool(self._system.converged)
 
     def step(
         self,
@@ -288,7 +299,7 @@ class OnlineSolver:
             d, node = measured.shape[1], self._poses[-1] if pose is None else self._node(pose)
             if columns is None:
                 self._columns = d
-                system.use_kernel(self.kernel, d)
+                self._use_kernel(d)
             for row, landmark in enumerate(landmarks, start=moved):
                 end = self._landmarks.get(landmark)
                 if end is None:
@@ -305,14 +316,14 @@ class OnlineSolver:
         if relations is not None and loops:
             ends[moved + k :] = np.array(self._poses)[relations[0] - self._num_final]
             kinds[moved + k :], z[moved + k :], W[moved + k :] = RELATION, relations[1], _packed(relations[2])
-        try:
-            system.add(known, ends, kinds, z, W, rows, self._poses[-1:])
-        except GraphError:
+        if not system.add(known, ends, kinds, rows, z, W, self._poses[-1:]):
             for landmark in fresh:
                 del self._landmarks[landmark]
             del self._poses[poses:]
-            self._columns = columns
-            raise GraphError("the step leaves a pose or landmark undetermined, so that it was not taken") from None
+            if columns is None:
+                self._columns = None
+                self._use_kernel(None)
+            raise GraphError("the step leaves a pose or landmark undetermined, so that it was not taken")
         while self.lag is not None and len(self._poses) > self.lag + 1:
             self._marginalize()
 
@@ -324,8 +335,8 @@ class OnlineSolver:
         self._num_final += 1
         if self._system.crowded():
             number = self._system.renumber()
-            self._poses = number[self._poses].tolist()
-            self._landmarks = {key: int(number[node]) for key, node in self._landmarks.items()}
+            self._poses = [number[node] for node in self._poses]
+            self._landmarks = {key: number[node] for key, node in self._landmarks.items()}
 
     def _node(self, pose: int) -> int:
         return self._poses[pose - self._num_final]
@@ -344,7 +355,7 @@ class OnlineSolver:
     @property
     def pose(self) -> Array:
         """The newest pose (3,), heading in [-pi, pi)."""
-        x = self._system.values(self._poses[-1:])[0]
+        x = np.asarray(self._system.values(self._poses[-1:])[0])
         x[2] = wrap(x[2])
         return x
 
@@ -352,7 +363,7 @@ class OnlineSolver:
     def poses(self) -> Array:
         """The estimate of all poses so far, (t+1, 3), headings in [-pi, pi); of final poses, the last one they had."""
         self._system.complete()
-        x = np.concatenate([self._final[: self._num_final], self._system.nodes["x"][self._poses]])
+        x = np.concatenate([self._final[: self._num_final], self._system.places(self._poses)])
         x[:, 2] = wrap(x[:, 2])
         return x
 
@@ -366,14 +377,14 @@ class OnlineSolver:
     @property
     def cost(self) -> float:
         """J at the estimate, the anchor not counted; with a lag, of the edges of poses that are not final."""
-        return self._system.cost()
+        return float(self._system.cost())
 
     def covariance(self, pose: int | None = None, *, landmarks: Sequence[int] = ()) -> Array:
         """The joint covariance of a pose, by default the newest, and of landmarks, in world axes.
 
         Its order is the pose (3 numbers), then each landmark (2 or 3). Edges that were linearised too far from the estimate,
         or have second derivatives in the linear system of the last pass, are first linearised again without them, and the
-        parts of the tree above them factorised again (`graphslam.incremental.linearize`): standard deviations are then
+        parts of the tree above them factorised again (`engine/include/vmslam/online/edge.hpp`): standard deviations are then
         within 2 % of those of the batch solution, and `relinearize` makes them the same. The first call after a step
         looks at all edges; where all edges needed second derivatives, it takes the time of `relinearize`.
 
@@ -392,12 +403,13 @@ class OnlineSolver:
             raise GraphError(
                 f"there is no covariance of pose {pose} and landmarks {list(landmarks)}: not all are known"
             )
-        block = self._system.covariance(
-            [self._node(pose), *(self._landmarks[key] for key in landmarks)], self._poses[-1:]
-        )
+        nodes = [self._node(pose), *(self._landmarks[key] for key in landmarks)]
+        block = self._system.covariance(nodes, self._poses[-1:])
+        if block is None:
+            raise GraphError("there is no covariance: the edges do not determine all nodes to double precision")
         d = self._columns or 2
         kept = [0, 1, 2, *(3 * k + c for k in range(1, len(landmarks) + 1) for c in range(d))]
-        return block[np.ix_(kept, kept)]
+        return np.asarray(block[np.ix_(kept, kept)])
 
 
 def priors_of(known: LandmarkMap, columns: int) -> tuple[list[int], Array, Array, int]:
@@ -417,7 +429,7 @@ def priors_of(known: LandmarkMap, columns: int) -> tuple[list[int], Array, Array
 
 
 def _packed(information: Array) -> Array:
-    """The entries (..., 3 or 6) of symmetric matrices as in `arrays.EDGE`."""
+    """The entries (..., 3 or 6) of symmetric matrices as in `edges::Symmetric`."""
     if information.shape[-1] == 2:
         return information[..., [0, 0, 1], [0, 1, 1]]
     return information[..., [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]

@@ -5,8 +5,8 @@
 #include <array>
 #include <cstring>
 
-#include "panel.hpp"
-#include "parallel.hpp"
+#include "sparse/panel.hpp"
+#include "sparse/parallel.hpp"
 #include "vmslam/sparse/factor.hpp"
 
 namespace vmslam::sparse {

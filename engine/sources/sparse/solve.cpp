@@ -3,7 +3,7 @@
 #include <cmath>
 #include <cstring>
 
-#include "panel.hpp"
+#include "sparse/supernode.hpp"
 #include "vmslam/sparse/factor.hpp"
 
 namespace vmslam::sparse {
@@ -66,13 +66,9 @@ void Factor<Block>::forward() {
             std::memset(work + p * work_plane, 0, h * sizeof(double));
             std::memcpy(work + p * work_plane + front.pad, b + p * plane + head, rows * front.w * sizeof(double));
         }
-        for (Step j = 0; j < front.w; ++j) {
-            const double* const column = x + Block::columns * j * h;
-            const Step row = front.pad + rows * j, below = group_of(row + rows);
-            const auto y = Block::forward(work + row, work_plane, Block::Pivot::load(column + row, h));
-            Block::subtract(work + below, work_plane, column + below, h, h - below, y);
+        solve_forward<Block>(front, x, work, work_plane, [&](Step j, const auto& y) {
             for (int c = 0; c < rows; ++c) put_value(b, plane, head + rows * j + c, y.v[c]);
-        }
+        });
         Step i = front.pad + rows * front.w;
         for (Place q = t.row_start[s]; q < t.row_start[s + 1]; ++q, i += rows)
             for (int p = 0; p < Block::planes; ++p)
@@ -88,7 +84,7 @@ void Factor<Block>::backward() {
     double *const b = rhs_.data(), *const work = work_.data();
     for (Node s = t.supernodes() - 1; s >= 0; --s) {
         const Front front = t.front(s);
-        const Step h = front.height, head = rows * t.first[s];
+        const Step head = rows * t.first[s];
         const double* const x = panels_.data() + t.panel_start[s];
         // rows that are not known yet are zero, so that the unused part of the panel does not enter the sums
         for (int p = 0; p < Block::planes; ++p) {
@@ -97,18 +93,17 @@ void Factor<Block>::backward() {
             for (Place q = t.row_start[s], i = 0; q < t.row_start[s + 1]; ++q, i += rows)
                 for (int c = 0; c < rows; ++c) below[i + c] = b[p * plane + rows * t.rows[q] + c];
         }
-        for (Step j = front.w - 1; j >= 0; --j) {
-            const double* const column = x + Block::columns * j * h;
-            const Step row = front.pad + rows * j, below = group_of(row + rows);
+        const auto get = [&](Step j) {
             typename Block::Part y;
             for (int c = 0; c < rows; ++c) y.v[c] = get_value<Value>(b, plane, head + rows * j + c);
-            y = Block::minus_dot(y, work + below, work_plane, column + below, h, h - below);
-            y = Block::backward(y, Block::Pivot::load(column + row, h));
+            return y;
+        };
+        solve_backward<Block>(front, x, work, work_plane, get, [&](Step j, Step row, const auto& y) {
             for (int c = 0; c < rows; ++c) {
                 put_value(work, work_plane, row + c, y.v[c]);
                 put_value(b, plane, head + rows * j + c, y.v[c]);
             }
-        }
+        });
     }
 }
 

@@ -1,6 +1,7 @@
 // Vectors of the compiler (GCC and Clang) for x86 and ARM, and memory that is aligned for them.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <new>
 #include <span>
@@ -50,6 +51,8 @@ class Numbers {
     Numbers() = default;
     explicit Numbers(std::ptrdiff_t size)
         : data_(size > 0 ? static_cast<double*>(::operator new(size * sizeof(double), line)) : nullptr), size_(size) {}
+    Numbers(const Numbers& other) : Numbers(other.size_) { std::copy_n(other.data_, size_, data_); }
+    Numbers& operator=(const Numbers& other) { return *this = Numbers(other); }
     Numbers(Numbers&& other) noexcept : data_(std::exchange(other.data_, nullptr)), size_(std::exchange(other.size_, 0)) {}
     Numbers& operator=(Numbers&& other) noexcept {
         std::swap(data_, other.data_);

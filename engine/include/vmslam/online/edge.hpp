@@ -1,0 +1,68 @@
+// Single edges of an online solution: their values at the estimate, and when their part of the factor is out of date.
+//
+// Increments d of poses are in their own axes, those of points in the world's. Then the information of an edge is constant
+// in the axes of its first end, and Omega stays as it is when poses move and turn together. The Jacobians there are
+//
+//     B_i = -[I, u; 0, 1],  u the lever, and B_j = blkdiag(R(alpha), 1), alpha = theta_j - theta_i, or -theta_i for a point.
+//
+// The factor holds every edge with the lever, alpha and robust weight of the last time at which its part of the tree was
+// factorised. The right-hand side is kept up to date: with the sum d of all increments of both ends,
+//
+//     rhs_e = -B(x)' W e(x) + B' W B d,
+//
+// so that Omega d = rhs is the condition for an optimum at x, whatever B is in Omega. If it is near B(x), iterating
+// converges fast. `evaluate` compares them.
+//
+// Gauss-Newton leaves out the second derivatives of the residual. Where residuals are as large as levers, the curvature of J
+// can be more than twice B' W B, and Gauss-Newton then diverges from the minimum itself. So an edge with a cost above
+// `Bent::convex` has them in the factor, and all edges where the passes show that many small residuals do the same. With
+// g = W e, increments (a, phi) of the first end, b of the second and q = R(alpha) b,
+//
+//     J/2 has the further terms  phi h' (q - a) + gamma phi^2 / 2,   h = (-g_y, g_x),  gamma = -g' (lever).
+//
+// They may make Omega indefinite. So an edge that is indefinite by itself has gamma only, and only if that is positive, unless
+// its cost is above `Bent::exact`: next to a minimum, passes converge faster with all of them.
+#pragma once
+
+#include "vmslam/online/graph.hpp"
+
+namespace vmslam::online {
+
+/// The costs from which the second derivatives of an edge enter the factor, and from which they stay as they are although the
+/// edge may be indefinite.
+struct Bent {
+    double convex = 4.0, exact = 4.0;
+
+    static Bent never() { return {infinity, infinity}; }
+};
+
+/// An edge at the estimate: lever, cosine and sine of alpha, robust weight w, w W e, W e, e' W e, and its cost.
+struct Present {
+    Lever u;
+    double c, s, weight;
+    Vector g, pull;
+    double squares, cost;
+};
+Present linearize(const Graph& graph, const Edge& edge);
+
+/// Bring the right-hand side of an edge up to date.
+struct Evaluated {
+    double change;  ///< of its cost
+    bool outdated;  ///< whether its part of the factor is
+};
+Evaluated evaluate(Graph& graph, Edge& edge, double limit, const Bent& bent);
+
+/// Take lever, alpha, weight and second derivatives from the estimate; returns the change of the cost.
+double relinearize(Graph& graph, Edge& edge, const Bent& bent);
+
+/// Whether an edge in the factor differs from that of Gauss-Newton at the estimate.
+bool differs_from_gauss_newton(const Graph& graph, const Edge& edge, double limit);
+
+/// The parts of the edge, as it is in the factor, of Omega: the diagonal blocks of its ends, and the one between them, by rows.
+struct Blocks {
+    Symmetric first, second;
+};
+Blocks diagonal_blocks(const Edge& edge);
+std::array<double, 9> block_between(const Edge& edge);
+
+}  // namespace vmslam::online

@@ -1,0 +1,116 @@
+// The online solver: poses and landmarks by number, with the solution of the whole graph after every step.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include "vmslam/online/edge.hpp"
+#include "vmslam/online/prior.hpp"
+#include "vmslam/online/tree.hpp"
+
+namespace vmslam::online {
+
+/// What steps learn about the graph and keep for the next ones.
+struct Memory {
+    double cost = 0.0;       ///< J at the last evaluation
+    double limit = 0.1;      ///< how far an edge in the factor may be from the present one
+    Bent bent;
+    int hold = 0;            ///< for how many passes no second derivatives are exact
+    double work = 0.0;       ///< what steps have done on older edges since the last fine pass; see step.cpp
+    double allowed = 0.0;    ///< how much of it is
+    double rate = 0.0;       ///< what it costs
+    double shrinks = 0.0;    ///< how slowly passes converge
+};
+
+class OnlineSystem {
+   public:
+    /// Steps end where the next pass would lower the cost by less than `tolerance` of it; after `most_passes` the batch solver
+    /// takes over.
+    OnlineSystem(double tolerance, int most_passes) : tolerance_(tolerance), most_passes_(most_passes) {}
+
+    /// The robust kernel of sightings, and what turns their weights into information.
+    void use_kernel(const edges::Kernel& kernel, double gain);
+
+    /// A new node, at the origin until an edge or a prior leads to it.
+    Number add_node();
+    /// Put nodes at places, with their joint information (3k, 3k) in world axes. `points` have no heading.
+    void add_prior(std::span<const Number> nodes, std::span<const Triple> places, std::vector<double> information, bool points);
+
+    /// Add edges to new nodes, those from number `known` on, or between others, and solve; `newest` are eliminated last.
+    /// False where a node is not determined: the system is as before then, without the new nodes.
+    bool add(Number known, std::span<const NewEdge> added, std::span<const Number> newest);
+    /// Bring the solution to the optimum after edges were added at nodes.
+    bool solve(std::span<const Number> touched, std::span<const Number> fresh, std::span<const Number> newest);
+    /// Linearise all edges where they are now and factorise again, in the order of the tree, and solve.
+    void relinearize(std::span<const Number> newest);
+
+    /// Take a node out of the graph, and put a prior on its neighbours in its place; returns its last value.
+    Triple marginalize(Number node, std::span<const Number> newest);
+    /// Whether more than half of the nodes were marginalised.
+    bool crowded() const;
+    /// Free what belonged to marginalised nodes; returns the new number of each node, or -1.
+    std::vector<Number> renumber();
+
+    /// The solution at some nodes.
+    std::vector<Triple> values(std::span<const Number> nodes);
+    /// Bring all nodes to the solution: steps leave out those that move by a small part of a standard deviation.
+    void complete();
+    /// The cost at the estimate, without priors.
+    double cost();
+    /// The joint covariance (3k, 3k) of k nodes in world axes, unless the edges do not determine it to double precision.
+    std::optional<std::vector<double>> covariance(std::span<const Number> nodes, std::span<const Number> newest);
+
+    const Graph& graph() const { return graph_; }
+    Tree& tree() { return tree_; }
+    std::size_t priors() const { return priors_.size(); }
+    /// The memory of nodes, edges and tree.
+    std::size_t bytes() const;
+
+    int passes = 0;            ///< how often the last step solved the tree again because edges had to be evaluated again
+    bool converged = true;     ///< whether it ended at the minimum
+    int batch_solutions = 0;   ///< how many steps the batch solver had to take
+
+    /// Everything as bytes, and back; false where the bytes are none of a system.
+    std::string save() const;
+    bool restore(std::string_view bytes);
+
+   private:
+    enum class Outcome { done, unfinished, indefinite };
+
+    /// Passes until the predicted decrease of the cost is below the tolerance, after edges `fresh` at nodes `touched`, which had
+    /// the increments `before`.
+    bool iterate(std::span<const Number> newest, std::span<const Number> fresh = {}, std::span<const Number> touched = {},
+                 std::span<const Triple> before = {});
+    Outcome advance(int& done, std::span<const Number> fresh, std::span<const Number> touched, std::span<const Triple> before);
+    /// Evaluate the edges of nodes that moved: the supernodes of their ends, and the edges that are to be linearised again.
+    struct Evaluation {
+        std::vector<Number> homes, late;
+    };
+    Evaluation evaluate_edges(std::span<const Number> moved);
+    std::vector<Number> homes_around(std::span<const Number> moved);
+    double work_of(std::span<const Number> fresh, std::span<const Number> touched, std::span<const Triple> before) const;
+    void allow_work(double predicted);
+
+    bool eliminate(const Changes& changes);
+    /// Build the tree anew with all nodes at x; returns whether they are determined. It is empty otherwise.
+    bool begin_at(std::span<const Triple> x, std::span<const Number> newest);
+    bool solve_as_batch(std::span<const Number> newest);
+    bool factorize_again(std::span<const Number> newest);
+    bool linearize_late(std::span<const Number> newest);
+    void hang_prior(Prior& prior);
+    std::vector<Triple> places() const;
+
+    double tolerance_;
+    int most_passes_;
+    Graph graph_;
+    Tree tree_;
+    std::vector<Prior> priors_;
+    Memory memory_;
+    std::vector<Number> pending_;  ///< nodes that the last pass of a step moved, whose edges the next step evaluates
+    Number ordered_ = 0;  ///< the number of nodes when all were ordered last
+    bool known_ = false;  ///< whether nothing has changed since a covariance was asked for
+    bool lost_ = false;   ///< whether the tree is empty, because not all nodes could be eliminated where they are
+};
+
+}  // namespace vmslam::online

@@ -1,0 +1,147 @@
+// An online system as bytes, and back. Fields are written one by one, because what lies between them is undefined.
+#include <cstring>
+#include <tuple>
+#include <type_traits>
+
+#include "vmslam/online/system.hpp"
+
+namespace vmslam::online {
+namespace {
+
+constexpr char title[] = "vmslam online 1";
+
+auto fields(auto& value)
+    requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Node>
+{
+    auto& [x, d, rhs, diagonal, axes, evaluated, passed, kept, far, turned, mark, changed, home, edges, owned, local, point, gone] =
+        value;
+    return std::tie(x, d, rhs, diagonal, axes, evaluated, passed, kept, far, turned, mark, changed, home, edges, owned, local,
+                    point, gone);
+}
+auto fields(auto& value)
+    requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Edge>
+{
+    auto& [z, omega, linear, weight, rhs, cost, mark, ends, next, owner, next_owned, oriented, robust] = value;
+    return std::tie(z, omega, linear, weight, rhs, cost, mark, ends, next, owner, next_owned, oriented, robust);
+}
+auto fields(auto& value)
+    requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Supernode>
+{
+    auto& g = value;
+    return std::tie(g.w, g.r, g.parent, g.child, g.sibling, g.split, g.marked, g.changed, g.ascending, g.nodes, g.relative,
+                    g.run_end, g.numbers);
+}
+auto fields(auto& value)
+    requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Prior>
+{
+    auto& [members, information, rhs, centre, carry, group] = value;
+    return std::tie(members, information, rhs, centre, carry, group);
+}
+auto fields(auto& value)
+    requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Memory>
+{
+    auto& m = value;
+    return std::tie(m.cost, m.limit, m.bent.convex, m.bent.exact, m.hold, m.work, m.allowed, m.rate, m.shrinks);
+}
+
+template <class T>
+concept Record = requires(T& value) { fields(value); };
+
+class Writer {
+   public:
+    std::string bytes;
+
+    void raw(const void* from, std::size_t size) { bytes.append(static_cast<const char*>(from), size); }
+    template <class T>
+    void operator()(const std::vector<T>& values) {
+        (*this)(values.size());
+        for (const T& value : values) (*this)(value);
+    }
+    void operator()(const Numbers& numbers) {
+        (*this)(numbers.size());
+        raw(numbers.data(), numbers.size() * sizeof(double));
+    }
+    template <class T>
+    void operator()(const T& value) {
+        if constexpr (Record<const T>)
+            std::apply([&](const auto&... field) { ((*this)(field), ...); }, fields(value));
+        else {
+            static_assert(std::is_trivially_copyable_v<T>);
+            raw(&value, sizeof value);
+        }
+    }
+};
+
+class Reader {
+   public:
+    explicit Reader(std::string_view bytes) : rest_(bytes) {}
+    bool good = true;
+    bool finished() const { return good && rest_.empty(); }
+
+    void raw(void* to, std::size_t size) {
+        good = good && size <= rest_.size();
+        if (!good) return;
+        if (size > 0) std::memcpy(to, rest_.data(), size);
+        rest_.remove_prefix(size);
+    }
+    template <class T>
+    void operator()(std::vector<T>& values) {
+        std::size_t size = 0;
+        (*this)(size);
+        // an element has at least one byte
+        if (size > rest_.size()) good = false;
+        values.assign(good ? size : 0, T{});
+        for (T& value : values) (*this)(value);
+    }
+    void operator()(Numbers& numbers) {
+        std::ptrdiff_t size = 0;
+        (*this)(size);
+        if (size < 0 || static_cast<std::size_t>(size) > rest_.size() / sizeof(double)) good = false;
+        if (!good) return;
+        numbers = Numbers(size);
+        raw(numbers.data(), size * sizeof(double));
+    }
+    template <class T>
+    void operator()(T& value) {
+        if constexpr (Record<T>)
+            std::apply([&](auto&... field) { ((*this)(field), ...); }, fields(value));
+        else {
+            static_assert(std::is_trivially_copyable_v<T>);
+            raw(&value, sizeof value);
+        }
+    }
+
+   private:
+    std::string_view rest_;
+};
+
+}  // namespace
+
+std::string OnlineSystem::save() const {
+    Writer write;
+    write.raw(title, sizeof title);
+    write(tolerance_), write(most_passes_), write(passes), write(converged), write(batch_solutions);
+    write(graph_.nodes), write(graph_.edges), write(graph_.kernel.kind), write(graph_.kernel.c), write(graph_.gain);
+    write(tree_.groups), write(std::vector<Number>(tree_.released().begin(), tree_.released().end()));
+    write(tree_.stamp), write(tree_.step), write(tree_.pivot_tolerance);
+    write(priors_), write(memory_), write(pending_), write(ordered_), write(known_), write(lost_);
+    return std::move(write.bytes);
+}
+
+bool OnlineSystem::restore(std::string_view bytes) {
+    Reader read(bytes);
+    char found[sizeof title] = {};
+    read.raw(found, sizeof found);
+    if (!read.good || std::memcmp(found, title, sizeof title) != 0) return false;
+    std::vector<Number> released;
+    tree_ = Tree();
+    read(tolerance_), read(most_passes_), read(passes), read(converged), read(batch_solutions);
+    read(graph_.nodes), read(graph_.edges), read(graph_.kernel.kind), read(graph_.kernel.c), read(graph_.gain);
+    read(tree_.groups), read(released);
+    read(tree_.stamp), read(tree_.step), read(tree_.pivot_tolerance);
+    read(priors_), read(memory_), read(pending_), read(ordered_), read(known_), read(lost_);
+    tree_.set_released(std::move(released));
+    return read.finished();
+}
+
+}  // namespace vmslam::online

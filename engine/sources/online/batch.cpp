@@ -1,0 +1,132 @@
+// The batch solution of an online system, for steps from which undamped passes do not converge.
+#include <algorithm>
+#include <cmath>
+#include <deque>
+#include <memory>
+
+#include "vmslam/edges/relative.hpp"
+#include "vmslam/online/system.hpp"
+#include "vmslam/solve/run.hpp"
+#include "vmslam/sparse/ordering.hpp"
+#include "vmslam/sparse/pattern.hpp"
+
+namespace vmslam::online {
+namespace {
+
+using edges::RelativeEdge;
+using sparse::Place;
+
+/// The nodes and edges of an online system as a graph of edge families.
+class BatchProblem {
+   public:
+    BatchProblem(const Graph& graph, std::span<const Prior> priors) : nodes_(graph.live_nodes()) {
+        number_.assign(graph.nodes.size(), -1);
+        for (std::size_t k = 0; k < nodes_.size(); ++k) {
+            const Node& node = graph.nodes[nodes_[k]];
+            number_[nodes_[k]] = static_cast<Number>(k);
+            state.insert(state.end(), node.x.begin(), node.x.end());
+            if (node.point) points_.push_back(static_cast<Place>(k));
+        }
+        analyze(graph, priors);
+        add_families(graph, priors);
+        system_ = {pattern_.start, pattern_.rows, values_.data(), xi_.data(), slots_.data()};
+        objective = std::make_unique<solve::GraphObjective>(members_, system_, solve::Held{{}, {}, points_}, 0.0, *factor_);
+        objective->reweighted = static_cast<bool>(graph.kernel);
+    }
+
+    std::vector<double> state;
+    std::unique_ptr<solve::GraphObjective> objective;
+    std::span<const Number> nodes() const { return nodes_; }
+
+   private:
+    void analyze(const Graph& graph, std::span<const Prior> priors) {
+        std::vector<Place> sizes, members;
+        const auto add = [&](std::span<const Number> group) {
+            sizes.push_back(static_cast<Place>(group.size()));
+            for (const Number node : group) members.push_back(number_[node]);
+            std::sort(members.end() - sizes.back(), members.end());
+        };
+        for (const Edge& edge : graph.edges)
+            if (!edge.taken_out()) add(edge.ends);
+        for (const Prior& prior : priors) add(prior.members);
+        pattern_ = sparse::pattern_of_groups(static_cast<Place>(nodes_.size()), sizes, members);
+        rows_.assign(pattern_.rows.begin(), pattern_.rows.end());
+        const sparse::Pattern pattern{pattern_.start, rows_};
+        factor_ = std::make_unique<sparse::Factor<sparse::Real3>>(
+            std::make_shared<sparse::Symbolic>(sparse::analyze(pattern, sparse::fill_reducing(pattern), {3, 3}, 1)));
+        values_.resize(9 * rows_.size());
+        xi_.resize(state.size());
+        slots_.resize(nodes_.size());
+    }
+
+    void add_families(const Graph& graph, std::span<const Prior> priors) {
+        for (const bool oriented : {true, false})
+            for (const bool robust : {true, false}) {
+                std::vector<RelativeEdge> edges;
+                std::vector<Place>& pairs = pairs_.emplace_back();
+                for (const Edge& edge : graph.edges) {
+                    if (edge.taken_out() || edge.oriented != oriented || edge.robust != robust) continue;
+                    edges.push_back({number_[edge.ends[0]], number_[edge.ends[1]], edge.z, edge.omega});
+                    pairs.push_back(sparse::block_between(pattern_.start, pattern_.rows, edges.back().i, edges.back().j));
+                }
+                if (edges.empty()) continue;
+                families_.push_back(std::make_unique<edges::RelativeEdges>(std::move(edges), oriented, false,
+                                                                           robust ? graph.kernel : edges::Kernel{}));
+                members_.push_back({families_.back().get(), pairs});
+            }
+        for (const Prior& prior : priors) {
+            families_.push_back(std::make_unique<PriorFamily>(prior, graph, number_));
+            members_.push_back({families_.back().get(), {}});
+        }
+    }
+
+    std::vector<Number> nodes_, number_;
+    std::vector<Place> points_;
+    sparse::WidePattern pattern_;
+    std::vector<sparse::Node> rows_;
+    std::unique_ptr<sparse::Factor<sparse::Real3>> factor_;
+    std::vector<double> values_, xi_;
+    std::vector<Place> slots_;
+    std::deque<std::vector<Place>> pairs_;  ///< stay where they are while others are added
+    std::vector<std::unique_ptr<edges::Family>> families_;
+    std::vector<solve::GraphObjective::Member> members_;
+    edges::System system_{};
+};
+
+/// A state of lower cost by Gauss-Newton, damped where necessary, or nothing.
+std::vector<double> lower_state(BatchProblem& problem) {
+    solve::GraphObjective& objective = *problem.objective;
+    const double cost = objective.cost(problem.state, problem.state);
+    // plain steps from far away may end in a much higher minimum, and damped ones do not
+    for (const bool damped : {false, true}) {
+        solve::Run run;
+        run.rules = {1e-9, 100, 1e-9, false, damped ? 0.0 : 0.01};
+        run.state = problem.state;
+        if (damped)
+            solve::levenberg_marquardt(objective, run, run.rules.most_steps);
+        else
+            solve::gauss_newton(objective, run);
+        if (run.end == solve::End::not_determined || run.end == solve::End::diverged) continue;
+        if (objective.cost(run.state, run.state) <= cost) return run.state;
+    }
+    return {};
+}
+
+}  // namespace
+
+// The correction is too large for undamped passes: the step is undone, the batch solver solves the graph, and the tree is built
+// anew where that has ended.
+bool OnlineSystem::solve_as_batch(std::span<const Number> newest) {
+    ++batch_solutions;
+    for (Node& node : graph_.nodes)
+        if (node.changed == tree_.step) node.x = node.kept, node.axes = Rotation(node.kept[2]);
+    BatchProblem problem(graph_, priors_);
+    const std::vector<double> found = lower_state(problem);
+    std::vector<Triple> start = places();
+    for (std::size_t k = 0; k < found.size() / 3; ++k) std::copy_n(found.begin() + 3 * k, 3, start[problem.nodes()[k]].begin());
+    if (begin_at(start, newest) && iterate(newest)) return true;
+    begin_at(start, newest);
+    return false;
+}
+
+}  // namespace vmslam::online

@@ -1,0 +1,175 @@
+#include "vmslam/online/edge.hpp"
+
+#include <cmath>
+#include <numbers>
+
+namespace vmslam::online {
+namespace {
+
+using edges::dot;
+using edges::turned;
+
+/// From which relative change of its weight on an edge is linearised again; see `outdated`.
+constexpr double reweighted = 0.33;
+/// The least curvature of a sighting with a kernel along its residual, as a part of its weight.
+constexpr double least_bend = 0.1;
+
+// e = (R(theta_i)' (p_j - p_i) - (z_x, z_y), theta_j - theta_i - z_t), g = w W e
+[[gnu::always_inline]] inline Present present(const Graph& graph, const Edge& edge) {
+    const Node &a = graph.nodes[edge.ends[0]], &b = graph.nodes[edge.ends[1]];
+    double c = a.axes.c, s = a.axes.s, turn = 0.0;
+    const double dx = b.x[0] - a.x[0], dy = b.x[1] - a.x[1];
+    const double ahead = c * dx + s * dy, left = c * dy - s * dx;
+    if (edge.oriented) {
+        turn = b.x[2] - a.x[2] - edge.z.t;
+        if (std::abs(turn) > std::numbers::pi) turn = edges::wrap(turn);
+        // headings of 1e300 are no multiple of a rounded turn away from zero
+        if (std::abs(turn) > 4.0) [[unlikely]]
+            turn = std::remainder(turn, 2 * std::numbers::pi);
+        const double p = b.axes.c, q = b.axes.s, cosine = c * p + s * q;
+        s = c * q - s * p;
+        c = cosine;
+    } else {
+        s = -s;
+    }
+    const Vector e{ahead - edge.z.x, left - edge.z.y, turn};
+    Vector g = edge.omega * e;
+    double cost = dot(g, e), weight = 1.0;
+    const double squares = cost;
+    const Vector pull = g;
+    if (edge.robust) {
+        weight = graph.kernel.weight(cost);
+        g = {weight * g.x, weight * g.y, weight * g.t};
+        cost = graph.kernel.loss(cost);
+    }
+    return {{-left, ahead}, c, s, weight, g, pull, squares, cost};
+}
+
+/// W of a sighting with a kernel. Gauss-Newton has w W, times what turns weights into information. The second derivative of
+/// J/2 is w W + 2 w' (W e) (W e)', w' the derivative of w by r² = e' W e. Along e that is w + 2 w' r² times W, which is negative
+/// far out, and kept above `least_bend` w.
+Symmetric robust_information(const Graph& graph, const Edge& edge, const Present& now, bool bent) {
+    if (!bent || now.squares == 0.0) return (now.weight * graph.gain) * edge.omega;
+    const double slope = std::max(2 * graph.kernel.weight_slope(now.squares), (least_bend - 1) * now.weight / now.squares);
+    // in this order a residual far beyond all others underflows to zero
+    const Vector &p = now.pull, f{slope * p.x, slope * p.y, slope * p.t};
+    return now.weight * edge.omega + Symmetric{f.x * p.x, f.x * p.y, f.y * p.y, f.x * p.t, f.y * p.t, f.t * p.t};
+}
+
+/// (gamma, h) of an edge.
+struct Curvature {
+    double gamma = 0.0;
+    Lever h{};
+};
+[[gnu::always_inline]] inline Curvature curvature(const Edge& edge, const Present& now, const Bent& bent) {
+    if (now.cost < bent.convex || edge.robust) return {};
+    const Symmetric& W = edge.omega;
+    const Vector& g = now.g;
+    const double gamma = now.u.x * g.y - now.u.y * g.x;
+    double a = W.xx, b = W.xy, c = W.yy;
+    if (edge.oriented) a -= W.xt * W.xt / W.tt, b -= W.xt * W.yt / W.tt, c -= W.yt * W.yt / W.tt;
+    // along the direction in which its residual does not change, the edge adds gamma + 2 h' u - h' P h, P its covariance
+    const double least = (a * g.x * g.x + 2 * b * g.x * g.y + c * g.y * g.y) / (a * c - b * b);
+    if (least + gamma > 0.0 && now.cost < bent.exact) return {std::max(gamma, 0.0), {}};
+    return {gamma, {-g.y, g.x}};
+}
+
+/// Put -B(x)' W e + Omega_e d into the right-hand sides of the ends; returns the change of the cost.
+[[gnu::always_inline]] inline double store(Graph& graph, Edge& edge, const Present& now) {
+    Node &i = graph.nodes[edge.ends[0]], &j = graph.nodes[edge.ends[1]];
+    const Linear& l = edge.linear;
+    const Vector& g = now.g;
+    const double phi = i.d[2], turn = edge.oriented ? j.d[2] - phi : 0.0;
+    const double qx = l.c * j.d[0] - l.s * j.d[1] - i.d[0], qy = l.s * j.d[0] + l.c * j.d[1] - i.d[1];
+    const Vector p = l.W * Vector{qx - l.u.x * phi, qy - l.u.y * phi, turn};
+    const double rx = p.x + l.h.x * phi, ry = p.y + l.h.y * phi;
+    const double bent = l.gamma * phi + l.h.x * qx + l.h.y * qy;
+    const std::array<double, 6> rhs{
+        g.x - rx,
+        g.y - ry,
+        now.u.x * g.x + now.u.y * g.y + g.t - l.u.x * p.x - l.u.y * p.y - p.t + bent,
+        l.c * rx + l.s * ry - now.c * g.x - now.s * g.y,
+        l.c * ry - l.s * rx - now.c * g.y + now.s * g.x,
+        p.t - g.t,
+    };
+    for (int k = 0; k < 3; ++k) {
+        i.rhs[k] += rhs[k] - edge.rhs[k];
+        j.rhs[k] += rhs[3 + k] - edge.rhs[3 + k];
+    }
+    edge.rhs = rhs;
+    const double change = now.cost - edge.cost;
+    edge.cost = now.cost;
+    return change;
+}
+
+void add_diagonal(Graph& graph, const Edge& edge, double sign) {
+    const Blocks parts = diagonal_blocks(edge);
+    Symmetric &i = graph.nodes[edge.ends[0]].diagonal, &j = graph.nodes[edge.ends[1]].diagonal;
+    i = i + sign * parts.first;
+    j = j + sign * parts.second;
+}
+
+/// Whether weight, lever or alpha of an edge are farther from those in the factor than `limit`: weights by a third, and lever
+/// and alpha so far that an increment of one standard deviation changes the residual, squared and in its own standard
+/// deviations, by that much. Poses that a stiff edge ties move together, so that a change of the lever in relation to itself
+/// says nothing.
+[[gnu::always_inline]] inline bool outdated(const Graph& graph, const Edge& edge, const Present& now, double limit) {
+    if (edge.robust && std::abs(now.weight - edge.weight) > std::min(reweighted, 3 * limit) * edge.weight + 0.01) return true;
+    const Symmetric& W = edge.omega;
+    const double size = graph.nodes[edge.ends[0]].turned;
+    const double turn = graph.nodes[edge.ends[1]].far * (now.s * edge.linear.c - now.c * edge.linear.s);
+    const double a = size * (now.u.x - edge.linear.u.x), b = size * (now.u.y - edge.linear.u.y);
+    return W.xx * a * a + 2 * W.xy * a * b + W.yy * b * b + (W.xx + W.yy) * turn * turn > limit;
+}
+
+}  // namespace
+
+Present linearize(const Graph& graph, const Edge& edge) { return present(graph, edge); }
+
+Evaluated evaluate(Graph& graph, Edge& edge, double limit, const Bent& bent) {
+    const Present now = present(graph, edge);
+    const double change = store(graph, edge, now);
+    if (outdated(graph, edge, now, limit)) return {change, true};
+    const double size = graph.nodes[edge.ends[0]].turned;
+    const Curvature next = curvature(edge, now, bent);
+    const double away = std::abs(next.h.x - edge.linear.h.x) + std::abs(next.h.y - edge.linear.h.y);
+    const double moved = std::abs(next.gamma - edge.linear.gamma) * size + 2 * away / std::sqrt(edge.omega.xx + edge.omega.yy);
+    return {change, size * moved * size * moved > limit};
+}
+
+double relinearize(Graph& graph, Edge& edge, const Bent& bent) {
+    const Present now = present(graph, edge);
+    add_diagonal(graph, edge, -1.0);
+    const Curvature second = curvature(edge, now, bent);
+    edge.weight = now.weight;
+    const bool bent_kernel = edge.robust && bent.convex < infinity;
+    edge.linear = {edge.robust ? robust_information(graph, edge, now, bent_kernel) : edge.omega, bent_kernel,
+                   now.u, now.c, now.s, second.gamma, second.h};
+    add_diagonal(graph, edge, 1.0);
+    return store(graph, edge, now);
+}
+
+bool differs_from_gauss_newton(const Graph& graph, const Edge& edge, double limit) {
+    if (edge.linear.bent || edge.linear.gamma != 0.0 || edge.linear.h.x != 0.0 || edge.linear.h.y != 0.0) return true;
+    return outdated(graph, edge, linearize(graph, edge), limit);
+}
+
+Blocks diagonal_blocks(const Edge& edge) {
+    const auto& [W, bent, u, c, s, gamma, h] = edge.linear;
+    const Vector a = W * Vector{u.x, u.y, 1.0};
+    Rotation back;
+    back.c = c, back.s = -s;
+    return {{W.xx, W.xy, W.yy, a.x - h.x, a.y - h.y, u.x * a.x + u.y * a.y + a.t + gamma}, turned(back, W)};
+}
+
+// B_i' W B_j
+std::array<double, 9> block_between(const Edge& edge) {
+    const auto& [W, bent, u, c, s, gamma, h] = edge.linear;
+    const Vector a = W * Vector{u.x, u.y, 1.0};
+    const double x = a.x - h.x, y = a.y - h.y;
+    return {-(W.xx * c + W.xy * s), W.xx * s - W.xy * c, -W.xt,  //
+            -(W.xy * c + W.yy * s), W.xy * s - W.yy * c, -W.yt,  //
+            -(x * c + y * s),       x * s - y * c,       -a.t};
+}
+
+}  // namespace vmslam::online

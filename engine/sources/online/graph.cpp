@@ -1,0 +1,114 @@
+#include "vmslam/online/graph.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace vmslam::online {
+namespace {
+
+/// Node j where the edge from node i says.
+void place_second(const NewEdge& edge, const Node& i, Node& j) {
+    const auto [c, s] = i.axes;
+    j.point = !edge.oriented;
+    j.begin({i.x[0] + c * edge.z.x - s * edge.z.y, i.x[1] + s * edge.z.x + c * edge.z.y,
+             edge.oriented ? i.x[2] + edge.z.t : 0.0});
+}
+
+/// Pose i so that the edge from it leads to pose j.
+void place_first(const NewEdge& edge, Node& i, const Node& j) {
+    const double heading = j.x[2] - edge.z.t;
+    const auto [c, s] = Rotation(heading);
+    i.point = false;
+    i.begin({j.x[0] - c * edge.z.x + s * edge.z.y, j.x[1] - s * edge.z.x - c * edge.z.y, heading});
+}
+
+/// The standard deviations of the nodes of a new edge. A pose without sightings takes those of the pose before it.
+void rescale(const NewEdge& edge, bool first_sighting, Node& i, Node& j) {
+    const double far = 1 / std::sqrt(std::min(edge.omega.xx, edge.omega.yy));
+    double turned = edge.oriented ? 1 / std::sqrt(edge.omega.tt) : infinity;
+    if (edge.kind == Kind::sighting) {
+        turned = far / std::max(std::hypot(edge.z.x, edge.z.y), far);
+        if (first_sighting) i.far = i.turned = infinity;
+    }
+    if (edge.kind == Kind::motion) {
+        if (i.far == infinity) i.far = far, i.turned = turned;
+        j.far = i.far, j.turned = i.turned;
+        return;
+    }
+    for (Node* const node : {&i, &j}) {
+        node->far = std::min(node->far, far);
+        node->turned = std::min(node->turned, turned);
+    }
+}
+
+}  // namespace
+
+std::vector<Number> Graph::append(std::span<const NewEdge> added, Number known) {
+    std::vector<Number> touched;
+    Number place = known;
+    const NewEdge* before = nullptr;
+    for (const NewEdge& from : added) {
+        const auto number = static_cast<Number>(edges.size());
+        Edge& edge = edges.emplace_back();
+        edge.z = from.z, edge.omega = from.omega, edge.oriented = from.oriented;
+        edge.robust = kernel && from.kind == Kind::sighting;
+        for (int side = 0; side < 2; ++side) {
+            const Number end = edge.ends[side] = side == 0 ? from.first : from.second;
+            Node& node = nodes[end];
+            edge.next[side] = node.edges;
+            node.edges = number;
+            if (node.local >= 0) continue;
+            node.local = 0;
+            touched.push_back(end);
+        }
+        Node &i = nodes[from.first], &j = nodes[from.second];
+        if (from.second >= place) {
+            place_second(from, i, j);
+            place = from.second + 1;
+        } else if (from.first >= place) {
+            place_first(from, i, j);
+            place = from.first + 1;
+        }
+        rescale(from, !before || before->kind != Kind::sighting, i, j);
+        before = &from;
+    }
+    for (const Number node : touched) nodes[node].local = -1;
+    return touched;
+}
+
+void Graph::detach(Number first) {
+    for (auto e = static_cast<Number>(edges.size()) - 1; e >= first; --e) {
+        const Edge& edge = edges[e];
+        for (const int side : {1, 0}) nodes[edge.ends[side]].edges = edge.next[side];
+    }
+    edges.resize(first);
+}
+
+void Graph::unlink(Number edge, Number node) {
+    const Number after = edges[edge].next[edges[edge].side(node)];
+    Number* at = &nodes[node].edges;
+    while (*at != edge) at = &edges[*at].next[edges[*at].side(node)];
+    *at = after;
+}
+
+std::vector<Number> Graph::edges_of(Number node) const {
+    std::vector<Number> found;
+    for (Number e = nodes[node].edges; e >= 0; e = edges[e].next[edges[e].side(node)]) found.push_back(e);
+    return found;
+}
+
+std::vector<Number> Graph::live_nodes() const {
+    std::vector<Number> found;
+    for (Number k = 0; k < size(); ++k)
+        if (!nodes[k].gone) found.push_back(k);
+    return found;
+}
+
+std::vector<Number> Graph::live_edges() const {
+    std::vector<Number> found;
+    for (std::size_t e = 0; e < edges.size(); ++e)
+        if (!edges[e].taken_out()) found.push_back(static_cast<Number>(e));
+    return found;
+}
+
+}  // namespace vmslam::online

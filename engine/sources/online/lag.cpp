@@ -1,0 +1,148 @@
+// Taking the edges of an old pose out of the graph. Eliminating the increments of its node from Omega d = rhs of its edges and
+// priors leaves a prior on its neighbours: dense, and exact for the linearisation that the edges had last.
+#include <algorithm>
+
+#include "vmslam/online/system.hpp"
+
+namespace vmslam::online {
+namespace {
+
+/// What edges and priors add to Omega (3k, 3k) and to the right-hand side (3k) of some nodes, which `Node::local` numbers.
+struct Dense {
+    std::size_t n;
+    std::vector<double> information, rhs;
+
+    explicit Dense(std::size_t nodes) : n(3 * nodes), information(n * n, 0.0), rhs(n, 0.0) {}
+
+    double& at(std::size_t i, std::size_t j) { return information[i * n + j]; }
+
+    void add(const Graph& graph, const Edge& edge) {
+        const std::size_t a = 3 * graph.nodes[edge.ends[0]].local, b = 3 * graph.nodes[edge.ends[1]].local;
+        const auto cross = block_between(edge);
+        const Blocks own = diagonal_blocks(edge);
+        for (int p = 0; p < 3; ++p)
+            for (int q = 0; q < 3; ++q) {
+                at(a + p, b + q) += cross[3 * p + q];
+                at(b + q, a + p) += cross[3 * p + q];
+            }
+        for (const auto& [at_node, D] : {std::pair(a, own.first), std::pair(b, own.second)}) {
+            const double block[9] = {D.xx, D.xy, D.xt, D.xy, D.yy, D.yt, D.xt, D.yt, D.tt};
+            for (int p = 0; p < 3; ++p)
+                for (int q = 0; q < 3; ++q) at(at_node + p, at_node + q) += block[3 * p + q];
+        }
+        for (int p = 0; p < 3; ++p) rhs[a + p] += edge.rhs[p], rhs[b + p] += edge.rhs[3 + p];
+    }
+    void add(const Graph& graph, const Prior& prior) {
+        const std::size_t k = prior.members.size();
+        for (std::size_t i = 0; i < 3 * k; ++i) {
+            const std::size_t row = 3 * graph.nodes[prior.members[i / 3]].local + i % 3;
+            for (std::size_t j = 0; j < 3 * k; ++j)
+                at(row, 3 * graph.nodes[prior.members[j / 3]].local + j % 3) += prior.information[i * 3 * k + j];
+            rhs[row] += prior.carry[i];
+        }
+    }
+};
+
+/// Take an edge out of the graph.
+void take_out(Graph& graph, Number number) {
+    Edge& edge = graph.edges[number];
+    const Blocks own = diagonal_blocks(edge);
+    for (int side = 0; side < 2; ++side) {
+        Node& node = graph.nodes[edge.ends[side]];
+        node.diagonal = node.diagonal + -1.0 * (side == 0 ? own.first : own.second);
+        for (int p = 0; p < 3; ++p) node.rhs[p] -= edge.rhs[3 * side + p];
+        graph.unlink(number, edge.ends[side]);
+    }
+    edge.ends[0] = edge.ends[1] = -1;
+}
+
+}  // namespace
+
+Triple OnlineSystem::marginalize(Number node, std::span<const Number> newest) {
+    const std::vector<Number> gone = graph_.edges_of(node);
+    std::vector<Number> around, removed{graph_.nodes[node].home};
+    for (const Number e : gone) around.insert(around.end(), graph_.edges[e].ends, graph_.edges[e].ends + 2);
+    const auto mine = std::stable_partition(priors_.begin(), priors_.end(), [&](const Prior& prior) {
+        return std::find(prior.members.begin(), prior.members.end(), node) == prior.members.end();
+    });
+    for (auto prior = mine; prior != priors_.end(); ++prior) {
+        around.insert(around.end(), prior->members.begin(), prior->members.end());
+        removed.push_back(prior->group);
+    }
+    std::sort(around.begin(), around.end());
+    around.erase(std::unique(around.begin(), around.end()), around.end());
+    std::vector<Number> members{node};
+    std::copy_if(around.begin(), around.end(), std::back_inserter(members), [&](Number other) { return other != node; });
+    const Triple value = values(members)[0];
+
+    Number local = 0;
+    for (const Number member : members) graph_.nodes[member].local = local++;
+    Dense dense(members.size());
+    for (const Number e : gone) {
+        memory_.cost += online::relinearize(graph_, graph_.edges[e], Bent::never());
+        dense.add(graph_, graph_.edges[e]);
+        memory_.cost -= graph_.edges[e].cost;
+        take_out(graph_, e);
+    }
+    for (auto prior = mine; prior != priors_.end(); ++prior) dense.add(graph_, *prior);
+    for (const Number member : members) graph_.nodes[member].local = -1;
+
+    priors_.erase(mine, priors_.end());
+    graph_.nodes[node].gone = true;
+    std::erase(pending_, node);
+    Reduced rest = without_first(dense.information, dense.rhs);
+    Prior prior{{members.begin() + 1, members.end()}, std::move(rest.information), rest.rhs, {}, rest.rhs};
+    std::vector<double> d;
+    for (const Number member : prior.members) {
+        prior.centre.push_back(graph_.nodes[member].x);
+        d.insert(d.end(), graph_.nodes[member].d.begin(), graph_.nodes[member].d.end());
+    }
+    const std::vector<double> pull = product(prior.information, d);
+    for (std::size_t k = 0; k < pull.size(); ++k) prior.rhs[k] -= pull[k];
+    hang_prior(prior);
+    priors_.push_back(std::move(prior));
+    if (lost_ || !eliminate({priors_.back().members, {}, newest, removed})) {
+        complete();
+        begin_at(places(), newest);
+    }
+    return value;
+}
+
+bool OnlineSystem::crowded() const {
+    const auto gone = std::count_if(graph_.nodes.begin(), graph_.nodes.end(), [](const Node& node) { return node.gone; });
+    return graph_.size() > 64 && 2 * gone > graph_.size();
+}
+
+std::vector<Number> OnlineSystem::renumber() {
+    // the last entry is that of number -1
+    std::vector<Number> node(graph_.nodes.size() + 1, -1), edge(graph_.edges.size() + 1, -1);
+    const auto new_number = [](const std::vector<Number>& of, Number old) { return old < 0 ? old : of[old]; };
+    Graph kept{{}, {}, graph_.kernel, graph_.gain};
+    for (const Number k : graph_.live_nodes()) {
+        node[k] = kept.size();
+        kept.nodes.push_back(graph_.nodes[k]);
+    }
+    for (const Number e : graph_.live_edges()) {
+        edge[e] = static_cast<Number>(kept.edges.size());
+        kept.edges.push_back(graph_.edges[e]);
+    }
+    for (Node& k : kept.nodes) k.edges = new_number(edge, k.edges), k.owned = new_number(edge, k.owned);
+    for (Edge& e : kept.edges) {
+        for (int side = 0; side < 2; ++side)
+            e.ends[side] = node[e.ends[side]], e.next[side] = new_number(edge, e.next[side]);
+        e.owner = new_number(node, e.owner);
+        e.next_owned = new_number(edge, e.next_owned);
+    }
+    for (Supernode& group : tree_.groups)
+        for (Number& k : group.nodes) k = node[k];
+    for (Prior& prior : priors_)
+        for (Number& k : prior.members) k = node[k];
+    for (Number& k : pending_) k = node[k];
+    std::erase(pending_, -1);
+    graph_ = std::move(kept);
+    ordered_ = std::min(ordered_, graph_.size());
+    node.pop_back();
+    return node;
+}
+
+}  // namespace vmslam::online

@@ -1,0 +1,197 @@
+// Eliminate the top of the tree again, in a new order.
+#include <algorithm>
+#include <tuple>
+
+#include "vmslam/online/edge.hpp"
+#include "vmslam/online/tree.hpp"
+#include "vmslam/sparse/ordering.hpp"
+#include "vmslam/sparse/pattern.hpp"
+
+namespace vmslam::online {
+namespace {
+
+using sparse::Place;
+using sparse::Symbolic;
+
+/// The top: its supernodes, nodes and edges, and the supernodes that hang below it. Its nodes are numbered by `Node::local`.
+struct Top {
+    std::vector<Number> removed, nodes, edges, below;
+    std::size_t fresh;  ///< the first edges are new
+
+    Top(Graph& graph, Tree& tree, const Changes& changes) {
+        for (const Number node : changes.touched) remove_from(tree, graph.nodes[node].home);
+        for (const Number s : changes.gone) remove_from(tree, s);
+        for (const Number s : removed)
+            for (const Number node : tree.groups[s].columns())
+                if (!graph.nodes[node].gone) add(graph, node);
+        for (const Number node : changes.touched)
+            if (graph.nodes[node].local < 0) add(graph, node);
+        edges.assign(changes.fresh.begin(), changes.fresh.end());
+        fresh = edges.size();
+        for (const Number node : nodes)
+            for (Number e = graph.nodes[node].owned; e >= 0; e = graph.edges[e].next_owned)
+                if (!graph.edges[e].taken_out()) edges.push_back(e);
+        find_below(tree);
+    }
+
+   private:
+    void remove_from(Tree& tree, Number s) {
+        for (; s > 0 && !tree.groups[s].marked; s = tree.groups[s].parent) {
+            tree.groups[s].marked = true;
+            removed.push_back(s);
+        }
+    }
+    void add(Graph& graph, Number node) {
+        graph.nodes[node].local = static_cast<Number>(nodes.size());
+        nodes.push_back(node);
+    }
+    void find_below(Tree& tree) {
+        // a new prior hangs below supernode 0
+        for (Number c = tree.groups[0].child; c > 0; c = tree.groups[c].sibling)
+            if (!tree.groups[c].marked && tree.groups[c].w == 0) below.push_back(c);
+        for (const Number s : removed)
+            for (Number c = tree.groups[s].child; c > 0; c = tree.groups[c].sibling)
+                if (!tree.groups[c].marked) below.push_back(c);
+        for (const Number s : removed) tree.groups[s].marked = false;
+    }
+};
+
+/// The structure of L for the groups of nodes that edges and supernodes below tie together, with the nodes `newest` last.
+Symbolic analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::span<const Number> newest) {
+    std::vector<Place> sizes, members;
+    const auto local = [&](Number node) { return static_cast<Place>(graph.nodes[node].local); };
+    for (const Number e : top.edges) {
+        const auto [low, high] = std::minmax({local(graph.edges[e].ends[0]), local(graph.edges[e].ends[1])});
+        sizes.push_back(2);
+        members.push_back(low);
+        members.push_back(high);
+    }
+    for (const Number s : top.below) {
+        sizes.push_back(tree.groups[s].r);
+        for (const Number node : tree.groups[s].separator()) members.push_back(local(node));
+        std::sort(members.end() - tree.groups[s].r, members.end());
+    }
+    const auto n = static_cast<Number>(top.nodes.size());
+    const sparse::WidePattern wide = sparse::pattern_of_groups(n, sizes, members);
+    const std::vector<Number> rows(wide.rows.begin(), wide.rows.end());
+    const sparse::Pattern pattern{wide.start, rows};
+    sparse::Order order = sparse::minimum_degree(pattern, n);
+    std::stable_partition(order.begin(), order.end(), [&](Number k) {
+        return std::find(newest.begin(), newest.end(), top.nodes[k]) == newest.end();
+    });
+    return sparse::analyze(pattern, order, {3, 3}, 1);
+}
+
+/// What an elimination changes in the graph and below the top, to put it back.
+class Kept {
+   public:
+    Kept(const Graph& graph, const Tree& tree, const Top& top, double cost) : top_(top), cost_(cost), root_(tree.groups[0].child) {
+        for (const Number node : top.nodes) nodes_.push_back(graph.nodes[node]);
+        for (const Number e : top.edges) edges_.push_back(graph.edges[e]);
+        for (const Number s : top.below) {
+            const Supernode& group = tree.groups[s];
+            places_.push_back({group.parent, group.sibling, group.split, group.ascending, group.relative, group.run_end});
+        }
+        for (Number c = root_; c > 0; c = tree.groups[c].sibling) roots_.push_back(c);
+    }
+    void put_back(Graph& graph, Tree& tree, double& cost) {
+        for (std::size_t k = 0; k < nodes_.size(); ++k) {
+            graph.nodes[top_.nodes[k]] = nodes_[k];
+            graph.nodes[top_.nodes[k]].local = -1;
+        }
+        for (std::size_t k = 0; k < edges_.size(); ++k) graph.edges[top_.edges[k]] = edges_[k];
+        for (std::size_t k = 0; k < places_.size(); ++k) {
+            Supernode& group = tree.groups[top_.below[k]];
+            std::tie(group.parent, group.sibling, group.split, group.ascending, group.relative, group.run_end) =
+                std::move(places_[k]);
+        }
+        tree.groups[0].child = root_;
+        for (std::size_t k = 0; k < roots_.size(); ++k)
+            tree.groups[roots_[k]].sibling = k + 1 < roots_.size() ? roots_[k + 1] : 0;
+        cost = cost_;
+    }
+
+   private:
+    const Top& top_;
+    double cost_;
+    Number root_;
+    std::vector<Node> nodes_;
+    std::vector<Edge> edges_;
+    std::vector<std::tuple<Number, Number, Number, bool, std::vector<Number>, std::vector<Number>>> places_;
+    std::vector<Number> roots_;
+};
+
+/// New supernodes in the tree in the place of those removed, which stay for now.
+std::vector<Number> link(Graph& graph, Tree& tree, const Top& top, const Symbolic& symbolic) {
+    const auto node_at = [&](Number column) { return top.nodes[symbolic.order[column]]; };
+    std::vector<Number> created;
+    for (Number k = 0; k < symbolic.supernodes(); ++k) {
+        const Front front = symbolic.front(k);
+        const Number s = tree.create(static_cast<Number>(front.w), static_cast<Number>(front.r));
+        created.push_back(s);
+        std::vector<Number>& nodes = tree.groups[s].nodes;
+        for (Number q = 0; q < front.w; ++q) {
+            nodes[q] = node_at(symbolic.first[k] + q);
+            graph.nodes[nodes[q]].home = s;
+            graph.nodes[nodes[q]].owned = -1;
+        }
+        for (Number q = 0; q < front.r; ++q) nodes[front.w + q] = node_at(symbolic.rows[symbolic.row_start[k] + q]);
+    }
+    // roots that are neither removed nor below stay
+    for (const Number s : top.removed) tree.groups[s].marked = true;
+    for (const Number s : top.below) tree.groups[s].marked = true;
+    std::vector<Number> roots;
+    for (Number c = tree.groups[0].child; c > 0; c = tree.groups[c].sibling)
+        if (!tree.groups[c].marked) roots.push_back(c);
+    for (const Number s : top.removed) tree.groups[s].marked = false;
+    for (const Number s : top.below) tree.groups[s].marked = false;
+    tree.groups[0].child = 0;
+    for (const Number s : roots) tree.hang(s, 0);
+    for (Number k = 0; k < symbolic.supernodes(); ++k)
+        tree.hang(created[k], symbolic.parent[k] < 0 ? 0 : created[symbolic.parent[k]]);
+    const auto place = [&](Number node) { return symbolic.position[graph.nodes[node].local]; };
+    for (const Number s : top.below) {
+        const auto separator = tree.groups[s].separator();
+        const auto lowest = std::min_element(separator.begin(), separator.end(),
+                                             [&](Number a, Number b) { return place(a) < place(b); });
+        tree.hang(s, lowest == separator.end() ? 0 : graph.nodes[*lowest].home);
+    }
+    for (const Number e : top.edges) {
+        Edge& edge = graph.edges[e];
+        edge.owner = edge.ends[place(edge.ends[0]) < place(edge.ends[1]) ? 0 : 1];
+        edge.next_owned = graph.nodes[edge.owner].owned;
+        graph.nodes[edge.owner].owned = e;
+    }
+    for (const Number node : top.nodes) graph.nodes[node].local = -1;
+    return created;
+}
+
+}  // namespace
+
+bool rebuild(Graph& graph, Tree& tree, const Changes& changes, const Bent& bent, double& cost) {
+    const Top top(graph, tree, changes);
+    const Symbolic symbolic = analyze_top(graph, tree, top, changes.newest);
+    Kept before(graph, tree, top, cost);
+    const std::size_t size_before = tree.groups.size();
+    const std::vector<Number> created = link(graph, tree, top, symbolic);
+    for (std::size_t k = 0; k < top.edges.size(); ++k) {
+        // far from the minimum second derivatives mislead: new edges are without, unless all are new
+        const bool without = k < top.fresh && top.fresh < top.edges.size();
+        cost += relinearize(graph, graph.edges[top.edges[k]], without ? Bent::never() : bent);
+    }
+    for (const Number s : created) {
+        tree.relate_children(graph, s);
+        if (tree.factorize(graph, s)) continue;
+        before.put_back(graph, tree, cost);
+        tree.take_back(created, size_before);
+        return false;
+    }
+    for (const Number s : top.removed) tree.release(s);
+    for (const Number s : created) {
+        tree.forward(graph, s);
+        tree.groups[s].changed = true;
+    }
+    return true;
+}
+
+}  // namespace vmslam::online

@@ -1,0 +1,199 @@
+// Passes of one step, until the cost falls no further.
+//
+// Coarse passes look only at what has moved far. The work that the forces of new edges have done on the older ones bounds how
+// far these are from where they were evaluated, whatever moves as one piece. Where that work is above what was harmless so
+// far, fine passes look at all nodes. The decrease of J that the first one predicts is the price of the coarse passes since
+// the last fine one, and sets the work that is allowed from then on.
+#include <algorithm>
+#include <cmath>
+
+#include "vmslam/online/system.hpp"
+
+namespace vmslam::online {
+namespace {
+
+/// In standard deviations of the edges of a node: edges are evaluated again where a node has moved by `apart`, where J is
+/// `small`. It grows with the square root of J, in fine passes up to there, in coarse passes by no more than `coarse`; these
+/// also solve the tree downwards only where a separator has moved as far.
+constexpr double apart = 0.007, small = 600.0, coarse = 10.0;
+/// Where a pass predicts more than `slow` times the decrease of the pass before, the limit beyond which an edge is linearised
+/// again is multiplied by `stricter`, and by `easier` after every step whose last pass does not.
+constexpr double slow = 0.2, stricter = 0.1, easier = 1.5;
+/// The same where edges were linearised again, more than `diverging` times. Where the predicted decrease grows `grows` times
+/// then, although it is below `near` times J and the limit below `strict`, all edges get their second derivatives. These make
+/// passes slow along directions that are hardly determined, so that they are not in the factor otherwise.
+constexpr double diverging = 0.5, grows = 1.5, near = 1e-6, strict = 1e-4;
+/// For so many passes second derivatives are convex once exact ones have made Omega indefinite.
+constexpr int held = 3;
+/// The part of the tolerance that coarse passes may cost, and the most work that is allowed, as a part of J.
+constexpr double price = 0.3, most_work = 1e-3;
+/// By so much the largest ratio of what coarse passes cost to the square of their work falls with each fine pass, and that of
+/// the predictions of two passes with each step.
+constexpr double forget = 0.9;
+/// Passes end where one predicts that J falls by so many times itself.
+constexpr double hopeless = 10.0;
+/// What a further pass would predict, as a part of what this one predicts, is assumed to be no less.
+constexpr double least_left = 0.3;
+
+}  // namespace
+
+OnlineSystem::Outcome OnlineSystem::advance(int& done, std::span<const Number> fresh, std::span<const Number> touched,
+                                            std::span<const Triple> before) {
+    Memory& m = memory_;
+    const double size = std::min(std::max(std::sqrt(m.cost / small), 0.01), coarse);
+    const double far = apart * size, close = apart * std::min(size, 1.0);
+    bool fine = m.work > m.allowed, first = fine, renewed = false;
+    double last = infinity;
+    std::vector<Number> moved;
+    m.shrinks *= forget;
+    while (done < most_passes_) {
+        if (m.hold > 0 && --m.hold == 0) m.bent.exact = Bent{}.exact;
+        moved = std::move(pending_);
+        pending_.clear();
+        std::erase_if(moved, [&](Number node) { return !graph_.nodes[node].beyond(graph_.nodes[node].evaluated, close); });
+        tree_.backward(graph_, fine ? -1.0 : far, fine ? close : far, moved);
+        // edges are evaluated where both ends are exact
+        if (!fine && !moved.empty()) tree_.solve_paths(graph_, homes_around(moved), far);
+        Evaluation edges = evaluate_edges(moved);
+        const double predicted = tree_.forward(graph_, edges.homes);
+        // J cannot fall by more than itself: far from any minimum, undamped passes lead nowhere
+        if (!(predicted < hopeless * m.cost + 1.0) || !std::isfinite(m.cost)) break;
+        if (first) allow_work(predicted);
+        first = false;
+        // what is left after this pass, if the predictions of further ones shrink as slowly as lately
+        m.shrinks = std::max({m.shrinks, std::min(predicted / last, 0.9), m.bent.convex == 0.0 ? 0.75 : 0.0});
+        if (predicted * std::max(least_left, m.shrinks / (1 - m.shrinks)) <= tolerance_ * m.cost) {
+            // what moves now is evaluated by the next step
+            moved.clear();
+            if (!edges.homes.empty()) tree_.backward(graph_, far, close, moved);
+            pending_ = moved;
+            if (predicted < slow * last) m.limit = std::min(Memory{}.limit, easier * m.limit);
+            if (fine) return Outcome::done;
+            m.work += work_of(fresh, touched, before);
+            first = fine = m.work > m.allowed;
+            if (!fine) return Outcome::done;
+            last = infinity, renewed = false;
+            ++done;
+            continue;
+        }
+        if (predicted > (renewed ? diverging : slow) * last) {
+            const bool closing = grows * last < predicted && predicted < near * m.cost;
+            if (closing && renewed && m.hold == 0 && m.limit < strict && m.bent.convex > 0.0)
+                m.bent.convex = 0.0;
+            else  // slow passes: more of the edges have to be linearised where they are
+                m.limit = std::max(stricter * m.limit, 1e-9);
+        }
+        last = predicted;
+        renewed = !edges.late.empty();
+        ++done;
+        while (renewed && !refactor(graph_, tree_, edges.late, m.bent, m.cost)) {
+            if (m.hold > 0) return Outcome::indefinite;
+            m.bent.exact = infinity;
+            m.hold = held;
+        }
+    }
+    done = most_passes_;
+    return Outcome::unfinished;
+}
+
+void OnlineSystem::allow_work(double predicted) {
+    Memory& m = memory_;
+    if (m.work < infinity) {
+        // what linear increments leave out grows with the square of the work
+        const double work = std::max(m.work, 1e-9);
+        m.rate = std::max(predicted / (work * work), forget * m.rate);
+        m.allowed = std::min({std::sqrt(price * tolerance_ * m.cost / std::max(m.rate, 1e-30)), 2 * std::max(m.allowed, 1e-3),
+                              most_work * m.cost});
+    }
+    m.work = 0.0;
+}
+
+// The forces of edges on their nodes, times the way of these since the increments `before`: twice the energy that all other
+// edges have taken up.
+double OnlineSystem::work_of(std::span<const Number> fresh, std::span<const Number> touched,
+                             std::span<const Triple> before) const {
+    const auto way = [&](Number number) -> Vector {
+        const auto at = std::find(touched.begin(), touched.end(), number) - touched.begin();
+        const Node& node = graph_.nodes[number];
+        return {node.d[0] - before[at][0], node.d[1] - before[at][1], node.d[2] - before[at][2]};
+    };
+    double total = 0.0;
+    for (const Number e : fresh) {
+        const Edge& edge = graph_.edges[e];
+        const Present now = linearize(graph_, edge);
+        const Vector& g = now.g;
+        const Vector a = way(edge.ends[0]), b = way(edge.ends[1]);
+        total += g.x * a.x + g.y * a.y + (now.u.x * g.x + now.u.y * g.y + g.t) * a.t;
+        total -= g.x * (now.c * b.x - now.s * b.y) + g.y * (now.s * b.x + now.c * b.y) + g.t * b.t;
+    }
+    return std::abs(total);
+}
+
+std::vector<Number> OnlineSystem::homes_around(std::span<const Number> moved) {
+    std::vector<Number> homes;
+    for (const Number node : moved)
+        for (Number e = graph_.nodes[node].edges; e >= 0;) {
+            const Edge& edge = graph_.edges[e];
+            const int side = edge.side(node);
+            const Number home = graph_.nodes[edge.ends[1 - side]].home;
+            if (!tree_.groups[home].marked) {
+                tree_.groups[home].marked = true;
+                homes.push_back(home);
+            }
+            e = edge.next[side];
+        }
+    for (const Number s : homes) tree_.groups[s].marked = false;
+    return homes;
+}
+
+OnlineSystem::Evaluation OnlineSystem::evaluate_edges(std::span<const Number> moved) {
+    Evaluation result;
+    const Stamp stamp = ++tree_.stamp;
+    for (const Number node : moved) graph_.nodes[node].evaluated = graph_.nodes[node].x;
+    for (const Number node : moved)
+        for (Number e = graph_.nodes[node].edges; e >= 0;) {
+            Edge& edge = graph_.edges[e];
+            if (edge.mark != stamp) {
+                edge.mark = stamp;
+                const auto [change, outdated] = evaluate(graph_, edge, memory_.limit, memory_.bent);
+                memory_.cost += change;
+                if (outdated) result.late.push_back(e);
+                for (const Number end : edge.ends) {
+                    Supernode& home = tree_.groups[graph_.nodes[end].home];
+                    if (home.marked) continue;
+                    home.marked = true;
+                    result.homes.push_back(graph_.nodes[end].home);
+                }
+            }
+            e = edge.next[edge.side(node)];
+        }
+    for (const Number s : result.homes) tree_.groups[s].marked = false;
+    return result;
+}
+
+bool OnlineSystem::iterate(std::span<const Number> newest, std::span<const Number> fresh, std::span<const Number> touched,
+                           std::span<const Triple> before) {
+    known_ = false;
+    for (int done = 0;;) {
+        const int earlier = done;
+        const Outcome outcome = advance(done, fresh, touched, before);
+        passes += done - earlier;
+        if (outcome != Outcome::indefinite) return outcome == Outcome::done;
+        memory_.bent.exact = memory_.work = infinity;
+        memory_.hold = held;
+        const std::vector<Number> every = graph_.live_nodes();
+        if (!eliminate({every, {}, newest, {}})) return false;
+    }
+}
+
+bool OnlineSystem::eliminate(const Changes& changes) {
+    known_ = false;
+    while (!rebuild(graph_, tree_, changes, memory_.bent, memory_.cost)) {
+        if (memory_.hold > 0) return false;
+        memory_.bent.exact = infinity;
+        memory_.hold = held;
+    }
+    return true;
+}
+
+}  // namespace vmslam::online

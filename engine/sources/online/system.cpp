@@ -1,0 +1,221 @@
+#include "vmslam/online/system.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <tuple>
+
+namespace vmslam::online {
+namespace {
+
+/// Everything is ordered again where there are so many times as many nodes as the last time.
+constexpr double growth = 1.3;
+/// How far the edges of a factor may be from the present ones where a covariance is asked for; see `Memory::limit`.
+constexpr double known_limit = 1e-5;
+
+}  // namespace
+
+void OnlineSystem::use_kernel(const edges::Kernel& kernel, double gain) {
+    graph_.kernel = kernel;
+    graph_.gain = gain;
+}
+
+Number OnlineSystem::add_node() {
+    graph_.nodes.emplace_back();
+    return graph_.size() - 1;
+}
+
+void OnlineSystem::add_prior(std::span<const Number> nodes, std::span<const Triple> places, std::vector<double> information,
+                             bool points) {
+    Prior prior{{nodes.begin(), nodes.end()}, std::move(information), std::vector<double>(3 * nodes.size(), 0.0),
+                {places.begin(), places.end()}, {}};
+    for (std::size_t k = 0; k < nodes.size(); ++k) {
+        graph_.nodes[nodes[k]].point = points;
+        graph_.nodes[nodes[k]].begin(places[k]);
+    }
+    if (!points) prior.turn_to_poses();
+    prior.carry = prior.rhs;
+    hang_prior(prior);
+    priors_.push_back(std::move(prior));
+}
+
+/// Put a prior into the tree, where the next elimination of its nodes finds it.
+void OnlineSystem::hang_prior(Prior& prior) {
+    const auto k = static_cast<Number>(prior.members.size());
+    prior.group = tree_.create(0, k);
+    Supernode& group = tree_.groups[prior.group];
+    group.nodes = prior.members;
+    const Front front = group.front();
+    for (Number column = 0; column < 3 * k; ++column) {
+        double* const to = group.update() + column * front.update_height;
+        std::fill_n(to, front.update_pad, 0.0);
+        std::copy_n(prior.information.data() + column * 3 * k, 3 * k, to + front.update_pad);
+    }
+    std::copy(prior.carry.begin(), prior.carry.end(), group.carry());
+    tree_.hang(prior.group, 0);
+}
+
+bool OnlineSystem::add(Number known, std::span<const NewEdge> added, std::span<const Number> newest) {
+    if (added.empty()) {
+        // a known pose from which nothing is seen
+        passes = 0;
+        return true;
+    }
+    const auto first = static_cast<Number>(graph_.edges.size());
+    const auto before = std::tuple(memory_, ordered_, passes, converged, known_);
+    // the scales of older nodes are all that changes before an elimination has succeeded
+    struct Scale {
+        Number node;
+        double far, turned;
+    };
+    std::vector<Scale> scales;
+    for (const NewEdge& edge : added)
+        for (const Number end : {edge.first, edge.second})
+            if (end < known) scales.push_back({end, graph_.nodes[end].far, graph_.nodes[end].turned});
+    const std::vector<Number> touched = graph_.append(added, known);
+    std::vector<Number> fresh;
+    for (auto e = first; e < static_cast<Number>(graph_.edges.size()); ++e) fresh.push_back(e);
+    if (solve(touched, fresh, newest)) return true;
+    graph_.detach(first);
+    for (const auto& [node, far, turned] : scales) graph_.nodes[node].far = far, graph_.nodes[node].turned = turned;
+    graph_.nodes.resize(known);
+    std::tie(memory_, ordered_, passes, converged, known_) = before;
+    return false;
+}
+
+bool OnlineSystem::solve(std::span<const Number> touched, std::span<const Number> fresh, std::span<const Number> newest) {
+    std::vector<Number> every, all;
+    if (const auto n = graph_.size(); n > growth * ordered_ + 50) {
+        ordered_ = n;
+        touched = every = graph_.live_nodes();
+    }
+    if (lost_) {
+        touched = every = graph_.live_nodes();
+        fresh = all = graph_.live_edges();
+    }
+    passes = 0;
+    std::vector<Triple> before;
+    for (const Number node : touched) before.push_back(graph_.nodes[node].d);
+    if (!eliminate({touched, fresh, newest, {}})) {
+        // exact second derivatives below the top may make it indefinite
+        if (!every.empty()) return false;
+        every = graph_.live_nodes();
+        if (touched.size() == every.size() || !eliminate({every, fresh, newest, {}})) return false;
+    }
+    lost_ = false;
+    ++tree_.step;
+    converged = iterate(newest, fresh, touched, before) || solve_as_batch(newest);
+    return true;
+}
+
+bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Number> newest) {
+    for (std::size_t k = 0; k < x.size(); ++k) {
+        Node& node = graph_.nodes[k];
+        Node anew;
+        anew.far = node.far, anew.turned = node.turned, anew.edges = node.edges;
+        anew.point = node.point, anew.gone = node.gone;
+        anew.begin(x[k]);
+        node = anew;
+    }
+    for (Edge& edge : graph_.edges) {
+        edge.linear = {};
+        edge.weight = edge.cost = 0.0;
+        edge.rhs = {};
+        edge.mark = 0;
+    }
+    pending_.clear();
+    memory_.cost = 0.0;
+    memory_.work = infinity;
+    const double tolerance = tree_.pivot_tolerance;
+    tree_ = Tree();
+    tree_.pivot_tolerance = tolerance;
+    for (Prior& prior : priors_) {
+        prior.carry = prior.carry_at(graph_);
+        hang_prior(prior);
+    }
+    const std::vector<Number> nodes = graph_.live_nodes(), edges = graph_.live_edges();
+    lost_ = !eliminate({nodes, edges, newest, {}});
+    return !lost_;
+}
+
+void OnlineSystem::relinearize(std::span<const Number> newest) {
+    factorize_again(newest);
+    converged = !lost_ && iterate(newest);
+    if (!converged) begin_at(places(), newest);
+}
+
+/// The factor of Gauss-Newton at the estimate, without second derivatives; returns whether there is one.
+bool OnlineSystem::factorize_again(std::span<const Number> newest) {
+    complete();
+    const std::vector<Triple> x = places();
+    memory_.bent.convex = memory_.work = infinity;
+    const std::vector<Number> nodes = graph_.live_nodes(), edges = graph_.live_edges();
+    bool good = !lost_ && (refactor(graph_, tree_, edges, memory_.bent, memory_.cost) || eliminate({nodes, {}, newest, {}}));
+    good = good || begin_at(x, newest);
+    memory_.bent.convex = Bent{}.convex;
+    // second derivatives may make it definite, so that steps can go on
+    if (!good) begin_at(x, newest);
+    return good;
+}
+
+// Second derivatives only help passes to converge: they are no information that the graph has, or take some away. So edges
+// enter the factor as Gauss-Newton has them, where covariances would be wrong otherwise.
+bool OnlineSystem::linearize_late(std::span<const Number> newest) {
+    if ((lost_ || memory_.bent.convex == 0.0) && !factorize_again(newest)) return false;
+    if (known_) return true;
+    known_ = true;
+    std::vector<Number> late;
+    for (const Number e : graph_.live_edges())
+        if (differs_from_gauss_newton(graph_, graph_.edges[e], known_limit)) late.push_back(e);
+    if (late.empty()) return true;
+    const Bent without{infinity, memory_.bent.exact};
+    known_ = refactor(graph_, tree_, late, without, memory_.cost) || factorize_again(newest);
+    return known_;
+}
+
+std::optional<std::vector<double>> OnlineSystem::covariance(std::span<const Number> nodes, std::span<const Number> newest) {
+    if (!converged) {
+        // making the factor of Gauss-Newton may fail where steps have not converged, and would cost the one that there is
+        OnlineSystem other = *this;
+        other.converged = true;
+        return other.covariance(nodes, newest);
+    }
+    if (!linearize_late(newest)) return std::nullopt;
+    // the axes of the nodes are those of the solution
+    values(nodes);
+    return tree_.covariance(graph_, nodes);
+}
+
+std::vector<Triple> OnlineSystem::values(std::span<const Number> nodes) {
+    std::vector<Number> homes;
+    for (const Number node : nodes) homes.push_back(graph_.nodes[node].home);
+    tree_.solve_paths(graph_, homes, 0.0);
+    std::vector<Triple> x;
+    for (const Number node : nodes) x.push_back(graph_.nodes[node].x);
+    return x;
+}
+
+void OnlineSystem::complete() {
+    std::vector<Number> moved;
+    tree_.backward(graph_, -1.0, infinity, moved);
+}
+
+double OnlineSystem::cost() {
+    complete();
+    double total = 0.0;
+    for (const Edge& edge : graph_.edges)
+        if (!edge.taken_out()) total += linearize(graph_, edge).cost;
+    return total;
+}
+
+std::vector<Triple> OnlineSystem::places() const {
+    std::vector<Triple> x;
+    for (const Node& node : graph_.nodes) x.push_back(node.x);
+    return x;
+}
+
+std::size_t OnlineSystem::bytes() const {
+    return graph_.nodes.capacity() * sizeof(Node) + graph_.edges.capacity() * sizeof(Edge) +
+           tree_.groups.capacity() * sizeof(Supernode) + static_cast<std::size_t>(tree_.numbers()) * sizeof(double);
+}
+
+}  // namespace vmslam::online

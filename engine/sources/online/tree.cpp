@@ -1,0 +1,206 @@
+#include "vmslam/online/tree.hpp"
+
+#include <algorithm>
+
+#include "sparse/supernode.hpp"
+#include "vmslam/online/edge.hpp"
+
+namespace vmslam::online {
+
+using sparse::Place;
+using sparse::Real3;
+
+Supernode::Supernode(Number w, Number r) : w(w), r(r), nodes(w + r) {
+    const Front f = front();
+    numbers = Numbers(3 * (w * f.height + r * f.update_height + w + r));
+    std::fill_n(y(), 3 * (w + r), 0.0);
+}
+
+Number Tree::create(Number w, Number r) {
+    if (free_.empty()) {
+        groups.emplace_back(w, r);
+        return static_cast<Number>(groups.size()) - 1;
+    }
+    const Number s = free_.back();
+    free_.pop_back();
+    groups[s] = Supernode(w, r);
+    return s;
+}
+
+void Tree::release(Number s) {
+    groups[s] = Supernode();
+    free_.push_back(s);
+}
+
+void Tree::take_back(std::span<const Number> created, std::size_t size_before) {
+    for (auto s = created.rbegin(); s != created.rend(); ++s)
+        if (*s < static_cast<Number>(size_before)) release(*s);
+    groups.resize(size_before);
+}
+
+void Tree::hang(Number s, Number parent) {
+    groups[s].parent = parent;
+    groups[s].sibling = groups[parent].child;
+    groups[parent].child = s;
+}
+
+std::ptrdiff_t Tree::numbers() const {
+    std::ptrdiff_t total = 0;
+    for (const Supernode& group : groups) total += group.numbers.size();
+    return total;
+}
+
+double* Tree::work(Place rows) {
+    if (work_.size() < rows) work_ = Numbers(2 * rows);
+    return work_.data();
+}
+
+std::vector<Number> Tree::upwards(std::span<const Number> homes) {
+    std::vector<Number> path, chains, order;
+    for (Number s : homes) {
+        if (groups[s].marked) continue;
+        chains.push_back(static_cast<Number>(path.size()));
+        for (; s > 0 && !groups[s].marked; s = groups[s].parent) {
+            groups[s].marked = true;
+            path.push_back(s);
+        }
+    }
+    // a chain ends below a supernode of an earlier chain, so the last one comes first
+    order.reserve(path.size());
+    auto end = path.end();
+    for (auto chain = chains.rbegin(); chain != chains.rend(); ++chain) {
+        order.insert(order.end(), path.begin() + *chain, end);
+        end = path.begin() + *chain;
+    }
+    for (const Number s : order) groups[s].marked = false;
+    return order;
+}
+
+void Tree::relate_children(Graph& graph, Number s) {
+    const Supernode& parent = groups[s];
+    Number place = 0;
+    for (const Number node : parent.nodes) graph.nodes[node].local = place++;
+    for (Number c = parent.child; c > 0; c = groups[c].sibling) {
+        Supernode& child = groups[c];
+        child.relative.resize(child.r);
+        child.run_end.resize(child.r);
+        child.ascending = true;
+        child.split = 0;
+        for (Number k = 0; k < child.r; ++k) {
+            child.relative[k] = graph.nodes[child.nodes[child.w + k]].local;
+            child.ascending &= k == 0 || child.relative[k] > child.relative[k - 1];
+            child.split += child.relative[k] < parent.w;
+        }
+        for (Number k = child.r - 1, end = child.r; k >= 0; --k) {
+            if (k + 1 < child.r && child.relative[k + 1] != child.relative[k] + 1) end = k + 1;
+            child.run_end[k] = end;
+        }
+    }
+    for (const Number node : parent.nodes) graph.nodes[node].local = -1;
+}
+
+namespace {
+
+/// Add the blocks of the update matrix of a child that lie in the first w columns of its parent, or in the others, where its
+/// separator is in another order than the front of the parent. `skip` nodes are left out of the target.
+void extend_in_any_order(Supernode& child, bool others, Number w, double* target, Place height, Place pad, Number skip) {
+    const Front front = child.front();
+    const double* const update = child.update() + front.update_pad;
+    for (Number j = 0; j < child.r; ++j)
+        for (Number i = j; i < child.r; ++i) {
+            const auto [column, row] = std::minmax(child.relative[i], child.relative[j]);
+            if ((column >= w) != others) continue;
+            double* const t = target + 3 * (column - skip) * height + pad + 3 * (row - skip);
+            const double* const from = update + 3 * j * front.update_height + 3 * i;
+            const bool turned = child.relative[i] < child.relative[j];
+            for (int c = 0; c < 3; ++c)
+                for (int r = 0; r < 3; ++r)
+                    t[turned ? r * height + c : c * height + r] += from[c * front.update_height + r];
+        }
+}
+
+}  // namespace
+
+/// The blocks of Omega in the columns of a panel: the diagonal, and the edges that the nodes own.
+void Tree::put_entries(const Graph& graph, const Supernode& group, double* x) {
+    const Front front = group.front();
+    const Place h = front.height;
+    for (Number q = 0; q < group.w; ++q) {
+        const Node& node = graph.nodes[group.nodes[q]];
+        const Symmetric& D = node.diagonal;
+        double* const column = x + 3 * q * h + front.pad;
+        double* const t = column + 3 * q;
+        t[0] = D.xx, t[1] = D.xy, t[2] = D.xt;
+        t[h + 1] = D.yy, t[h + 2] = D.yt;
+        t[2 * h + 2] = D.tt + (node.point ? 1.0 : 0.0);
+        for (Number e = node.owned; e >= 0; e = graph.edges[e].next_owned) {
+            const Edge& edge = graph.edges[e];
+            if (edge.taken_out()) continue;
+            const int side = edge.side(group.nodes[q]);
+            const auto block = block_between(edge);
+            double* const to = column + 3 * graph.nodes[edge.ends[1 - side]].local;
+            for (int k = 0; k < 3; ++k)
+                for (int i = 0; i < 3; ++i) to[side == 0 ? k * h + i : i * h + k] += block[3 * k + i];
+        }
+    }
+}
+
+bool Tree::factorize(Graph& graph, Number s) {
+    Supernode& group = groups[s];
+    const Front front = group.front();
+    const Place h = front.height;
+    double* const x = group.panel();
+    const Place packing = sparse::packing<Real3>(group.w, h);
+    if (packed_.empty() || packed_[0].size() < packing) packed_.assign(1, Numbers(2 * packing));
+    const sparse::Panel<Real3> panel{x, front, packed_};
+    std::memset(x, 0, 3 * group.w * h * sizeof(double));
+    Number place = 0;
+    for (const Number node : group.nodes) graph.nodes[node].local = place++;
+    put_entries(graph, group, x);
+    for (const Number node : group.nodes) graph.nodes[node].local = -1;
+    double* const limits = work(3 * group.w);
+    for (Place k = 0; k < 3 * group.w; ++k) {
+        const double d = x[k * h + front.pad + k];
+        limits[k] = d > 0.0 ? pivot_tolerance * d : 0.0;
+    }
+    for (Number c = group.child; c > 0; c = groups[c].sibling) {
+        Supernode& child = groups[c];
+        if (!child.ascending)
+            extend_in_any_order(child, false, group.w, x, h, front.pad, 0);
+        else
+            sparse::extend<Real3>(child.front(), child.relative.data(), child.run_end.data(), 0, child.split, child.update(), x, h,
+                                  front.pad, 0);
+    }
+    if (panel.factorize(limits) >= 0) return false;
+    if (group.r == 0) return true;
+    // only the columns are needed before the factorisation, so the update matrix is written by the product and never cleared
+    double* const update = group.update();
+    panel.update_matrix(update);
+    for (Number c = group.child; c > 0; c = groups[c].sibling) {
+        Supernode& child = groups[c];
+        if (!child.ascending)
+            extend_in_any_order(child, true, group.w, update, front.update_height, front.update_pad, group.w);
+        else
+            sparse::extend<Real3>(child.front(), child.relative.data(), child.run_end.data(), child.split, child.r, child.update(),
+                                  update, front.update_height, front.update_pad, group.w);
+    }
+    return true;
+}
+
+bool refactor(Graph& graph, Tree& tree, std::span<const Number> late, const Bent& bent, double& cost) {
+    std::vector<Number> homes;
+    homes.reserve(late.size());
+    for (const Number e : late) {
+        cost += relinearize(graph, graph.edges[e], bent);
+        homes.push_back(graph.nodes[graph.edges[e].owner].home);
+    }
+    bool good = true;
+    for (const Number s : tree.upwards(homes)) {
+        good = good && tree.factorize(graph, s);
+        if (good) tree.forward(graph, s);
+        tree.groups[s].changed = true;
+    }
+    return good;
+}
+
+}  // namespace vmslam::online

@@ -1,0 +1,139 @@
+// One supernode: factorising its panel, its update matrix, adding that to the parent, and triangular solves.
+#pragma once
+
+#include <algorithm>
+#include <span>
+
+#include "sparse/panel.hpp"
+#include "sparse/parallel.hpp"
+
+namespace vmslam::sparse {
+
+/// Nodes of a wide panel that are factorised before the rest is updated at once; the update of the rest of a wider panel is
+/// large enough to copy its operands.
+inline constexpr Step inner = 16, outer = 64;
+
+/// A panel in work: its numbers, its front, and scratch for products for each of the threads that may work on it.
+template <class Block>
+struct Panel {
+    double* x;
+    Front front;
+    std::span<Numbers> scratch;
+
+    double* packed() const { return scratch[0].data(); }
+
+    /// work(from, to, packed) for all of `nodes` node columns, on several threads where the flops are worth it. Every number is
+    /// computed as on one thread.
+    template <class Work>
+    void share(Step nodes, Step rows, Step depth, const Work& work) const {
+        const int count = threads_for(scratch.size(), nodes, rows, depth, Block::columns * nodes);
+        if (count == 1) {
+            work(Step{0}, nodes, packed());
+            return;
+        }
+        in_parallel(count, [&](int k) {
+            for (Step j = k * shared_nodes; j < nodes; j += count * shared_nodes)
+                work(j, std::min(j + shared_nodes, nodes), scratch[k].data());
+        });
+    }
+
+    double* node(Step j) const { return x + Block::columns * j * front.height; }
+    Step row(Step j) const { return front.pad + Block::rows * j; }
+
+    /// Left-looking factorisation of node columns `begin` to `end`, those before being done with; the bad pivot, or -1.
+    Place factorize_columns(Step begin, Step end, const double* limits) const {
+        const Step h = front.height;
+        for (Step j = begin; j < end; ++j) {
+            double* const column = node(j);
+            if (const Step top = group_of(row(j)); j > begin)
+                product<Block, true>({column + top, h}, {node(begin) + top, h}, node(begin) + row(j), h, h - top, 1,
+                                     Block::columns * (j - begin), -1, packed());
+            typename Block::Pivot pivot;
+            const int bad = Block::factorize(column + row(j), h, limits + Block::rows * j, pivot);
+            const Step below = group_of(row(j + 1));
+            Block::solve_rows(column + below, h, h - below, pivot);
+            // written last, because the group of rows on top may have overwritten the diagonal block
+            pivot.store(column + row(j), h);
+            if (bad >= 0) return Block::rows * j + bad;
+        }
+        return -1;
+    }
+
+    /// Node columns `stop` to `end` minus the product with the finished ones from `begin` on.
+    void update_rest(Step begin, Step stop, Step end) const {
+        const Step h = front.height, depth = Block::columns * (stop - begin);
+        share(end - stop, h - row(stop), depth, [&](Step from, Step to, double* packed) {
+            const Step first = row(stop + from), top = group_of(first);
+            product<Block, true>({node(stop + from) + top, h}, {node(begin) + top, h}, node(begin) + first, h, h - top,
+                                 to - from, depth, first - top, packed);
+        });
+    }
+
+    Place factorize(const double* limits) const {
+        for (Step out = 0; out < front.w; out += outer) {
+            const Step last = std::min(out + outer, front.w);
+            for (Step in = out; in < last; in += inner) {
+                const Step stop = std::min(in + inner, last);
+                if (const Place bad = factorize_columns(in, stop, limits); bad >= 0) return bad;
+                if (stop < last) update_rest(in, stop, last);
+            }
+            if (last < front.w) update_rest(out, last, front.w);
+        }
+        return -1;
+    }
+
+    /// The lower triangle of -L21 L21^H.
+    void update_matrix(double* u) const {
+        const Step h = front.height, hu = front.update_height, depth = Block::columns * front.w;
+        share(front.r, hu, depth, [&](Step from, Step to, double* packed) {
+            const Step first = front.update_pad + Block::rows * from, top = group_of(first);
+            product<Block, false>({u + Block::columns * from * hu + top, hu}, {x + h - hu + top, h}, x + row(front.w + from), h,
+                                  hu - top, to - from, depth, first - top, packed);
+        });
+    }
+};
+
+/// Add the node columns `from` to `to` of the update matrix of a front to the panel or the update matrix of its parent, in
+/// which `skip` nodes are left out, and whose first row is `pad`. `relative` tells where its rows stand in the parent's front,
+/// and `run_end` where the runs of consecutive ones end.
+template <class Block>
+void extend(const Front& front, const Node* relative, const Node* run_end, Step from, Step to, const double* update,
+            double* target, Step height, Step pad, Step skip) {
+    for (Step j = from; j < to; ++j) {
+        const double* const source = update + Block::columns * j * front.update_height + front.update_pad;
+        double* const column = target + Block::columns * (relative[j] - skip) * height + pad - Block::rows * skip;
+        for (Step i = j; i < front.r;) {
+            const Step end = run_end[i];
+            add_rows<Block::columns>({column + Block::rows * relative[i], height},
+                                     {source + Block::rows * i, front.update_height}, Block::rows * (end - i));
+            i = end;
+        }
+    }
+}
+
+/// L11 y = b and r -= L21 y for the rows (0, b, r) in `work`; calls put(j, y) for node column j.
+template <class Block, class Put>
+void solve_forward(const Front& front, const double* x, double* work, Step plane, const Put& put) {
+    const Step h = front.height;
+    for (Step j = 0; j < front.w; ++j) {
+        const double* const column = x + Block::columns * j * h;
+        const Step row = front.pad + Block::rows * j, below = group_of(row + Block::rows);
+        const auto y = Block::forward(work + row, plane, Block::Pivot::load(column + row, h));
+        Block::subtract(work + below, plane, column + below, h, h - below, y);
+        put(j, y);
+    }
+}
+
+/// L11^H a = y - L21^H r for the rows (0, 0, r) in `work`, with y of node column j from get(j); calls put(j, row, a).
+template <class Block, class Get, class Put>
+void solve_backward(const Front& front, const double* x, double* work, Step plane, const Get& get, const Put& put) {
+    const Step h = front.height;
+    for (Step j = front.w - 1; j >= 0; --j) {
+        const double* const column = x + Block::columns * j * h;
+        const Step row = front.pad + Block::rows * j, below = group_of(row + Block::rows);
+        typename Block::Part y = Block::minus_dot(get(j), work + below, plane, column + below, h, h - below);
+        put(j, row, Block::backward(y, Block::Pivot::load(column + row, h)));
+    }
+}
+
+}  // namespace vmslam::sparse

@@ -1,0 +1,6 @@
+#pragma once
+
+/// Count a failure, and print it, where something does not hold.
+void expect(bool holds, const char* what, unsigned seed);
+
+void test_online();

@@ -1,0 +1,170 @@
+// The online solver without Python: drives in a circle among landmarks.
+#include <cmath>
+#include <numbers>
+#include <random>
+
+#include "expect.hpp"
+#include "vmslam/online/system.hpp"
+
+namespace {
+
+using namespace vmslam::online;
+
+constexpr Symmetric stiff{400.0, 0.0, 400.0, 0.0, 0.0, 900.0}, sighting{100.0, 20.0, 150.0, 0.0, 0.0, 0.0};
+
+Triple moved(const Triple& x, const Triple& d) {
+    const Rotation axes(x[2]);
+    return {x[0] + axes.c * d[0] - axes.s * d[1], x[1] + axes.s * d[0] + axes.c * d[1], x[2] + d[2]};
+}
+
+/// A drive with a turn of `turn` at each step, which sees the landmarks that are near.
+class Drive {
+   public:
+    OnlineSystem system{1e-7, 15};
+    std::vector<Number> poses;
+    std::vector<Triple> truth{{0.0, 0.0, 0.0}};
+
+    Drive(unsigned seed, double noise, vmslam::edges::Kernel kernel = {}) : random_(seed), noise_(noise) {
+        system.use_kernel(kernel, 1.0);
+        for (int k = 0; k < 12; ++k) marks_.push_back({normal() * 4, 4 + normal() * 4, 0.0});
+        numbers_.assign(marks_.size(), -1);
+        poses.push_back(system.add_node());
+        std::vector<double> held(9, 0.0);
+        held[0] = held[4] = held[8] = 1e6;
+        system.add_prior(poses, truth, held, false);
+        system.solve(poses, {}, poses);
+    }
+    void step() {
+        const Triple motion{0.5, 0.0, 0.12};
+        const auto known = static_cast<Number>(system.graph().nodes.size());
+        truth.push_back(moved(truth.back(), motion));
+        const Number from = poses.back();
+        poses.push_back(system.add_node());
+        std::vector<NewEdge> edges{{from, poses.back(), Kind::motion, true,
+                                    {motion[0] + noise() / 20, noise() / 20, motion[2] + noise() / 30}, stiff}};
+        const Triple& pose = truth.back();
+        const Rotation axes(pose[2]);
+        for (std::size_t k = 0; k < marks_.size(); ++k) {
+            const double dx = marks_[k][0] - pose[0], dy = marks_[k][1] - pose[1];
+            if (std::hypot(dx, dy) > 5.0) continue;
+            if (numbers_[k] < 0) numbers_[k] = system.add_node();
+            edges.push_back({poses.back(), numbers_[k], Kind::sighting, false,
+                             {axes.c * dx + axes.s * dy + noise() / 10, axes.c * dy - axes.s * dx + noise() / 12, 0.0}, sighting});
+        }
+        expect(system.add(known, edges, {&poses.back(), 1}), "a step is taken", 0);
+    }
+    void drop_oldest() {
+        system.marginalize(poses.front(), {&poses.back(), 1});
+        poses.erase(poses.begin());
+        if (!system.crowded()) return;
+        const std::vector<Number> number = system.renumber();
+        for (Number& pose : poses) pose = number[pose];
+        for (Number& mark : numbers_) mark = mark < 0 ? mark : number[mark];
+    }
+    double normal() { return std::normal_distribution<>()(random_); }
+    double noise() { return noise_ * normal(); }
+
+   private:
+    std::mt19937 random_;
+    double noise_;
+    std::vector<Triple> marks_;
+    std::vector<Number> numbers_;
+};
+
+double farthest(const std::vector<Triple>& a, const std::vector<Triple>& b) {
+    double most = 0.0;
+    for (std::size_t k = 0; k < a.size(); ++k)
+        for (int c = 0; c < 3; ++c) most = std::max(most, std::abs(a[k][c] - b[k][c]));
+    return most;
+}
+
+void exact_measurements_are_met(unsigned seed) {
+    Drive drive(seed, 0.0);
+    for (int k = 0; k < 120; ++k) drive.step();
+    expect(farthest(drive.system.values(drive.poses), drive.truth) < 1e-8, "exact measurements give the true poses", seed);
+    expect(drive.system.cost() < 1e-12, "and no cost", seed);
+}
+
+/// The estimate is where the solution with all edges linearised anew is, and copies and saved systems go on as the original.
+void steps_end_at_the_minimum(unsigned seed, vmslam::edges::Kernel kernel) {
+    Drive drive(seed, 1.0, kernel);
+    for (int k = 0; k < 150; ++k) drive.step();
+    expect(drive.system.converged, "a noisy drive converges", seed);
+    OnlineSystem other = drive.system, restored{0.0, 0};
+    expect(restored.restore(drive.system.save()), "a saved system is restored", seed);
+    expect(!restored.restore("nonsense") && !restored.restore(drive.system.save().substr(0, 2000)), "other bytes are not", seed);
+    restored.restore(drive.system.save());
+    expect(restored.save() == drive.system.save(), "with all its numbers", seed);
+    const double cost = drive.system.cost();
+    other.relinearize({&drive.poses.back(), 1});
+    expect(cost <= other.cost() * (1 + 1e-6), "no lower cost nearby", seed);
+    // 1e-6 of J, some 2,000, is 0.05 standard deviations, which are below 0.2
+    expect(farthest(other.values(drive.poses), drive.system.values(drive.poses)) < 1e-2, "nor another estimate", seed);
+    drive.system = restored;
+    for (int k = 0; k < 20; ++k) drive.step();
+    const auto covariance = drive.system.covariance({&drive.poses.back(), 1}, {&drive.poses.back(), 1});
+    expect(covariance && (*covariance)[0] > 0.0 && (*covariance)[8] < 1.0, "a covariance", seed);
+}
+
+void a_lag_frees_nodes(unsigned seed) {
+    Drive drive(seed, 0.1);
+    for (int k = 0; k < 200; ++k) {
+        drive.step();
+        if (drive.poses.size() > 20) drive.drop_oldest();
+    }
+    expect(drive.system.graph().nodes.size() < 120 && drive.system.priors() == 1, "a lag frees nodes", seed);
+    const std::vector<Triple> last = drive.system.values({&drive.poses.back(), 1});
+    expect(farthest(last, {drive.truth.back()}) < 0.1, "and is near the truth", seed);
+}
+
+void a_refused_step_changes_nothing(unsigned seed) {
+    Drive drive(seed, 1.0);
+    for (int k = 0; k < 30; ++k) drive.step();
+    OnlineSystem& system = drive.system;
+    const std::string before = system.save();
+    const auto known = static_cast<Number>(system.graph().nodes.size());
+    const Number pose = system.add_node();
+    const NewEdge loose{drive.poses.back(), pose, Kind::motion, true, {1.0, 0.0, 0.0}, {0.0, 0.0, 0.0, 0.0, 0.0, 0.0}};
+    expect(!system.add(known, {&loose, 1}, {&pose, 1}), "a step without information is refused", seed);
+    expect(system.save() == before, "and changes nothing", seed);
+    drive.step();
+    expect(system.converged, "the next step is taken", seed);
+}
+
+/// A loop closure after a heading error of a radian needs the batch solver.
+void the_batch_solver_takes_a_large_correction(unsigned seed) {
+    Drive drive(seed, 0.0);
+    OnlineSystem& system = drive.system;
+    std::vector<Triple> truth{{0.0, 0.0, 0.0}};
+    for (int k = 1; k <= 300; ++k) {
+        const auto known = static_cast<Number>(system.graph().nodes.size());
+        const double turn = k % 75 == 0 ? std::numbers::pi / 2 : 0.0;
+        truth.push_back(moved(truth.back(), {1.0, 0.0, turn}));
+        const Number from = drive.poses.back();
+        drive.poses.push_back(system.add_node());
+        const NewEdge edge{from, drive.poses.back(), Kind::motion, true,
+                           {1.0 + 0.14 * drive.normal(), 0.14 * drive.normal(), turn + 0.1 * drive.normal()},
+                           {50.0, 0.0, 50.0, 0.0, 0.0, 100.0}};
+        system.add(known, {&edge, 1}, {&drive.poses.back(), 1});
+    }
+    const Triple& end = truth.back();
+    const NewEdge closure{drive.poses.front(), drive.poses.back(), Kind::relation, true, {end[0], end[1], end[2]}, stiff};
+    expect(system.add(system.graph().size(), {&closure, 1}, {&drive.poses.back(), 1}), "a closure is taken", seed);
+    expect(system.converged, "and converges", seed);
+    const Triple found = system.values({&drive.poses.back(), 1})[0];
+    expect(std::hypot(found[0] - end[0], found[1] - end[1]) < 0.5, "the loop is closed", seed);
+}
+
+}  // namespace
+
+void test_online() {
+    using vmslam::edges::Robust;
+    for (unsigned seed = 0; seed < 4; ++seed) {
+        exact_measurements_are_met(seed);
+        steps_end_at_the_minimum(seed, {});
+        steps_end_at_the_minimum(seed, {Robust::cauchy, 2.4});
+        a_lag_frees_nodes(seed);
+        a_refused_step_changes_nothing(seed);
+        the_batch_solver_takes_a_large_correction(seed);
+    }
+}

@@ -1,1 +1,0 @@
-"""The numba factorisation of the online solver; batch solutions use the engine."""
