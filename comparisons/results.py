@@ -182,7 +182,8 @@ class EstimatorResult:
         covariances = self.pose_covariances
         if truth is None or not np.isfinite(truth[0]).all() or covariances is None:
             return None
-        if np.any(covariances[0]):
+        # those of samples are relative to the first pose, which is the same in all of them, up to rounding
+        if self.graph is not None and np.any(covariances[0]):
             covariances = self._relative_covariances(covariances)
         if covariances is None:
             return None

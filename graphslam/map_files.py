@@ -34,12 +34,14 @@ from .tables.columns import plain
 from .tables.drive import map_of
 from .tables.options import TableOptions
 from .tables.sources import PARQUET, TEXT, table_of
+from .tables.table import Table
 
 VERSION = "graphslam-map-1"
 #: the columns of covariances, in the order of the upper triangle of (3, 3), column by column
 COVARIANCE = ("var_x", "cov_xy", "var_y", "cov_x_heading", "cov_y_heading", "var_heading")
-#: the first word of other names of errors
-_OF_ERRORS = ("var", "cov", "std", "sigma")
+#: words in other names of errors, and what they are errors of
+_OF_ERRORS = {"var", "variance", "cov", "covariance", "std", "stdev", "stddev", "sd", "sigma", "err", "error"}
+_ERRORS_OF = {"x", "y", "xx", "xy", "yy", "heading", "theta", "yaw", "pos", "position", "range"}
 _UPPER = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 #: means, covariances, classes and joint covariance: the arguments of `LandmarkMap`
@@ -103,14 +105,7 @@ def _table(path: Path) -> Parts:
     columns = {plain(name)[0]: k for k, name in enumerate(table.names)}
     ids = list(means)
     parts: Parts = {"means": means}
-    other = [name for name in columns if name.split("_")[0] in _OF_ERRORS and name not in COVARIANCE]
-    if other or (columns.keys() & set(COVARIANCE) and "var_x" not in columns):
-        odd = other[0] if other else next(name for name in COVARIANCE if name in columns)
-        raise table.error(
-            None,
-            f"the column {odd} seems to belong to a covariance, which is var_x, cov_xy and var_y [m²]; rename or square it, "
-            "or remove it: without a covariance a landmark counts as exact",
-        )
+    _check_errors(table)
     if "var_x" in columns:
         missing = [name for name in COVARIANCE[:3] if name not in columns]
         if missing:
@@ -130,6 +125,24 @@ def _table(path: Path) -> Parts:
         words = [str(word).strip() for word in table.words(columns["class"])]
         parts["classes"] = {j: word for j, word in zip(ids, words) if word}
     return parts
+
+
+def _check_errors(table: Table) -> None:
+    """Refuse columns that seem to tell errors and cannot be used, because landmarks without a covariance count as exact."""
+    names = [plain(name)[0] for name in table.names]
+    for name in COVARIANCE:
+        if names.count(name) > 1:
+            raise table.error(None, f"there are two columns {name}; a map has one")
+    for title, name in zip(table.names, names):
+        words = set(plain(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", title.strip()))[0].split("_"))
+        of_errors = words & _OF_ERRORS and words - _OF_ERRORS <= _ERRORS_OF
+        if (of_errors and name not in COVARIANCE) or (name in COVARIANCE and "var_x" not in names):
+            raise table.error(
+                None,
+                f"the column {title.strip()} seems to tell errors; those of a map are var_x, cov_xy and var_y [m²]. If it is "
+                "a standard deviation, square it and name it so; otherwise rename or remove it: without a covariance a "
+                "landmark counts as exact",
+            )
 
 
 def _symmetric(numbers: Mapping[str, float]) -> Array:

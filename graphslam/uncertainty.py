@@ -48,6 +48,8 @@ class Uncertainty:
             graph = replace(graph, parameters=graph.held)
         joint = JointGraph(graph)
         border = joint.border(graph, self._state, self._state, scaled=True)
+        # nodes that are held, such as exact landmarks of a map, do not follow the parameters
+        border.mixed[graph.fixed] = 0.0
         return JointFactor(joint, self._factor, border)
 
     @property

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <stdexcept>
+#include <string>
 
 #include "arrays.hpp"
 #include "bindings.hpp"
@@ -19,13 +20,24 @@ using Numbers32 = std::vector<Number>;
 /// of `edges::Symmetric`.
 std::vector<NewEdge> new_edges(const In<Number>& ends, const In<signed char>& kinds, const In<signed char>& rows,
                                const In<double>& measured, const In<double>& information) {
-    std::vector<NewEdge> added(kinds.size());
+    const std::size_t count = kinds.size();
+    if (ends.size() != 2 * count || rows.size() != count || measured.size() != 3 * count || information.size() != 6 * count)
+        throw std::invalid_argument("the arrays of the new edges have different lengths");
+    std::vector<NewEdge> added(count);
     for (std::size_t e = 0; e < added.size(); ++e) {
         const double *const z = measured.data() + 3 * e, *const W = information.data() + 6 * e;
         added[e] = {ends.data()[2 * e],     ends.data()[2 * e + 1],    static_cast<Kind>(kinds.data()[e]), rows.data()[e] == 3,
                     {z[0], z[1], z[2]}, {W[0], W[1], W[2], W[3], W[4], W[5]}};
     }
     return added;
+}
+
+/// The nodes, which must be nodes of the solver.
+const Numbers32& checked(const OnlineSystem& s, const Numbers32& nodes) {
+    const auto count = static_cast<Number>(s.graph().nodes.size());
+    for (const Number node : nodes)
+        if (node < 0 || node >= count) throw std::out_of_range("the online solver has no node " + std::to_string(node));
+    return nodes;
 }
 
 Out<double> triples(const std::vector<Triple>& rows) {
@@ -50,9 +62,8 @@ void bind_online(nb::module_& m) {
         })
         .def("add", [](OnlineSystem& s, Number known, In<Number> ends, In<signed char> kinds, In<signed char> rows,
                        In<double> measured, In<double> information, const Numbers32& newest) {
-            const std::vector<NewEdge> added = new_edges(ends, kinds, rows, measured, information);
-            const nb::gil_scoped_release other_threads;
-            return s.add(known, added, newest);
+            // other threads wait: they may read this solver while it grows
+            return s.add(known, new_edges(ends, kinds, rows, measured, information), newest);
         })
         .def("solve", [](OnlineSystem& s, const Numbers32& touched, const Numbers32& newest) {
             return s.solve(touched, {}, newest);
@@ -62,16 +73,16 @@ void bind_online(nb::module_& m) {
         .def("crowded", &OnlineSystem::crowded)
         .def("renumber", &OnlineSystem::renumber)
         .def("complete", &OnlineSystem::complete)
-        .def("values", [](OnlineSystem& s, const Numbers32& nodes) { return triples(s.values(nodes)); })
+        .def("values", [](OnlineSystem& s, const Numbers32& nodes) { return triples(s.values(checked(s, nodes))); })
         // the values of nodes as the last step left them
         .def("places", [](const OnlineSystem& s, const Numbers32& nodes) {
             std::vector<Triple> rows;
-            for (const Number node : nodes) rows.push_back(s.graph().nodes[node].x);
+            for (const Number node : checked(s, nodes)) rows.push_back(s.graph().nodes[node].x);
             return triples(rows);
         })
         .def("cost", &OnlineSystem::cost)
         .def("covariance", [](OnlineSystem& s, const Numbers32& nodes, const Numbers32& newest) -> nb::object {
-            auto found = s.covariance(nodes, newest);
+            auto found = s.covariance(checked(s, nodes), checked(s, newest));
             if (!found) return nb::none();
             return nb::cast(array(std::move(*found), {3 * nodes.size(), 3 * nodes.size()}));
         })

@@ -55,8 +55,8 @@ KINDS = {
     "sensor": ("range_bias", "bearing_bias", "sensor_ahead", "sensor_left", "sensor_delay"),
 }
 CONVINCING = 1.0
-#: the gain of the log likelihood, in independent sightings, without which odometry counts as exact; with few sightings, and
-#: with one of each landmark in so many seconds
+#: below this gain of the log likelihood, divided by the sightings that count as one, odometry counts as nearly exact; and the
+#: seconds for one sighting of each landmark in the second test
 NEEDED, MORE = 7.5, 1.0
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = {"sightings": 60, "poses": 20}
@@ -158,8 +158,8 @@ class RobotEstimate:
         ]
         if self.nearly_exact:
             lines.append(
-                "the sightings are explained as well by odometry without noise: that of the motion is a quarter of what "
-                "was found"
+                "the log does not show that the odometry is noisy: the noise of the motion was reduced to a quarter of its "
+                "estimate"
             )
         wrong, dropped = int(self.changed.sum()), int(self.dropped.sum())
         if wrong or dropped:
@@ -245,7 +245,7 @@ def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotE
     named = log.with_sightings(~ids.dropped, landmarks=ids.landmarks[~ids.dropped])
     sparse, used = _sparse(named)
     second = _fitted(Unknowns(sparse, sparse.landmarks, sensor, first), ROUNDS[2])[0]
-    exact = _fitted(second.with_exact_odometry(), ROUNDS[2])[0]
+    exact = _fitted(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
     held, held_with_exact = _hold_needless(second), _hold_needless(exact)
     if nearly_exact := _is_exact(named, second, exact, used, rng):
         second, held = exact, held_with_exact
@@ -257,13 +257,13 @@ def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotE
     else:
         chosen, rho = _at_most(named, MOST), np.zeros_like(rho)
     last, errors = _fitted(Unknowns(chosen, chosen.landmarks, sensor, second), ROUNDS[3])
+    # exactly, without the rounding of the last step
+    last.hold(held)
     motion, seen = last.models
     seen = replace(
         seen, range_rate=seen.range_rate * factor**0.5, range_std=seen.range_std * factor**0.5,
         bearing_std=seen.bearing_std * factor**0.5, orientation_std=seen.orientation_std * factor**0.5,
     )  # fmt: skip
-    # exactly, without the rounding of the last step
-    last.hold(held)
     parameters = replace(last.parameters, recorded=named)
     free = [k for k, name in enumerate(parameters.names) if name not in held]
     names, means, deviations = (
@@ -367,16 +367,23 @@ def _hold_needless(fitted: Unknowns) -> dict[str, float]:
 
 
 def _is_exact(log: Log, fitted: Unknowns, exact: Unknowns, used: np.ndarray, rng: np.random.Generator) -> bool:
-    """Whether the log does not speak against odometry without noise.
+    """Whether the log does not show that the odometry is noisy.
 
-    Both problems are those of few sightings, (M,) bool ``used``, with noise of the motion and without. Such noise follows
-    errors of the sightings that are correlated, which then do not show. So the gain of the log likelihood is divided by the
-    number of sightings that count as one where there is no such noise.
+    Both problems are those of few sightings, (M,) bool ``used``: ``fitted`` with the noise of the motion that was found, and
+    ``exact`` with a small part of it. Such noise follows errors of the sightings that are correlated, which then do not show.
+    So the gain of the log likelihood is divided by the number of sightings that count as one where there is hardly any noise.
+    It must be small with few sightings, and with one of each landmark in `MORE` seconds, where these are more. A log with
+    fewer than `ENOUGH` such sightings shows too little.
     """
+    few = len(fitted.log.steps)
+    if few < ENOUGH:
+        return False
     rho = smoothed(correlations(log, exact, used, rng))
     if _gain(fitted, exact) >= NEEDED * inflation(fitted.log, rho):
         return False
     more = _at_most(_thinned(log, MORE)[0], MOST)
+    if len(more.steps) <= few:
+        return True
     fitted, exact = (
         _fitted(Unknowns(more, more.landmarks, fitted.sensor, each), ROUNDS[1])[0] for each in (fitted, exact)
     )

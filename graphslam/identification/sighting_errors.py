@@ -102,12 +102,15 @@ def checked_ids(log: Log, unknowns: Unknowns, alone: np.ndarray, rng: np.random.
     own, density = np.full(len(landmarks), np.inf), np.full(len(landmarks), -np.inf)
     known = np.flatnonzero(np.isin(landmarks, ids))
     own[known], density[known] = predictions.distances(log, known, np.searchsorted(ids, landmarks[known]))
-    own[_unlikely(log, np.flatnonzero(alone), density)] = UNLIKELY
+    unlikely = _unlikely(log, np.flatnonzero(alone), density)
+    own[unlikely] = UNLIKELY
     supported = np.isin(landmarks, ids[strong])
     tried = np.flatnonzero((own > CONTRADICTS) | ~supported)
     if len(tried) == 0 or len(strong) == 0:
         return Ids(landmarks, changed, dropped)
     others = np.stack([predictions.distances(log, tried, np.full(len(tried), j))[0] for j in strong.tolist()])
+    # an id that is more probably wrong than right does not come back
+    others[np.isin(tried, unlikely) & (ids[strong][:, None] == landmarks[tried])] = UNLIKELY
     best = others.argmin(axis=0)
     nearest = np.sort(others, axis=0)
     fits = nearest[0] < FITS

@@ -173,7 +173,7 @@ class Unknowns:
             p, values=np.where(held, p.means, p.values), deviations=np.where(held, HELD, p.deviations)
         )
 
-    def with_exact_odometry(self) -> Unknowns:
+    def with_nearly_exact_odometry(self) -> Unknowns:
         """The same problem with `EXACT` times the noise of the motion, which is kept."""
         exact = copy(self)
         exact.longest, exact.last_change = self.longest.copy(), self.last_change.copy()

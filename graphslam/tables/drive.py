@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..checks import first
-from ..errors import LogError, named
+from ..errors import LogError, named, quoted
 from ..reading import UNIDENTIFIED, Fault, finite_fault, range_faults, sound_rows
 from ..se2 import Array
 from .classes import classes_of
@@ -393,7 +393,7 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
 
 
 def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None = None) -> dict[int, Array]:
-    """The landmarks of a map, {id: (x, y) or (x, y, heading)}; ``names`` are those of the sightings.
+    """The landmarks of a map, {id: (x, y) or (x, y, heading)}; ``names`` are those of the sightings, None without any.
 
     An empty cell of the heading says that it is not known.
 
@@ -403,9 +403,18 @@ def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None 
     reader = _Reader("map", table, options)
     reader.need("id")
     column = reader.found["id"].column
-    ids = ids_of(table, column, names).numbers
+    found = ids_of(table, column, names)
+    ids = found.numbers
     if (k := first(ids == UNIDENTIFIED)) is not None:
-        raise table.error(k, f"the id {table.title(column)} is empty; each landmark of the map needs one")
+        raise table.error(
+            k, f"the id {table.title(column)} is empty or -1, which means no id; each landmark of the map needs one"
+        )
+    if names is None and found.names:
+        raise table.error(
+            None,
+            f"the ids are words, such as {quoted(next(iter(found.names)))}; a log numbers its own words, so those of a map "
+            "by itself would be other landmarks: give the landmarks of both the same whole numbers",
+        )
     places = reader.numbers("x", "y")
     headings = reader.numbers("theta", finite=False)[:, 0] if reader.has("theta") else np.full(len(ids), np.nan)
     _, firsts, counts = np.unique(ids, return_index=True, return_counts=True)

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import Result
 
 import comparisons
-from graphslam import Graph, LandmarkMap, Log, MotionModel, SensorModel, save, simulate, solve
+from graphslam import Drive, Graph, LandmarkMap, Log, MotionModel, SensorModel, save, simulate, solve
 from graphslam.se2 import between, wrap
 from graphslam.uncertainty import Uncertainty
 
@@ -112,6 +112,24 @@ def test_nees_in_a_map_is_that_of_errors_against_the_first_pose() -> None:
         assert own.nees(truth) == pytest.approx(np.mean(each), rel=1e-6)
     # 27 with the covariances in the axes of the map
     assert 0.4 < np.mean(values) < 2.0
+
+
+@pytest.mark.parametrize("start", [(0.0, -3.0, 0.0), (0.1, -3.3, 0.7)])
+def test_nees_of_samples_does_not_depend_on_the_start(start: tuple[float, float, float]) -> None:
+    """Their first pose is the same up to rounding, which is no covariance."""
+    log = log_of(2, start)
+    assert comparisons.run(log, estimators=["fastslam2"], smoothing=20)["fastslam2"].nees(log.true_poses) is not None
+
+
+def test_estimated_biases_in_an_exact_map_have_covariances() -> None:
+    """Landmarks that are held do not follow the parameters."""
+    log = Drive(seed=2001, duration=60.0, misread=0.0).simulate()[0]
+    assert log.true_landmarks is not None
+    known = LandmarkMap({j: m[:2] for j, m in log.true_landmarks.items()})
+    result = comparisons.run(log, estimators=["graph"], landmark_map=known)["graph"]
+    assert result.covariance_failure is None
+    value = result.nees(log.robot_truth)
+    assert value is not None and value < 10
 
 
 @pytest.mark.parametrize(

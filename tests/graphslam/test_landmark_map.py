@@ -71,8 +71,9 @@ def test_tables_of_other_programs_are_read(tmp_path):
     assert np.allclose(known[3], [1.0, 2.5, np.pi / 2])
     assert np.allclose(known[4], [0.0, -0.5])
     # other columns are none of the map's, also those whose names begin like that of a variance
-    (tmp_path / "trees.csv").write_text("id,x,y,variety\n1,0,2,3\n")
-    assert np.array_equal(LandmarkMap.load(tmp_path / "trees.csv")[1], [0, 2])
+    for other in ("variety", "std_class", "var_z"):
+        (tmp_path / "trees.csv").write_text(f"id,x,y,{other}\n1,0,2,3\n")
+        assert np.array_equal(LandmarkMap.load(tmp_path / "trees.csv")[1], [0, 2])
 
 
 def test_yaml_of_apriltag_bundles_and_of_tagslam_is_read(tmp_path):
@@ -96,8 +97,14 @@ def test_yaml_of_apriltag_bundles_and_of_tagslam_is_read(tmp_path):
         ("m.csv", "id,x,y\n1,0,\n", "m.csv:2: 'y' is empty"),
         ("m.csv", "id,x,y,var_x,cov_xy,var_y\n1,0,0,1,,1\n", "m.csv:2: the covariance of landmark 1 is not complete"),
         ("m.csv", "id,x,y,var_x,cov_xy,var_y\n1,0,0,1,2,1\n", "negative eigenvalue -1"),
-        ("m.csv", "id,x,y,sigma_x,sigma_y\n1,0,0,1,1\n", "the column sigma_x seems to belong to a covariance"),
-        ("m.csv", "id,x,y,cov_xy\n1,0,0,1\n", "the column cov_xy seems to belong to a covariance"),
+        ("m.csv", "id,x,y,sigma_x,sigma_y\n1,0,0,1,1\n", "the column sigma_x seems to tell errors"),
+        ("m.csv", "id,x,y,x_std,y_std\n1,0,0,1,1\n", "the column x_std seems to tell errors"),
+        ("m.csv", "id,x,y,sigmaX\n1,0,0,1\n", "the column sigmaX seems to tell errors"),
+        ("m.csv", "id,x,y,covariance_xx\n1,0,0,1\n", "the column covariance_xx seems to tell errors"),
+        ("m.csv", "id,x,y,var_x,cov_xy,var_y,var_x\n1,0,0,1,0,1,1\n", "two columns var_x"),
+        ("m.csv", "id,x,y\ndoor,0,0\nwell,1,1\n", "the ids are words, such as 'door'"),
+        ("m.csv", "id,x,y\n-1,0,0\n", "empty or -1, which means no id"),
+        ("m.csv", "id,x,y,cov_xy\n1,0,0,1\n", "the column cov_xy seems to tell errors"),
         ("m.csv", "id,x,y,var_x,cov_xy,var_y\n1,0,0,-1,0,1\n", "m.csv: "),
         ("m.yaml", "tags:\n- {id: 1, x: 2, y: 3}\n- {id: 2, x: two, y: 3}\n", "m.yaml:3: tag 2 needs a number as x"),
         ("m.yaml", "tags:\n- {id: 1, x: 2, y: 3}\n- {id: 1, x: 2, y: 3}\n", "m.yaml:3: landmark 1 is in the map twice"),

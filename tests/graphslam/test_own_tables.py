@@ -182,7 +182,10 @@ def test_landmarks_with_names_in_the_map(drive):
     assert {j: place[0] for j, place in log.true_landmarks.items()} == {of_names["tree"]: 5, of_names["lamp"]: 4, 3: 1}
     with pytest.raises(FormatError, match=r"map.csv:4: landmark tree is in the map twice"):
         load(drive(sightings=seen, map="id,x,y\ntree,5,5\nbox,1,1\ntree,4,4\n"))
-    with pytest.raises(FormatError, match=r"map.csv:3: the id 'id' is empty; each landmark of the map needs one"):
+    with pytest.raises(
+        FormatError,
+        match=r"map.csv:3: the id 'id' is empty or -1, which means no id; each landmark of the map needs one",
+    ):
         load(drive(sightings=seen, map="id,x,y\ntree,5,5\n,1,1\n"))
 
 
