@@ -1,7 +1,5 @@
 """ISAM2, step by step: near the batch answer with default relinearisation, and at it after full relinearisation."""
 
-import threading
-
 import gtsam
 import numpy as np
 import pytest
@@ -10,7 +8,6 @@ from graphslam import (
     Graph,
     GraphError,
     IncrementalSmoother,
-    OnlineSolver,
     OptionError,
     load,
     sample_log_path,
@@ -169,31 +166,3 @@ def test_parameters_of_isam2(book_log):
     smoother.move_by([1, 0, 0], np.diag([1e-20, 1.0, 1e20]))
     with pytest.raises(GraphError, match="factorization='qr'"):
         smoother.update()
-
-
-def test_another_thread_reads_while_the_solver_steps() -> None:
-    """A display reads poses while sightings arrive: the interpreter crashed where steps let other threads run."""
-    solver, done, reads = OnlineSolver(), threading.Event(), []
-
-    def read() -> None:
-        while not done.is_set():
-            reads.append(len(solver.poses))
-
-    reader = threading.Thread(target=read)
-    reader.start()
-    rng = np.random.default_rng(0)
-    try:
-        for _ in range(300):
-            ids = rng.choice(60, 4, replace=False)
-            seen = np.column_stack([rng.uniform(1, 8, 4), rng.uniform(-3, 3, 4)])
-            solver.step((0.5, 0.1), 1.0, ids=ids, sightings=seen)
-    finally:
-        done.set()
-        reader.join()
-    assert solver.num_poses == 301 and reads
-
-
-def test_the_engine_refuses_nodes_that_do_not_exist() -> None:
-    system = OnlineSolver()._system
-    with pytest.raises(IndexError, match="no node 10000000"):
-        system.values([10**7])

@@ -114,8 +114,7 @@ bool OnlineSystem::crowded() const {
 }
 
 std::vector<Number> OnlineSystem::renumber() {
-    // the last entry is that of number -1
-    std::vector<Number> node(graph_.nodes.size() + 1, -1), edge(graph_.edges.size() + 1, -1);
+    std::vector<Number> node(graph_.nodes.size(), -1), edge(graph_.edges.size(), -1);
     const auto new_number = [](const std::vector<Number>& of, Number old) { return old < 0 ? old : of[old]; };
     Graph kept{{}, {}, graph_.kernel, graph_.gain};
     for (const Number k : graph_.live_nodes()) {
@@ -134,14 +133,13 @@ std::vector<Number> OnlineSystem::renumber() {
         e.next_owned = new_number(edge, e.next_owned);
     }
     for (Supernode& group : tree_.groups)
-        for (Number& k : group.nodes) k = node[k];
+        for (Number& k : group.nodes) k = new_number(node, k);
     for (Prior& prior : priors_)
-        for (Number& k : prior.members) k = node[k];
-    for (Number& k : pending_) k = node[k];
+        for (Number& k : prior.members) k = new_number(node, k);
+    for (Number& k : pending_) k = new_number(node, k);
     std::erase(pending_, -1);
     graph_ = std::move(kept);
     ordered_ = std::min(ordered_, graph_.size());
-    node.pop_back();
     return node;
 }
 

@@ -1,9 +1,10 @@
 // Passes of one step, until the cost falls no further.
 //
-// Coarse passes look only at what has moved far. The work that the forces of new edges have done on the older ones bounds how
-// far these are from where they were evaluated, whatever moves as one piece. Where that work is above what was harmless so
-// far, fine passes look at all nodes. The decrease of J that the first one predicts is the price of the coarse passes since
-// the last fine one, and sets the work that is allowed from then on.
+// A pass solves the tree and evaluates the edges of nodes that moved. Coarse passes leave out nodes that moved little, so that
+// they need not visit the whole tree; fine passes look at all. What coarse passes leave out grows with the energy that new
+// edges have put into the older ones (`work_of`), summed since the last fine pass. Where this sum exceeds `Memory::allowed`,
+// a fine pass follows. The decrease of J that it predicts is what the coarse passes had missed, and sets the sum that is
+// allowed from then on.
 #include <algorithm>
 #include <cmath>
 
@@ -108,8 +109,8 @@ void OnlineSystem::allow_work(double predicted) {
     m.work = 0.0;
 }
 
-// The forces of edges on their nodes, times the way of these since the increments `before`: twice the energy that all other
-// edges have taken up.
+// Twice the part of J by which the older edges have grown because of the edges `fresh`: the sum over these of the derivative of
+// their cost, times the movement of their ends since the increments `before`.
 double OnlineSystem::work_of(std::span<const Number> fresh, std::span<const Number> touched,
                              std::span<const Triple> before) const {
     const auto way = [&](Number number) -> Vector {
@@ -129,17 +130,21 @@ double OnlineSystem::work_of(std::span<const Number> fresh, std::span<const Numb
     return std::abs(total);
 }
 
+/// Put the supernode of a node into a list, if it is not there yet.
+void OnlineSystem::list_home(Number node, std::vector<Number>& homes) {
+    const Number home = graph_.nodes[node].home;
+    if (tree_.groups[home].marked) return;
+    tree_.groups[home].marked = true;
+    homes.push_back(home);
+}
+
 std::vector<Number> OnlineSystem::homes_around(std::span<const Number> moved) {
     std::vector<Number> homes;
     for (const Number node : moved)
         for (Number e = graph_.nodes[node].edges; e >= 0;) {
             const Edge& edge = graph_.edges[e];
             const int side = edge.side(node);
-            const Number home = graph_.nodes[edge.ends[1 - side]].home;
-            if (!tree_.groups[home].marked) {
-                tree_.groups[home].marked = true;
-                homes.push_back(home);
-            }
+            list_home(edge.ends[1 - side], homes);
             e = edge.next[side];
         }
     for (const Number s : homes) tree_.groups[s].marked = false;
@@ -158,12 +163,7 @@ OnlineSystem::Evaluation OnlineSystem::evaluate_edges(std::span<const Number> mo
                 const auto [change, outdated] = evaluate(graph_, edge, memory_.limit, memory_.bent);
                 memory_.cost += change;
                 if (outdated) result.late.push_back(e);
-                for (const Number end : edge.ends) {
-                    Supernode& home = tree_.groups[graph_.nodes[end].home];
-                    if (home.marked) continue;
-                    home.marked = true;
-                    result.homes.push_back(graph_.nodes[end].home);
-                }
+                for (const Number end : edge.ends) list_home(end, result.homes);
             }
             e = edge.next[edge.side(node)];
         }

@@ -17,9 +17,9 @@ struct Memory {
     double limit = 0.1;      ///< how far an edge in the factor may be from the present one
     Bent bent;
     int hold = 0;            ///< for how many passes no second derivatives are exact
-    double work = 0.0;       ///< what steps have done on older edges since the last fine pass; see step.cpp
+    double work = 0.0;       ///< the energy that steps have put into older edges since the last fine pass; see step.cpp
     double allowed = 0.0;    ///< how much of it is
-    double rate = 0.0;       ///< what it costs
+    double rate = 0.0;       ///< the decrease of J that coarse passes missed, over the square of `work`
     double shrinks = 0.0;    ///< how slowly passes converge
 };
 
@@ -88,6 +88,7 @@ class OnlineSystem {
         std::vector<Number> homes, late;
     };
     Evaluation evaluate_edges(std::span<const Number> moved);
+    void list_home(Number node, std::vector<Number>& homes);
     std::vector<Number> homes_around(std::span<const Number> moved);
     double work_of(std::span<const Number> fresh, std::span<const Number> touched, std::span<const Triple> before) const;
     void allow_work(double predicted);
