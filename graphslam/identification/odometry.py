@@ -45,7 +45,9 @@ class Odometry:
         parts = motion_parts(log, ESTIMATED)
         self._parts = {name: C for name, C in parts.items() if C.any()}
         # what the log itself says of the noise of single controls, such as across a silence of the odometry
-        self._recorded, self._of_gaps = STILL.accumulate(log.controls, log.dt, log.control_starts, log.control_variances)
+        self._recorded, self._of_gaps = STILL.accumulate(
+            log.controls, log.dt, log.control_starts, log.control_variances
+        )
         self._evaluated: tuple[Array, Array, Array] | None = None
 
     def covers(self, log: Log) -> bool:

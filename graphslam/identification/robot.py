@@ -74,8 +74,8 @@ CAUSES = {
     "sensor_left": "is the place of the sensor right (sensor offset)?",
     "sensor_delay": "do odometry and sensor have the same clock?",
 }
-#: of longer logs only so many sightings are used at once where this is enough
-MOST = 6000
+#: of longer logs only so many sightings are used at once where this is enough, and so many for correlations
+MOST, MOST_CORRELATED = 6000, 12_000
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -246,9 +246,9 @@ def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotE
     second = _joined(sparse, sensor, first, ROUNDS[2])[0]
     exact = _fitted(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
     held, held_with_exact = _hold_needless(second), _hold_needless(exact)
-    if nearly_exact := _is_exact(named, sparse, second, exact, used, rng):
+    if nearly_exact := _is_exact(named, sparse, used, second, exact, rng):
         second, held = exact, held_with_exact
-    rho = smoothed(correlations(named, _everywhere(second, sparse), used, rng))
+    rho = _correlations(named, sparse, used, second, rng)
     factor = COMMON * inflation(named, rho) if rho[:SHORT].max() >= HARDLY else 1.0
     if factor > 1:
         below = np.flatnonzero(rho < DEPENDENT)
@@ -310,7 +310,7 @@ def _local(log: Log, sensor: SensorModel) -> tuple[Unknowns, np.ndarray, np.ndar
         local = _fitted(Unknowns(log, episodes, sensor), ROUNDS[0])[0]
     else:
         # noise and biases from the beginning, and with them all poses
-        beginning = log.at_steps(np.arange(log.steps[MOST] + 1))
+        beginning = _beginning(log, MOST)
         part = _fitted(Unknowns(beginning, episodes[: len(beginning.steps)], sensor), ROUNDS[0])[0]
         local = Unknowns(log, episodes, sensor, part)
         local.iterate(4)
@@ -333,7 +333,7 @@ def _episodes(log: Log, pause: float) -> np.ndarray:
 
 
 def _of_sightings(log: Log) -> Log:
-    """The log with only the poses from which something was seen, its first and its last one; the motions between are joined."""
+    """The log with only its first and last pose and those from which something was seen; motions between are joined."""
     return log.at_steps(np.unique([0, *log.steps, log.num_poses - 1]))
 
 
@@ -358,9 +358,9 @@ def _fitted(unknowns: Unknowns, rounds: int) -> tuple[Unknowns, dict[str, float]
     """Solve and improve the variances in turn; and the standard errors of the standard deviations, as parts of them."""
     errors = np.zeros(0)
     for k in range(rounds):
+        # a step of the nodes in between: without it, the variances do not converge
         unknowns.iterate(1 if k else 4)
         gain, errors = improve_variances(unknowns)
-        unknowns.take_noise()
         if gain < GAIN:
             break
     unknowns.iterate(1)
@@ -386,21 +386,28 @@ def _hold_needless(fitted: Unknowns) -> dict[str, float]:
     return held
 
 
+def _correlations(log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, rng: np.random.Generator) -> np.ndarray:
+    """The `smoothed` correlations (B,) of errors, from the solution of few sightings ``sparse``, (M,) bool ``used``."""
+    part = _beginning(log, MOST_CORRELATED)
+    whole = _everywhere(fitted, sparse.at_steps(np.arange(part.num_poses)))
+    return smoothed(correlations(part, whole, used[: len(part.steps)], rng))
+
+
 def _is_exact(
-    log: Log, sparse: Log, fitted: Unknowns, exact: Unknowns, used: np.ndarray, rng: np.random.Generator
+    log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, exact: Unknowns, rng: np.random.Generator
 ) -> bool:
     """Whether the log does not show that the odometry is noisy.
 
     Both problems are those of few sightings ``sparse``, (M,) bool ``used``: ``fitted`` with the noise of the motion that was
-    found, and ``exact`` with a small part of it. Such noise follows errors of the sightings that are correlated, which then do not show.
-    So the gain of the log likelihood is divided by the number of sightings that count as one where there is hardly any noise.
-    It must be small with few sightings, and with one of each landmark in `MORE` seconds, where these are more. A log with
-    fewer than `ENOUGH` such sightings shows too little.
+    found, and ``exact`` with a small part of it. Such noise follows errors of the sightings that are correlated, which then
+    do not show. So the gain of the log likelihood is divided by the number of sightings that count as one where there is
+    hardly any noise. It must be small with few sightings, and with one of each landmark in `MORE` seconds, where these are
+    more. A log with fewer than `ENOUGH` such sightings shows too little.
     """
     few = len(fitted.log.steps)
     if few < ENOUGH:
         return False
-    rho = smoothed(correlations(log, _everywhere(exact, sparse), used, rng))
+    rho = _correlations(log, sparse, used, exact, rng)
     if _gain(fitted, exact) >= NEEDED * inflation(sparse, rho):
         return False
     more = _at_most(_thinned(log, MORE)[0], MOST)
@@ -435,6 +442,11 @@ def _thinned(log: Log, interval: float) -> tuple[Log, np.ndarray]:
     # the middle one of each interval
     used[order[starts + count // 2]] = True
     return log.with_sightings(used), used
+
+
+def _beginning(log: Log, count: int) -> Log:
+    """The first poses of a log, with so many sightings, or a few more from the last one."""
+    return log if len(log.steps) <= count else log.at_steps(np.arange(log.steps[count] + 1))
 
 
 def _at_most(log: Log, count: int) -> Log:

@@ -20,7 +20,7 @@ Nodes and parameters are solved together: with C = sum B' W J, D = sum J' W J + 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -98,7 +98,7 @@ class Unknowns:
         # sightings are in the order of time
         self._first_sightings = np.unique(group, return_index=True)[1]
         self.before, self.after = np.arange(self.poses - 1), np.arange(1, self.poses)
-        self.odometry = start.odometry if start is not None and start.odometry.covers(log) else Odometry(log)
+        self.odometry: Odometry = start.odometry if start is not None and start.odometry.covers(log) else Odometry(log)
         self._steps = self.odometry.steps(log)
         self.motion_parts, gaps = self.odometry.parts(self._steps)
         self._least = gaps + LEAST_MOTION * np.eye(3)
