@@ -23,6 +23,7 @@ Godsill, *Improved particle approximations to the joint smoothing distribution u
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -30,6 +31,7 @@ from numba import njit
 from graphslam.errors import OptionError
 from graphslam.models import SensorModel
 from graphslam.se2 import Array
+from graphslam.threads import available_threads
 
 from .fast_math import OPTIONS
 from .gibbs.exact import draw_map
@@ -38,60 +40,39 @@ from .gibbs.sightings import Sightings
 from .memory import GIGABYTE, available_memory, smoothing_memory
 from .motions import robot_poses
 from .samples import Samples
-from .threads import available_threads
 
 #: the most particles considered at each step
 CANDIDATES = 200
 
 
 class Record:
-    """All weighted particles of all steps of a run, and its sightings.
+    """The sightings of a run whose particles the engine keeps."""
 
-    The particles of a step are those before its resampling; ``parents`` are their indices among those of the step before.
-    """
-
-    def __init__(self, poses: Array, log_weights: Array) -> None:
-        self._identity = np.arange(poses.shape[1], dtype=np.int32)
-        self._poses, self._log_weights, self._parents = [poses], [log_weights], [self._identity]
-        # the index of each living particle among the particles of the last step
-        self._living = self._identity
+    def __init__(self) -> None:
         self._steps: list[int] = []
         self._ids: list[int] = []
         self._sightings: list[Array] = []
 
-    def move(self, poses: Array, log_weights: Array) -> None:
-        """Begin a step with poses (3, N)."""
-        self._poses.append(poses)
-        self._log_weights.append(log_weights)
-        self._parents.append(self._living)
-        self._living = self._identity
-
-    def observe(self, poses: Array, log_weights: Array, ids: np.ndarray, sightings: Array) -> None:
-        """Replace the particles of the last step by those that its sightings have corrected and weighed."""
-        self._poses[-1], self._log_weights[-1] = poses, log_weights
-        self._parents[-1] = self._parents[-1][self._living]
-        self._living = self._identity
-        self._steps += [len(self._poses) - 1] * len(ids)
+    def observe(self, step: int, ids: np.ndarray, sightings: Array) -> None:
+        """Add the sightings of a step."""
+        self._steps += [step] * len(ids)
         self._ids += ids.tolist()
         self._sightings += list(sightings)
 
-    def branch(self, ancestors: np.ndarray) -> None:
-        """Let particle i descend from particle ancestors[i] from now on."""
-        self._living = self._living[ancestors]
-
     def smooth(
-        self, count: int, rng: np.random.Generator, sensor: SensorModel, trajectory: Array, marks: Array,
+        self, particles: Any, count: int, rng: np.random.Generator, sensor: SensorModel, trajectory: Array, marks: Array,
         threads: int | None,
     ) -> Samples:  # fmt: skip
         """Return ``count`` trajectories drawn backwards, each with a map drawn given the trajectory.
 
         Args:
+            particles: the engine's filter, with the particles of all steps.
             trajectory, marks: (T + 1, 3) poses of the sensor and (J, 2 or 3) landmarks at which sightings are linearised.
 
         Raises:
             OptionError: the record needs more memory than there is.
         """
-        T, N = len(self._poses) - 1, len(self._identity)
+        T, N = len(trajectory) - 1, len(particles.poses)
         steps, ids = np.array(self._steps, dtype=np.int64), np.array(self._ids)
         seen = Sightings.taken(T + 1, steps, ids, np.array(self._sightings), sensor)
         J, third = len(seen.ids), float(seen.columns - 2)
@@ -105,8 +86,7 @@ class Record:
                 f"smoothing {N:,} particles over {T} steps by {count:,} trajectories needs {need / GIGABYTE:.3g} GB of "
                 f"memory, and {there / GIGABYTE:.2g} GB are available; take fewer particles or trajectories"
             )
-        poses = np.ascontiguousarray(np.moveaxis(np.array(self._poses), 1, 2))
-        parents, log_weights = np.array(self._parents), np.array(self._log_weights)
+        poses, log_weights, parents = particles.recorded()
         rows, slots = np.empty((len(events), N, 9)), np.empty((T + 1, J, N), np.int32)
         _maps(poses, parents, events, numbers, seen.first, seen.marks, seen.y, seen.C, third, rows, slots)
         cumulative = np.cumsum(np.exp(log_weights), axis=1)

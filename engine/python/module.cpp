@@ -6,6 +6,7 @@ NB_MODULE(_engine, module) {
     vmslam::python::bind_certificate(module);
     vmslam::python::bind_edges(module);
     vmslam::python::bind_factors(module);
+    vmslam::python::bind_filters(module);
     vmslam::python::bind_online(module);
     vmslam::python::bind_sparse(module);
     vmslam::python::bind_solve(module);

@@ -24,7 +24,7 @@ inline constexpr double ln2_high = 6.93147180369123816490e-01, ln2_low = 1.90821
 
 /// c[0] + x c[1] + x² c[2] + ...
 template <class Real>
-Real polynomial(const Real& x, double c) {
+Real polynomial(const Real&, double c) {
     return all<Real>(c);
 }
 template <class Real, class... Rest>

@@ -18,6 +18,15 @@ typedef double Lanes __attribute__((vector_size(8 * lanes)));
 typedef std::int64_t Integers __attribute__((vector_size(8 * lanes)));
 typedef std::uint64_t Bits __attribute__((vector_size(8 * lanes)));
 
+typedef double LanesInMemory __attribute__((vector_size(8 * lanes), aligned(8), may_alias));
+
+inline Lanes load(const double* p) { return *reinterpret_cast<const LanesInMemory*>(p); }
+inline void store(double* p, const Lanes& x) { *reinterpret_cast<LanesInMemory*>(p) = x; }
+/// The numbers at some places.
+inline Lanes gather(const double* p, const std::int32_t* places) {
+    return Lanes{p[places[0]], p[places[1]], p[places[2]], p[places[3]], p[places[4]], p[places[5]], p[places[6]], p[places[7]]};
+}
+
 /// The types of whole numbers, of bits and of conditions that belong to a type of numbers.
 template <class Real>
 struct Of;
@@ -50,6 +59,13 @@ inline double select(bool condition, double yes, double no) { return condition ?
 inline Lanes select(const Integers& condition, const Lanes& yes, const Lanes& no) { return condition ? yes : no; }
 inline Lanes select(const Integers& condition, double yes, const Lanes& no) { return condition ? yes + Lanes{} : no; }
 inline Lanes select(const Integers& condition, const Lanes& yes, double no) { return condition ? yes : no + Lanes{}; }
+
+/// Whether a condition holds in some lane.
+inline bool any(const Integers& condition) {
+    std::int64_t some = 0;
+    for (int k = 0; k < lanes; ++k) some |= condition[k];
+    return some != 0;
+}
 
 /// The larger and the smaller number; the first where they cannot be compared.
 template <class Real>
