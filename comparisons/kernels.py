@@ -1,12 +1,7 @@
-"""Compile the numba kernels ahead of their first use: ``python -m comparisons.kernels [--all]``.
-
-numba compiles a function when it is first called and keeps the result beside the source. Without ``--all`` only those
-that a comparison on a small log needs are compiled, because the others take longer. This is optional.
-"""
+"""The numba kernels that are left: compile or load them before times are measured."""
 
 from __future__ import annotations
 
-import sys
 import warnings
 from contextlib import suppress
 from functools import cache
@@ -19,24 +14,6 @@ from graphslam import MotionModel, SensorModel, simulate
 
 from .estimators import ESTIMATORS
 from .options import RunOptions
-
-
-def filters() -> None:
-    """The particle filters."""
-    from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
-    from graphslam import load, sample_log_path
-
-    log = load(sample_log_path())
-    for kind in (MonteCarloLocalization, FastSLAM1, FastSLAM2):
-        kind(log, particles=10).run()
-
-
-def sampled_association() -> None:
-    """FastSLAM that draws the landmarks of sightings without ids."""
-    from fastslam import FastSLAM2
-    from graphslam import load, sample_log_path
-
-    FastSLAM2(load(sample_log_path()), particles=10, association="sampled", merge_interval=1).run()
 
 
 def compiled() -> bool:
@@ -56,14 +33,3 @@ def warm_up(estimator: str) -> None:
         with suppress(Exception), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             ESTIMATORS[estimator].run(log, RunOptions.of(particles=2, motion=MotionModel(), sensor=SensorModel()))
-
-
-def main() -> None:
-    """Compile what a comparison needs, and with ``--all`` the rest, too."""
-    filters()
-    if "--all" in sys.argv[1:]:
-        sampled_association()
-
-
-if __name__ == "__main__":
-    main()

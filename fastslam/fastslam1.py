@@ -19,6 +19,7 @@ from graphslam.landmark_map import as_map
 from graphslam.log import Log
 from graphslam.se2 import Array
 
+from .memory import JOINT
 from .particle_filter import ParticleFilter
 from .state import LandmarkEstimate, weighted_covariance, weighted_mean
 
@@ -135,7 +136,7 @@ class FastSLAM1(ParticleFilter):
             self._engine.use_no_ids(n == 3, border, merged, options.merge_interval, limits, self._confusion)
             return
         noise = (sensor.range_rate, sensor.range_std**2) if options.range_noise == "estimated" else None
-        self._engine.use_ids(n == 3, options.landmark_update == "joint", noise)
+        self._engine.use_ids(n == 3, JOINT if options.landmark_update == "joint" else 0, noise)
         for j, place in (self._given or {}).items():
             if len(place) < n:
                 raise OptionError(

@@ -170,8 +170,8 @@ def _start(particles: FastSLAM2, rng: np.random.Generator) -> Array:
     """Return a history of the sensor, drawn from a filter, (T + 1, 3)."""
     for _ in particles:
         pass
-    weights = np.exp(particles._log_weights)
-    return particles._genealogy.trajectory(int(rng.choice(len(weights), p=weights / weights.sum())))
+    weights = np.exp(particles._engine.log_weights)
+    return particles._engine.trajectory(int(rng.choice(len(weights), p=weights / weights.sum())))
 
 
 def _map(problem: Problem, x: Array, rng: np.random.Generator) -> Array:

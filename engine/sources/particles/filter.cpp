@@ -33,7 +33,7 @@ std::shared_ptr<Rows> Filter::fresh(int rows) {
     return buffer;
 }
 
-void Filter::use_ids(bool oriented, bool jointly, std::optional<RangeNoise> range_noise) {
+void Filter::use_ids(bool oriented, std::size_t jointly, std::optional<RangeNoise> range_noise) {
     identified_ = std::make_unique<IdentifiedMap>(history_, particles_, oriented, jointly, range_noise);
 }
 

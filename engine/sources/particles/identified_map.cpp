@@ -62,8 +62,8 @@ void IdentifiedMap::end_scan() {
 
 Task IdentifiedMap::first_sighting(LandmarkId id, const Sighting& sighting, const std::shared_ptr<const Rows>& poses) {
     Column column{history_.level(), spare(), nullptr};
-    const Task task{jointly_ ? Task::Kind::first_moments : Task::Kind::first, sighting, {sighting, 0.0}, column.numbers.get()};
-    if (jointly_) {
+    const Task task{jointly_ > 0 ? Task::Kind::first_moments : Task::Kind::first, sighting, {sighting, 0.0}, column.numbers.get()};
+    if (jointly_ > 0) {
         column.sighted = std::make_shared<Sighted>(Sighted{Rows(0, particles_), poses, 1, Rows(1, particles_), {{sighting, 0.0}}});
         // Z_1 is the range
         column.sighted->log_evidence.fill(numbers::log(sighting.z.range));
@@ -83,7 +83,7 @@ Task IdentifiedMap::later_sighting(Column& column, const Sighting& sighting, con
     RatedSighting rated{sighting, 0.0};
     if (range_noise_) rated.rate = range_noise_->rate, rated.sighting.variances.range = range_noise_->variance;
     Task task{Task::Kind::kalman, sighting, rated, column.numbers.get(), source.get(), slots};
-    if (column.sighted && column.sighted->sightings.size() < most_sightings) {
+    if (column.sighted && column.sighted->sightings.size() < jointly_) {
         Sighted& sighted = *column.sighted;
         task.kind = Task::Kind::joint;
         task.evidence_before = std::make_shared<Rows>(std::move(sighted.log_evidence));
@@ -92,7 +92,7 @@ Task IdentifiedMap::later_sighting(Column& column, const Sighting& sighting, con
         join(sighted, rated, poses, slots);
         task.sighted = column.sighted;
         task.count = sighted.sightings.size();
-    } else if (jointly_) {
+    } else if (jointly_ > 0) {
         column.sighted.reset();
         task.kind = Task::Kind::single;
     }

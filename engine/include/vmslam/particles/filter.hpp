@@ -46,7 +46,7 @@ class Filter {
     /// Go to the next step: every particle draws its own motion. `corrects`: sightings may still correct it.
     void move(const Motion& motion, bool corrects);
 
-    void use_ids(bool oriented, bool jointly, std::optional<RangeNoise> range_noise);
+    void use_ids(bool oriented, std::size_t jointly, std::optional<RangeNoise> range_noise);
     void use_no_ids(bool oriented, const AnonymousOptions& options, Confusion confusion);
     IdentifiedMap* identified() { return identified_.get(); }
     AnonymousMap* anonymous() { return anonymous_.get(); }

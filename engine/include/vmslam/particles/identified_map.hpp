@@ -29,8 +29,10 @@ struct RangeNoise {
 
 class IdentifiedMap {
    public:
-    /// `jointly`: a landmark follows from all of its sightings together, not by the Kalman gain from each.
-    IdentifiedMap(History& history, std::size_t particles, bool oriented, bool jointly, std::optional<RangeNoise> range_noise)
+    /// `jointly`: so many sightings of a landmark (at most `most_sightings`) are integrated together, and the following ones
+    /// alone; 0: a landmark follows by the Kalman gain from each.
+    IdentifiedMap(History& history, std::size_t particles, bool oriented, std::size_t jointly,
+                  std::optional<RangeNoise> range_noise)
         : history_(history), particles_(particles), oriented_(oriented), jointly_(jointly), range_noise_(range_noise) {}
 
     bool oriented() const { return oriented_; }
@@ -76,7 +78,8 @@ class IdentifiedMap {
 
     History& history_;
     std::size_t particles_;
-    bool oriented_, jointly_;
+    bool oriented_;
+    std::size_t jointly_;
     std::optional<RangeNoise> range_noise_;
     std::map<LandmarkId, Column> columns_;
     /// columns that nobody uses, and those that are still read in this scan

@@ -23,7 +23,7 @@
 
 namespace vmslam::particles {
 
-/// Sightings of a landmark that are integrated together.
+/// The most sightings of a landmark that can be integrated together.
 inline constexpr std::size_t most_sightings = 16;
 
 /// A sighting whose range has the variance (rate r)² + variances.range.
