@@ -4,6 +4,7 @@
 
 namespace vmslam::python {
 
+void bind_association(nanobind::module_& module);
 void bind_certificate(nanobind::module_& module);
 void bind_edges(nanobind::module_& module);
 void bind_factors(nanobind::module_& module);

@@ -3,6 +3,7 @@
 
 NB_MODULE(_engine, module) {
     module.doc() = "The engine of virtual-motion-slam; see the Python modules that use it.";
+    vmslam::python::bind_association(module);
     vmslam::python::bind_certificate(module);
     vmslam::python::bind_edges(module);
     vmslam::python::bind_factors(module);

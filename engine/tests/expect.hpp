@@ -3,4 +3,5 @@
 /// Count a failure, and print it, where something does not hold.
 void expect(bool holds, const char* what, unsigned seed);
 
+void test_association();
 void test_online();

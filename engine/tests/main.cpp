@@ -161,6 +161,7 @@ int main() {
         test_null_vector(seed);
         if (seed < 10) test_orders(seed);
     }
+    test_association();
     test_online();
     std::printf("%s\n", failures == 0 ? "all tests passed" : "tests failed");
     return failures == 0 ? 0 : 1;
