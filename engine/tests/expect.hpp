@@ -4,4 +4,5 @@
 void expect(bool holds, const char* what, unsigned seed);
 
 void test_association();
+void test_numbers();
 void test_online();
