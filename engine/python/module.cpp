@@ -7,6 +7,7 @@ NB_MODULE(_engine, module) {
     vmslam::python::bind_certificate(module);
     vmslam::python::bind_edges(module);
     vmslam::python::bind_factors(module);
+    vmslam::python::bind_gibbs(module);
     vmslam::python::bind_online(module);
     vmslam::python::bind_sparse(module);
     vmslam::python::bind_solve(module);

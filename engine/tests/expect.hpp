@@ -4,5 +4,6 @@
 void expect(bool holds, const char* what, unsigned seed);
 
 void test_association();
+void test_gibbs();
 void test_numbers();
 void test_online();

@@ -162,6 +162,7 @@ int main() {
         if (seed < 10) test_orders(seed);
     }
     test_association();
+    test_gibbs();
     test_numbers();
     test_online();
     std::printf("%s\n", failures == 0 ? "all tests passed" : "tests failed");

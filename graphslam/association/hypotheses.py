@@ -90,7 +90,10 @@ class Candidates:
             return np.full(items, -1), 0.0
         return engine.best_hypothesis(
             *(np.ascontiguousarray(numbers, dtype=np.int64) for numbers in (self.starts, self.landmarks)),
-            *(np.ascontiguousarray(part) for part in (self.residuals, self.covariance, self.weights, self.bounds, allowed)),
+            *(
+                np.ascontiguousarray(part)
+                for part in (self.residuals, self.covariance, self.weights, self.bounds, allowed)
+            ),
             gates(gate, d, items),
             most,
         )
