@@ -117,7 +117,7 @@ struct Estimates {
     std::vector<double> means, covariances, evidence;
 };
 
-Estimates estimates_of(const Rows& rows, const Index* ancestors, bool oriented, bool counted, std::size_t first,
+Estimates estimates_of(const Blocks& rows, const Index* ancestors, bool oriented, bool counted, std::size_t first,
                        std::size_t count) {
     // the stored rows of x, y, (heading,) and of the covariance, row by row of its upper triangle
     const bool complete = rows.rows() != point_rows;
@@ -127,9 +127,9 @@ Estimates estimates_of(const Rows& rows, const Index* ancestors, bool oriented, 
     Estimates out;
     for (std::size_t i = first; i < first + count; ++i) {
         const std::size_t at = ancestors ? static_cast<std::size_t>(ancestors[i]) : i;
-        for (int k = 0; k < n; ++k) out.means.push_back(rows.row(k)[at]);
-        for (int k = 0; k < n * n; ++k) out.covariances.push_back(rows.row(entries[k])[at]);
-        out.evidence.push_back(counted ? rows.row(evidence_row)[at] : std::numeric_limits<double>::infinity());
+        for (int k = 0; k < n; ++k) out.means.push_back(rows.at(k, at));
+        for (int k = 0; k < n * n; ++k) out.covariances.push_back(rows.at(entries[k], at));
+        out.evidence.push_back(counted ? rows.at(evidence_row, at) : std::numeric_limits<double>::infinity());
     }
     return out;
 }
@@ -160,7 +160,7 @@ std::vector<double> class_probabilities(Filter& f, std::int64_t id, std::size_t 
     const std::size_t at = view.ancestors ? static_cast<std::size_t>(view.ancestors[checked_particle(f, particle)])
                                           : checked_particle(f, particle);
     std::vector<double> out;
-    for (int row = first_class_row; row < view.numbers->rows(); ++row) out.push_back(view.numbers->row(row)[at]);
+    for (int row = first_class_row; row < view.numbers->rows(); ++row) out.push_back(view.numbers->at(row, at));
     return out;
 }
 

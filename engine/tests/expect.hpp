@@ -7,3 +7,4 @@ void test_association();
 void test_gibbs();
 void test_numbers();
 void test_online();
+void test_particles();

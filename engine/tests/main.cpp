@@ -165,6 +165,7 @@ int main() {
     test_gibbs();
     test_numbers();
     test_online();
+    test_particles();
     std::printf("%s\n", failures == 0 ? "all tests passed" : "tests failed");
     return failures == 0 ? 0 : 1;
 }

@@ -73,8 +73,8 @@ AnonymousScan AnonymousMap::scan(std::span<const Sighting> sightings, std::span<
     bring_up_to_date(scan.near_slices);
     scan.fresh_slices = make_room(sightings.size());
     for (const std::size_t slice : scan.fresh_slices) {
-        double* const evidence = slices_[slice].rows->row(evidence_row);
-        std::fill_n(evidence, padded(particles_), 0.0);
+        Blocks& rows = *slices_[slice].rows;
+        for (std::size_t i = 0; i < particles_; i += lanes) numbers::store(rows.group(evidence_row, i), Lanes{});
     }
     scan.near = rows_of(scan.near_slices);
     scan.fresh = rows_of(scan.fresh_slices);
@@ -101,7 +101,7 @@ void AnonymousMap::end_step(const Rows& poses, std::int64_t step, const Ranges& 
     if (!merges) std::erase_if(near, [&](std::size_t slice) { return !slices_[slice].droppable; });
     if (near.empty()) return;
     bring_up_to_date(near);
-    const std::vector<Rows*> rows = rows_of(near);
+    const std::vector<Blocks*> rows = rows_of(near);
     const particles::View in_view{limits_.least_range / inside, limits_.most_range * inside, limits_.most_bearing * inside};
     ranges.each([&](std::size_t lo, std::size_t hi) {
         count_misses(rows, poses, static_cast<double>(step), in_view, lo, hi);
@@ -147,10 +147,10 @@ void AnonymousMap::bring_up_to_date(std::span<const std::size_t> slices) {
         Slice& slice = slices_[n];
         const Index* const ancestors = history_.ancestors(slice.level);
         if (!ancestors) continue;
-        if (spare_.rows() == 0) spare_ = Rows(slice.rows->rows(), particles_);
-        for (int row = 0; row < spare_.rows(); ++row)
-            for (std::size_t i = 0; i < particles_; i += lanes)
-                numbers::store(spare_.row(row) + i, numbers::gather(slice.rows->row(row), ancestors + i));
+        if (spare_.rows() == 0) spare_ = Blocks(slice.rows->rows(), particles_);
+        for (std::size_t i = 0; i < particles_; i += lanes)
+            for (int row = 0; row < spare_.rows(); ++row)
+                numbers::store(spare_.group(row, i), read(*slice.rows, row, i, ancestors));
         std::swap(spare_, *slice.rows);
     }
 }
@@ -167,9 +167,8 @@ std::vector<std::size_t> AnonymousMap::make_room(std::size_t count) {
     if (free.size() < count) {
         for (Slice& slice : slices_) {
             const Index* const ancestors = history_.ancestors(slice.level);
-            const double* const evidence = slice.rows->row(evidence_row);
             bool owned = false;
-            for (std::size_t i = 0; i < particles_ && !owned; ++i) owned = evidence[ancestors ? ancestors[i] : i] > 0.0;
+            for (std::size_t i = 0; i < particles_ && !owned; ++i) owned = slice.rows->at(evidence_row, ancestors ? ancestors[i] : i) > 0.0;
             if (!owned) slice.landmark = -1;
         }
         // more than is needed now, or the search above would be repeated at every scan
@@ -184,12 +183,12 @@ void AnonymousMap::enlarge(std::size_t more) {
     const int rows = first_class_row + static_cast<int>(confusion_.classes);
     for (std::size_t n = 0; n < more; ++n) {
         slices_.emplace_back();
-        slices_.back().rows = std::make_unique<Rows>(rows, particles_);
+        slices_.back().rows = std::make_unique<Blocks>(rows, particles_);
     }
 }
 
-std::vector<Rows*> AnonymousMap::rows_of(std::span<const std::size_t> slices) {
-    std::vector<Rows*> out;
+std::vector<Blocks*> AnonymousMap::rows_of(std::span<const std::size_t> slices) {
+    std::vector<Blocks*> out;
     for (const std::size_t n : slices) out.push_back(slices_[n].rows.get());
     return out;
 }

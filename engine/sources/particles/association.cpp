@@ -8,7 +8,7 @@ namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
-Gaussian landmark_of(const Rows& rows, std::size_t first) { return read_gaussian(rows, true, first); }
+Gaussian landmark_of(const Blocks& rows, std::size_t first) { return read_gaussian(rows, true, first); }
 
 /// Whether sightings may belong to a landmark: range and bearing are each tested alone, e² <= gate * (the entry on the diagonal
 /// of V). Since V >= Q, every sighting outside is less likely than under a new landmark.
@@ -76,8 +76,8 @@ Lanes AnonymousScan::Group::begin(std::size_t first, const Gaussian& belief) {
 }
 
 void AnonymousScan::Group::weigh_landmark(const Gaussian& belief, std::int64_t c) {
-    const Rows& rows = *scan_.near[c];
-    const auto owned = load(rows.row(evidence_row) + first_) != 0.0;
+    const Blocks& rows = *scan_.near[c];
+    const auto owned = load(rows.group(evidence_row, first_)) != 0.0;
     if (!any(owned)) return;
     const Gaussian landmark = landmark_of(rows, first_);
     const Gate gate(belief, landmark, scan_.gate);
@@ -89,7 +89,7 @@ void AnonymousScan::Group::weigh_landmark(const Gaussian& belief, std::int64_t c
         if (const Confusion& confusion = *scan_.confusion; confusion.classes > 0) {
             Lanes total{};
             for (std::size_t n = 0; n < confusion.classes; ++n)
-                total += load(rows.row(first_class_row + static_cast<int>(n)) + first_) * confusion(n, scan_.shown[k]);
+                total += load(rows.group(first_class_row + static_cast<int>(n), first_)) * confusion(n, scan_.shown[k]);
             score += numbers::log(Lanes(static_cast<double>(confusion.classes) * total));
         }
         possible &= score >= scan_.log_new[k];
@@ -158,10 +158,10 @@ Lanes AnonymousScan::Group::chosen_numbers(std::size_t k, int row) const {
     const Integers same = (chosen == chosen[0]) | (chosen < 0);
     bool together = chosen[0] >= 0;
     for (int lane = 0; lane < lanes; ++lane) together &= same[lane] != 0;
-    if (together) return load(scan_.near[chosen[0]]->row(row) + first_);
+    if (together) return load(scan_.near[chosen[0]]->group(row, first_));
     Lanes value{};
     for (int lane = 0; lane < lanes; ++lane)
-        if (chosen[lane] >= 0) value[lane] = scan_.near[chosen[lane]]->row(row)[first_ + lane];
+        if (chosen[lane] >= 0) value[lane] = scan_.near[chosen[lane]]->at(row, first_ + lane);
     return value;
 }
 
@@ -172,7 +172,7 @@ Gaussian AnonymousScan::Group::chosen_landmark(std::size_t k) const {
 
 void AnonymousScan::Group::write_chosen(std::size_t k, const Integers& known, int row, const Lanes& value) const {
     for (int lane = 0; lane < lanes; ++lane)
-        if (known[lane]) scan_.near[chosen_[k][lane]]->row(row)[first_ + lane] = value[lane];
+        if (known[lane]) scan_.near[chosen_[k][lane]]->at(row, first_ + lane) = value[lane];
 }
 
 Lanes AnonymousScan::Group::correct(Gaussian& belief, bool weighs) const {
@@ -224,15 +224,15 @@ void AnonymousScan::Group::update_known(std::size_t k, const Gaussian& m) const 
 
 /// A new landmark of the particles that have chosen none.
 void AnonymousScan::Group::create(std::size_t k, const Pose& pose) const {
-    Rows& rows = *scan_.fresh[k];
+    Blocks& rows = *scan_.fresh[k];
     write_gaussian(rows, true, first_, initial_landmark(pose, scan_.sightings[k]));
-    store(rows.row(evidence_row) + first_, numbers::select(chosen_[k] < 0, all<Lanes>(1.0), 0.0));
-    store(rows.row(last_step_row) + first_, all<Lanes>(scan_.step));
+    store(rows.group(evidence_row, first_), numbers::select(chosen_[k] < 0, all<Lanes>(1.0), 0.0));
+    store(rows.group(last_step_row, first_), all<Lanes>(scan_.step));
     const Confusion& confusion = *scan_.confusion;
     double total = 0.0;
     for (std::size_t n = 0; n < confusion.classes; ++n) total += confusion(n, scan_.shown[k]);
     for (std::size_t n = 0; n < confusion.classes; ++n)
-        store(rows.row(first_class_row + static_cast<int>(n)) + first_, all<Lanes>(confusion(n, scan_.shown[k]) / total));
+        store(rows.group(first_class_row + static_cast<int>(n), first_), all<Lanes>(confusion(n, scan_.shown[k]) / total));
 }
 
 }  // namespace vmslam::particles

@@ -19,9 +19,9 @@ IdentifiedMap::View IdentifiedMap::view(LandmarkId id) {
     return {column.numbers.get(), history_.ancestors(column.level)};
 }
 
-std::shared_ptr<Rows> IdentifiedMap::spare() {
+std::shared_ptr<Blocks> IdentifiedMap::spare() {
     // columns are reused, because the operating system would clear fresh memory page by page
-    if (spare_.empty()) return std::make_shared<Rows>(oriented_ ? oriented_rows : point_rows, particles_);
+    if (spare_.empty()) return std::make_shared<Blocks>(oriented_ ? oriented_rows : point_rows, particles_);
     auto rows = std::move(spare_.back());
     spare_.pop_back();
     return rows;

@@ -24,23 +24,23 @@ inline constexpr double ln2_high = 6.93147180369123816490e-01, ln2_low = 1.90821
 
 /// c[0] + x c[1] + x² c[2] + ...
 template <class Real>
-Real polynomial(const Real&, double c) {
+VMSLAM_INLINE Real polynomial(const Real&, double c) {
     return all<Real>(c);
 }
 template <class Real, class... Rest>
-Real polynomial(const Real& x, double c, double next, Rest... rest) {
+VMSLAM_INLINE Real polynomial(const Real& x, double c, double next, Rest... rest) {
     return c + x * polynomial(x, next, rest...);
 }
 
 /// x rounded to the nearest whole number.
 template <class Real>
-Real nearest(const Real& x) {
+VMSLAM_INLINE Real nearest(const Real& x) {
     return (x + rounding) - rounding;
 }
 
 /// The same angle in [-pi, pi) [rad]; an angle that is already there is returned unchanged.
 template <class Real>
-Real wrap_angle(const Real& angle) {
+VMSLAM_INLINE Real wrap_angle(const Real& angle) {
     Real wrapped = angle - 2 * pi * nearest(Real(angle * (0.5 / pi)));
     // rounding may leave the result just outside the interval
     wrapped = select(wrapped < -pi, Real(wrapped + 2 * pi), wrapped);
@@ -54,7 +54,7 @@ struct SineCosine {
 };
 
 template <class Real>
-SineCosine<Real> sincos(const Real& x) {
+VMSLAM_INLINE SineCosine<Real> sincos(const Real& x) {
     const Real k = nearest(Real(x * (2 / pi)));
     const Real r = (x - k * quarter_high) - k * quarter_low;
     const Real quadrant = k - 4 * nearest(Real(k * 0.25));  // -2 to 2
@@ -72,7 +72,7 @@ SineCosine<Real> sincos(const Real& x) {
 
 /// The direction of the vector (x, y) [rad]; NaN at the origin.
 template <class Real>
-Real atan2(const Real& y, const Real& x) {
+VMSLAM_INLINE Real atan2(const Real& y, const Real& x) {
     constexpr double tan_eighth = 0.41421356237309503;  // tan(pi / 8)
     const Real across = smaller(magnitude(x), magnitude(y)), along = larger(magnitude(x), magnitude(y));
     // beyond pi/8 the angle is measured from the diagonal, so that one division is enough
@@ -92,7 +92,7 @@ Real atan2(const Real& y, const Real& x) {
 
 /// The natural logarithm of a normal positive number; for other arguments the result is meaningless but finite.
 template <class Real>
-Real log(const Real& x) {
+VMSLAM_INLINE Real log(const Real& x) {
     using Integer = IntegerOf<Real>;
     constexpr std::int64_t sqrt_half = 0x3FE6A09E667F3BCD;
     const Integer bits = std::bit_cast<Integer>(x), exponent = (bits - sqrt_half) >> 52;
@@ -109,7 +109,7 @@ Real log(const Real& x) {
 
 /// e to the power of x; 0 for x below -708.
 template <class Real>
-Real exp(const Real& x) {
+VMSLAM_INLINE Real exp(const Real& x) {
     using Integer = IntegerOf<Real>;
     const Real least = larger(x, all<Real>(-708.0));
     const Real k = nearest(Real(least * 1.4426950408889634));

@@ -14,6 +14,9 @@ namespace vmslam::numbers {
 
 inline constexpr int lanes = 8;
 
+/// Functions whose callers are loops over lanes: a call would pass vectors through memory.
+#define VMSLAM_INLINE [[gnu::always_inline]] inline
+
 typedef double Lanes __attribute__((vector_size(8 * lanes)));
 typedef std::int64_t Integers __attribute__((vector_size(8 * lanes)));
 typedef std::uint64_t Bits __attribute__((vector_size(8 * lanes)));

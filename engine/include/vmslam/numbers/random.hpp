@@ -14,7 +14,7 @@ inline constexpr std::uint64_t pairs = 3;
 
 /// The uniform number of an index, in [0, 1).
 template <class Bits>
-auto uniform(std::uint64_t key, const Bits& index) {
+VMSLAM_INLINE auto uniform(std::uint64_t key, const Bits& index) {
     Bits bits = key + (index + std::uint64_t{1}) * std::uint64_t{0x9E3779B97F4A7C15};
     bits = (bits ^ (bits >> 30)) * std::uint64_t{0xBF58476D1CE4E5B9};
     bits = (bits ^ (bits >> 27)) * std::uint64_t{0x94D049BB133111EB};
@@ -29,7 +29,7 @@ struct Pair {
 
 /// Two independent standard normal numbers: pair 0, 1 or 2 of a particle.
 template <class Real>
-Pair<Real> normal_pair(std::uint64_t key, const BitsOf<Real>& particle, std::uint64_t pair) {
+VMSLAM_INLINE Pair<Real> normal_pair(std::uint64_t key, const BitsOf<Real>& particle, std::uint64_t pair) {
     using Bits = BitsOf<Real>;
     const Bits index = std::uint64_t{2} * (pairs * particle + pair);
     // u lies in (0, 1], as the logarithm needs; the other uniform number lies in [0, 1)
@@ -46,7 +46,7 @@ struct FiveNormals {
 
 /// The five standard normal numbers of a particle; what is not used is not computed.
 template <class Real>
-FiveNormals<Real> five_normals(std::uint64_t key, const BitsOf<Real>& particle) {
+VMSLAM_INLINE FiveNormals<Real> five_normals(std::uint64_t key, const BitsOf<Real>& particle) {
     const auto [n0, n1] = normal_pair<Real>(key, particle, 0);
     const auto [n2, n3] = normal_pair<Real>(key, particle, 1);
     return {n0, n1, n2, n3, normal_pair<Real>(key, particle, 2).first};

@@ -47,7 +47,7 @@ class AnonymousMap {
     std::int64_t created() const { return created_; }
     /// The numbers of a landmark, and the particles' ancestors by which they are read; null numbers: there is none.
     struct View {
-        const Rows* numbers;
+        const Blocks* numbers;
         const Index* ancestors;
     };
     View view(std::int64_t landmark);
@@ -66,7 +66,7 @@ class AnonymousMap {
 
    private:
     struct Slice {
-        std::unique_ptr<Rows> rows;
+        std::unique_ptr<Blocks> rows;
         std::int64_t landmark = -1, level = 0;
         bool droppable = false;
         Box box;
@@ -77,7 +77,7 @@ class AnonymousMap {
     void bring_up_to_date(std::span<const std::size_t> slices);
     std::vector<std::size_t> make_room(std::size_t count);
     void enlarge(std::size_t more);
-    std::vector<Rows*> rows_of(std::span<const std::size_t> slices);
+    std::vector<Blocks*> rows_of(std::span<const std::size_t> slices);
     void written(std::span<const std::size_t> slices, const Ranges& ranges);
 
     History& history_;
@@ -88,7 +88,7 @@ class AnonymousMap {
     double gate_;
     Blur blur_{0.0, 0.0};
     std::vector<Slice> slices_;
-    Rows spare_;
+    Blocks spare_;
     std::int64_t created_ = 0;
     std::size_t steps_ = 0;
     Limits limits_;

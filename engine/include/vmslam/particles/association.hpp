@@ -62,7 +62,7 @@ struct AnonymousScan {
     double gate, step;
     const Confusion* confusion;
     /// slices that may be in view, in the order of creation, and one for each sighting of a new landmark
-    std::vector<Rows*> near, fresh;
+    std::vector<Blocks*> near, fresh;
     std::vector<std::size_t> near_slices, fresh_slices;
 
     /// The scan as a group of particles sees it.

@@ -49,15 +49,15 @@ inline void write_pose(Rows& rows, std::size_t first, const Pose& pose) {
 /// The rows of a Gaussian without a heading, which are x, y, xx, xy, yy, and of one with a heading.
 inline constexpr int point_rows = 5, oriented_rows = 9;
 
-inline Gaussian read_gaussian(const Rows& rows, bool oriented, std::size_t first, const Index* ancestors = nullptr) {
-    const auto at = [&](int k) { return read(rows.row(k), first, ancestors); };
+inline Gaussian read_gaussian(const Blocks& blocks, bool oriented, std::size_t first, const Index* ancestors = nullptr) {
+    const auto at = [&](int k) { return read(blocks, k, first, ancestors); };
     if (oriented) return {at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7), at(8)};
     const Lanes zero{};
     return {at(0), at(1), zero, at(2), at(3), zero, at(4), zero, zero};
 }
 
-inline void write_gaussian(Rows& rows, bool oriented, std::size_t first, const Gaussian& g) {
-    const auto put = [&](int k, const Lanes& value) { numbers::store(rows.row(k) + first, value); };
+inline void write_gaussian(Blocks& blocks, bool oriented, std::size_t first, const Gaussian& g) {
+    const auto put = [&](int k, const Lanes& value) { numbers::store(blocks.group(k, first), value); };
     put(0, g.x), put(1, g.y);
     if (oriented) {
         put(2, g.h), put(3, g.xx), put(4, g.xy), put(5, g.xh), put(6, g.yy), put(7, g.yh), put(8, g.hh);

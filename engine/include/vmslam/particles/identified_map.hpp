@@ -51,7 +51,7 @@ class IdentifiedMap {
 
     /// The numbers of a landmark, and the particles' ancestors by which they are read.
     struct View {
-        const Rows* numbers;
+        const Blocks* numbers;
         const Index* ancestors;
     };
     View view(LandmarkId id);
@@ -67,14 +67,14 @@ class IdentifiedMap {
     };
     struct Column {
         std::int64_t level;
-        std::shared_ptr<Rows> numbers;
+        std::shared_ptr<Blocks> numbers;
         std::shared_ptr<Sighted> sighted;
     };
 
     Task first_sighting(LandmarkId id, const Sighting& sighting, const std::shared_ptr<const Rows>& poses);
     Task later_sighting(Column& column, const Sighting& sighting, const std::shared_ptr<const Rows>& poses);
     void join(Sighted& sighted, const RatedSighting& sighting, const std::shared_ptr<const Rows>& poses, const Index* slots) const;
-    std::shared_ptr<Rows> spare();
+    std::shared_ptr<Blocks> spare();
 
     History& history_;
     std::size_t particles_;
@@ -83,7 +83,7 @@ class IdentifiedMap {
     std::optional<RangeNoise> range_noise_;
     std::map<LandmarkId, Column> columns_;
     /// columns that nobody uses, and those that are still read in this scan
-    std::vector<std::shared_ptr<Rows>> spare_, replaced_;
+    std::vector<std::shared_ptr<Blocks>> spare_, replaced_;
 };
 
 struct IdentifiedMap::Task {
@@ -91,9 +91,9 @@ struct IdentifiedMap::Task {
     /// as measured, by which poses are corrected, and with the noise at the estimated range, if that is wanted
     Sighting sighting;
     RatedSighting rated;
-    Rows* target;
+    Blocks* target;
     /// where the landmark is read, which was known before; null source for a first sighting
-    const Rows* source = nullptr;
+    const Blocks* source = nullptr;
     const Index* slots = nullptr;
     /// whether it is the scan's first sighting of a landmark that was known before the scan
     bool leading = false;

@@ -39,12 +39,43 @@ class Rows {
     sparse::Numbers numbers_;
 };
 
+/// Some numbers of each particle, in blocks of one group: all numbers of eight particles lie side by side. This is for numbers
+/// that are used together, as those of a landmark are: memory is then read and written in few streams.
+class Blocks {
+   public:
+    Blocks() = default;
+    Blocks(int rows, std::size_t particles)
+        : rows_(rows), particles_(particles), numbers_(static_cast<std::ptrdiff_t>(rows * padded(particles))) {
+        if (particles % lanes != 0) std::fill_n(group(0, particles / lanes * lanes), rows * lanes, 0.0);
+    }
+
+    int rows() const { return rows_; }
+    std::size_t particles() const { return particles_; }
+    /// A number of the group that begins with particle `first`.
+    double* group(int row, std::size_t first) { return numbers_.data() + first * rows_ + row * lanes; }
+    const double* group(int row, std::size_t first) const { return numbers_.data() + first * rows_ + row * lanes; }
+    double& at(int row, std::size_t particle) { return group(row, particle / lanes * lanes)[particle % lanes]; }
+    double at(int row, std::size_t particle) const { return group(row, particle / lanes * lanes)[particle % lanes]; }
+
+   private:
+    int rows_ = 0;
+    std::size_t particles_ = 0;
+    sparse::Numbers numbers_;
+};
+
 /// Which particle of an earlier level each particle descends from, filled up to whole groups; empty: itself.
 using Ancestry = std::vector<Index>;
 
 /// The numbers of a group in one row, or those of its ancestors if there are any.
 inline Lanes read(const double* row, std::size_t first, const Index* ancestors) {
     return ancestors ? numbers::gather(row, ancestors + first) : numbers::load(row + first);
+}
+
+inline Lanes read(const Blocks& blocks, int row, std::size_t first, const Index* ancestors) {
+    if (!ancestors) return numbers::load(blocks.group(row, first));
+    Lanes out;
+    for (int k = 0; k < lanes; ++k) out[k] = blocks.at(row, static_cast<std::size_t>(ancestors[first + k]));
+    return out;
 }
 
 }  // namespace vmslam::particles
