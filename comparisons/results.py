@@ -131,6 +131,15 @@ class EstimatorResult:
             return None
         return None if isinstance(self._of_graph, str) else self._of_graph
 
+    @cached_property
+    def expected_ate_m(self) -> float | None:
+        """The ATE [m] that the covariances of a graph let expect; None where they are not known."""
+        if self.graph is None or self.state is None or isinstance(self._of_graph, str):
+            return None
+        if isinstance(self.origin, Solution):
+            return self.origin.expected_ate
+        return Uncertainty(self.graph, self.state).expected_ate(len(self.graph.steps))
+
     def _relative_covariances(self, covariances: Array) -> Array | None:
         """The covariances (T+1, 3, 3) of the poses of a graph against its first pose, whose errors move all others along.
 

@@ -177,6 +177,17 @@ class Solution:
         return self._uncertainty.joint_square(errors) / errors[1:].size
 
     @cached_property
+    def expected_ate(self) -> float:
+        """The ATE [m] that the covariances let expect, with the uncertainty of biases: the truth is not needed.
+
+        It is as right as the noise models are. `Uncertainty.expected_ate` has the equation.
+
+        Raises:
+            GraphError: the edges do not determine the poses.
+        """
+        return self._uncertainty.expected_ate(len(self._solved_graph.steps))
+
+    @cached_property
     def parameters(self) -> ParameterEstimate | None:
         """The parameters of vehicle and sensor that the graph estimates, with their covariance; None for none.
 

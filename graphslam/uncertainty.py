@@ -12,7 +12,7 @@ from .edges.base import Linearization
 from .graph import Graph
 from .linear.cholesky import Factor, FactorizationError
 from .parameters.joint import JointFactor, JointGraph
-from .se2 import Array
+from .se2 import Array, perpendicular
 
 
 class Uncertainty:
@@ -99,6 +99,27 @@ class Uncertainty:
         held = np.repeat(np.isin(nodes, self._graph.fixed), 3)
         whole[held], whole[:, held] = 0.0, 0.0
         return np.asarray(whole)
+
+    def expected_ate(self, poses: int) -> float:
+        """The root of the expected square of the ATE [m] of the first P nodes, ``poses``, if the noise models are right.
+
+        The ATE is what is left of errors e of the positions after the best rigid motion is taken away. To the first order
+        that is the part across the three directions g_k in which e shifts or turns all poses together, so its mean square
+        is (tr Sigma - sum_k g_k' Sigma g_k) / P.
+        """
+        centred = self._state[:poses, :2] - self._state[:poses, :2].mean(axis=0)
+        rigid = np.zeros((self._graph.num_nodes, 3, 3))
+        rigid[:poses, 0, 0] = rigid[:poses, 1, 1] = 1.0
+        rigid[:poses, :2, 2] = perpendicular(centred)
+        size = np.linalg.norm(rigid, axis=(0, 1))
+        rigid /= np.where(size > 0, size, 1.0)
+        rigid[self._graph.fixed] = 0.0
+        along = np.einsum("nik,nik->k", rigid, self.solve(rigid))
+        if self._joint is not None:
+            reached = np.einsum("nik,nip->kp", rigid, self._joint.reach)
+            along += np.einsum("kp,pq,kq->k", reached, self._joint.covariance, reached)
+        total = np.trace(self.diagonal[:poses, :2, :2], axis1=1, axis2=2).sum()
+        return float(np.sqrt(max(total - along.sum(), 0.0) / poses))
 
     def solve(self, right: Array) -> Array:
         """Omega^-1 times right-hand sides, (n, 3) or (n, 3, k)."""

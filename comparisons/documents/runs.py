@@ -140,6 +140,9 @@ class EstimatorDocument(Document):
     cost_per_dof: CostPerDof
     seconds: Annotated[float | None, about("time of the estimation alone [s]")]
     ate_m: Annotated[float | None, about("absolute trajectory error [m]")]
+    expected_ate_m: Annotated[
+        float | None, about("the ATE that the covariances of a graph let expect [m]; right where the noise models are")
+    ]
     rpe_m: Annotated[float | None, about("relative pose error per step [m]")]
     rpe_rad: Annotated[float | None, about("relative pose error per step [rad]")]
     heading_rad: Annotated[float | None, about("error of the headings after alignment [rad]")]

@@ -272,11 +272,17 @@ def _noise_remarks(comparison: Comparison) -> list[str]:
                 f" {first} has {number(ratio, 1)}: the noise models assume less noise than there is, or sightings "
                 "are wrong."
             )
-        elif ratio < 1 / DOUBTFUL and "estimated" not in comparison.noise_source.values():
-            verdict = f" {first} has {number(ratio, 2)}: the noise models assume more noise than there is."
+        elif ratio < 1 / DOUBTFUL:
+            why = "the noise models assume more noise than there is."
+            if "estimated" in comparison.noise_source.values():
+                why = "correlated errors count as fewer sightings with more noise."
+            verdict = f" {first} has {number(ratio, 2)}: {why}"
         robust = any(r.name == first and r.graph is not None and r.graph.reweighted for r in comparison.results)
         but = ", except for the sightings that the robust kernel weighs down" if robust else ""
         remarks.append(f"J per dof (degree of freedom): about 1 means that the noise models fit{but}.{verdict}")
+    expected = [f"{r.name} {number(r.expected_ate_m, 3)} m" for r in comparison.results if r.expected_ate_m is not None]
+    if expected:
+        remarks.append(f"Expected ATE, from the covariances: {', '.join(expected)}.")
     return remarks
 
 

@@ -22,7 +22,8 @@ void require(bool holds, const char* what) {
 /// Residuals (C, d) with their covariance (C d, C d), in as many numbers.
 Residuals residuals_of(const In<double>& nu, const In<double>& covariance) {
     require(nu.ndim() == 2 && nu.shape(1) >= 1 && nu.shape(1) <= most_coordinates, "residuals have 1 to 3 coordinates");
-    require(covariance.size() == nu.size() * nu.size(), "the covariance has a row and a column for each number of the residuals");
+    require(covariance.size() == nu.size() * nu.size(),
+            "the covariance has a row and a column for each number of the residuals");
     return {span(nu), span(covariance), nu.shape(1)};
 }
 
@@ -38,7 +39,8 @@ Out<std::int64_t> views(const In<double>& poses, const In<double>& landmarks, co
     std::vector<std::int64_t> counts;
     {
         const nb::gil_scoped_release other_threads;
-        counts = count_views(span(poses), {span(landmarks), landmarks.shape(1)}, {origin.data()[0], origin.data()[1]}, fields);
+        counts =
+            count_views(span(poses), {span(landmarks), landmarks.shape(1)}, {origin.data()[0], origin.data()[1]}, fields);
     }
     return array(std::move(counts), {fields.size(), landmarks.shape(0)});
 }
@@ -75,7 +77,8 @@ nb::tuple grown(const In<Number>& begin, const In<Number>& items, const In<Numbe
     require(items.size() == count && landmarks.size() == count && weights.size() == count && allowed.size() == count,
             "the arrays of the pairs have different lengths");
     require(begin.ndim() == 2, "each hypothesis begins with a row of pairs");
-    for (const Number c : span(begin)) require(c >= -1 && c < Number(count), "a hypothesis begins with pairs that are not there");
+    for (const Number c : span(begin))
+        require(c >= -1 && c < Number(count), "a hypothesis begins with pairs that are not there");
     const std::size_t rows = begin.shape(0), given = begin.shape(1);
     std::vector<char> members(rows * count);
     std::vector<double> evidence(rows);

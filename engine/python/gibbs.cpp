@@ -90,8 +90,8 @@ std::pair<double, Out<double>> cost_of(const Problem& problem, const In<double>&
     return {value, array(std::move(squares))};
 }
 
-/// The bits of one of NumPy's bit generators, which must live as long. Its struct begins with its state and the function of the
-/// next 64 bits; see `bitgen.h` of NumPy.
+/// The bits of one of NumPy's bit generators, which must live as long. Its struct begins with its state and the function of
+/// the next 64 bits; see `bitgen.h` of NumPy.
 BitSource source_of(nb::handle generator) {
     const nb::object bits = generator.attr("capsule");
     require(PyCapsule_IsValid(bits.ptr(), "BitGenerator"), "random numbers come from a BitGenerator of NumPy");
@@ -149,9 +149,13 @@ class SharedChain {
 /// Backward simulation with the arrays and the problem that it reads.
 class SharedBackward {
    public:
-    SharedBackward(In<double> poses, In<double> log_weights, In<std::int32_t> parents, Problem problem, Number candidates)
-        : poses_(std::move(poses)), log_weights_(std::move(log_weights)), parents_(std::move(parents)),
-          problem_(std::move(problem)), sampler_(sampler(recorded(), candidates)) {}
+    SharedBackward(In<double> poses, In<double> log_weights, const In<std::int32_t>& parents, Problem problem,
+                   Number candidates)
+        : poses_(std::move(poses)),
+          log_weights_(std::move(log_weights)),
+          parents_(parents.data(), parents.data() + parents.size()),
+          problem_(std::move(problem)),
+          sampler_(sampler(recorded(), candidates)) {}
 
     nb::tuple draw(nb::object generator) const {
         Random random(source_of(generator));
@@ -172,18 +176,19 @@ class SharedBackward {
         require(log_weights_.shape(0) == problem_.steps() + 1 && parents_.size() == log_weights_.size() &&
                     poses_.size() == 3 * log_weights_.size(),
                 "poses, log weights and parents must have a row for each step");
-        for (const std::int32_t parent : span(parents_))
+        for (const std::int32_t parent : parents_)
             require(parent >= 0 && std::size_t(parent) < count, "a parent is none of the particles");
-        return {span(poses_), span(log_weights_), span(parents_), count};
+        return {span(poses_), span(log_weights_), parents_, count};
     }
 
     BackwardSampler sampler(const RecordedParticles& particles, Number candidates) const {
+        require(candidates > 0, "at least one particle must be considered");
         const nb::gil_scoped_release other_threads;
         return BackwardSampler(particles, problem_, candidates);
     }
 
     In<double> poses_, log_weights_;
-    In<std::int32_t> parents_;
+    std::vector<std::int32_t> parents_;  ///< a copy, which nobody changes after the check
     Problem problem_;
     BackwardSampler sampler_;
 };
@@ -192,19 +197,21 @@ class SharedBackward {
 
 void bind_gibbs(nb::module_& m) {
     nb::class_<Problem>(m, "GibbsProblem")
-        .def("__init__", [](Problem* at, In<double> motions, In<double> information, In<Index> first, In<Index> marks,
-                            In<double> y, In<double> C, In<double> weights, In<double> z, In<double> q, Number landmarks,
-                            int columns, bool exact, double degrees) {
-            new (at) Problem(problem_of(motions, information, first, marks, y, C, weights, z, q, landmarks, columns, exact,
-                                        degrees));
-        })
+        .def("__init__",
+             [](Problem* at, In<double> motions, In<double> information, In<Index> first, In<Index> marks, In<double> y,
+                In<double> C, In<double> weights, In<double> z, In<double> q, Number landmarks, int columns, bool exact,
+                double degrees) {
+                 new (at) Problem(
+                     problem_of(motions, information, first, marks, y, C, weights, z, q, landmarks, columns, exact, degrees));
+             })
         .def("cost", &cost_of)
         .def("draw_map", &drawn_map);
     nb::class_<SharedBackward>(m, "BackwardSampler")
-        .def("__init__", [](SharedBackward* at, In<double> poses, In<double> log_weights, In<std::int32_t> parents,
-                            const Problem& problem, Number candidates) {
-            new (at) SharedBackward(std::move(poses), std::move(log_weights), std::move(parents), problem, candidates);
-        })
+        .def("__init__",
+             [](SharedBackward* at, In<double> poses, In<double> log_weights, In<std::int32_t> parents,
+                const Problem& problem, Number candidates) {
+                 new (at) SharedBackward(std::move(poses), std::move(log_weights), parents, problem, candidates);
+             })
         .def("draw", &SharedBackward::draw);
     nb::class_<SharedChain>(m, "GibbsChain")
         .def(nb::init<nb::object, In<double>, In<double>>())

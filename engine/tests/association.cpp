@@ -142,7 +142,8 @@ void views_are_those_of_range_and_bearing(unsigned seed) {
             for (std::size_t t = 0; t < 20; ++t) {
                 const double *const x = &poses[3 * t], *const m = &marks[3 * j], c = std::cos(x[2]), s = std::sin(x[2]);
                 const double dx = m[0] - x[0] - c * sensor.x + s * sensor.y, dy = m[1] - x[1] - s * sensor.x - c * sensor.y;
-                const double range = std::hypot(dx, dy), bearing = std::remainder(std::atan2(dy, dx) - x[2], 2 * std::numbers::pi);
+                const double range = std::hypot(dx, dy),
+                             bearing = std::remainder(std::atan2(dy, dx) - x[2], 2 * std::numbers::pi);
                 expected += range >= limits[k].nearest && range <= limits[k].farthest && std::abs(bearing) <= bearings[k];
             }
             expect(counts[k * 20 + j] == expected, "views within range and bearing", seed);

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "expect.hpp"
+#include "vmslam/gibbs/backward.hpp"
 #include "vmslam/gibbs/chain.hpp"
 
 namespace {
@@ -61,7 +62,8 @@ void gaussians_are_fused(unsigned seed) {
     const double here = density(forward, y[0], C[0], true);
     const double there = density(turned_mark, composed(pose, y[0]), vmslam::edges::turned(pose.axes, C[0]), true);
     expect(std::abs(here - there) < 1e-9, "densities do not depend on the axes", seed);
-    expect(farthest(relative(pose, composed(pose, y[0])), {y[0].x, y[0].y, wrap_angle(y[0].t)}) < 1e-12, "there and back", seed);
+    expect(farthest(relative(pose, composed(pose, y[0])), {y[0].x, y[0].y, wrap_angle(y[0].t)}) < 1e-12, "there and back",
+           seed);
     const Symmetric product = passed(C[0], C[1]);
     const Symmetric expected = inverse(inverse(C[0]).matrix + inverse(C[1]).matrix).matrix;
     expect(std::abs(product.xx - expected.xx) + std::abs(product.yt - expected.yt) < 1e-12, "information after noise", seed);
@@ -76,7 +78,8 @@ Problem straight(bool exact) {
     const Symmetric C{4e-4, 0.0, 4e-4, 0.0, 0.0, 1e-2}, weight{2500.0, 0.0, 2500.0, 0.0, 0.0, 100.0};
     const auto add = [&](Number step, const Vector& y) {
         const double range = std::hypot(y.x, y.y), bearing = std::atan2(y.y, y.x);
-        problem.sightings.push_back({step, 0, y, C, weight, {range, bearing, bearing - y.t}, {4e-4, 4e-4 / (range * range), 1e-2}});
+        problem.sightings.push_back(
+            {step, 0, y, C, weight, {range, bearing, bearing - y.t}, {4e-4, 4e-4 / (range * range), 1e-2}});
     };
     add(0, {5.0, 0.0, 0.0});
     add(3, {2.06, 0.0, 0.0});
@@ -100,6 +103,35 @@ void chains_sample_the_posterior(bool exact) {
     expect(std::abs(mean - expected) < 0.1 * std::sqrt(variance), "the mean of the posterior", exact);
     expect(std::abs(square / variance - 1) < 0.2, "its variance", exact);
     expect(samples.maps.size() == 4000 && std::abs(samples.maps.back()[0].x - 5.0) < 0.2, "maps", exact);
+}
+
+/// Particles of equal weights: the rest of a trajectory is attached where the landmark has been seen.
+void trajectories_are_drawn_backwards(Number candidates) {
+    constexpr Number N = 400;
+    SplitMix64 bits{5};
+    Random random(bits.source());
+    Problem problem = straight(false);
+    std::vector<double> poses, log_weights;
+    std::vector<std::int32_t> parents;
+    for (Number t = 0; t < 4; ++t)
+        for (Number i = 0; i < N; ++i) {
+            // a start somewhere, and exact motions
+            const double begin = t == 0 ? 0.3 * random.normal() : poses[3 * i];
+            poses.insert(poses.end(), {begin + static_cast<double>(t), 0.0, 0.0});
+            log_weights.push_back(-std::log(static_cast<double>(N)));
+            parents.push_back(static_cast<std::int32_t>(i));
+        }
+    const RecordedParticles particles{poses, log_weights, parents, N};
+    const BackwardSampler sampler(particles, problem, candidates);
+    double mean = 0.0;
+    constexpr int draws = 400;
+    for (int k = 0; k < draws; ++k) {
+        const Trajectory x = sampler.draw(random);
+        expect(std::abs(x[3].x - x[0].x - 3.0) < 1e-12, "motions are those of the particles", candidates);
+        mean += x[0].x / draws;
+    }
+    // both ends see the landmark at the same place relative to them, up to 6 cm, wherever they are
+    expect(std::abs(mean) < 5 * 0.3 / std::sqrt(N) + 5 * 0.3 / std::sqrt(draws), "all starts are as likely", candidates);
 }
 
 /// Moves along all directions of the Gaussian itself are always accepted.
@@ -127,5 +159,7 @@ void test_gibbs() {
     for (unsigned seed = 0; seed < 50; ++seed) gaussians_are_fused(seed);
     chains_sample_the_posterior(false);
     chains_sample_the_posterior(true);
+    trajectories_are_drawn_backwards(1000);
+    trajectories_are_drawn_backwards(20);
     moves_leave_a_gaussian_unchanged();
 }

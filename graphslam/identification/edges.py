@@ -45,10 +45,18 @@ class Edges:
 
     def pull(self, forces: Array, nodes: Array) -> Array:
         """Add B' f for forces f (E, d, k) to right-hand sides (n, 3, k), and return J' f (K, k)."""
-        np.add.at(nodes, self.first, np.swapaxes(self.by_first, 1, 2) @ forces)
-        np.add.at(nodes, self.second, np.swapaxes(self.by_second, 1, 2) @ forces)
+        add_at(nodes, self.first, np.swapaxes(self.by_first, 1, 2) @ forces)
+        add_at(nodes, self.second, np.swapaxes(self.by_second, 1, 2) @ forces)
         return np.einsum("edp,edk->pk", self.by_parameters, forces)
 
     def moved(self, nodes: Array, parameters: Array) -> Array:
         """How residuals change, (E, d, k), when nodes (n, 3, k) and parameters (K, k) do."""
         return self.by_first @ nodes[self.first] + self.by_second @ nodes[self.second] + self.by_parameters @ parameters
+
+
+def add_at(total: Array, rows: np.ndarray, values: Array) -> None:
+    """Add values (E, ...) to these rows (E,) of ``total`` (n, ...), which may occur several times."""
+    width = total[0].size
+    places = rows[:, None] * width + np.arange(width)
+    # several times as fast as `np.add.at`
+    total += np.bincount(places.ravel(), values.ravel(), total.size).reshape(total.shape)

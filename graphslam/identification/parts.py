@@ -33,15 +33,17 @@ _TINY: dict[str, Any] = dict.fromkeys(OF_SENSOR, 1e-9)
 _EXACT = SensorModel(**_TINY)
 
 
-def motion_parts(log: Log) -> dict[str, Array]:
-    """C_p (T, 3, 3) of each field of the motion model, for all motions of a log, in the frame each starts from."""
+def motion_parts(log: Log, names: Iterable[str] = (*OF_MOTION, "epsilon")) -> dict[str, Array]:
+    """C_p (T, 3, 3) of fields of the motion model, for all motions of a log, in the frame each starts from."""
     assert log.controls is not None and log.dt is not None
     identity, parts = np.eye(3), {}
-    for name in OF_MOTION:
+    for name in names:
+        if name == "epsilon":
+            parts[name] = np.broadcast_to(identity, (log.num_poses - 1, 3, 3)).copy()
+            continue
         alone = replace(_STILL, **{name: 1.0})
         covariances = alone.accumulate(log.controls, log.dt, log.control_starts, recorded_dt=log.recorded_dt)[1]
         parts[name] = covariances - LEAST_EPSILON * identity
-    parts["epsilon"] = np.broadcast_to(identity, (log.num_poses - 1, 3, 3)).copy()
     return parts
 
 

@@ -46,11 +46,9 @@ def improve_variances(unknowns: Unknowns) -> tuple[float, Array]:
             terms.append((edges, part, r, weighted))
     solved, solved_values = linear.solve(right, right_values)
     gradient, information = np.zeros(len(names)), np.zeros((len(names), len(names)))
-    for kind, edges in enumerate(linear.edges):
+    for edges, fitted in zip(linear.edges, unknowns.hide(linear)):
         rows = [k for k, term in enumerate(terms) if term[0] is edges]
         pulled = edges.information @ edges.residuals[:, :, None]
-        fitted = linear.fitted(edges)
-        unknowns.hidden[kind] = np.sum(edges.information * fitted, axis=(1, 2)) / edges.weights
         excess = edges.information - edges.information @ fitted @ edges.information
         follows = edges.moved(solved, solved_values)
         for k in rows:

@@ -74,8 +74,8 @@ CAUSES = {
     "sensor_left": "is the place of the sensor right (sensor offset)?",
     "sensor_delay": "do odometry and sensor have the same clock?",
 }
-#: of longer logs only so many sightings are used at once where this is enough
-MOST = 6000
+#: of longer logs only so many sightings are used at once where this is enough, and so many for correlations
+MOST, MOST_CORRELATED = 6000, 12_000
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -91,7 +91,6 @@ class RobotEstimate:
         correlations: (B,) of the errors of one landmark over the lags between `LAGS`.
         inflation: the factor on the variances of the sensor with which its errors count as independent; 1: they are.
         nearly_exact: whether nothing in the log speaks against exact odometry, whose noise is then a part of its estimate.
-        poses: (T+1, 3) the trajectory of the search.
     """
 
     log: Log
@@ -104,7 +103,6 @@ class RobotEstimate:
     correlations: Array
     inflation: float
     nearly_exact: bool
-    poses: Array
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -237,26 +235,27 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
 
 def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotEstimate:
     """`estimate_robot` for a log that has enough."""
-    local, doubtful, alone = _local(log, sensor)
-    kept = log.with_sightings(~doubtful)
-    fewer = _at_most(kept, MOST)
-    first = _fitted(Unknowns(fewer, fewer.landmarks, sensor, local), ROUNDS[1])[0]
-    ids = checked_ids(log, first, alone, rng)
-    named = log.with_sightings(~ids.dropped, landmarks=ids.landmarks[~ids.dropped])
+    drive = _of_sightings(log)
+    local, doubtful, alone = _local(drive, sensor)
+    fewer = _at_most(drive.with_sightings(~doubtful), MOST)
+    first = _joined(fewer, sensor, local, ROUNDS[1])[0]
+    ids = checked_ids(drive, _everywhere(first, fewer), alone, rng)
+    right, names = ~ids.dropped, ids.landmarks[~ids.dropped]
+    named = drive.with_sightings(right, landmarks=names)
     sparse, used = _sparse(named)
-    second = _fitted(Unknowns(sparse, sparse.landmarks, sensor, first), ROUNDS[2])[0]
+    second = _joined(sparse, sensor, first, ROUNDS[2])[0]
     exact = _fitted(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
     held, held_with_exact = _hold_needless(second), _hold_needless(exact)
-    if nearly_exact := _is_exact(named, second, exact, used, rng):
+    if nearly_exact := _is_exact(named, sparse, used, second, exact, rng):
         second, held = exact, held_with_exact
-    rho = smoothed(correlations(named, second, used, rng))
+    rho = _correlations(named, sparse, used, second, rng)
     factor = COMMON * inflation(named, rho) if rho[:SHORT].max() >= HARDLY else 1.0
     if factor > 1:
         below = np.flatnonzero(rho < DEPENDENT)
         chosen = _thinned(named, LAGS[below[0]] if len(below) else LAGS[-2])[0]
     else:
         chosen, rho = _at_most(named, MOST), np.zeros_like(rho)
-    last, errors = _fitted(Unknowns(chosen, chosen.landmarks, sensor, second), ROUNDS[3])
+    last, errors = _joined(chosen, sensor, second, ROUNDS[3])
     # exactly, without the rounding of the last step
     last.hold(held)
     motion, seen = last.models
@@ -264,7 +263,7 @@ def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotE
         seen, range_rate=seen.range_rate * factor**0.5, range_std=seen.range_std * factor**0.5,
         bearing_std=seen.bearing_std * factor**0.5, orientation_std=seen.orientation_std * factor**0.5,
     )  # fmt: skip
-    parameters = replace(last.parameters, recorded=named)
+    parameters = replace(last.parameters, recorded=log.with_sightings(right, landmarks=names))
     free = [k for k, name in enumerate(parameters.names) if name not in held]
     names, means, deviations = (
         np.array(each)[free].tolist() for each in (parameters.names, parameters.means, parameters.deviations)
@@ -280,7 +279,6 @@ def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotE
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, changed=ids.changed,
         dropped=ids.dropped, correlations=rho, inflation=factor, nearly_exact=nearly_exact,
-        poses=last.trajectory.copy(),
     )  # fmt: skip
 
 
@@ -312,7 +310,7 @@ def _local(log: Log, sensor: SensorModel) -> tuple[Unknowns, np.ndarray, np.ndar
         local = _fitted(Unknowns(log, episodes, sensor), ROUNDS[0])[0]
     else:
         # noise and biases from the beginning, and with them all poses
-        beginning = log.at_steps(np.arange(log.steps[MOST] + 1))
+        beginning = _beginning(log, MOST)
         part = _fitted(Unknowns(beginning, episodes[: len(beginning.steps)], sensor), ROUNDS[0])[0]
         local = Unknowns(log, episodes, sensor, part)
         local.iterate(4)
@@ -334,13 +332,35 @@ def _episodes(log: Log, pause: float) -> np.ndarray:
     return episodes
 
 
+def _of_sightings(log: Log) -> Log:
+    """The log with only its first and last pose and those from which something was seen; motions between are joined."""
+    return log.at_steps(np.unique([0, *log.steps, log.num_poses - 1]))
+
+
+def _joined(log: Log, sensor: SensorModel, start: Unknowns, rounds: int) -> tuple[Unknowns, dict[str, float]]:
+    """`_fitted` with the landmarks by their ids, and only with the poses from which they were seen."""
+    few = _of_sightings(log)
+    return _fitted(Unknowns(few, few.landmarks, sensor, start), rounds)
+
+
+def _everywhere(fitted: Unknowns, log: Log) -> Unknowns:
+    """The solution of `_joined` with all poses of its log."""
+    if fitted.poses == log.num_poses:
+        return fitted
+    whole = Unknowns(log, log.landmarks, fitted.sensor, fitted)
+    whole.iterate(1)
+    whole.hide(whole.linearized())
+    whole.iterate(1)
+    return whole
+
+
 def _fitted(unknowns: Unknowns, rounds: int) -> tuple[Unknowns, dict[str, float]]:
     """Solve and improve the variances in turn; and the standard errors of the standard deviations, as parts of them."""
     errors = np.zeros(0)
     for k in range(rounds):
+        # a step of the nodes in between: without it, the variances do not converge
         unknowns.iterate(1 if k else 4)
         gain, errors = improve_variances(unknowns)
-        unknowns.take_noise()
         if gain < GAIN:
             break
     unknowns.iterate(1)
@@ -366,27 +386,34 @@ def _hold_needless(fitted: Unknowns) -> dict[str, float]:
     return held
 
 
-def _is_exact(log: Log, fitted: Unknowns, exact: Unknowns, used: np.ndarray, rng: np.random.Generator) -> bool:
+def _correlations(log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, rng: np.random.Generator) -> np.ndarray:
+    """The `smoothed` correlations (B,) of errors, from the solution of few sightings ``sparse``, (M,) bool ``used``."""
+    part = _beginning(log, MOST_CORRELATED)
+    whole = _everywhere(fitted, sparse.at_steps(np.arange(part.num_poses)))
+    return smoothed(correlations(part, whole, used[: len(part.steps)], rng))
+
+
+def _is_exact(
+    log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, exact: Unknowns, rng: np.random.Generator
+) -> bool:
     """Whether the log does not show that the odometry is noisy.
 
-    Both problems are those of few sightings, (M,) bool ``used``: ``fitted`` with the noise of the motion that was found, and
-    ``exact`` with a small part of it. Such noise follows errors of the sightings that are correlated, which then do not show.
-    So the gain of the log likelihood is divided by the number of sightings that count as one where there is hardly any noise.
-    It must be small with few sightings, and with one of each landmark in `MORE` seconds, where these are more. A log with
-    fewer than `ENOUGH` such sightings shows too little.
+    Both problems are those of few sightings ``sparse``, (M,) bool ``used``: ``fitted`` with the noise of the motion that was
+    found, and ``exact`` with a small part of it. Such noise follows errors of the sightings that are correlated, which then
+    do not show. So the gain of the log likelihood is divided by the number of sightings that count as one where there is
+    hardly any noise. It must be small with few sightings, and with one of each landmark in `MORE` seconds, where these are
+    more. A log with fewer than `ENOUGH` such sightings shows too little.
     """
     few = len(fitted.log.steps)
     if few < ENOUGH:
         return False
-    rho = smoothed(correlations(log, exact, used, rng))
-    if _gain(fitted, exact) >= NEEDED * inflation(fitted.log, rho):
+    rho = _correlations(log, sparse, used, exact, rng)
+    if _gain(fitted, exact) >= NEEDED * inflation(sparse, rho):
         return False
     more = _at_most(_thinned(log, MORE)[0], MOST)
     if len(more.steps) <= few:
         return True
-    fitted, exact = (
-        _fitted(Unknowns(more, more.landmarks, fitted.sensor, each), ROUNDS[1])[0] for each in (fitted, exact)
-    )
+    fitted, exact = (_joined(more, fitted.sensor, each, ROUNDS[1])[0] for each in (fitted, exact))
     return _gain(fitted, exact) < NEEDED * inflation(more, rho)
 
 
@@ -415,6 +442,11 @@ def _thinned(log: Log, interval: float) -> tuple[Log, np.ndarray]:
     # the middle one of each interval
     used[order[starts + count // 2]] = True
     return log.with_sightings(used), used
+
+
+def _beginning(log: Log, count: int) -> Log:
+    """The first poses of a log, with so many sightings, or a few more from the last one."""
+    return log if len(log.steps) <= count else log.at_steps(np.arange(log.steps[count] + 1))
 
 
 def _at_most(log: Log, count: int) -> Log:

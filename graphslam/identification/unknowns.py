@@ -20,7 +20,7 @@ Nodes and parameters are solved together: with C = sum B' W J, D = sum J' W J + 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -31,11 +31,12 @@ from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..parameters.corrections import controls_at_steps, corrected_controls, corrected_sensor, motion_slopes
+from ..parameters.corrections import corrected_sensor
 from ..parameters.declared import Parameters, ideal_values
-from ..se2 import Array, mounted, perpendicular, rotation, wrap
-from .edges import Edges
-from .parts import motion_parts, sensor_parts, with_variances
+from ..se2 import Array, compose, interpolate, inverse, mounted, perpendicular, rotation, wrap
+from .edges import Edges, add_at
+from .odometry import Odometry, near
+from .parts import sensor_parts, with_variances
 
 #: the parameters of an unknown robot, with the standard deviations of their priors. The scale of ranges is not among them:
 #: a log tells only its quotient with the scale of the wheels.
@@ -62,8 +63,6 @@ DEGREES_SIGHTINGS, DEGREES_MOTIONS = 4.0, 8.0
 #: fitted to Gaussian errors of d numbers, Student's t has so much of their variance: the s² of
 #: E[(nu + d) q / (nu s² + q)] = d, q chi-squared with d degrees of freedom; of sightings by d, and of motions
 OF_GAUSSIAN_SIGHTINGS, OF_GAUSSIAN_MOTIONS = {2: 0.7267, 3: 0.7559}, 0.8389
-#: parameters that differ by less than this part of the standard deviations of their priors are near
-NEAR = 0.2
 #: where nothing speaks against exact odometry, its noise has this part of the estimate (docs/decisions.md)
 EXACT = 1 / 4
 #: the standard deviation of the prior of a parameter that is held
@@ -99,34 +98,29 @@ class Unknowns:
         # sightings are in the order of time
         self._first_sightings = np.unique(group, return_index=True)[1]
         self.before, self.after = np.arange(self.poses - 1), np.arange(1, self.poses)
-        same = start is not None and start.poses == self.poses
-        self._evaluated: tuple[Array, Array, Array] | None = start._evaluated if start is not None and same else None
-        self.motion_parts: Mapping[str, Array] = (
-            start.motion_parts
-            if start is not None and same
-            else {name: C for name, C in motion_parts(log).items() if name in TYPICAL}
-        )
+        self.odometry: Odometry = start.odometry if start is not None and start.odometry.covers(log) else Odometry(log)
+        self._steps = self.odometry.steps(log)
+        self.motion_parts, gaps = self.odometry.parts(self._steps)
+        self._least = gaps + LEAST_MOTION * np.eye(3)
         self.sensor_parts = sensor_parts(self.sightings)
-        # what the log itself says of the noise of single controls, such as across a silence of the odometry
-        self._of_gaps = STILL.accumulate(log.controls, log.dt, log.control_starts, log.control_variances)[1]
+        self._evaluated: tuple[Array, Array, Array] | None = None
         self.centres = self._centres()
         if start is None:
             names = tuple(PRIORS)
             ideal = np.array([ideal_values(sensor)[name] for name in names])
             deviations = np.array([PRIORS[name] for name in names])
-            self.parameters = Parameters(names, ideal, ideal, deviations, log, MotionModel(), sensor, 1.0)
+            self.parameters = Parameters(names, ideal, ideal, deviations, self.odometry.log, MotionModel(), sensor, 1.0)
             self.logarithms = dict(self.centres)
             poses = self.dead_reckoning()
         else:
-            self.parameters = replace(start.parameters, recorded=log)
+            self.parameters = replace(start.parameters, recorded=self.odometry.log)
             self.logarithms = {name: start.logarithms[name] for name in self.centres}
-            # a part of the log tells nothing of the poses of the whole one
-            poses = start.trajectory if start.poses == self.poses else self.dead_reckoning()
+            poses = start.poses_of(log, self.odometry)
         self.longest, self.last_change = np.full(len(self.centres), LONGEST), np.zeros(len(self.centres))
         self.state: Array = np.concatenate([poses, self._places(poses, group)])
         #: the names of variances that keep their values
         self.held_variances: frozenset[str] = frozenset() if start is None else start.held_variances
-        #: tr(W F) of motions and sightings, see `Edges.weigh`; `improve_variances` sets it
+        #: tr(W F) of motions and sightings, see `Edges.weigh`; `hide` sets it
         self.hidden: list[Array | float] = [0.0, 0.0]
         self.take_noise()
         self.system = BlockSystem.from_cliques(
@@ -136,7 +130,7 @@ class Unknowns:
     def take_noise(self) -> None:
         """Use the present variances where the controls around each pose are averaged for the delay of the sensor."""
         self.parameters = replace(self.parameters, motion=self.models[0])
-        self._speeds = controls_at_steps(self.parameters)
+        self._speeds = self.odometry.speeds(self.parameters)[self._steps]
 
     def _centres(self) -> dict[str, float]:
         """The centres of the priors on the logarithms of the variances."""
@@ -207,9 +201,21 @@ class Unknowns:
 
     def dead_reckoning(self) -> Array:
         """The poses (T+1, 3) of the corrected controls."""
-        log = self.log
-        controls = corrected_controls(self.parameters)
-        return MotionModel().dead_reckoning(log.initial_poses[0], controls, log.dt)[log.control_starts]  # type: ignore[arg-type]
+        return self.odometry.poses(self.parameters)[self._steps]
+
+    def poses_of(self, log: Log, odometry: Odometry) -> Array:
+        """The poses (T+1, 3) of another log of the same drive, which may have more poses or fewer; and its odometry.
+
+        The motions between poses are those of the corrected controls. What these leave out is shared out in time.
+        """
+        assert self.log.times is not None and log.times is not None
+        there = odometry.poses(self.parameters)[odometry.steps(log)]
+        # where dead reckoning would have to start for each pose to be right
+        starts = compose(self.trajectory, inverse(self.dead_reckoning()))
+        number = np.interp(log.times, self.log.times, np.arange(self.poses))
+        before = number.astype(np.int64)
+        after = np.minimum(before + 1, self.poses - 1)
+        return interpolate(compose(starts[before], there), compose(starts[after], there), number - before)
 
     def _places(self, poses: Array, group: np.ndarray) -> Array:
         """The medians (L, 3) of the places at which sightings put their landmarks."""
@@ -238,18 +244,12 @@ class Unknowns:
         return Edges(self.before, self.after, residuals, by_first, by_second, -slopes, self.motion_parts)
 
     def _measured(self) -> tuple[Array, Array]:
-        """The motions (T, 3) of the corrected controls, and their derivative (T, 3, K) by the parameters.
-
-        Logs may have fifty controls for each motion. Where the parameters are `NEAR` those of the last time, that derivative
-        is enough: what it leaves out of a motion is of the second order, some 1e-5 of it.
-        """
+        """The motions (T, 3) of the corrected controls, and their derivative (T, 3, K) by the parameters; see `near`."""
         now = self.parameters
-        if self._evaluated is not None:
+        if self._evaluated is not None and near(now, self._evaluated[0]):
             at, measured, slopes = self._evaluated
-            change = now.values - at
-            if np.all(np.abs(change) <= NEAR * now.deviations):
-                return measured + slopes @ change, slopes
-        self._evaluated = (now.values, *motion_slopes(now, corrected_controls(now)))
+            return measured + slopes @ (now.values - at), slopes
+        self._evaluated = (now.values, *self.odometry.motions(now, self._steps))
         return self._evaluated[1:]
 
     def sighted(
@@ -318,7 +318,7 @@ class Unknowns:
         """C (E, d, d) of edges."""
         total = sum(np.exp(self.logarithms[name]) * C for name, C in edges.parts.items())
         if edges.parts is self.motion_parts:
-            total = total + self._of_gaps
+            total = total + self._least
         return np.asarray(total)
 
     def linearized(self) -> Linear:
@@ -331,6 +331,12 @@ class Unknowns:
         motions.weigh(self.covariances(motions), DEGREES_MOTIONS, self.hidden[0])
         sightings.weigh(self.covariances(sightings), DEGREES_SIGHTINGS, self.hidden[1])
         return Linear(self, (motions, sightings))
+
+    def hide(self, linear: Linear) -> list[Array]:
+        """Set what edges hide (`hidden`); and F (E, d, d) of motions and sightings."""
+        every = [linear.fitted(edges) for edges in linear.edges]
+        self.hidden = [np.sum(e.information * F, axis=(1, 2)) / e.weights for e, F in zip(linear.edges, every)]
+        return every
 
     def iterate(self, steps: int) -> None:
         """Gauss-Newton steps.
@@ -397,9 +403,9 @@ class Linear:
         for each in self.edges:
             W, (at_first, at_second, at_pair) = each.information, system.slots_of(each.first, each.second)
             WA, WB, WJ = W @ each.by_first, W @ each.by_second, W @ each.by_parameters
-            np.add.at(system.values, at_first, np.swapaxes(each.by_first, 1, 2) @ WA)
-            np.add.at(system.values, at_second, np.swapaxes(each.by_second, 1, 2) @ WB)
-            np.add.at(system.values, at_pair, np.swapaxes(each.by_first, 1, 2) @ WB)
+            add_at(system.values, at_first, np.swapaxes(each.by_first, 1, 2) @ WA)
+            add_at(system.values, at_second, np.swapaxes(each.by_second, 1, 2) @ WB)
+            add_at(system.values, at_pair, np.swapaxes(each.by_first, 1, 2) @ WB)
             own += each.pull(WJ, self.mixed)
             self.gradient -= each.pull(W @ each.residuals[:, :, None], xi)[:, 0]
         if self.flat:

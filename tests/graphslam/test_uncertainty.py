@@ -1,8 +1,10 @@
 import gtsam
 import numpy as np
 import pytest
+from error_rates import bound
 
-from graphslam import Graph, OptionError, load, sample_log_path, simulate, solve
+from graphslam import Drive, Graph, MotionModel, OptionError, SensorModel, load, sample_log_path, simulate, solve
+from graphslam.metrics import ate
 from graphslam.se2 import wrap
 from graphslam.solvers.gtsam_solver import to_gtsam, to_values
 
@@ -92,3 +94,23 @@ def test_nees_is_that_of_the_dense_covariance():
     unknown = log.true_poses.copy()
     unknown[3, 2] = np.nan
     assert np.flatnonzero(np.isnan(solution.nees(unknown))).tolist() == [3]
+
+
+@pytest.mark.parametrize("uncertain", [True, False])
+def test_the_expected_ate_is_that_of_samples(uncertain):
+    """Errors drawn from the whole covariance, aligned by the best rigid motion."""
+    log = Drive(seed=8, duration=20.0, landmarks=12).simulate()[0].replace(motion=MotionModel(), sensor=SensorModel())
+    if uncertain:
+        log = log.replace(uncertain={"wheel_scale": 0.1, "turn_rate_bias": 0.05})
+    solution = solve(Graph.from_log(log, edges="landmark+motion"))
+    poses = len(solution.poses)
+    covariance = np.block([[solution.cross_covariance(i, j) for j in range(poses)] for i in range(poses)])
+    values, vectors = np.linalg.eigh(covariance)
+    rng, scale = np.random.default_rng(0), 1e-3
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    # small, because the expectation is of the first order
+    drawn = (root @ rng.standard_normal((3 * poses, 2000))).T.reshape(-1, poses, 3) * scale
+    squares = np.array([(ate(solution.poses, solution.poses + e) / scale) ** 2 for e in drawn])
+    error = squares.std() / len(squares) ** 0.5
+    assert abs(squares.mean() - solution.expected_ate**2) < bound(2) * error
+    assert (solution.graph.held is not None) == uncertain

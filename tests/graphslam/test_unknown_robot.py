@@ -32,6 +32,8 @@ from graphslam import (
 )
 from graphslam.identification import restricted_likelihood, robot, sighting_errors
 from graphslam.identification import unknowns as unknowns_module
+from graphslam.identification.odometry import Odometry
+from graphslam.identification.parts import motion_parts
 from graphslam.identification.restricted_likelihood import improve_variances, log_likelihood
 from graphslam.identification.sighting_errors import LAGS, _unlikely, inflation, smoothed
 from graphslam.identification.unknowns import (
@@ -43,6 +45,8 @@ from graphslam.identification.unknowns import (
     Unknowns,
 )
 from graphslam.metrics import evaluate
+from graphslam.parameters.corrections import corrected_controls, motion_slopes
+from graphslam.se2 import between, wrap
 from graphslam.sources.drives import DriveTruth
 from graphslam.uncertainty import Uncertainty
 
@@ -347,6 +351,40 @@ def test_a_long_log_is_searched_by_parts(monkeypatch: pytest.MonkeyPatch) -> Non
     for name, error in parts.parameters.deviations.items():
         assert abs(parts.parameters[name] - whole.parameters[name]) < 3 * error, name
     assert parts.misread == pytest.approx(whole.misread, rel=0.2)
+
+
+def test_joined_motions_are_those_of_all_their_controls() -> None:
+    log = Drive(seed=8, duration=30.0, landmarks=12).simulate()[0]
+    kept = np.array([0, 3, 4, 11, log.num_poses - 1])
+    joined = log.at_steps(kept)
+    whole = Unknowns(log, log.landmarks, SensorModel())
+    moved = whole.parameters.at(whole.parameters.values + 0.01 * np.arange(len(PRIORS)))
+    odometry = Odometry(log)
+    expected = motion_slopes(replace(moved, recorded=joined), corrected_controls(replace(moved, recorded=joined)))
+    for found, right in zip(odometry.motions(moved, kept), expected):
+        np.testing.assert_allclose(found, right, rtol=1e-9, atol=1e-12)
+    parts = motion_parts(joined)
+    for name, C in odometry.parts(kept)[0].items():
+        # `motion_parts` subtracts a least variance, so that small ones are rounded
+        np.testing.assert_allclose(C, parts[name], rtol=1e-9, atol=1e-12)
+    assert np.array_equal(odometry.steps(joined), kept)
+    assert odometry.covers(joined)
+    assert not Odometry(joined).covers(log)
+
+
+def test_poses_of_a_part_are_carried_to_all() -> None:
+    """Between two poses the odometry is kept, and what it leaves out is shared out."""
+    log = Drive(seed=8, duration=30.0, landmarks=12).simulate()[0]
+    part = log.at_steps(np.arange(0, log.num_poses, 5))
+    few = Unknowns(part, part.landmarks, SensorModel())
+    few.iterate(3)
+    there = few.poses_of(log, Odometry(log))
+    assert np.abs(wrap(there[::5] - few.trajectory)).max() < 1e-9
+    # as smooth as odometry: between neighbours, it differs by a fifth of what is shared out
+    reckoned = Odometry(log).poses(few.parameters)
+    shared = np.abs(between(few.trajectory[:-1], few.trajectory[1:]) - between(reckoned[:-5:5], reckoned[5::5])).max(0)
+    off = np.abs(between(there[:-1], there[1:]) - between(reckoned[:-1], reckoned[1:])).max(0)
+    assert np.all(off < 0.4 * shared)
 
 
 def test_covariances_of_residuals_are_those_of_many_samples() -> None:

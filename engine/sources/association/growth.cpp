@@ -19,7 +19,11 @@ struct Weighed {
 class Growth {
    public:
     Growth(std::span<const Number> begin, const Pairs& pairs, const GrowthRules& rules)
-        : pairs_(pairs), rules_(rules), d_(pairs.residuals.d), count_(pairs.residuals.size()), width_(count_ * d_),
+        : pairs_(pairs),
+          rules_(rules),
+          d_(pairs.residuals.d),
+          count_(pairs.residuals.size()),
+          width_(count_ * d_),
           nu_(pairs.residuals.nu.begin(), pairs.residuals.nu.end()),
           S_(pairs.residuals.covariance.begin(), pairs.residuals.covariance.end()),
           free_(pairs.allowed.begin(), pairs.allowed.end()) {
@@ -104,7 +108,8 @@ class Growth {
             if (pairs_.items[c] == pairs_.items[b] || pairs_.landmarks[c] == pairs_.landmarks[b]) free_[c] = false;
         const Small inverse = inverse_of(b);
         const auto to_come = [&](std::size_t c) {
-            return (rules_.grow && free_[c]) || std::find(given_.begin() + given_from, given_.end(), Number(c)) != given_.end();
+            return (rules_.grow && free_[c]) ||
+                   std::find(given_.begin() + given_from, given_.end(), Number(c)) != given_.end();
         };
         for (std::size_t c = 0; c < count_; ++c)
             if (to_come(c)) condition(c, b, inverse);

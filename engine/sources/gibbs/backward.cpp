@@ -48,8 +48,7 @@ void BackwardSampler::observe(Number t) {
             event = static_cast<std::int32_t>(events_.size());
             events_.push_back(std::move(marks));
         }
-        for (Number i = 0; i < N; ++i)
-            absorb(events_[event][i], Frame(particles_.pose(t, i)), s.y, s.C, problem_.oriented);
+        for (Number i = 0; i < N; ++i) absorb(events_[event][i], Frame(particles_.pose(t, i)), s.y, s.C, problem_.oriented);
     }
 }
 
@@ -73,7 +72,8 @@ Trajectory BackwardSampler::draw(Random& random) const {
             }
             chosen = attach(random, t, ancestor, shared);
         }
-        for (const Sighting& s : seen_at(problem_, problem_.sightings, t, t)) fuse(after[s.mark], s.y, s.C, problem_.oriented);
+        for (const Sighting& s : seen_at(problem_, problem_.sightings, t, t))
+            fuse(after[s.mark], s.y, s.C, problem_.oriented);
     }
     path[0] = particles_.pose(0, chosen);
     for (Number t = 1; t <= T; ++t) path[t] = composed(Frame(path[t - 1]), motions[t]);

@@ -39,8 +39,8 @@ double cost(const Problem& problem, const Trajectory& x, const Map& m, bool exac
         const Sighting& s = problem.sightings[k];
         if (s.step != step) pose = Frame(x[step = s.step]);
         const Vector place = relative(pose, m[s.mark]);
-        const double value = exact ? exact_squares(s.z, s.q, place, problem.oriented)
-                                   : squared(s.weight, deviation(s.y, place));
+        const double value =
+            exact ? exact_squares(s.z, s.q, place, problem.oriented) : squared(s.weight, deviation(s.y, place));
         if (!squares.empty()) squares[k] = value;
         // Student's t: (nu + n) log(1 + e' C^-1 e / nu)
         const double degrees = problem.degrees;
@@ -111,8 +111,7 @@ bool Bends::beyond_half_a_turn(std::span<const double> away) const {
 
 void Bends::displace(Trajectory& x, Map& m, std::span<const double> step) const {
     const double* at = step.data();
-    for (Number t = 1; t < x.size(); ++t, at += 3)
-        x[t] = {x[t].x + at[0], x[t].y + at[1], wrap_angle(x[t].t + at[2])};
+    for (Number t = 1; t < x.size(); ++t, at += 3) x[t] = {x[t].x + at[0], x[t].y + at[1], wrap_angle(x[t].t + at[2])};
     for (Vector& mark : m) {
         mark.x += at[0], mark.y += at[1];
         if (problem_.oriented) mark.t = wrap_angle(mark.t + at[2]);

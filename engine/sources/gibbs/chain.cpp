@@ -64,7 +64,8 @@ void Chain::renew_stretches(Random& random, const Problem& problem, const ChainR
     }
 }
 
-void Chain::bend(Random& random, const Problem& problem, const Directions& directions, const ChainRules& rules, Number sweep) {
+void Chain::bend(Random& random, const Problem& problem, const Directions& directions, const ChainRules& rules,
+                 Number sweep) {
     if (rules.moves == 0) return;
     const int accepted_moves = Bends(problem, directions, poses, state_.map).move(random, step_, rules.moves);
     if (!rules.warm_up) return;
@@ -78,8 +79,7 @@ void Chain::renew_precisions(Random& random, const Problem& problem) {
     std::vector<double> squares(problem.sightings.size());
     cost(problem, poses, state_.map, problem.exact, squares);
     const double shape = 0.5 * (problem.degrees + problem.coordinates());
-    for (std::size_t k = 0; k < squares.size(); ++k)
-        precision_[k] = 2 / (problem.degrees + squares[k]) * random.gamma(shape);
+    for (std::size_t k = 0; k < squares.size(); ++k) precision_[k] = 2 / (problem.degrees + squares[k]) * random.gamma(shape);
     weigh_sightings(problem);
 }
 

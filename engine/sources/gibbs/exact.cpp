@@ -5,7 +5,8 @@ namespace vmslam::gibbs {
 double exact_squares(const Vector& z, const Vector& q, const Vector& place, bool oriented) {
     // h = (|q|, atan2 q, atan2 q - q_h)
     const double bearing = numbers::atan2(place.y, place.x);
-    const double range_error = z.x - std::sqrt(place.x * place.x + place.y * place.y), bearing_error = wrap_angle(z.y - bearing);
+    const double range_error = z.x - std::sqrt(place.x * place.x + place.y * place.y),
+                 bearing_error = wrap_angle(z.y - bearing);
     double squares = range_error * range_error / q.x + bearing_error * bearing_error / q.y;
     if (!oriented) return squares;
     const double error = wrap_angle(z.t - bearing + place.t);

@@ -25,7 +25,8 @@ LocalMap::LocalMap(const Problem& problem, std::span<const Sighting> sightings, 
 namespace {
 
 /// Of the next pose, with the information `next` at its place in the path, as a landmark whose sighting is the motion.
-void add_next(Information& ahead, const Frame& middle, const Frame& next_middle, const Motion& motion, const Information& next) {
+void add_next(Information& ahead, const Frame& middle, const Frame& next_middle, const Motion& motion,
+              const Information& next) {
     const Vector d = relative(middle, next_middle.at);
     const Rotation axes = rotation(d.t);
     const Symmetric &W = motion.information, M = edges::turned(axes, next.L);

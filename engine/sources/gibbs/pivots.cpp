@@ -25,8 +25,8 @@ void Pivots::renew(Random& random, Trajectory& x) {
         find_shared(t);
         const Motion& motion = problem_.motions[t - 1];
         // without shared landmarks nothing but the prior
-        const Vector d = shared_.empty() ? drawn(random, motion.mean, inverse(motion.information).matrix)
-                                         : choose(random, t, start);
+        const Vector d =
+            shared_.empty() ? drawn(random, motion.mean, inverse(motion.information).matrix) : choose(random, t, start);
         move(random, x, t, start, d);
         const Frame pose(x[t]);
         for (const Sighting& s : seen_at(problem_, sightings_, t, t))
@@ -65,8 +65,7 @@ Pivots::Fit Pivots::fit(Number t, const Frame& start) const {
         if (k > 0) fit.middle = composed(Frame(fit.middle), fit.mean);
         Information sum = prior_at(fit.middle, problem_.motions[t - 1]);
         const Frame pose(composed(start, fit.middle));
-        for (const auto& [before, after] : shared_)
-            sum.add_sighting(pose, *before, after->mean, after->S, problem_.oriented);
+        for (const auto& [before, after] : shared_) sum.add_sighting(pose, *before, after->mean, after->S, problem_.oriented);
         fit.P = inverse(sum.L).matrix;
         fit.mean = fit.P * sum.eta;
     }

@@ -16,8 +16,15 @@ class Stretch {
    public:
     Stretch(Random& random, const Problem& problem, std::span<const Sighting> sightings, const StretchRules& rules,
             Number begin, Number end, Trajectory& x)
-        : random_(random), problem_(problem), sightings_(sightings), rules_(rules), begin_(begin), end_(end), x_(x),
-          map_(problem, sightings, x, begin, end), count_(map_.before.size()) {}
+        : random_(random),
+          problem_(problem),
+          sightings_(sightings),
+          rules_(rules),
+          begin_(begin),
+          end_(end),
+          x_(x),
+          map_(problem, sightings, x, begin, end),
+          count_(map_.before.size()) {}
 
     void renew(std::span<const Vector> guess) {
         if (rules_.ancestors) draw_map();
@@ -174,8 +181,8 @@ class Stretch {
     Number count_;  ///< landmarks of the local map
     Map drawn_;     ///< m
     Guide guide_;
-    std::vector<Vector> poses_;    ///< (n, N)
-    std::vector<Number> parents_;  ///< (n, N) the particle of the pose before
+    std::vector<Vector> poses_;           ///< (n, N)
+    std::vector<Number> parents_;         ///< (n, N) the particle of the pose before
     std::vector<Gaussian> maps_, spare_;  ///< (N, count)
     std::vector<double> log_weights_;
     std::vector<double> surplus_;  ///< log prod p(z | x, m) / p(z | x)

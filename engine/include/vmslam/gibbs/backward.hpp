@@ -10,8 +10,8 @@
 // cancels: what is drawn is where the rigid rest of the trajectory is attached, by the landmarks that both sides have seen.
 // Landmarks are integrated out: `after` is what the later sightings say of them in the axes of the pose.
 //
-// Of more particles than `candidates`, that many are considered at each step: the ancestor in the filter, and draws by weight.
-// This is a step of a conditional SMC, which leaves the distribution unchanged.
+// Of more particles than `candidates`, that many are considered at each step: the ancestor in the filter, and draws by
+// weight. This is a step of a conditional SMC, which leaves the distribution unchanged.
 //
 // Sources: Godsill, Doucet and West, Monte Carlo smoothing for nonlinear time series, JASA 2004; Lindsten and Schön, Backward
 // simulation methods for Monte Carlo statistical inference, 2013, chapter 4, for models that are not Markov; Bunch and

@@ -20,8 +20,8 @@ double log_ratio(const Trajectory& x, const Map& m, std::span<const Sighting> si
 /// kernel that is reversible, too, and the probability of acceptance is the ratio of w = exact / linearised density.
 class Correction {
    public:
-    Map map;                 ///< the present one
-    double log_weight = 0.0; ///< log w of the present trajectory and map
+    Map map;                  ///< the present one
+    double log_weight = 0.0;  ///< log w of the present trajectory and map
 
     bool accepts(Random& random, const Trajectory& trial, std::span<const Sighting> sightings, bool oriented);
 };

@@ -87,9 +87,7 @@ struct LowerRoot {
         tt = std::sqrt(S.tt - tx * tx - ty * ty);
     }
     /// L n
-    Vector operator*(const Vector& n) const {
-        return {xx * n.x, yx * n.x + yy * n.y, tx * n.x + ty * n.y + tt * n.t};
-    }
+    Vector operator*(const Vector& n) const { return {xx * n.x, yx * n.x + yy * n.y, tx * n.x + ty * n.y + tt * n.t}; }
     /// L^-1 d
     Vector whitened(const Vector& d) const {
         const double a = d.x / xx, b = (d.y - yx * a) / yy;

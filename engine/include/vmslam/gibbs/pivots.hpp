@@ -22,11 +22,15 @@ namespace vmslam::gibbs {
 /// One pass over all motions of a trajectory.
 class Pivots {
    public:
-    /// The sightings have their present covariances, `guess` has the motions (T) at which the fits begin. Without a correction
-    /// the density is the linearised one.
+    /// The sightings have their present covariances, `guess` has the motions (T) at which the fits begin. Without a
+    /// correction the density is the linearised one.
     Pivots(const Problem& problem, std::span<const Sighting> sightings, std::span<const Vector> guess, Number candidates,
            Correction* correction)
-        : problem_(problem), sightings_(sightings), guess_(guess), candidates_(candidates), log_weights_(candidates),
+        : problem_(problem),
+          sightings_(sightings),
+          guess_(guess),
+          candidates_(candidates),
+          log_weights_(candidates),
           correction_(correction) {}
 
     /// Renew x in place, from the first motion to the last.
@@ -57,8 +61,8 @@ class Pivots {
     std::vector<Vector> candidates_;
     std::vector<double> log_weights_;
     Correction* correction_;
-    std::vector<Vector> motions_;          ///< (T) the present d_t
-    std::vector<Gaussian> before_, after_; ///< (J); (T + 1, J), in the axes of each pose
+    std::vector<Vector> motions_;           ///< (T) the present d_t
+    std::vector<Gaussian> before_, after_;  ///< (J); (T + 1, J), in the axes of each pose
     std::vector<Shared> shared_;
 };
 

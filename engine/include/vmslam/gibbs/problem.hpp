@@ -19,10 +19,10 @@ struct Motion {
 
 struct Sighting {
     Number step, mark;
-    Vector y;         ///< the relative place of the landmark
-    Symmetric C;      ///< and its covariance
-    Symmetric weight; ///< its information; without psi nothing of the headings
-    Vector z, q;      ///< range, bearing and psi as measured, and their variances
+    Vector y;          ///< the relative place of the landmark
+    Symmetric C;       ///< and its covariance
+    Symmetric weight;  ///< its information; without psi nothing of the headings
+    Vector z, q;       ///< range, bearing and psi as measured, and their variances
 };
 
 struct Problem {
@@ -39,7 +39,8 @@ struct Problem {
 };
 
 /// The sightings of some steps.
-inline std::span<const Sighting> seen_at(const Problem& problem, std::span<const Sighting> sightings, Number from, Number to) {
+inline std::span<const Sighting> seen_at(const Problem& problem, std::span<const Sighting> sightings, Number from,
+                                         Number to) {
     return sightings.subspan(problem.first[from], problem.first[to + 1] - problem.first[from]);
 }
 

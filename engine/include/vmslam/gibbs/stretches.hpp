@@ -12,8 +12,8 @@
 //
 //     w_i p(x'_{t+1} | x_t^i) / psi_t(x_t^i) * prod p(z | x^i, m) / p(z | x^i)
 //
-// over the sightings of the stretch so far, where m is a draw of the map given the present trajectory. m is a last, unweighted
-// step of the SMC, which is what makes these weights those of the whole future without looking at it.
+// over the sightings of the stretch so far, where m is a draw of the map given the present trajectory. m is a last,
+// unweighted step of the SMC, which is what makes these weights those of the whole future without looking at it.
 //
 // Sources: Andrieu, Doucet and Holenstein, Particle Markov chain Monte Carlo methods, JRSS B 2010; Lindsten, Jordan and
 // Schön, Particle Gibbs with ancestor sampling, JMLR 2014; Kok, Solin and Schön, Rao-Blackwellized particle smoothing for
