@@ -1,30 +1,20 @@
-"""The numba kernels that are left: compile or load them before times are measured."""
+"""Let estimators load what they need before their time is measured."""
 
 from __future__ import annotations
 
 import warnings
 from contextlib import suppress
 from functools import cache
-from pathlib import Path
 
-import numba
-
-import fastslam
 from graphslam import MotionModel, SensorModel, simulate
 
 from .estimators import ESTIMATORS
 from .options import RunOptions
 
 
-def compiled() -> bool:
-    """Whether numba has compiled kernels of this installation before."""
-    folder = Path(numba.config.CACHE_DIR or Path(fastslam.__file__).parent)
-    return any(folder.rglob("*.nbi"))
-
-
 @cache
 def warm_up(estimator: str) -> None:
-    """Let an estimator compile or load its kernels on a tiny log, so that compiling is no part of its time.
+    """Let an estimator import its modules on a tiny log, so that loading them is no part of its time.
 
     What goes wrong here shows again, with its message, when the estimator runs on the user's log.
     """

@@ -43,8 +43,8 @@ class FastSLAM1(ParticleFilter):
     is not updated.
 
     With the landmark_update "joint" each landmark is integrated over all of its sightings at once instead of linearising each
-    (`vmslam/particles/joint.hpp` in the engine). With the range_noise "estimated" Q is taken at |m - x|, as in the slides, not
-    at the measured range; that of a first sighting is always at the measured range.
+    (`vmslam/particles/joint.hpp` in the engine). With the range_noise "estimated" Q is taken at |m - x|, as in the slides,
+    not at the measured range; that of a first sighting is always at the measured range.
 
     With the association "maximum-likelihood" ids are ignored, and `observe` takes None for them. Each particle assigns
     every sighting to the most likely landmark of its own map, the most likely pair of the scan first, and uses no

@@ -282,7 +282,13 @@ class ParticleFilter(ABC):
         marks = np.array([mixture[j].mean for j in sorted(mixture)])
         # a copy: what the filter draws later does not depend on whether it was asked for a result
         return self._record.smooth(
-            self._engine, self.options.smoothing, deepcopy(self._rng), self.sensor, mean_poses, marks, self.options.threads
+            self._engine,
+            self.options.smoothing,
+            deepcopy(self._rng),
+            self.sensor,
+            mean_poses,
+            marks,
+            self.options.threads,
         )
 
     def _association(self, poses: Array) -> dict[str, np.ndarray]:  # noqa: ARG002

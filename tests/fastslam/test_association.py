@@ -10,7 +10,6 @@ from fastslam import FastSLAM1, FastSLAM2, textbook
 from fastslam.noise import standard_normals
 from graphslam import MotionModel, OptionError, SensorModel, simulate
 
-
 UNKNOWN = {"association": "maximum-likelihood"}
 HALF = {
     "motion": MotionModel(nn=0.095, no=0.0005, on=0.065, oo=0.1, epsilon=2.5e-5),

@@ -8,8 +8,7 @@ from error_rates import bound
 
 from fastslam import FastSLAM1, FastSLAM2, textbook
 from fastslam.noise import standard_normals
-from graphslam import MotionModel, SensorModel, simulate
-from graphslam.se2 import wrap
+from graphslam import SensorModel, simulate
 
 # with such a precise sensor the two versions differ
 SHARP = SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005)

@@ -233,7 +233,8 @@ def test_noise_that_leaves_floating_point_is_refused() -> None:
         ParticleGibbs(log, motion=motion, particles=4, iterations=8, warm_up=8, chains=1).run()
     sightings = log.sightings.copy()
     sightings[5, 0] = 1e49
-    with pytest.raises(OptionError, match="longest is 1e\\+49 m"):
+    # rounding decides which of the two is noticed first
+    with pytest.raises(OptionError, match="longest is 1e\\+49 m|left floating point"):
         ParticleGibbs(log.replace(sightings=sightings), particles=4, iterations=8, warm_up=8, chains=1).run()
 
 

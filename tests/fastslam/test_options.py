@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import fastslam
-from fastslam import FastSLAM1, FastSLAM2, FilterOptions, MonteCarloLocalization
+from fastslam import FastSLAM1, FastSLAM2, FilterOptions
 from graphslam import OptionError, simulate
 
 
