@@ -29,7 +29,7 @@ void History::open_level(bool is_step) {
     if (stored_rows() + particles_ > limit_) prune();
     const std::size_t end = stored_rows() + particles_;
     if (end > x_.size()) {
-        if (end > most_rows) throw std::length_error("too many stored poses");
+        if (end > most_rows) throw std::length_error("the histories of so many particles are too long to be stored; take fewer particles");
         const std::size_t size = std::min(2 * end, most_rows);
         for (auto* const numbers : {&x_, &y_, &t_}) numbers->resize(size);
         for (auto* const numbers : {&parents_, &numbers_}) numbers->resize(size);
@@ -88,9 +88,10 @@ const Index* History::ancestors(std::int64_t level) {
     if (is_living(level)) return nullptr;
     // most requests: landmarks that are in view at every step
     if (level >= previous_) return parent_.data();
-    const auto found = inherited_.find(level);
-    if (found != inherited_.end()) return found->second.data();
-    return inherited_.emplace(level, indices(static_cast<std::size_t>(level))).first->second.data();
+    for (const auto& [known, indices] : inherited_)
+        if (known == level) return indices.data();
+    inherited_.emplace_back(level, indices(static_cast<std::size_t>(level)));
+    return inherited_.back().second.data();
 }
 
 // level by level, from the index that each row had there to those of its descendants

@@ -54,8 +54,9 @@ std::vector<Index> evenly_spaced(std::span<const double> cumulative, double offs
     std::int64_t first = 0;
     for (std::int64_t k = 0; k < count; ++k) {
         ancestors[first] = static_cast<Index>(k);
-        const auto after = static_cast<std::int64_t>(std::ceil(cumulative[k] * scale - offset));
-        first = cumulative[k] == total ? count : std::clamp<std::int64_t>(after, 0, count);
+        const double after = std::ceil(cumulative[k] * scale - offset);
+        first = cumulative[k] == total || after >= static_cast<double>(count) ? count
+                : after > 0.0 ? static_cast<std::int64_t>(after) : 0;
     }
     ancestors.pop_back();
     Index highest = 0;

@@ -14,7 +14,7 @@
 
 #include <array>
 #include <span>
-#include <unordered_map>
+#include <utility>
 
 #include "vmslam/particles/rows.hpp"
 
@@ -74,7 +74,8 @@ class History {
     std::int64_t living_ = 0, previous_ = 0;
     bool branched_ = false;
     Ancestry parent_;
-    std::unordered_map<std::int64_t, Ancestry> inherited_;
+    /// those at earlier levels that were asked for
+    std::vector<std::pair<std::int64_t, Ancestry>> inherited_;
     /// the number of levels when rows were last removed, and the number of rows from which on they are removed again
     std::size_t settled_ = 0, limit_;
 };
