@@ -350,7 +350,7 @@ class ParticleFilter(ABC):
         self._end_move()
 
     def _begin_move(self) -> int:
-        """End the step before; return the key of the random numbers of the motion."""
+        """Finish the previous step, and return the key of the random numbers of this motion."""
         if self._observed:
             self._engine.end_step()
             self._observed = False

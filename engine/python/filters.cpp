@@ -37,7 +37,8 @@ class SharedFilter {
 
    private:
     static Rows first_poses(const Numbers& poses) {
-        require(poses.ndim() == 2 && poses.shape(1) == 3 && poses.shape(0) > 0 && poses.shape(0) < (1u << 30), "poses (N, 3)");
+        require(poses.ndim() == 2 && poses.shape(1) == 3 && poses.shape(0) > 0 && poses.shape(0) < (1u << 30),
+                "poses (N, 3)");
         Rows rows(3, poses.shape(0));
         for (std::size_t i = 0; i < rows.particles(); ++i)
             for (int k = 0; k < 3; ++k) rows.row(k)[i] = poses.data()[3 * i + k];
@@ -177,18 +178,22 @@ void bind_motion(nb::class_<SharedFilter>& c) {
 }
 
 void bind_maps(nb::class_<SharedFilter>& c) {
-    c.def("use_ids", [](SharedFilter& s, bool oriented, std::size_t jointly, std::optional<std::array<double, 2>> range_noise) {
-        require(jointly <= most_sightings, "at most 16 sightings together");
-        std::optional<RangeNoise> noise;
-        if (range_noise) noise = {(*range_noise)[0], (*range_noise)[1]};
-        s.with([&](Filter& f) { f.use_ids(oriented, jointly, noise); });
-    }, nb::arg("oriented"), nb::arg("jointly"), nb::arg("range_noise").none());
+    c.def(
+        "use_ids",
+        [](SharedFilter& s, bool oriented, std::size_t jointly, std::optional<std::array<double, 2>> range_noise) {
+            require(jointly <= most_sightings, "at most 16 sightings together");
+            std::optional<RangeNoise> noise;
+            if (range_noise) noise = {(*range_noise)[0], (*range_noise)[1]};
+            s.with([&](Filter& f) { f.use_ids(oriented, jointly, noise); });
+        },
+        nb::arg("oriented"), nb::arg("jointly"), nb::arg("range_noise").none());
     c.def("use_no_ids", [](SharedFilter& s, bool oriented, double border, double merge_gate, std::size_t merge_interval,
                            std::array<double, 3> limits, Numbers confusion) {
         require(confusion.ndim() == 2 && confusion.shape(1) == confusion.shape(0) + 1, "probabilities (n, n + 1)");
         Confusion classes{confusion.shape(0), {confusion.data(), confusion.data() + confusion.size()}};
         s.with([&](Filter& f) {
-            f.use_no_ids(oriented, {border, merge_gate, merge_interval, {limits[0], limits[1], limits[2]}}, std::move(classes));
+            f.use_no_ids(oriented, {border, merge_gate, merge_interval, {limits[0], limits[1], limits[2]}},
+                         std::move(classes));
         });
     });
     c.def("place", [](SharedFilter& s, LandmarkId id, Numbers mean, Numbers covariance) {
@@ -211,14 +216,17 @@ void bind_maps(nb::class_<SharedFilter>& c) {
     });
     // the slices of the pool, and how many landmarks were created so far
     c.def("pool", [](SharedFilter& s) {
-        return s.with([](Filter& f) { return std::array<std::int64_t, 2>{static_cast<std::int64_t>(anonymous(f).slices()), anonymous(f).created()}; });
+        return s.with([](Filter& f) {
+            return std::array<std::int64_t, 2>{static_cast<std::int64_t>(anonymous(f).slices()), anonymous(f).created()};
+        });
     });
 }
 
 void bind_weighing(nb::class_<SharedFilter>& c) {
     c.def("weigh_known", [](SharedFilter& s, Numbers landmarks, Numbers z, Numbers q, In<bool> oriented) {
         const std::vector<Sighting> sightings = sightings_of(z, q);
-        require(landmarks.size() == 3 * sightings.size() && oriented.size() == sightings.size(), "as many landmarks as sightings");
+        require(landmarks.size() == 3 * sightings.size() && oriented.size() == sightings.size(),
+                "as many landmarks as sightings");
         std::vector<KnownSighting> known;
         for (std::size_t k = 0; k < sightings.size(); ++k) {
             const double* const m = landmarks.data() + 3 * k;
@@ -263,11 +271,13 @@ void bind_weighing(nb::class_<SharedFilter>& c) {
 void bind_state(nb::class_<SharedFilter>& c) {
     c.def_prop_ro("poses", [](SharedFilter& s) { return view_of(s.with([](Filter& f) { return f.poses(); })); });
     c.def_prop_ro("log_weights", [](SharedFilter& s) { return view_of(s.with([](Filter& f) { return f.log_weights(); })); });
-    c.def("log_likelihoods", [](SharedFilter& s) { return array(s.with([](Filter& f) { return copy_of(f.log_likelihoods()); })); });
+    c.def("log_likelihoods",
+          [](SharedFilter& s) { return array(s.with([](Filter& f) { return copy_of(f.log_likelihoods()); })); });
     c.def("weights", [](SharedFilter& s) { return array(s.with([](Filter& f) { return copy_of(f.weights()); })); });
     c.def_prop_ro("best", [](SharedFilter& s) { return s.with([](Filter& f) { return f.best(); }); });
     c.def_prop_ro("threads", [](SharedFilter& s) { return s.with([](Filter& f) { return f.ranges().count(); }); });
-    c.def_prop_ro("stored_poses", [](SharedFilter& s) { return s.with([](Filter& f) { return f.history().stored_rows(); }); });
+    c.def_prop_ro("stored_poses",
+                  [](SharedFilter& s) { return s.with([](Filter& f) { return f.history().stored_rows(); }); });
     c.def_prop_ro("history_bytes", [](SharedFilter& s) { return s.with([](Filter& f) { return f.history().bytes(); }); });
     c.def("level", [](SharedFilter& s) { return s.with([](Filter& f) { return f.history().level(); }); });
     c.def("ancestors", [](SharedFilter& s, std::int64_t level) {
@@ -293,7 +303,8 @@ void bind_state(nb::class_<SharedFilter>& c) {
             }
             return std::pair(f.record()->steps().size(), f.particles());
         });
-        return nb::make_tuple(array(std::move(poses), {steps, particles, 3}), array(std::move(log_weights), {steps, particles}),
+        return nb::make_tuple(array(std::move(poses), {steps, particles, 3}),
+                              array(std::move(log_weights), {steps, particles}),
                               array(std::move(parents), {steps, particles}));
     });
     c.def("trajectory", [](SharedFilter& s, std::size_t particle) {

@@ -1,7 +1,6 @@
 // Elementary functions and random numbers: against the C library, and every lane against the function of one number.
-#include "vmslam/numbers/random.hpp"
-
 #include "expect.hpp"
+#include "vmslam/numbers/random.hpp"
 
 namespace {
 
@@ -17,7 +16,8 @@ void test_library(double x, double y) {
     expect(difference(numbers::log(x * x), std::log(x * x)) < 1e-15, "log", 0);
     expect(difference(numbers::exp(10 * x), std::exp(10 * x)) < 1e-15, "exp", 0);
     const double wrapped = numbers::wrap_angle(10 * x);
-    expect(wrapped >= -numbers::pi && wrapped < numbers::pi && std::fabs(std::sin(wrapped - 10 * x)) < 1e-13, "wrap_angle", 0);
+    expect(wrapped >= -numbers::pi && wrapped < numbers::pi && std::fabs(std::sin(wrapped - 10 * x)) < 1e-13, "wrap_angle",
+           0);
 }
 
 void test_lanes(std::uint64_t key, std::uint64_t first) {

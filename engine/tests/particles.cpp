@@ -26,7 +26,14 @@ Gaussian gaussian(std::mt19937& random, double x, double y, double h, double spr
     for (int r = 0; r < 3; ++r)
         for (int c = 0; c < 3; ++c)
             for (int k = 0; k < 3; ++k) S[r][c] += a[r][k] * a[c][k];
-    return {each(x), each(y), each(h), each(S[0][0] + 1e-3), each(S[0][1]), each(S[0][2]), each(S[1][1] + 1e-3), each(S[1][2]),
+    return {each(x),
+            each(y),
+            each(h),
+            each(S[0][0] + 1e-3),
+            each(S[0][1]),
+            each(S[0][2]),
+            each(S[1][1] + 1e-3),
+            each(S[1][2]),
             each(S[2][2] + 1e-3)};
 }
 
@@ -108,20 +115,26 @@ void test_prediction(double omega) {
     for (int r = 0; r < 3; ++r)
         for (int c = 0; c < 3; ++c)
             P[r][c] = ((nu_more[r] - nu_less[r]) * (nu_more[c] - nu_less[c]) +
-                       (omega_more[r] - omega_less[r]) * (omega_more[c] - omega_less[c])) / (4 * h * h) + (r == c ? u.epsilon : 0);
-    const double found[6]{predicted.xx[0], predicted.xy[0], predicted.xh[0], predicted.yy[0], predicted.yh[0], predicted.hh[0]};
+                       (omega_more[r] - omega_less[r]) * (omega_more[c] - omega_less[c])) /
+                          (4 * h * h) +
+                      (r == c ? u.epsilon : 0);
+    const double found[6]{predicted.xx[0], predicted.xy[0], predicted.xh[0],
+                          predicted.yy[0], predicted.yh[0], predicted.hh[0]};
     const double wanted[6]{P[0][0], P[0][1], P[0][2], P[1][1], P[1][2], P[2][2]};
     for (int k = 0; k < 6; ++k) expect(std::fabs(found[k] - wanted[k]) < 1e-9, "the covariance of a motion", 0);
-    expect(std::fabs(predicted.x[0] - mean[0]) < 1e-13 && std::fabs(predicted.y[0] - mean[1]) < 1e-13, "the mean of a motion", 0);
+    expect(std::fabs(predicted.x[0] - mean[0]) < 1e-13 && std::fabs(predicted.y[0] - mean[1]) < 1e-13, "the mean of a motion",
+           0);
 }
 
 /// The product of two Gaussians, in the information form.
 void test_merged(unsigned seed) {
     std::mt19937 random(seed);
     const bool oriented = seed % 2 == 0;
-    const Gaussian a = gaussian(random, 0.1, 0.2, 3.1, 0.2), b = gaussian(random, 0.15, 0.1, -3.1, 0.2), c = fused(a, b, oriented);
-    const auto inverse = [&](const Gaussian& g, double (&out)[3][3]) {
-        const double S[3][3]{{g.xx[0], g.xy[0], oriented ? g.xh[0] : 0}, {g.xy[0], g.yy[0], oriented ? g.yh[0] : 0},
+    const Gaussian a = gaussian(random, 0.1, 0.2, 3.1, 0.2), b = gaussian(random, 0.15, 0.1, -3.1, 0.2),
+                   c = fused(a, b, oriented);
+    const auto inverse = [&](const Gaussian& g, double(&out)[3][3]) {
+        const double S[3][3]{{g.xx[0], g.xy[0], oriented ? g.xh[0] : 0},
+                             {g.xy[0], g.yy[0], oriented ? g.yh[0] : 0},
                              {oriented ? g.xh[0] : 0, oriented ? g.yh[0] : 0, oriented ? g.hh[0] : 1}};
         double det = 0;
         for (int k = 0; k < 3; ++k) {
@@ -145,7 +158,8 @@ void test_merged(unsigned seed) {
         for (int k = 0; k < n; ++k) {
             gradient += A[r][k] * da[k] + B[r][k] * db[k];
             scale += std::fabs(A[r][k] * da[k]) + std::fabs(B[r][k] * db[k]);
-            expect(std::fabs(C[r][k] - A[r][k] - B[r][k]) < 1e-8 * (1 + std::fabs(C[r][r]) + std::fabs(C[k][k])), "information of merged landmarks", seed);
+            expect(std::fabs(C[r][k] - A[r][k] - B[r][k]) < 1e-8 * (1 + std::fabs(C[r][r]) + std::fabs(C[k][k])),
+                   "information of merged landmarks", seed);
         }
         expect(std::fabs(gradient) < 1e-8 * scale, "the mean of merged landmarks", seed);
     }
@@ -157,7 +171,8 @@ void test_merge(bool alike) {
     const double p[2][2]{{0.95, 0.05}, {alike ? 0.9 : 0.02, alike ? 0.1 : 0.98}};
     const auto reset = [&] {
         for (int row = 0; row < 13; ++row)
-            for (int i = 0; i < lanes; ++i) old.at(row, i) = young.at(row, i) = row == 3 || row == 6 ? 0.1 : row == 8 ? 1.0 : 0.0;
+            for (int i = 0; i < lanes; ++i)
+                old.at(row, i) = young.at(row, i) = row == 3 || row == 6 ? 0.1 : row == 8 ? 1.0 : 0.0;
         for (int i = 0; i < lanes; ++i) {
             young.at(0, i) = 0.3;  // at a squared distance of 0.45
             old.at(evidence_row, i) = young.at(evidence_row, i) = 2.0;
@@ -195,19 +210,22 @@ void test_association(unsigned seed) {
         // lanes differ in where the landmark is
         for (int i = 0; i < lanes; ++i) landmarks[j].x[i] += 0.3 * normal(random);
         write_gaussian(pool[j], true, 0, landmarks[j]);
-        for (int i = 0; i < lanes; ++i) pool[j].at(evidence_row, i) = random() % 5 == 0 ? 0.0 : 1.0, pool[j].at(last_step_row, i) = 0.0;
+        for (int i = 0; i < lanes; ++i)
+            pool[j].at(evidence_row, i) = random() % 5 == 0 ? 0.0 : 1.0, pool[j].at(last_step_row, i) = 0.0;
         scan.near.push_back(&pool[j]);
     }
     const double border = 9.0, variances[3]{0.04, 0.003, 0.003};
     double log_q = 0.0;
     for (int d = 0; d < (oriented ? 3 : 2); ++d) log_q += std::log(variances[d]) + log_2pi;
     for (std::size_t k = 0; k < count; ++k) {
-        sightings.push_back({{between(random, 2, 4), between(random, -0.6, 0.1), between(random, -1, 1)}, {variances[0], variances[1], variances[2]}});
+        sightings.push_back({{between(random, 2, 4), between(random, -0.6, 0.1), between(random, -1, 1)},
+                             {variances[0], variances[1], variances[2]}});
         scan.log_new.push_back(-0.5 * (border + log_q));
         scan.fresh.push_back(&pool[known + k]);
     }
     const std::vector<std::int64_t> shown(count, 0);
-    scan.sightings = sightings, scan.shown = shown, scan.oriented = oriented, scan.gate = border, scan.step = 7, scan.confusion = &none;
+    scan.sightings = sightings, scan.shown = shown, scan.oriented = oriented, scan.gate = border, scan.step = 7,
+    scan.confusion = &none;
     std::vector<std::vector<Lanes>> scores(count);
     for (std::size_t k = 0; k < count; ++k)
         for (std::size_t j = 0; j < known; ++j)
@@ -252,7 +270,8 @@ void test_filters(bool oriented, bool ids, Version version, std::size_t jointly)
         else
             filter.use_no_ids(oriented, {20.0, 6.0, 2, {unknown, unknown, unknown}}, {});
         for (int step = 0; step < 5; ++step) {
-            if (step > 0) filter.move({ControlMotion{0.3, 0.2, 0.05, 0.05, 1.0, 1e-4}, static_cast<std::uint64_t>(step)}, true);
+            if (step > 0)
+                filter.move({ControlMotion{0.3, 0.2, 0.05, 0.05, 1.0, 1e-4}, static_cast<std::uint64_t>(step)}, true);
             std::vector<Sighting> sightings;
             const double x = 0.3 * step, t = 0.2 * step;
             for (const auto& [mx, my] : {std::pair{3.0, 1.0}, {2.5, -1.0}, {4.0, 0.2}})

@@ -24,8 +24,13 @@ double gate_of(double border, std::size_t classes) {
 
 AnonymousMap::AnonymousMap(History& history, std::size_t particles, bool oriented, const AnonymousOptions& options,
                            Confusion confusion)
-    : history_(history), particles_(particles), oriented_(oriented), options_(options), confusion_(std::move(confusion)),
-      gate_(gate_of(options.border, confusion_.classes)), limits_{infinity, 0.0, 0.0} {
+    : history_(history),
+      particles_(particles),
+      oriented_(oriented),
+      options_(options),
+      confusion_(std::move(confusion)),
+      gate_(gate_of(options.border, confusion_.classes)),
+      limits_{infinity, 0.0, 0.0} {
     enlarge(8);
 }
 
@@ -137,7 +142,8 @@ std::vector<std::size_t> AnonymousMap::within(std::span<const Box> boxes) const 
         const auto overlaps = [&](const Box& box) { return slice.box.overlaps(box); };
         if (slice.landmark >= 0 && std::any_of(boxes.begin(), boxes.end(), overlaps)) near.push_back(n);
     }
-    std::sort(near.begin(), near.end(), [&](std::size_t a, std::size_t b) { return slices_[a].landmark < slices_[b].landmark; });
+    std::sort(near.begin(), near.end(),
+              [&](std::size_t a, std::size_t b) { return slices_[a].landmark < slices_[b].landmark; });
     return near;
 }
 
@@ -168,7 +174,8 @@ std::vector<std::size_t> AnonymousMap::make_room(std::size_t count) {
         for (Slice& slice : slices_) {
             const Index* const ancestors = history_.ancestors(slice.level);
             bool owned = false;
-            for (std::size_t i = 0; i < particles_ && !owned; ++i) owned = slice.rows->at(evidence_row, ancestors ? ancestors[i] : i) > 0.0;
+            for (std::size_t i = 0; i < particles_ && !owned; ++i)
+                owned = slice.rows->at(evidence_row, ancestors ? ancestors[i] : i) > 0.0;
             if (!owned) slice.landmark = -1;
         }
         // more than is needed now, or the search above would be repeated at every scan

@@ -10,8 +10,8 @@ constexpr double infinity = std::numeric_limits<double>::infinity();
 
 Gaussian landmark_of(const Blocks& rows, std::size_t first) { return read_gaussian(rows, true, first); }
 
-/// Whether sightings may belong to a landmark: range and bearing are each tested alone, e² <= gate * (the entry on the diagonal
-/// of V). Since V >= Q, every sighting outside is less likely than under a new landmark.
+/// Whether sightings may belong to a landmark: range and bearing are each tested alone, e² <= gate * (the entry on the
+/// diagonal of V). Since V >= Q, every sighting outside is less likely than under a new landmark.
 class Gate {
    public:
     Gate(const Gaussian& x, const Gaussian& m, double gate) : gate_(gate) {
@@ -55,7 +55,8 @@ Place place_of(const Gaussian& belief, const Sighting& sighting, double gate) {
     const auto [s, c] = sincos(Lanes(belief.h + z.bearing));
     const Lanes zero{}, of_pose = 2.0 * root(larger(Lanes(belief.xx + belief.yy), zero));
     const Lanes turned = root(larger(belief.hh, zero)) + std::sqrt(q.bearing);
-    return {belief.x + z.range * c, belief.y + z.range * s, std::sqrt(gate) * (of_pose + std::sqrt(q.range) + z.range * turned)};
+    return {belief.x + z.range * c, belief.y + z.range * s,
+            std::sqrt(gate) * (of_pose + std::sqrt(q.range) + z.range * turned)};
 }
 
 Lanes AnonymousScan::Group::begin(std::size_t first, const Gaussian& belief) {

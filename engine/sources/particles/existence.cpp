@@ -62,7 +62,8 @@ void count_misses(std::span<Blocks* const> landmarks, const Rows& poses, double 
     for (Blocks* const rows : landmarks) {
         for (std::size_t i = lo; i < hi; i += lanes) {
             const Lanes evidence = load(rows->group(evidence_row, i));
-            const auto missed = (evidence > 0.0) & (evidence < permanent_evidence) & (load(rows->group(last_step_row, i)) != step);
+            const auto missed =
+                (evidence > 0.0) & (evidence < permanent_evidence) & (load(rows->group(last_step_row, i)) != step);
             if (!any(missed)) continue;
             const Pose pose = read_pose(poses, i);
             const Lanes dx = load(rows->group(0, i)) - pose.x, dy = load(rows->group(1, i)) - pose.y;
@@ -100,8 +101,8 @@ Extent extent_of(const Blocks& landmark, double gate, std::size_t lo, std::size_
     return out;
 }
 
-void merge(std::span<Blocks* const> landmarks, bool oriented, double gate, const Blur& blur, std::size_t classes, std::size_t lo,
-           std::size_t hi) {
+void merge(std::span<Blocks* const> landmarks, bool oriented, double gate, const Blur& blur, std::size_t classes,
+           std::size_t lo, std::size_t hi) {
     for (std::size_t i = lo; i < hi; i += lanes)
         for (std::size_t young = 1; young < landmarks.size(); ++young) {
             if (!any(load(landmarks[young]->group(evidence_row, i)) != 0.0)) continue;

@@ -8,8 +8,12 @@
 namespace vmslam::particles {
 
 Filter::Filter(Rows poses, std::size_t threads, bool records)
-    : particles_(poses.particles()), ranges_(particles_, threads), history_(particles_),
-      poses_(std::make_shared<Rows>(std::move(poses))), log_likelihoods_(1, particles_), weights_(1, particles_) {
+    : particles_(poses.particles()),
+      ranges_(particles_, threads),
+      history_(particles_),
+      poses_(std::make_shared<Rows>(std::move(poses))),
+      log_likelihoods_(1, particles_),
+      weights_(1, particles_) {
     auto uniform = std::make_shared<Rows>(1, particles_);
     uniform->fill(-numbers::log(static_cast<double>(particles_)));
     uniform_ = log_weights_ = std::move(uniform);
@@ -71,9 +75,7 @@ void Filter::weigh(const Proposal& proposal, const Scan& scan, const std::shared
     motion_.reset();
 }
 
-void Filter::weigh_known(std::span<const KnownSighting> sightings) {
-    weigh(Given(*poses_), KnownScan(sightings), nullptr);
-}
+void Filter::weigh_known(std::span<const KnownSighting> sightings) { weigh(Given(*poses_), KnownScan(sightings), nullptr); }
 
 bool Filter::weigh_identified(std::span<const LandmarkId> ids, std::span<const Sighting> sightings, Version version) {
     const auto known = [&](LandmarkId id) { return identified_->has(id); };
@@ -127,8 +129,8 @@ void Filter::branch(std::span<const Index> ancestors) {
     } else {
         // only where copies are drawn at random can the heaviest particle be left without one
         const double* const weights = log_weights_->row(0);
-        const auto heaviest = std::max_element(ancestors.begin(), ancestors.end(),
-                                               [&](Index a, Index b) { return weights[a] < weights[b]; });
+        const auto heaviest =
+            std::max_element(ancestors.begin(), ancestors.end(), [&](Index a, Index b) { return weights[a] < weights[b]; });
         best_ = static_cast<std::size_t>(heaviest - ancestors.begin());
     }
     history_.branch(ancestors);

@@ -29,7 +29,8 @@ void History::open_level(bool is_step) {
     if (stored_rows() + particles_ > limit_) prune();
     const std::size_t end = stored_rows() + particles_;
     if (end > x_.size()) {
-        if (end > most_rows) throw std::length_error("the histories of so many particles are too long to be stored; take fewer particles");
+        if (end > most_rows)
+            throw std::length_error("the histories of so many particles are too long to be stored; take fewer particles");
         const std::size_t size = std::min(2 * end, most_rows);
         for (auto* const numbers : {&x_, &y_, &t_}) numbers->resize(size);
         for (auto* const numbers : {&parents_, &numbers_}) numbers->resize(size);

@@ -29,8 +29,9 @@ std::shared_ptr<Blocks> IdentifiedMap::spare() {
 
 void IdentifiedMap::place(LandmarkId id, const Three& mean, const Six& covariance) {
     const auto all = [](double x) { return numbers::all<Lanes>(x); };
-    const Gaussian landmark{all(mean.x),        all(mean.y),        all(mean.t),        all(covariance.xx), all(covariance.xy),
-                            all(covariance.xt), all(covariance.yy), all(covariance.yt), all(covariance.tt)};
+    const Gaussian landmark{all(mean.x),        all(mean.y),        all(mean.t),
+                            all(covariance.xx), all(covariance.xy), all(covariance.xt),
+                            all(covariance.yy), all(covariance.yt), all(covariance.tt)};
     auto numbers = spare();
     for (std::size_t i = 0; i < particles_; i += lanes) write_gaussian(*numbers, oriented_, i, landmark);
     columns_[id] = {history_.level(), std::move(numbers), nullptr};
@@ -62,9 +63,11 @@ void IdentifiedMap::end_scan() {
 
 Task IdentifiedMap::first_sighting(LandmarkId id, const Sighting& sighting, const std::shared_ptr<const Rows>& poses) {
     Column column{history_.level(), spare(), nullptr};
-    const Task task{jointly_ > 0 ? Task::Kind::first_moments : Task::Kind::first, sighting, {sighting, 0.0}, column.numbers.get()};
+    const Task task{
+        jointly_ > 0 ? Task::Kind::first_moments : Task::Kind::first, sighting, {sighting, 0.0}, column.numbers.get()};
     if (jointly_ > 0) {
-        column.sighted = std::make_shared<Sighted>(Sighted{Rows(0, particles_), poses, 1, Rows(1, particles_), {{sighting, 0.0}}});
+        column.sighted =
+            std::make_shared<Sighted>(Sighted{Rows(0, particles_), poses, 1, Rows(1, particles_), {{sighting, 0.0}}});
         // Z_1 is the range
         column.sighted->log_evidence.fill(numbers::log(sighting.z.range));
     }

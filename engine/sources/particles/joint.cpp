@@ -25,7 +25,10 @@ constexpr std::array<double, nodes> weight{0.011257411327720677, 0.2220759220056
 struct Offset {
     Lanes r2, r, direction, e0, e1;
     Offset(const Lanes& dx, const Lanes& dy, const Pose& pose, const Reading& z)
-        : r2(dx * dx + dy * dy), r(root(r2)), direction(numbers::atan2(dy, dx)), e0(z.range - r),
+        : r2(dx * dx + dy * dy),
+          r(root(r2)),
+          direction(numbers::atan2(dy, dx)),
+          e0(z.range - r),
           e1(wrap_angle(Lanes(z.bearing - direction + pose.t))) {}
 };
 

@@ -17,8 +17,8 @@ constexpr double smallest = 2.3e-308;
 /// -(squared + log det) / 2 - constant, or -inf where this is undefined.
 Lanes log_density(const Lanes& squared, const Lanes& determinant, double constant, const Lanes& r) {
     const Lanes value = -0.5 * (squared + log(determinant)) - constant;
-    const auto possible = (r >= on_landmark) & (determinant >= smallest) & (determinant < infinity) & (value > -infinity) &
-                          (value < infinity);
+    const auto possible =
+        (r >= on_landmark) & (determinant >= smallest) & (determinant < infinity) & (value > -infinity) & (value < infinity);
     return numbers::select(possible, value, -infinity);
 }
 
@@ -92,7 +92,11 @@ Lanes weigh_and_update(Gaussian& P, const Innovation& v, const Lanes& r) {
 struct Direction {
     Lanes r, inverse, ux, uy, angle;
     Direction(const Lanes& dx, const Lanes& dy)
-        : r(root(Lanes(dx * dx + dy * dy))), inverse(1.0 / r), ux(dx * inverse), uy(dy * inverse), angle(numbers::atan2(dy, dx)) {}
+        : r(root(Lanes(dx * dx + dy * dy))),
+          inverse(1.0 / r),
+          ux(dx * inverse),
+          uy(dy * inverse),
+          angle(numbers::atan2(dy, dx)) {}
 };
 
 // H is [[u_x, u_y, 0], [-u_y/r, u_x/r, 0], [-u_y/r, u_x/r, -1]]
@@ -172,7 +176,8 @@ Innovation between(const Gaussian& a, const Gaussian& b, double blur_position, d
     Innovation v;
     v.e0 = b.x - a.x, v.e1 = b.y - a.y;
     v.e2 = oriented ? wrap_angle(Lanes(b.h - a.h)) : Lanes{};
-    const Lanes v10 = a.xy + b.xy, v20 = oriented ? Lanes(a.xh + b.xh) : Lanes{}, v21 = oriented ? Lanes(a.yh + b.yh) : Lanes{};
+    const Lanes v10 = a.xy + b.xy, v20 = oriented ? Lanes(a.xh + b.xh) : Lanes{},
+                v21 = oriented ? Lanes(a.yh + b.yh) : Lanes{};
     const Lanes v22 = oriented ? Lanes(a.hh + b.hh + blur_heading) : all<Lanes>(1.0);
     v.d0 = a.xx + b.xx + blur_position;
     v.l10 = v10 / v.d0, v.l20 = v20 / v.d0;
@@ -229,7 +234,8 @@ Lanes update_pose(Gaussian& pose, const Gaussian& landmark, const Sighting& s, b
 
 Lanes predicted_likelihood(const Gaussian& pose, const Gaussian& landmark, const Sighting& s, bool oriented) {
     const Direction u(landmark.x - pose.x, landmark.y - pose.y);
-    const Innovation v = oriented ? pose_innovation<true>(pose, landmark, s, u) : pose_innovation<false>(pose, landmark, s, u);
+    const Innovation v =
+        oriented ? pose_innovation<true>(pose, landmark, s, u) : pose_innovation<false>(pose, landmark, s, u);
     return oriented ? likelihood<3>(v, whiten<3>(v), u.r) : likelihood<2>(v, whiten<2>(v), u.r);
 }
 

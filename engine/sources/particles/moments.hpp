@@ -8,7 +8,8 @@ namespace vmslam::particles {
 /// The mode of a density of positions, and L with L L' the inverse of its curvature (axx, axy; axy, ayy) there.
 struct Mode {
     Lanes x, y, l00, l10, l11;
-    Mode(const Lanes& mode_x, const Lanes& mode_y, const Lanes& axx, const Lanes& axy, const Lanes& ayy) : x(mode_x), y(mode_y) {
+    Mode(const Lanes& mode_x, const Lanes& mode_y, const Lanes& axx, const Lanes& axy, const Lanes& ayy)
+        : x(mode_x), y(mode_y) {
         const Lanes area = axx * ayy - axy * axy;
         l00 = numbers::root(Lanes(ayy / area));
         l10 = -axy / (area * l00);
@@ -31,15 +32,9 @@ class Moments {
     /// The Gaussian of the points; each has in its heading the variance `rest` beside.
     Gaussian gaussian(const Mode& about, const Lanes& heading, const Lanes& rest) const {
         const Lanes x = x_ / mass_, y = y_ / mass_, h = h_ / mass_;
-        return {about.x + x,
-                about.y + y,
-                numbers::wrap_angle(Lanes(heading + h)),
-                xx_ / mass_ - x * x,
-                xy_ / mass_ - x * y,
-                xh_ / mass_ - x * h,
-                yy_ / mass_ - y * y,
-                yh_ / mass_ - y * h,
-                hh_ / mass_ - h * h + rest};
+        return {about.x + x,         about.y + y,         numbers::wrap_angle(Lanes(heading + h)),
+                xx_ / mass_ - x * x, xy_ / mass_ - x * y, xh_ / mass_ - x * h,
+                yy_ / mass_ - y * y, yh_ / mass_ - y * h, hh_ / mass_ - h * h + rest};
     }
 
    private:

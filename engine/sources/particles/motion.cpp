@@ -28,8 +28,12 @@ class ControlDraw {
 class WholeDraw {
    public:
     explicit WholeDraw(const WholeMotion& m)
-        : d_(m.mean), l00_(std::sqrt(m.covariance.xx)), l10_(m.covariance.xy / l00_), l20_(m.covariance.xt / l00_),
-          l11_(std::sqrt(m.covariance.yy - l10_ * l10_)), l21_((m.covariance.yt - l20_ * l10_) / l11_),
+        : d_(m.mean),
+          l00_(std::sqrt(m.covariance.xx)),
+          l10_(m.covariance.xy / l00_),
+          l20_(m.covariance.xt / l00_),
+          l11_(std::sqrt(m.covariance.yy - l10_ * l10_)),
+          l21_((m.covariance.yt - l20_ * l10_) / l11_),
           l22_(std::sqrt(m.covariance.tt - l20_ * l20_ - l21_ * l21_)) {}
 
     Pose operator()(const Pose& x, std::uint64_t key, const Bits& particles) const {
@@ -65,8 +69,9 @@ Chord chord(double nu, double omega, double dt) {
     const double a = omega * dt / 2, q = a * a;
     const auto [sine, cosine] = sincos(a);
     // d/da (sin(a) / a): as a series, exact to rounding, where the difference would cancel
-    const double slope = q < 0.09 ? a * polynomial(q, -1.0 / 3, 1.0 / 30, -1.0 / 840, 1.0 / 45360, -1.0 / 3991680, 1.0 / 518918400)
-                                  : (cosine - sine / a) / a;
+    const double slope = q < 0.09
+                             ? a * polynomial(q, -1.0 / 3, 1.0 / 30, -1.0 / 840, 1.0 / 45360, -1.0 / 3991680, 1.0 / 518918400)
+                             : (cosine - sine / a) / a;
     const double sinc = a != 0.0 ? sine / a : 1.0;
     return {a, {nu * dt * sinc, 0.0, 2 * a}, dt * sinc, nu * dt * dt / 2 * slope, nu * dt * dt / 2 * sinc, dt};
 }

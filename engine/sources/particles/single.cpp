@@ -37,8 +37,16 @@ struct Prior {
 struct At {
     Lanes ex, ey, dx, dy, r2, r, direction, e0, e1, e2;
     At(const Prior& prior, const Lanes& x, const Lanes& y, const Pose& pose, const Reading& z)
-        : ex(x - prior.m.x), ey(y - prior.m.y), dx(x - pose.x), dy(y - pose.y), r2(dx * dx + dy * dy), r(root(r2)),
-          direction(numbers::atan2(dy, dx)), e0(z.range - r), e1(wrap_angle(Lanes(z.bearing - direction + pose.t))), e2{} {
+        : ex(x - prior.m.x),
+          ey(y - prior.m.y),
+          dx(x - pose.x),
+          dy(y - pose.y),
+          r2(dx * dx + dy * dy),
+          r(root(r2)),
+          direction(numbers::atan2(dy, dx)),
+          e0(z.range - r),
+          e1(wrap_angle(Lanes(z.bearing - direction + pose.t))),
+          e2{} {
         if (prior.oriented) e2 = wrap_angle(Lanes(z.psi - direction + prior.m.h + prior.bx * ex + prior.by * ey));
     }
 };

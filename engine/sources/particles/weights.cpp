@@ -56,7 +56,8 @@ std::vector<Index> evenly_spaced(std::span<const double> cumulative, double offs
         ancestors[first] = static_cast<Index>(k);
         const double after = std::ceil(cumulative[k] * scale - offset);
         first = cumulative[k] == total || after >= static_cast<double>(count) ? count
-                : after > 0.0 ? static_cast<std::int64_t>(after) : 0;
+                : after > 0.0                                                 ? static_cast<std::int64_t>(after)
+                                                                              : 0;
     }
     ancestors.pop_back();
     Index highest = 0;

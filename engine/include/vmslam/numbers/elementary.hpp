@@ -59,15 +59,17 @@ VMSLAM_INLINE SineCosine<Real> sincos(const Real& x) {
     const Real r = (x - k * quarter_high) - k * quarter_low;
     const Real quadrant = k - 4 * nearest(Real(k * 0.25));  // -2 to 2
     const Real q = r * r;
-    const Real s = r + r * q * polynomial(q, -1.66666666666666324348e-01, 8.33333333332248946124e-03,
-                                          -1.98412698298579493134e-04, 2.75573137070700676789e-06,
-                                          -2.50507602534068634195e-08, 1.58969099521155010221e-10);
-    const Real c = 1.0 - 0.5 * q + q * q * polynomial(q, 4.16666666666666019037e-02, -1.38888888888741095749e-03,
-                                                      2.48015872894767294178e-05, -2.75573143513906633035e-07,
-                                                      2.08757232129817482790e-09, -1.13596475577881948265e-11);
+    const Real s = r + r * q *
+                           polynomial(q, -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04,
+                                      2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10);
+    const Real c = 1.0 - 0.5 * q +
+                   q * q *
+                       polynomial(q, 4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05,
+                                  -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11);
     const auto odd = magnitude(quadrant) == 1.0, opposite = magnitude(quadrant) == 2.0;
     const Real sine = select(odd, c, s), cosine = select(odd, s, c);
-    return {select(opposite | (quadrant == -1.0), Real(-sine), sine), select(opposite | (quadrant == 1.0), Real(-cosine), cosine)};
+    return {select(opposite | (quadrant == -1.0), Real(-sine), sine),
+            select(opposite | (quadrant == 1.0), Real(-cosine), cosine)};
 }
 
 /// The direction of the vector (x, y) [rad]; NaN at the origin.

@@ -27,7 +27,8 @@ inline Lanes load(const double* p) { return *reinterpret_cast<const LanesInMemor
 inline void store(double* p, const Lanes& x) { *reinterpret_cast<LanesInMemory*>(p) = x; }
 /// The numbers at some places.
 inline Lanes gather(const double* p, const std::int32_t* places) {
-    return Lanes{p[places[0]], p[places[1]], p[places[2]], p[places[3]], p[places[4]], p[places[5]], p[places[6]], p[places[7]]};
+    return Lanes{p[places[0]], p[places[1]], p[places[2]], p[places[3]],
+                 p[places[4]], p[places[5]], p[places[6]], p[places[7]]};
 }
 
 /// The types of whole numbers, of bits and of conditions that belong to a type of numbers.

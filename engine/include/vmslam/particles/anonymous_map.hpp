@@ -35,7 +35,8 @@ struct AnonymousOptions {
 
 class AnonymousMap {
    public:
-    AnonymousMap(History& history, std::size_t particles, bool oriented, const AnonymousOptions& options, Confusion confusion);
+    AnonymousMap(History& history, std::size_t particles, bool oriented, const AnonymousOptions& options,
+                 Confusion confusion);
 
     bool oriented() const { return oriented_; }
     const Confusion& confusion() const { return confusion_; }

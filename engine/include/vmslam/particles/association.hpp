@@ -1,12 +1,13 @@
 // Unknown data association: every particle decides by itself which landmark each sighting belongs to.
 //
-// The hypotheses of a sighting k are the landmarks j near it, with w_j = N(z_k; h(m_j), V) under the predicted pose, and a new
-// landmark, with w_0. The most likely pair of the scan is taken first, and no landmark twice. Where sightings have classes,
-// w_j is also multiplied by n sum over c of p(c) P(shown k given c): by how much this class is likelier than for a new
-// landmark.
+// The hypotheses of a sighting k are the landmarks j near it, with w_j = N(z_k; h(m_j), V) under the predicted pose, and a
+// new landmark, with w_0. The most likely pair of the scan is taken first, and no landmark twice. Where sightings have
+// classes, w_j is also multiplied by n sum over c of p(c) P(shown k given c): by how much this class is likelier than for a
+// new landmark.
 //
 // A landmark is a slice of rows: 0 to 8 are the Gaussian; 9 is the evidence for the landmark, 0 where the particle does not
-// have it; 10 is the step of its last sighting. With n classes, rows 11 to 10 + n are p(c), the probability that it is of class c.
+// have it; 10 is the step of its last sighting. With n classes, rows 11 to 10 + n are p(c), the probability that it is of
+// class c.
 #pragma once
 
 #include <limits>
@@ -35,7 +36,9 @@ struct Confusion {
     std::size_t classes = 0;
     std::vector<double> numbers;
 
-    double operator()(std::size_t c, std::int64_t shown) const { return numbers[c * (classes + 1) + static_cast<std::size_t>(shown)]; }
+    double operator()(std::size_t c, std::int64_t shown) const {
+        return numbers[c * (classes + 1) + static_cast<std::size_t>(shown)];
+    }
 };
 
 /// Variances [m², rad²] by which the covariances are too small, because errors of sightings are correlated.
@@ -44,8 +47,8 @@ struct Blur {
 };
 
 /// Where in the world a sighting may be, for the particles of a group: the mean m of a landmark that is perfectly known lies
-/// within `wide` of (x, y) in each direction if it is a hypothesis. For another landmark this is wider by 2 sqrt(gate trace S).
-/// With the gate on range l and bearing, abs(m - z) <= sqrt(gate) (2 sqrt(trace S) + 2 sqrt(trace P) + sigma_l + l
+/// within `wide` of (x, y) in each direction if it is a hypothesis. For another landmark this is wider by 2 sqrt(gate trace
+/// S). With the gate on range l and bearing, abs(m - z) <= sqrt(gate) (2 sqrt(trace S) + 2 sqrt(trace P) + sigma_l + l
 /// (sigma_theta + sigma_phi)), S and P the covariances of the positions of landmark and robot.
 struct Place {
     Lanes x, y, wide;
@@ -77,10 +80,11 @@ class AnonymousScan::Group {
     /// Choose the landmark of each sighting under the predicted pose; returns the log likelihoods of the sightings of new
     /// landmarks, and of the classes of the others.
     Lanes begin(std::size_t first, const Gaussian& belief);
-    /// Correct the pose by the sightings of known landmarks; returns their log likelihood under the prediction if it `weighs`.
-    Lanes correct(Gaussian& belief, bool weighs) const;
-    /// Update the landmarks from the drawn pose, and the evidence for them; returns the log likelihood of the known ones if it
+    /// Correct the pose by the sightings of known landmarks; returns their log likelihood under the prediction if it
     /// `weighs`.
+    Lanes correct(Gaussian& belief, bool weighs) const;
+    /// Update the landmarks from the drawn pose, and the evidence for them; returns the log likelihood of the known ones if
+    /// it `weighs`.
     Lanes update(const Pose& pose, bool weighs) const;
 
    private:

@@ -29,7 +29,7 @@ Extent extent_of(const Blocks& landmark, double gate, std::size_t lo, std::size_
 /// They are one where the squared Mahalanobis distance of their means, under S_a + S_b + diag(blur), is at most the gate, and
 /// the last scan that saw one of them did not see both. With n classes, 2 log of n sum over c of p(c) p'(c), by which two
 /// landmarks of one class are likelier than any two, is subtracted from the distance. The older ones come first.
-void merge(std::span<Blocks* const> landmarks, bool oriented, double gate, const Blur& blur, std::size_t classes, std::size_t lo,
-           std::size_t hi);
+void merge(std::span<Blocks* const> landmarks, bool oriented, double gate, const Blur& blur, std::size_t classes,
+           std::size_t lo, std::size_t hi);
 
 }  // namespace vmslam::particles

@@ -73,7 +73,8 @@ class IdentifiedMap {
 
     Task first_sighting(LandmarkId id, const Sighting& sighting, const std::shared_ptr<const Rows>& poses);
     Task later_sighting(Column& column, const Sighting& sighting, const std::shared_ptr<const Rows>& poses);
-    void join(Sighted& sighted, const RatedSighting& sighting, const std::shared_ptr<const Rows>& poses, const Index* slots) const;
+    void join(Sighted& sighted, const RatedSighting& sighting, const std::shared_ptr<const Rows>& poses,
+              const Index* slots) const;
     std::shared_ptr<Blocks> spare();
 
     History& history_;
@@ -128,7 +129,8 @@ class IdentifiedMap::Scan::Group {
         first_ = first;
         return Lanes{};
     }
-    /// Correct the pose by the first sighting of each landmark; returns its log likelihood under the prediction if it `weighs`.
+    /// Correct the pose by the first sighting of each landmark; returns its log likelihood under the prediction if it
+    /// `weighs`.
     Lanes correct(Gaussian& belief, bool weighs) const;
     /// Weigh and update the landmarks from the drawn pose; `leaders`: whether the sightings of `correct` are weighed here.
     Lanes update(const Pose& pose, bool leaders) const;

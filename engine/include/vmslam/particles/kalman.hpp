@@ -23,7 +23,8 @@ Lanes known_likelihood(const Pose& pose, const Three& landmark, const Sighting& 
 Gaussian initial_landmark(const Pose& pose, const Sighting& sighting);
 
 /// Returns log N(z; h(x, m), V = H S H' + Q) and updates the landmark. `range_variance` replaces that of the sighting.
-Lanes update_landmark(Gaussian& landmark, const Pose& pose, const Sighting& sighting, const Lanes& range_variance, bool oriented);
+Lanes update_landmark(Gaussian& landmark, const Pose& pose, const Sighting& sighting, const Lanes& range_variance,
+                      bool oriented);
 
 /// Returns log N(z; h(x, m), V = H_x P H_x' + H_m S H_m' + Q) and updates the pose.
 Lanes update_pose(Gaussian& pose, const Gaussian& landmark, const Sighting& sighting, bool oriented);

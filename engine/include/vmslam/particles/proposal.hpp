@@ -9,8 +9,8 @@
 // and each sighting multiplies it by its likelihood at the drawn pose, as in FastSLAM 1.0. What the linearisation neglects
 // then makes the weights less equal, but not wrong.
 //
-// The motion is not Gaussian: x = f(x_{t-1}, u + diag(std) c) + e with e ~ N(0, epsilon I). In the linear model the noise of a
-// motion that ends at x* is c | x* ~ N(A' P^-1 d, I - A' P^-1 A) and e = d - A c, with d = x* - m. This noise is drawn and
+// The motion is not Gaussian: x = f(x_{t-1}, u + diag(std) c) + e with e ~ N(0, epsilon I). In the linear model the noise of
+// a motion that ends at x* is c | x* ~ N(A' P^-1 d, I - A' P^-1 A) and e = d - A c, with d = x* - m. This noise is drawn and
 // put into f. Proposal and motion have the same density of the noise given x*, so the factor above is exact for f as well.
 //
 // The original FastSLAM 2.0 weighs by N(z; h(m), V) under the prediction, which is the same only where f and h are linear.

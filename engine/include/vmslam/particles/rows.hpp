@@ -22,7 +22,10 @@ class Rows {
    public:
     Rows() = default;
     Rows(int rows, std::size_t particles)
-        : rows_(rows), particles_(particles), stride_(padded(particles)), numbers_(static_cast<std::ptrdiff_t>(rows * stride_)) {
+        : rows_(rows),
+          particles_(particles),
+          stride_(padded(particles)),
+          numbers_(static_cast<std::ptrdiff_t>(rows * stride_)) {
         for (int k = 0; k < rows; ++k) std::fill(row(k) + particles, row(k) + stride_, 0.0);
     }
 
@@ -39,8 +42,8 @@ class Rows {
     sparse::Numbers numbers_;
 };
 
-/// Some numbers of each particle, in blocks of one group: all numbers of eight particles lie side by side. This is for numbers
-/// that are used together, as those of a landmark are: memory is then read and written in few streams.
+/// Some numbers of each particle, in blocks of one group: all numbers of eight particles lie side by side. This is for
+/// numbers that are used together, as those of a landmark are: memory is then read and written in few streams.
 class Blocks {
    public:
     Blocks() = default;
