@@ -46,11 +46,9 @@ INSTALL = @echo "Installing packages and building the engine: $(1)" && $(PIP) in
 
 # not needed, only quicker: the kernels of both packages, on two cores; first those of a comparison, for tests all
 .venv/.compiled: .venv/.installed
-	$(BIN)/python -m comparisons.kernels
 	touch $@
 
 .venv/.compiled-all: .venv/.compiled
-	$(BIN)/python -m comparisons.kernels --all
 	touch $@
 
 .venv/.installed-test: pyproject.toml $(ENGINE) .venv/.tools

@@ -47,10 +47,10 @@ def run(slam: FastSLAM1, log: Log) -> tuple[float, float]:
     errors, level = [], 0
     for state in slam:
         if state.step == EARLY:
-            level = slam._genealogy.level()
+            level = slam._engine.level()
         if state.step > 0 and state.step % 10 == 0:
             errors.append(largest_error(log, state))
-    weights = np.bincount(slam._genealogy.ancestors(level), np.exp(state.log_weights), slam.particles)
+    weights = np.bincount(slam._engine.ancestors(level), np.exp(state.log_weights), slam.particles)
     return max(errors), float(1 / np.sum(weights**2))
 
 

@@ -83,7 +83,7 @@ def small(logs: int) -> Iterator[str]:
             f"| {name} | particle Gibbs, exact, {np.nanmin(gibbs.mixing.ess):.0f} effective samples | "
             f"{np.abs((found - mean) / std).max():.3f} | {_ratio(spread / std):.2f} | - |"
         )
-        for kind, update in product((FastSLAM1, FastSLAM2), ("kalman", "moments", "joint")):
+        for kind, update in product((FastSLAM1, FastSLAM2), ("kalman", "joint")):
             errors, options = [], {"sensor": sensor, "landmark_update": update}
             for n in sizes:
                 runs = [_of_filter(kind(log, particles=n, seed=s, **options)) for s in range(repeats)]

@@ -37,7 +37,7 @@ def main() -> None:
         f"{len(result.landmarks)} landmarks seen in {len(log.steps)} sightings, {int(result.resampled.sum())} resamplings"
     )
     print(
-        f"{seconds:.0f} s; {after:.2f} GiB at most ({before:.2f} before), tree {slam._genealogy.nbytes / 2**20:.0f} MiB"
+        f"{seconds:.0f} s; {after:.2f} GiB at most ({before:.2f} before), tree {slam._engine.history_bytes / 2**20:.0f} MiB"
     )
     print(f"{len(histories)} whole histories of {len(histories[0])} poses; distinct ancestors: ", end="")
     print(", ".join(f"{int(result.ancestors[t])} at {t}" for t in np.linspace(0, 10_000, 5).astype(int)))

@@ -4,8 +4,7 @@
 
 Single thread: time that the thread was given, so that a busy machine disturbs little. Two threads: time on the clock,
 which says something only where a second core is free, and the time that the caller's thread was given, its half of the
-work and all that is not shared: what the clock would show at best. Which share of the processor time is shared work, and
-how much longer two threads take for it than one, says how much two free cores could gain.
+work and all that is not shared: what the clock would show at best.
 
 The exact weight of FastSLAM 2.0 against that of the lectures: processor time, in turns.
 """
@@ -15,12 +14,10 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from unittest.mock import patch
 
 import numpy as np
 
 from fastslam import FastSLAM1, FastSLAM2, ParticleFilter
-from fastslam.threads import Threads
 from graphslam import SensorModel
 
 
@@ -44,35 +41,6 @@ def step_times(
         slam.observe(np.arange(len(marks)), z)
         times.append((b - a, clock() - c))
     return np.median(times[steps // 3 :], axis=0) * 1e9
-
-
-def shared_work(kind: type[ParticleFilter], particles: int, marks: np.ndarray) -> tuple[float, float]:
-    """Return the share of a step's processor time that `Threads` can divide, and how much longer two threads take for it."""
-    spent = {"divided": 0.0, "whole": 0.0}
-
-    def timed(name: str, function: Callable[..., None]) -> Callable[..., None]:
-        def call(*arguments: object) -> None:
-            begin = time.process_time()
-            function(*arguments)
-            spent[name] += time.process_time() - begin
-
-        return call
-
-    shares: list[float] = []
-    divided: list[list[float]] = [[], []]
-    with (
-        patch.object(Threads, "run", timed("divided", Threads.run)),
-        patch.object(kind, "move", timed("whole", kind.move)),
-        patch.object(kind, "observe", timed("whole", kind.observe)),
-    ):
-        for _ in range(5):
-            for threads in (1, 2):
-                spent |= {"divided": 0.0, "whole": 0.0}
-                step_times(kind, particles, marks, threads=threads, steps=30)
-                divided[threads - 1].append(spent["divided"])
-                if threads == 1:
-                    shares.append(spent["divided"] / spent["whole"])
-    return float(np.median(shares)), float(np.median(np.divide(*divided[::-1])))
 
 
 def main() -> None:
@@ -101,11 +69,6 @@ def main() -> None:
             print(
                 f"{kind.__name__}, N = {particles}, 5 in view: two threads {gains[0]:.2f} times as fast per whole step, "
                 f"at best {gains[1]:.2f} times"
-            )
-            share, longer = shared_work(kind, particles, marks)
-            print(
-                f"    {share:.0%} of the processor time can be divided, and takes {longer:.2f} times as long in two threads: "
-                f"{1 / (1 - share + share * longer / 2):.2f} times at best with two free cores"
             )
     for particles in (1000, 10_000):
         for psi in (False, True):

@@ -1,7 +1,7 @@
 """Particle filters on the framework's logs and models: Monte Carlo localisation and FastSLAM.
 
 `fastslam.textbook` is the lectures' pseudocode, particle by particle; the classes here do the same with arrays.
-Names are imported at their first use. Kernels are compiled at their first call and cached on disk.
+Names are imported at their first use. The engine (`engine/include/vmslam/particles`) does the work.
 """
 # ruff: noqa: F401
 
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from graphslam.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from .compilation import warm_up
     from .fastslam1 import FastSLAM1
     from .fastslam2 import FastSLAM2
     from .gibbs.chains import ParticleGibbs
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 
 #: the public names, by the module that defines them
 _PUBLIC = {
-    "compilation": "warm_up",
     "fastslam1": "FastSLAM1",
     "fastslam2": "FastSLAM2",
     "gibbs.chains": "ParticleGibbs",

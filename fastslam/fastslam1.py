@@ -19,9 +19,7 @@ from graphslam.landmark_map import as_map
 from graphslam.log import Log
 from graphslam.se2 import Array
 
-from .anonymous_maps import AnonymousLandmarks
-from .identified_maps import IdentifiedLandmarks
-from .noise import draw_key
+from .memory import JOINT
 from .particle_filter import ParticleFilter
 from .state import LandmarkEstimate, weighted_covariance, weighted_mean
 
@@ -30,6 +28,10 @@ from .state import LandmarkEstimate, weighted_covariance, weighted_mean
 LARGEST = 1e50
 #: the standard deviation [m, rad] of landmarks that are exact in a map
 EXACT = 1e-6
+#: two landmarks are one within the ellipse that holds all but this share of their differences
+MERGED = 0.05
+#: the evidence from which on a landmark of unknown id is part of the map: it was seen twice
+CONFIRMED = 2.0
 
 
 class FastSLAM1(ParticleFilter):
@@ -40,10 +42,9 @@ class FastSLAM1(ParticleFilter):
     particle that stands on its landmark (nearer than 1e-9 m) has no bearing to it: its likelihood is 0 and that landmark
     is not updated.
 
-    With the landmark_update "moments" both are integrals instead of linearisations (`refined_kernels`): the posterior is then
-    exact as far as it is Gaussian in the landmarks. With "joint" each landmark is integrated over all of its sightings
-    at once (`joint_kernels`), which does not need this. With the range_noise "estimated" Q is taken at |m - x|, as in the
-    slides, not at the measured range; that of a first sighting is always at the measured range.
+    With the landmark_update "joint" each landmark is integrated over all of its sightings at once instead of linearising each
+    (`vmslam/particles/joint.hpp` in the engine). With the range_noise "estimated" Q is taken at |m - x|, as in the slides,
+    not at the measured range; that of a first sighting is always at the measured range.
 
     With the association "maximum-likelihood" ids are ignored, and `observe` takes None for them. Each particle assigns
     every sighting to the most likely landmark of its own map, the most likely pair of the scan first, and uses no
@@ -55,9 +56,6 @@ class FastSLAM1(ParticleFilter):
     `observe` was called in it, even without sightings; a step of a log is observed if it has sightings. Maps number
     landmarks in the order of creation and leave out unconfirmed ones, except on request.
 
-    With the association "sampled" each particle draws the landmark of a sighting in proportion to the evidence of the
-    hypotheses, as far as the scan has not used them, and its weight is multiplied by the sum of that evidence. The
-    evidence for a landmark is then the log of its odds, and a landmark in view that is not seen changes the weight too.
     Landmarks of a particle that turn out to be one are merged. "auto" uses ids where the log has them, else it is
     `options.WITHOUT_IDS`. See docs/fastslam.md, "Unknown association".
 
@@ -71,7 +69,8 @@ class FastSLAM1(ParticleFilter):
     landmark. For each new landmark a particle's weight is multiplied by that density.
     """
 
-    _maps: IdentifiedLandmarks | AnonymousLandmarks | None = None
+    #: the number of coordinates of the landmarks, None before the first sighting
+    _coordinates: int | None = None
 
     def __init__(self, log: Log | None = None, *, landmarks: Any = None, **keywords: Any) -> None:
         super().__init__(log, **keywords)
@@ -88,15 +87,15 @@ class FastSLAM1(ParticleFilter):
         return self.options.uses_ids
 
     def _check_sightings(self, ids: np.ndarray, columns: int) -> None:  # noqa: ARG002
-        if self._maps is not None and columns != self._maps.coordinates:
-            raise OptionError(f"sightings so far had {self._maps.coordinates} columns, these have {columns}")
+        if self._coordinates is not None and columns != self._coordinates:
+            raise OptionError(f"sightings so far had {self._coordinates} columns, these have {columns}")
 
     @cached_property
     def _classes(self) -> Classes | None:
         """The classes of the sightings of the log, where they are used."""
         return None if self.log is None or self._needs_ids else Classes.of(self.log, self.options.class_confusion)
 
-    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> Array | None:
+    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> bool:
         # three comparisons first, because this is checked at every step
         if sightings[:, 0].max() > LARGEST or q.min() < LARGEST**-2 or q.max() > LARGEST**2:
             k = int(np.argmax((sightings[:, 0] > LARGEST) | np.any((q < LARGEST**-2) | (q > LARGEST**2), axis=1)))
@@ -105,30 +104,39 @@ class FastSLAM1(ParticleFilter):
                 f"{', '.join(f'{std:g}' for std in np.sqrt(q[k]))}, is beyond floating point; leave it out, or change "
                 "the sensor model"
             )
-        if self._maps is None:
-            shape = self._genealogy, self._threads, self.particles, sightings.shape[1]
-            if self._needs_ids:
-                estimated = self.options.range_noise == "estimated"
-                self._maps = IdentifiedLandmarks(
-                    *shape,
-                    landmark_update=self.options.landmark_update,
-                    range_noise=(self.sensor.range_rate, self.sensor.range_std) if estimated else None,
-                )
-                self._place_given(self._maps)
-            else:
-                self._maps = AnonymousLandmarks(*shape, self.options, self.sensor, self._classes)
-        if isinstance(self._maps, IdentifiedLandmarks):
-            return self._weigh_identified(self._maps, ids, sightings, q)
+        if self._coordinates is None:
+            self._coordinates = sightings.shape[1]
+            self._begin_maps(self._coordinates)
+        if self._needs_ids:
+            known: bool = self._engine.weigh_identified(ids, sightings, q, self._poses_drawn)
+            return known
         if self._classes is None or rows is None:
             # sightings that are handed in are of unknown class
-            shown = np.full(len(sightings), 0 if self._classes is None else self._classes.count)
+            shown = np.full(len(sightings), len(self._confusion))
         else:
-            shown = self._classes.shown[rows].copy()
-        return self._weigh_anonymous(self._maps, sightings, q, shown)
+            shown = np.minimum(self._classes.shown[rows], len(self._confusion))
+        self._engine.weigh_anonymous(sightings, q, shown, self._poses_drawn)
+        return True
 
-    def _place_given(self, maps: IdentifiedLandmarks) -> None:
-        """Put the landmarks of the map that is given into all maps."""
-        n = maps.coordinates
+    @property
+    def _poses_drawn(self) -> int:
+        """How the engine draws the poses of a step with sightings: here, by their motion only."""
+        return 0
+
+    def _begin_maps(self, n: int) -> None:
+        """Give the particles empty maps of landmarks with n coordinates, or the map that is given."""
+        options, sensor = self.options, self.sensor
+        if not self._needs_ids:
+            from scipy.special import chdtri  # imported here because it takes 0.3 s and known ids do not need it
+
+            # quantiles of the chi-squared distribution
+            border, merged = (float(chdtri(n, p)) for p in (options.new_landmark_threshold, MERGED))
+            known = np.array([sensor.min_range, sensor.max_range, sensor.field_of_view / 2])
+            limits = np.where(known == [0.0, np.inf, np.pi], np.nan, known).tolist()
+            self._engine.use_no_ids(n == 3, border, merged, options.merge_interval, limits, self._confusion)
+            return
+        noise = (sensor.range_rate, sensor.range_std**2) if options.range_noise == "estimated" else None
+        self._engine.use_ids(n == 3, JOINT if options.landmark_update == "joint" else 0, noise)
         for j, place in (self._given or {}).items():
             if len(place) < n:
                 raise OptionError(
@@ -136,71 +144,51 @@ class FastSLAM1(ParticleFilter):
                 )
             assert self._given is not None
             own = self._given.covariances.get(j, np.zeros((3, 3)))[:n, :n]
-            maps.place(j, place[:n], own + EXACT**2 * np.eye(n))
+            self._engine.place(j, place[:n], own + EXACT**2 * np.eye(n))
 
-    def _weigh_identified(self, maps: IdentifiedLandmarks, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
-        """Weigh sightings with ids, as `_weigh`."""
-        log_likelihood = None
-        for j, z, variances in zip(ids.tolist(), sightings, q, strict=True):
-            if j not in maps:
-                maps.initialize(j, self._poses, z, variances)
-                continue
-            if log_likelihood is None:
-                log_likelihood = np.zeros(self.particles)
-            maps.update(j, self._poses, z, variances, log_likelihood)
-        maps.finish()
-        return log_likelihood
-
-    def _weigh_anonymous(self, maps: AnonymousLandmarks, sightings: Array, q: Array, shown: np.ndarray) -> Array:
-        """Weigh sightings without ids from the current poses; each particle decides which landmarks they belong to."""
-        log_likelihood, belief = np.zeros(self.particles), np.zeros((9, self.particles))
-        belief[:3] = self._poses
-        # the poses are not written here, but the kernel is compiled for writable ones
-        maps.scan(belief, belief[:3], sightings, q, self._step, log_likelihood, self._choices(maps), shown)
-        return log_likelihood
+    @cached_property
+    def _confusion(self) -> Array:
+        """P(shown k given c), (n, n + 1), of the classes; (0, 1) where there are none."""
+        if self._classes is None or self._classes.count == 1:
+            return np.empty((0, 1))
+        return np.exp(self._classes.log_confusion)
 
     def _association(self, poses: Array) -> dict[str, np.ndarray]:
         if self.log is None or self._needs_ids or self._next < self.log.num_poses:
             return {}
-        estimates = self._map(self._best, provisional=True)
+        estimates = self._map(self._engine.best, provisional=True)
         means = {j: estimate.mean for j, estimate in estimates.items()}
         covariances = {j: estimate.covariance for j, estimate in estimates.items()}
         probabilities = {}
-        if isinstance(self._maps, AnonymousLandmarks):
-            probabilities = {j: self._maps.class_probabilities(j, self._best) for j in estimates}
+        if self._coordinates is not None:
+            probabilities = {j: self._engine.class_probabilities(j, self._engine.best) for j in estimates}
         ids = ids_by_map(self.log, poses, means, covariances, self.sensor, self._classes, probabilities)
         doubtful = [j for j, estimate in estimates.items() if not estimate.confirmed]
         return {"association": ids, "unconfirmed": np.isin(ids, doubtful)}
 
-    def _choices(self, maps: AnonymousLandmarks) -> np.uint64:
-        """The key of the numbers by which the associations of a scan are drawn."""
-        return draw_key(self._rng) if maps.sampled else np.uint64(0)
+    def _gaussians(self, first: int, count: int) -> Iterator[tuple[int, Array, Array, Array]]:
+        """Yield for every landmark, in some particles: id, means (k, n), covariances (k, n, n) and evidence (k,).
 
-    def _end_step(self) -> None:
-        if self._maps is not None:
-            self._maps.end_step(self._poses, self._step)
-
-    def _gaussians(self, particles: slice) -> Iterator[tuple[int, Array, Array, Array]]:
-        """Yield for every landmark: id, means (k, n), covariances (k, n, n) and evidence (k,), 0 where it is missing."""
-        if self._maps is not None:
-            for j in self._maps.ids:
-                yield j, *self._maps.gaussians(j, particles)
+        The evidence is 0 where a particle does not have the landmark, and infinite where its id is known.
+        """
+        for j in self._engine.landmarks().tolist():
+            yield j, *self._engine.landmark(j, first, count)
 
     @property
     def _confirmed(self) -> float:
         """The evidence from which on a landmark is part of the map."""
-        return self._maps.confirmed if isinstance(self._maps, AnonymousLandmarks) else 1.0
+        return 1.0 if self._needs_ids else CONFIRMED
 
     def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:
         return {
             j: LandmarkEstimate(means[0], covariances[0], bool(evidence[0] >= self._confirmed))
-            for j, means, covariances, evidence in self._gaussians(slice(particle, particle + 1))
+            for j, means, covariances, evidence in self._gaussians(particle, 1)
             if evidence[0] > 0 and (provisional or evidence[0] >= self._confirmed)
         }
 
     def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]:
         estimates = {}
-        for j, means, covariances, evidence in self._gaussians(slice(None)):
+        for j, means, covariances, evidence in self._gaussians(0, self.particles):
             owned = evidence > 0
             share, confirmed = weights @ owned, bool(weights @ (evidence >= self._confirmed) >= 0.5)
             # landmarks of particles with most of the weight, as those particles estimate them

@@ -6,17 +6,12 @@ Sources: Montemerlo, Thrun, Koller and Wegbreit, *FastSLAM 2.0*, IJCAI 2003; *Pr
 
 from __future__ import annotations
 
-import numpy as np
-
 from graphslam.errors import OptionError
-from graphslam.se2 import Array
 
-from . import landmark_kernels
-from .anonymous_maps import AnonymousLandmarks
 from .fastslam1 import FastSLAM1
-from .identified_maps import IdentifiedLandmarks
-from .motions import draw
-from .proposal import draw_all as draw_weighted
+
+#: how the engine draws the poses: corrected by the sightings, with exact weights or with those of the lectures
+CORRECTED_EXACT, CORRECTED_LINEARISED = 1, 2
 
 
 class FastSLAM2(FastSLAM1):
@@ -29,7 +24,8 @@ class FastSLAM2(FastSLAM1):
     linearisation.
 
     With the proposal_weight "exact" the weight is multiplied by p(x) / q(x) and by the likelihoods of 1.0 at the drawn
-    pose x, so 1.0 and 2.0 have the same posterior (`proposal`). With "linearised", as in the lectures and the original, it
+    pose x, so 1.0 and 2.0 have the same posterior
+    (`vmslam/particles/proposal.hpp` in the engine). With "linearised", as in the lectures and the original, it
     is multiplied by the likelihoods under the prediction, N(z; h(x, m), V), which is biased where h or f is not linear.
 
     A landmark seen several times in one step enters the proposal once, with its first sighting. The other sightings use
@@ -48,45 +44,6 @@ class FastSLAM2(FastSLAM1):
                 f"{self.options.proposal_weight}, which is that of the measured range: leave out one of them"
             )
 
-    def _weigh_identified(self, maps: IdentifiedLandmarks, ids: np.ndarray, sightings: Array, q: Array) -> Array | None:
-        # the first sighting of each known landmark
-        leading: dict[int, int] = {}
-        for k, j in enumerate(ids.tolist()):
-            if j in maps:
-                leading.setdefault(j, k)
-        if self._motion is None or not leading:
-            return super()._weigh_identified(maps, ids, sightings, q)
-        motion, exact = self._motion, self.options.proposal_weight == "exact"
-        log_likelihood, unused = np.zeros(self.particles), np.zeros(self.particles)
-        # a leading sighting is weighed once: under the prediction, or exactly at the drawn pose
-        predicted, leaders = (unused, log_likelihood) if exact else (log_likelihood, unused)
-        belief, poses = np.empty((9, self.particles)), np.empty_like(self._poses)
-        proposal = [motion.predict(belief, exact)]
-        for j, k in leading.items():
-            proposal.append((landmark_kernels.correct, (belief, *maps.read(j), sightings[k], q[k], predicted)))
-        if exact:
-            arguments = motion.poses, belief, motion.key, motion.weighted(), poses, log_likelihood
-            proposal.append((draw_weighted, arguments))
-        else:
-            proposal.append((draw, (belief, motion.key, poses)))
-        for k, j in enumerate(ids.tolist()):
-            if j not in maps:
-                maps.initialize(j, poses, sightings[k], q[k])
-                continue
-            maps.update(j, poses, sightings[k], q[k], leaders if leading.get(j) == k else log_likelihood)
-        maps.finish(before=proposal)
-        self._set_poses(poses)
-        return log_likelihood
-
-    def _weigh_anonymous(self, maps: AnonymousLandmarks, sightings: Array, q: Array, shown: np.ndarray) -> Array:
-        if self._motion is None:
-            return super()._weigh_anonymous(maps, sightings, q, shown)
-        log_likelihood = np.zeros(self.particles)
-        belief, poses = np.empty((9, self.particles)), np.empty_like(self._poses)
-        exact = self.options.proposal_weight == "exact"
-        predict, arguments = self._motion.predict(belief, exact)
-        self._threads.run(predict, *arguments)
-        choices = self._choices(maps)
-        maps.scan(belief, poses, sightings, q, self._step, log_likelihood, choices, shown, self._motion, exact)
-        self._set_poses(poses)
-        return log_likelihood
+    @property
+    def _poses_drawn(self) -> int:
+        return CORRECTED_EXACT if self.options.proposal_weight == "exact" else CORRECTED_LINEARISED

@@ -16,7 +16,6 @@ from graphslam.errors import OptionError, quoted
 from graphslam.log import Log
 from graphslam.se2 import Array
 
-from . import landmark_kernels as kernels
 from .checks import finite, whole
 from .particle_filter import ParticleFilter
 from .state import LandmarkEstimate
@@ -74,13 +73,12 @@ class MonteCarloLocalization(ParticleFilter):
                     f"landmark {j} was seen but is not on the known map: add it to landmarks, or use FastSLAM1"
                 )
 
-    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> Array | None:  # noqa: ARG002
-        log_likelihood = np.zeros(self.particles)
-        for j, z, variances in zip(ids.tolist(), sightings, q, strict=True):
-            known = self._landmarks[j]
-            n = min(len(z), len(known))
-            self._threads.run(kernels.weigh_known, self._poses, known[:n], z[:n], variances[:n], log_likelihood)
-        return log_likelihood
+    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> bool:  # noqa: ARG002
+        known = [self._landmarks[j] for j in ids.tolist()]
+        oriented = np.array([len(m) == 3 and sightings.shape[1] == 3 for m in known])
+        places = np.array([m if len(m) == 3 else [*m, 0.0] for m in known])
+        self._engine.weigh_known(places, sightings, q, oriented)
+        return True
 
     def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:  # noqa: ARG002
         return {j: LandmarkEstimate(m.copy(), np.zeros((len(m), len(m)))) for j, m in self._landmarks.items()}

@@ -24,7 +24,8 @@ BUFFERS, POSE, INDEX = 100, 32, 8
 NUMBERS, ANONYMOUS = {2: 5, 3: 9}, 4
 #: stored poses per particle where the filter resamples often, and where it does so rarely
 OFTEN, RARELY = 22, 120
-#: the most poses that are kept of a landmark whose sightings are integrated together, `fastslam.joint_kernels.MOST`
+#: the most sightings of a landmark that are integrated together, and so the most poses that are kept of it; the engine has
+#: room for no more
 JOINT = 16
 GIGABYTE = 1e9
 

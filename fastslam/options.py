@@ -1,7 +1,7 @@
 """The options of the particle filters, each declared once with its type, default, choices and help.
 
 Constructors take these options as keywords, and command lines and configuration files derive theirs from the fields.
-This module compiles nothing and imports neither numba nor SciPy.
+This module imports neither the engine nor SciPy.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from graphslam.errors import OptionError, quoted
 from .checks import finite, whole
 
 #: how sightings are assigned to landmarks; auto stands for one of the others, which the log decides
-ASSOCIATIONS = ("auto", "known", "maximum-likelihood", "sampled")
+ASSOCIATIONS = ("auto", "known", "maximum-likelihood")
 #: what auto stands for where sightings have no ids: the most accurate on real logs, see docs/association.md
 WITHOUT_IDS = "maximum-likelihood"
 #: the stored poses of all particles are numbered with 32 bits
@@ -26,9 +26,8 @@ RESAMPLING = ("systematic", "stratified", "residual", "multinomial")
 
 #: how FastSLAM 2.0 weighs its particles: with the density of its proposal, or as if h and f were linear
 PROPOSAL_WEIGHTS = ("exact", "linearised")
-#: how the Gaussian of a landmark follows from a sighting: by the Kalman gain, with the moments of the posterior, or
-#: from all sightings of the landmark together
-LANDMARK_UPDATES = ("kalman", "moments", "joint")
+#: how the Gaussian of a landmark follows from its sightings: from each by the Kalman gain, or from all together
+LANDMARK_UPDATES = ("kalman", "joint")
 #: the range at which the variance of a sighting's range is taken
 RANGE_NOISES = ("measured", "estimated")
 #: the fewest trajectories that backward simulation draws, so that they have covariances
@@ -61,20 +60,13 @@ class FilterOptions:
     association: str = field(
         default="auto",
         metadata={
-            "help": "Landmarks of sightings. Known takes their ids, maximum-likelihood the most likely landmark, "
-            f"sampled draws it. Auto is known, but {WITHOUT_IDS} where a log has no ids.",
+            "help": "Landmarks of sightings. Known takes their ids, maximum-likelihood the most likely landmark. "
+            f"Auto is known, but {WITHOUT_IDS} where a log has no ids.",
             "choices": ASSOCIATIONS,
         },
     )
     new_landmark_threshold: float = field(
         default=1e-6, metadata={"help": "Probability that a sighting of a known landmark is taken for a new one."}
-    )
-    detection_probability: float = field(
-        default=0.5, metadata={"help": "Probability that a landmark in view is seen; for the association sampled."}
-    )
-    clutter_share: float = field(
-        default=0.1,
-        metadata={"help": "Share of clutter among the sightings of no known landmark; for the association sampled."},
     )
     merge_interval: int = field(
         default=10,
@@ -97,8 +89,8 @@ class FilterOptions:
     landmark_update: str = field(
         default="kalman",
         metadata={
-            "help": "Landmarks of FastSLAM: kalman linearises each sighting, moments integrates it, joint integrates all "
-            "sightings of a landmark together; moments and joint with known ids only.",
+            "help": "Landmarks of FastSLAM: kalman linearises each sighting, joint integrates all sightings of a landmark "
+            "together, with known ids only.",
             "choices": LANDMARK_UPDATES,
         },
     )
@@ -157,7 +149,7 @@ class FilterOptions:
             raise OptionError(
                 f"ess_threshold must lie between 0 (never resample) and 1 (always), not {quoted(self.ess_threshold)}"
             )
-        for name in ("new_landmark_threshold", "detection_probability", "clutter_share", "class_confusion"):
+        for name in ("new_landmark_threshold", "class_confusion"):
             value = getattr(self, name)
             if not 0 < finite(name, value, "a number between 0 and 1", [()]) < 1:
                 raise OptionError(f"{name} must lie between 0 and 1, not {quoted(value)}")

@@ -5,7 +5,6 @@ Sources: Ueda, *LNPR*, chapters 5 and 8; Thrun, Burgard and Fox, *Probabilistic 
 
 from __future__ import annotations
 
-import math
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -17,25 +16,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graphslam.checks import check_type, suggestion
+from graphslam.engine import engine
 from graphslam.errors import LogError, OptionError, quoted
 from graphslam.identification.robot import known_robot
 from graphslam.localization import Fix
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
+from graphslam.threads import available_threads
 
 from .backward import Record
 from .checks import finite, index, measurements
-from .genealogy import Genealogy
 from .memory import check_memory
-from .motions import ControlMotion, GaussianMotion, check_motion, robot_poses, sensor_motions
+from .motions import check_motion, robot_poses, sensor_motions
 from .noise import draw_key
 from .options import FilterOptions
 from .resampling import RESAMPLING_SCHEMES
 from .samples import Samples
 from .state import FilterResult, LandmarkEstimate, ParticleState
-from .threads import Threads
-from .weight_kernels import normalize
 
 #: the standard deviations of particles around a first fix, over those of the fix
 SPREAD = 2.0
@@ -87,7 +85,7 @@ class ParticleFilter(ABC):
     #: whether each particle has a map of its own
     HAS_MAPS = True
     #: what to do where a log has no ids and the filter needs them
-    _HOW_WITHOUT_IDS = "and the association is known: leave it out, or take maximum-likelihood or sampled"
+    _HOW_WITHOUT_IDS = "and the association is known: leave it out, or take maximum-likelihood"
 
     def __init__(
         self,
@@ -123,30 +121,26 @@ class ParticleFilter(ABC):
         self.motion = motion or getattr(log, "motion", None) or MotionModel()
         self.sensor = sensor or getattr(log, "sensor", None) or SensorModel()
         self._rng = np.random.default_rng(self.options.seed)
-        self._threads = Threads(self.particles, self.options.threads)
 
         if start is None:
             start = np.zeros(3) if log is None else log.initial_poses[0]
         elif isinstance(start, Fix):
             start = self._rng.multivariate_normal(start.pose, SPREAD**2 * start.covariance, self.particles)
         expected = f"a finite pose (3,) or one per particle ({self.particles}, 3)"
-        poses = np.empty((3, self.particles))
-        poses[:] = np.atleast_2d(self.sensor.mount(finite("start", start, expected, [(3,), (self.particles, 3)]))).T
-        poses[2] = wrap(poses[2])
+        poses = np.empty((self.particles, 3))
+        poses[:] = self.sensor.mount(finite("start", start, expected, [(3,), (self.particles, 3)]))
+        poses[:, 2] = wrap(poses[:, 2])
 
         self._step, self._version, self._next = 0, 0, 0
-        self._poses = _read_only(poses)
-        self._uniform = _read_only(np.full(self.particles, -np.log(self.particles)))
-        self._log_weights = self._uniform
-        self._best, self._resampled, self._log_evidence = 0, False, 0.0
-        self._motion: ControlMotion | GaussianMotion | None = None
+        # of all steps, for backward simulation
+        self._record = Record() if self.options.smoothing and self.HAS_MAPS else None
+        threads = available_threads() if self.options.threads is None else self.options.threads
+        #: the particles and their maps
+        self._engine = engine.ParticleFilter(poses, threads, self._record is not None)
+        self._resampled, self._log_evidence = False, 0.0
         # whether this step has been observed, even if nothing was seen
         self._observed = False
-        self._genealogy = Genealogy(self.particles)
-        self._genealogy.record(self._poses)
         self._ess_history, self._resampled_history = [float(self.particles)], [False]
-        # of all steps, for backward simulation
-        self._record = Record(self._poses, self._uniform) if self.options.smoothing and self.HAS_MAPS else None
 
     # -- step by step ------------------------------------------------------------------------------------------------
 
@@ -186,8 +180,7 @@ class ParticleFilter(ABC):
         """
         if ids is None and self._needs_ids:
             raise OptionError(
-                "ids may be None only if they are ignored (association maximum-likelihood or sampled); give the id of each "
-                "sighting"
+                "ids may be None only if they are ignored (association maximum-likelihood); give the id of each sighting"
             )
         ids, z = measurements(ids, sightings)
         if len(z) == 0:
@@ -199,10 +192,10 @@ class ParticleFilter(ABC):
     @property
     def state(self) -> ParticleState:
         """The particles as they are now."""
-        poses = robot_poses(self.sensor, self._poses.T)
-        ess = self._ess_history[-1]
+        particles, ess = self._engine, self._ess_history[-1]
+        poses = robot_poses(self.sensor, particles.poses)
         return ParticleState(
-            self._step, poses, self._log_weights, ess, self._resampled, self._best, self, self._version
+            self._step, poses, particles.log_weights, ess, self._resampled, particles.best, self, self._version
         )
 
     def trajectory(self, particle: int | None = None) -> Array:
@@ -211,8 +204,8 @@ class ParticleFilter(ABC):
         Raises:
             OptionError: there is no such particle.
         """
-        chosen = self._best if particle is None else index("particle", particle, self.particles)
-        return robot_poses(self.sensor, self._genealogy.trajectory(chosen))
+        chosen = self._engine.best if particle is None else index("particle", particle, self.particles)
+        return robot_poses(self.sensor, self._engine.trajectory(chosen))
 
     # -- over a log --------------------------------------------------------------------------------------------------
 
@@ -257,8 +250,8 @@ class ParticleFilter(ABC):
 
     def result(self) -> FilterResult:
         """Return the estimate so far."""
-        mean_poses, ancestors = self._genealogy.summary(np.exp(self._log_weights))
-        best_map = self._map(self._best, provisional=False)
+        mean_poses, ancestors = self._engine.summary()
+        best_map = self._map(self._engine.best, provisional=False)
         poses = self.trajectory()
         return FilterResult(
             estimator=type(self).__name__,
@@ -270,7 +263,7 @@ class ParticleFilter(ABC):
             mean_poses=robot_poses(self.sensor, mean_poses),
             landmarks={j: estimate.mean for j, estimate in best_map.items()},
             landmark_covariances={j: estimate.covariance for j, estimate in best_map.items()},
-            log_weights=self._log_weights,
+            log_weights=self._engine.log_weights,
             log_evidence=self._log_evidence,
             ess=np.array(self._ess_history),
             resampled=np.array(self._resampled_history),
@@ -281,12 +274,21 @@ class ParticleFilter(ABC):
 
     def _smoothed(self, mean_poses: Array) -> Samples | None:
         """Trajectories drawn by backward simulation, linearised at the mean history of the sensor, if there are any."""
-        if self._record is None or not (mixture := self._mixture(np.exp(self._log_weights), provisional=False)):
+        if self._record is None:
+            return None
+        mixture = self._mixture(np.exp(self._engine.log_weights), provisional=False)
+        if not mixture:
             return None
         marks = np.array([mixture[j].mean for j in sorted(mixture)])
         # a copy: what the filter draws later does not depend on whether it was asked for a result
         return self._record.smooth(
-            self.options.smoothing, deepcopy(self._rng), self.sensor, mean_poses, marks, self.options.threads
+            self._engine,
+            self.options.smoothing,
+            deepcopy(self._rng),
+            self.sensor,
+            mean_poses,
+            marks,
+            self.options.threads,
         )
 
     def _association(self, poses: Array) -> dict[str, np.ndarray]:  # noqa: ARG002
@@ -308,8 +310,8 @@ class ParticleFilter(ABC):
         """Raise `OptionError` where sightings of these ids with this number of columns cannot be used."""
 
     @abstractmethod
-    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> Array | None:
-        """Return the log likelihoods (N,) of sightings (k, n) with variances q (k, n), None if none was weighed.
+    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> bool:
+        """Compute the log likelihoods of sightings (k, n) with variances q (k, n); False if none was weighed.
 
         ``rows``: which sightings of the log these are; None for those that are handed in.
         """
@@ -327,9 +329,6 @@ class ParticleFilter(ABC):
         """Whether motions are drawn from their Gaussian even where they have one control only."""
         return not self.sensor.centred or self.motion.slip > 0
 
-    def _end_step(self) -> None:  # noqa: B027
-        """Do what has to wait until an observed step is over."""
-
     def _check_control(self, control: Array, std: Array, dt: float) -> None:
         # as Python's numbers, which overflow to infinity without a warning
         way, turn = ((abs(float(u)) + float(s)) * float(dt) for u, s in zip(control, std, strict=True))
@@ -339,51 +338,41 @@ class ParticleFilter(ABC):
         """Move every particle by its own draw of the control; nothing moves where dt = 0."""
         self._check_control(control, std, dt)
         epsilon = self.motion.epsilon if dt > 0 else 0.0
-        key = draw_key(self._rng)
-        self._move(ControlMotion(self._poses, key, control[0], control[1], std[0], std[1], dt, epsilon))
-        if dt == 0:
-            self._motion = None
+        key = self._begin_move()
+        self._engine.move_by_control(key, (*control, *std, dt, epsilon), bool(dt > 0))
+        self._end_move()
 
     def _move_by_gaussian(self, motions: Array, covariances: Array) -> None:
         """Move every particle by a draw of the Gaussian (1, 3), (1, 3, 3) of a whole motion of the sensor."""
         reach = np.abs(motions[0]) + np.sqrt(np.diagonal(covariances[0]))
         check_motion(self._step + 1, reach[:2].max(), reach[2])
-        self._move(GaussianMotion(self._poses, draw_key(self._rng), motions[0], covariances[0]))
+        self._engine.move_by_gaussian(self._begin_move(), motions[0], covariances[0], True)
+        self._end_move()
 
-    def _move(self, motion: ControlMotion | GaussianMotion) -> None:
+    def _begin_move(self) -> int:
+        """Finish the previous step, and return the key of the random numbers of this motion."""
         if self._observed:
-            self._end_step()
+            self._engine.end_step()
             self._observed = False
-        moved = np.empty_like(self._poses)
-        self._threads.run_all([motion.draw(moved), self._genealogy.recording(moved)])
-        self._motion, self._poses = motion, _read_only(moved)
+        return draw_key(self._rng)
+
+    def _end_move(self) -> None:
         self._step, self._version = self._step + 1, self._version + 1
         self._resampled = False
-        if self._record is not None:
-            self._record.move(self._poses, self._log_weights)
         self._ess_history.append(self._ess_history[-1])
         self._resampled_history.append(False)
-
-    def _set_poses(self, poses: Array) -> None:
-        """Replace the poses (3, N) of this step."""
-        self._poses = _read_only(poses)
-        self._genealogy.amend(poses)
 
     def _observe(self, ids: np.ndarray, sightings: Array, rows: slice | None = None) -> None:
         with np.errstate(over="ignore"):
             q = np.diagonal(self.sensor.Q(sightings), axis1=-2, axis2=-1).copy()
-        # a copy: kernels would be compiled once more for the read-only arrays of a log
-        log_weights = self._weigh(ids, sightings.copy(), q, rows)
+        weighed = self._weigh(ids, sightings, q, rows)
         self._version, self._observed = self._version + 1, True
-        # the poses now depend on the sightings: later sightings of this step must not correct the motion again
-        self._motion = None
-        if log_weights is None or self.options.stage == "motion":
+        if not weighed or self.options.stage == "motion":
             self._remember(ids, sightings)
             return
-        log_weights += self._log_weights
-        highest = float(log_weights.max())
-        if highest == -np.inf:
-            self._remember(ids, sightings)
+        possible, log_evidence, ess = self._engine.reweigh()
+        self._remember(ids, sightings)
+        if not possible:
             warnings.warn(
                 f"step {self._step}: its sightings are impossible for all {self.particles} particles; "
                 "the weights from before the step are kept",
@@ -391,35 +380,16 @@ class ParticleFilter(ABC):
                 stacklevel=3,
             )
             return
-        weights, total, squares = normalize(self._threads, log_weights, highest)
-        self._log_evidence += highest + math.log(total)
-        ess = min(total * total / squares, float(self.particles))
-        self._log_weights, self._best = _read_only(log_weights), int(np.argmax(log_weights))
+        self._log_evidence += log_evidence
         self._ess_history[-1] = ess
-        self._remember(ids, sightings)
         if self.options.stage == "resampling" and ess <= self.options.ess_threshold * self.particles:
-            self._resample(weights)
+            self._resample()
 
     def _remember(self, ids: np.ndarray, sightings: Array) -> None:
         if self._record is not None:
-            self._record.observe(self._poses, self._log_weights, ids, sightings)
+            self._engine.remember()
+            self._record.observe(self._step, ids, sightings)
 
-    def _resample(self, weights: Array) -> None:
-        ancestors = RESAMPLING_SCHEMES[self.options.resampling](weights, self._rng)
-        copy = int(np.searchsorted(ancestors, self._best))
-        if copy == self.particles or ancestors[copy] != self._best:
-            # only where copies are drawn at random can the heaviest particle be left without one
-            copy = int(np.argmax(self._log_weights[ancestors]))
-        self._best = copy
-        self._genealogy.branch(ancestors)
-        if self._record is not None:
-            self._record.branch(ancestors)
-        # clip: checked indices would be copied through a buffer
-        self._poses = _read_only(np.take(self._poses, ancestors, axis=1, mode="clip"))
-        self._log_weights = self._uniform
+    def _resample(self) -> None:
+        self._engine.branch(RESAMPLING_SCHEMES[self.options.resampling](self._engine.weights(), self._rng))
         self._resampled = self._resampled_history[-1] = True
-
-
-def _read_only(array: Array) -> Array:
-    array.flags.writeable = False
-    return array

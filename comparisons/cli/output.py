@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from json import dumps
 from pathlib import Path
-from threading import Timer
 from typing import Any, Protocol
 
 import typer
@@ -163,21 +162,6 @@ class Output:
         if self.verbose:
             self._errors.print(printable(line), style="dim", markup=False, soft_wrap=True)
 
-    @contextmanager
-    def _announce_compilation(self) -> Iterator[None]:
-        """Say that kernels are compiled, where they never were and the work takes a while: an error comes at once."""
-        from ..kernels import compiled
-
-        text = "Compiling the numerical kernels. This happens once and takes about half a minute."
-        timer = Timer(2.0, self.progress, [text])
-        timer.daemon = True
-        if not compiled():
-            timer.start()
-        try:
-            yield
-        finally:
-            timer.cancel()
-
     def progress(self, line: str) -> None:
         """A line on standard error about work that takes a while; not with --quiet."""
         if not self.quiet:
@@ -193,7 +177,7 @@ class Output:
         from rich.text import Text
 
         width, height = self._errors.size
-        with self._announce_compilation(), Live(console=self._errors, auto_refresh=False) as live:
+        with Live(console=self._errors, auto_refresh=False) as live:
             yield (
                 lambda lines: live.update(Text("\n".join(map(printable, lines))), refresh=True),
                 (min(width, 140) - 1, max(min(height, 50) - 4, 5)),
@@ -221,7 +205,7 @@ class Output:
         hidden = self.quiet or not self._errors.is_terminal
         left = (TextColumn("remaining"), Remaining())
         bar = Progress(*columns, *left, console=self._errors, transient=True, disable=hidden)
-        with self._announce_compilation(), bar as progress:
+        with bar as progress:
             task = progress.add_task(what, total=total)
 
             def advance(steps: int, doing: str = "", total: int | None = None) -> None:

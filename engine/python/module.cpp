@@ -3,9 +3,12 @@
 
 NB_MODULE(_engine, module) {
     module.doc() = "The engine of virtual-motion-slam; see the Python modules that use it.";
+    vmslam::python::bind_association(module);
     vmslam::python::bind_certificate(module);
     vmslam::python::bind_edges(module);
     vmslam::python::bind_factors(module);
+    vmslam::python::bind_filters(module);
+    vmslam::python::bind_gibbs(module);
     vmslam::python::bind_online(module);
     vmslam::python::bind_sparse(module);
     vmslam::python::bind_solve(module);

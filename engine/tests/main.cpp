@@ -161,7 +161,11 @@ int main() {
         test_null_vector(seed);
         if (seed < 10) test_orders(seed);
     }
+    test_association();
+    test_gibbs();
+    test_numbers();
     test_online();
+    test_particles();
     std::printf("%s\n", failures == 0 ? "all tests passed" : "tests failed");
     return failures == 0 ? 0 : 1;
 }

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from graphslam.engine import engine
 from graphslam.errors import LogError, OptionError, quoted
 from graphslam.log import Log, check_is_log
 from graphslam.models import MotionModel, SensorModel
@@ -18,8 +19,7 @@ from ..fastslam2 import FastSLAM2
 from ..memory import GIGABYTE, available_memory, forecast
 from ..motions import robot_poses
 from ..options import FilterOptions, GibbsOptions
-from . import exact, paths, pivots
-from .bends import ACCEPTED, Bends, Target
+from .bends import MOVES, Bends, Target
 from .result import GibbsResult
 from .sightings import Problem
 
@@ -28,9 +28,10 @@ class ParticleGibbs:
     """Particle Gibbs with ancestor sampling for SLAM, the landmarks integrated out: a smoother, not a filter.
 
     Every chain starts from a history drawn from its own run of `FastSLAM2`. A sweep renews every motion while all that
-    follows moves along (`pivots`), then the poses in stretches of ``block`` steps between fixed ends (`paths`), draws the
-    map, and moves trajectory and map along their widest directions (`bends`). During the warm-up the sightings are
-    linearised three times: as measured, then twice at the mean of the chains so far; then nothing changes any more.
+    follows moves along (pivots), then the poses in stretches of ``block`` steps between fixed ends, draws the map, and moves
+    trajectory and map along their widest directions (`bends`). The engine does the sweeps
+    (``engine/include/vmslam/gibbs``). During the warm-up the sightings are linearised three times: as measured, then twice
+    at the mean of the chains so far; then nothing changes any more.
 
     The posterior is that of the graph with landmarks as nodes and motion edges: motions N(f(x, u), A M A' + epsilon I),
     sightings N(h(x, m), Q) with Q at the measured range, flat landmarks, a known first pose. With the density "linearised"
@@ -92,23 +93,25 @@ class ParticleGibbs:
         generators = [np.random.default_rng(s) for s in self._seeds[1::2]]
         with ThreadPoolExecutor(min(o.chains, self._threads or o.chains)) as pool:
             poses = list(pool.map(_start, self._filters, generators))
-            marks = _map(problem, poses[0], generators[0])
-            chains = [Chain(rng, x, problem.motions_of(x[None])) for rng, x in zip(generators, poses, strict=True)]
+            target = Target.of(problem, o)
+            marks = target.in_engine.draw_map(poses[0], generators[0].bit_generator)
+            chains = [
+                engine.GibbsChain(rng.bit_generator, x, problem.motions_of(x[None]))
+                for rng, x in zip(generators, poses, strict=True)
+            ]
             for sweeps in (o.warm_up // 4, o.warm_up // 4, o.warm_up - 2 * (o.warm_up // 4)):
                 if sweeps == 0:
                     continue
                 bends = Bends(Target.of(problem, o), chains[0].poses, marks)
-                runs = list(pool.map(lambda c: c.run(problem, bends, o, sweeps, warm_up=True), chains))  # noqa: B023
-                _check_finite(self.log, runs)
+                runs = self._sampled(pool, chains, bends, sweeps, warm_up=True)
                 later = [(x[sweeps // 2 :], m[sweeps // 2 :]) for x, m in runs]
                 trajectories, maps = (np.concatenate(parts) for parts in zip(*later, strict=True))
                 marks = maps[-1]
                 problem = problem.linearised_at(trajectories, maps)
                 for chain in chains:
-                    chain.guess = problem.motions_of(trajectories)
+                    chain.set_guess(problem.motions_of(trajectories))
             bends = Bends(Target.of(problem, o), chains[-1].poses, marks)
-            runs = list(pool.map(lambda c: c.run(problem, bends, o, o.iterations, warm_up=False), chains))
-            _check_finite(self.log, runs)
+            runs = self._sampled(pool, chains, bends, o.iterations, warm_up=False)
         return GibbsResult(
             log=self.log.name,
             options=o,
@@ -119,6 +122,20 @@ class ParticleGibbs:
             ids=problem.ids,
             accepted=float(np.mean([chain.accepted for chain in chains])),
         )
+
+    def _sampled(
+        self, pool: ThreadPoolExecutor, chains: list[Any], bends: Bends, sweeps: int, *, warm_up: bool
+    ) -> list[tuple[Array, Array]]:
+        """Return of each chain trajectories (sweeps, T + 1, 3) and maps (sweeps, J, 3) after each sweep.
+
+        A warm-up adapts the bends.
+        """
+        o = self.options
+        given = bends.target.in_engine, *bends.mode, bends.directions, bends.deviations
+        rules = o.particles, min(o.block, 2**53), sweeps, MOVES, warm_up
+        runs = list(pool.map(lambda chain: chain.run(*given, *rules), chains))
+        _check_finite(self.log, runs)
+        return runs
 
 
 #: particles of the filters from which the chains start
@@ -170,73 +187,5 @@ def _start(particles: FastSLAM2, rng: np.random.Generator) -> Array:
     """Return a history of the sensor, drawn from a filter, (T + 1, 3)."""
     for _ in particles:
         pass
-    weights = np.exp(particles._log_weights)
-    return particles._genealogy.trajectory(int(rng.choice(len(weights), p=weights / weights.sum())))
-
-
-def _map(problem: Problem, x: Array, rng: np.random.Generator) -> Array:
-    """Draw a map (J, 3) given a trajectory of the sensor."""
-    third = float(problem.columns - 2)
-    return exact.draw_map(rng, x, problem.first, problem.marks, problem.y, problem.C, len(problem.ids), third)
-
-
-class Chain:
-    """One chain: its trajectory (T + 1, 3) of the sensor, and what goes on from one stage of a run to the next.
-
-    Attributes:
-        poses: the present trajectory; ``guess``: motions (T, 3) at which the fits of the pivots begin.
-        accepted: the share of renewed stretches that the last `run` accepted.
-        precision: (K,) Student's t as a mixture: the covariance of sighting k is C_k / precision_k. Ones without it.
-    """
-
-    def __init__(self, rng: np.random.Generator, poses: Array, guess: Array) -> None:
-        self.poses, self.guess = poses.copy(), guess
-        self.accepted = 1.0
-        self._rng, self._precision, self._step = rng, np.ones(0), 0.3
-
-    def run(
-        self, problem: Problem, bends: Bends, options: GibbsOptions, sweeps: int, *, warm_up: bool
-    ) -> tuple[Array, Array]:
-        """Return trajectories (sweeps, T + 1, 3) and maps (sweeps, J, 3) after each sweep; a warm-up adapts the bends."""
-        rng, x, p, degrees = self._rng, self.poses, problem, options.degrees_of_freedom
-        J, T, N, third = len(p.ids), len(x) - 1, options.particles, float(p.columns - 2)
-        corrected = options.density == "exact"
-        if len(self._precision) == 0:
-            self._precision = np.ones(len(p.z))
-        C, q = p.C / self._precision[:, None], p.q / self._precision[:, None]
-        z, of_z = (p.z, q) if corrected else (p.z[:0], q[:0])
-        m, ratio = exact.draw_map(rng, x, p.first, p.marks, p.y, C, J, third), np.zeros(1)
-        if corrected:
-            ratio[0] = exact.log_ratio(x, m, p.first, p.marks, p.y, C, z, of_z, third)
-        trajectories, maps = np.empty((sweeps, *x.shape)), np.empty((sweeps, J, 3))
-        tried, accepted, squares = 0, 0, np.empty(len(p.z))
-        for sweep in range(sweeps):
-            seen = p.first, p.marks, p.y, C
-            pivots.sweep(rng, x, self.guess, p.motions, p.information, *seen, J, N, third, z, of_z, m, ratio)
-            s, e = 1, min(1 + int(rng.random() * options.block), T)
-            while s <= T:
-                old = x[s : e + 1].copy()
-                paths.renew(rng, x, s, e, self.guess, p.motions, p.information, *seen, J, N, third, not corrected)
-                tried += 1
-                if not corrected or exact.accept(rng, x, m, ratio, *seen, z, of_z, third):
-                    accepted += 1
-                else:
-                    x[s : e + 1] = old
-                s, e = e + 1, min(e + options.block, T)
-            if not corrected:
-                m = exact.draw_map(rng, x, *seen, J, third)
-            moved, m, share = bends.renew(rng, x, m, self._step)
-            x[:] = moved
-            if warm_up:
-                self._step = min(self._step * np.exp((share - ACCEPTED) / (1 + sweep) ** 0.5), 1.0)
-            if degrees is not None:
-                # after the bends, which integrate the precisions out
-                bends.target(x, m, squares)
-                self._precision = rng.gamma(0.5 * (degrees + p.columns), 2 / (degrees + squares))
-                C, q = p.C / self._precision[:, None], p.q / self._precision[:, None]
-                of_z = q if corrected else of_z
-            if corrected:
-                ratio[0] = exact.log_ratio(x, m, p.first, p.marks, p.y, C, z, of_z, third)
-            trajectories[sweep], maps[sweep] = x, m
-        self.accepted = accepted / tried
-        return trajectories, maps
+    weights = np.exp(particles._engine.log_weights)
+    return particles._engine.trajectory(int(rng.choice(len(weights), p=weights / weights.sum())))

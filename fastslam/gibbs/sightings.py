@@ -1,12 +1,13 @@
-"""A log as arrays for the kernels, its sightings linearised in the axes of the robot."""
+"""A log as arrays for the engine, its sightings linearised in the axes of the robot."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
+from graphslam.engine import engine
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
@@ -82,6 +83,28 @@ class Sightings:
         C = R @ (self.q[:, :, None] * np.swapaxes(R, 1, 2))
         rows, columns = np.triu_indices(3)
         return replace(self, y=y, C=np.ascontiguousarray(C[:, rows, columns]))
+
+    def in_engine(
+        self, motions: Array, information: Array, weights: Array, *, exact: bool = False, degrees: float = 0.0
+    ) -> Any:
+        """Return the engine's problem with motions (T, 3) of information (T, 6).
+
+        Args:
+            weights: (K, 6) the information of the linearised sightings.
+            exact, degrees: see `GibbsOptions`; 0 degrees of freedom stand for a Gaussian.
+        """
+        indices = (np.ascontiguousarray(numbers, dtype=np.int64) for numbers in (self.first, self.marks))
+        sightings = (np.ascontiguousarray(part) for part in (self.y, self.C, weights, self.z, self.q))
+        return engine.GibbsProblem(
+            motions,
+            np.ascontiguousarray(information),
+            *indices,
+            *sightings,
+            len(self.ids),
+            self.columns,
+            exact,
+            degrees,
+        )
 
     def linearised_at(self, trajectories: Array, maps: Array) -> Self:
         """Return the same problem, linearised at the mean relative places of samples (S, T + 1, 3) and (S, J, 3)."""

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numba import njit
 from scipy.special import gammaincinv
 
+from ..engine import engine
 from ..se2 import Array
 
 #: the most hypotheses that one search compares; the best so far is then the result
@@ -88,10 +88,15 @@ class Candidates:
         items, d = len(self.starts) - 1, self.residuals.shape[1]
         if len(self.landmarks) == 0:
             return np.full(items, -1), 0.0
-        return _search(
-            self.starts, self.landmarks, self.residuals, self.covariance, self.weights, self.bounds, allowed,
-            gates(gate, d, items), int(self.landmarks.max()) + 1, most,
-        )  # fmt: skip
+        return engine.best_hypothesis(
+            *(np.ascontiguousarray(numbers, dtype=np.int64) for numbers in (self.starts, self.landmarks)),
+            *(
+                np.ascontiguousarray(part)
+                for part in (self.residuals, self.covariance, self.weights, self.bounds, allowed)
+            ),
+            gates(gate, d, items),
+            most,
+        )
 
     def margins(self, chosen: np.ndarray, evidence: float, gate: float, most: int = MOST) -> Array:
         """For each item (I,) how much worse the best hypothesis without its chosen candidate is; infinite for none."""
@@ -123,78 +128,3 @@ def log_volume(covariances: Array) -> Array:
     """log det(2 pi S) (...)."""
     d = covariances.shape[-1]
     return np.linalg.slogdet(covariances)[1] + d * np.log(2 * np.pi)
-
-
-@njit(cache=True, error_model="numpy")
-def _search(starts, landmarks, residuals, covariance, weights, bounds, allowed, gate, count, most):  # type: ignore[no-untyped-def]
-    items, d = len(starts) - 1, residuals.shape[1]
-    # the most that the items from i on can add
-    rest = np.zeros(items + 1)
-    for i in range(items - 1, -1, -1):
-        top = 0.0
-        for c in range(starts[i], starts[i + 1]):
-            if allowed[c]:
-                top = max(top, bounds[c])
-        rest[i] = rest[i + 1] + top
-    used = np.zeros(count, np.bool_)
-    # per depth: which branch was tried last (candidates in their order, then none), evidence, square, pairings
-    branch = starts[:-1].copy() - 1
-    evidence, square = np.zeros(items + 1), np.zeros(items + 1)
-    pairs = np.zeros(items + 1, np.int64)
-    taken = np.full(items, -1)
-    L, white, members = np.zeros((items * d, items * d)), np.zeros(items * d), np.zeros(items, np.int64)
-    best, best_evidence, depth, tried = np.full(items, -1), 0.0, 0, 0
-    half = 0.5 * d * np.log(2 * np.pi)
-    while depth >= 0:
-        if depth == items:
-            if evidence[items] > best_evidence:
-                best_evidence = evidence[items]
-                best[:] = taken
-            depth -= 1
-            continue
-        if taken[depth] >= 0:
-            used[landmarks[taken[depth]]] = False
-            taken[depth] = -1
-        branch[depth] += 1
-        c = branch[depth]
-        if c > starts[depth + 1] or evidence[depth] + rest[depth] <= best_evidence or tried > most:
-            branch[depth] = starts[depth] - 1
-            depth -= 1
-            continue
-        if c == starts[depth + 1]:
-            evidence[depth + 1], square[depth + 1], pairs[depth + 1] = evidence[depth], square[depth], pairs[depth]
-            depth += 1
-            continue
-        if not allowed[c] or used[landmarks[c]]:
-            continue
-        tried += 1
-        n = pairs[depth]
-        at, total, volume, good = n * d, 0.0, 0.0, True
-        for r in range(d):
-            row = at + r
-            for m in range(n + 1):
-                other = c if m == n else members[m]
-                for q in range(d if m < n else r + 1):
-                    column = m * d + q
-                    value = covariance[c * d + r, other * d + q]
-                    for k in range(column):
-                        value -= L[row, k] * L[column, k]
-                    if column == row:
-                        good &= value > 0
-                        L[row, row] = np.sqrt(value) if value > 0 else 1.0
-                    else:
-                        L[row, column] = value / L[column, column]
-            value = residuals[c, r]
-            for k in range(row):
-                value -= L[row, k] * white[k]
-            white[row] = value / L[row, row]
-            total += white[row] ** 2
-            volume += np.log(L[row, row])
-        if not good or square[depth] + total > gate[n + 1]:
-            continue
-        members[n], taken[depth] = c, c
-        used[landmarks[c]] = True
-        evidence[depth + 1] = evidence[depth] + weights[c] - 0.5 * total - volume - half
-        square[depth + 1], pairs[depth + 1] = square[depth] + total, n + 1
-        depth += 1
-    return best, best_evidence

@@ -129,8 +129,6 @@ def test_filters_find_the_landmarks_of_a_log_without_ids(log):
         assert not result.named and result.options["association"] == "maximum-likelihood"
         assert result.notes[0] == "the sightings have no ids: maximum-likelihood association finds the landmarks"
         assert result.association.shape == log.steps.shape
-    sampled = run(hidden, particles=30, estimators="fastslam2", association="sampled")["fastslam2"]
-    assert sampled.options["association"] == "sampled" and score(sampled.association, log.landmarks).precision > 0.9
     for name in ("mcl", "particle-gibbs"):
         with pytest.raises(OptionError, match=r"without ids, .* FastSLAM, .* graphslam.associate"):
             run(hidden, estimators=name)

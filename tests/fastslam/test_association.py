@@ -4,23 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numba import njit
 from scipy.stats import chi2
 
-from fastslam import FastSLAM1, FastSLAM2, association_kernels, textbook
+from fastslam import FastSLAM1, FastSLAM2, textbook
 from fastslam.noise import standard_normals
 from graphslam import MotionModel, OptionError, SensorModel, simulate
-
-
-@njit
-def choose(landmarks, scores, counts, chosen, won, taken):
-    association_kernels._choose(landmarks, scores, counts, chosen, won, taken)
-
-
-@njit
-def find_near(x, landmark, sightings, gate, near):
-    association_kernels._find_near(x, landmark, sightings, gate, near)
-
 
 UNKNOWN = {"association": "maximum-likelihood"}
 HALF = {
@@ -214,52 +202,6 @@ def test_mutual_exclusion() -> None:
     assert (len(together.state.map(provisional=True)), len(apart.state.map(provisional=True))) == (2, 1)
 
 
-def test_the_assignment_is_greedy_also_with_ties() -> None:
-    """Against the plain program, on scores with gaps and ties: the same pairs, in scans of up to nine sightings."""
-    rng = np.random.default_rng(4)
-    for _ in range(200):
-        scan, known = rng.integers(1, 10, 2)
-        table = np.where(rng.random((scan, known)) < 0.6, rng.integers(0, 5, (scan, known)).astype(float), -np.inf)
-        landmarks, scores = np.zeros((scan, known), dtype=np.int64), np.zeros((scan, known))
-        counts = np.isfinite(table).sum(axis=1)
-        for k in range(scan):
-            landmarks[k, : counts[k]] = np.flatnonzero(np.isfinite(table[k]))
-            scores[k, : counts[k]] = table[k][np.isfinite(table[k])]
-        chosen, won, taken = np.empty(scan, dtype=np.int64), np.empty(scan), np.empty(known, dtype=bool)
-        choose(landmarks, scores, counts, chosen, won, taken)
-        assert chosen.tolist() == greedy(table)
-        given = chosen >= 0
-        np.testing.assert_array_equal(won[given], table[given, chosen[given]])
-
-
-@pytest.mark.parametrize("columns", [2, 3])
-def test_the_gate_keeps_every_possible_pair(columns: int) -> None:
-    """Uncertain, correlated poses and landmarks: what the gate drops has a smaller likelihood than a new landmark."""
-    rng, p, sensor = np.random.default_rng(5), 1e-4, SensorModel()
-    gate, kept, possible, pairs = chi2.isf(p, columns), 0, 0, 0
-    for _ in range(200):
-        roots = rng.normal(0, 0.15, (2, 3, 3))
-        P, S = (root @ root.T for root in roots)
-        mean = np.array([*rng.uniform(-4, 4, 2), 0.3])[:columns]
-        belief = textbook.Gaussian(rng.normal(0, 0.5, 3), P)
-        landmark = textbook.Gaussian(mean, S[:columns, :columns])
-        z = sensor.h(belief.mean, mean) + rng.normal(0, 1.0, (40, columns))
-        z[:, 0] = np.abs(z[:, 0]) + 0.1
-        Q = sensor.Q(z)
-        x = (*belief.mean, *P[np.triu_indices(3)])
-        m = np.zeros(9)
-        m[:columns], m[3:] = mean, S[np.triu_indices(3)]
-        near = np.empty(40, dtype=bool)
-        measured = np.zeros((6, 40))
-        measured[:columns], measured[3 : 3 + columns] = z.T, np.diagonal(Q, axis1=1, axis2=2).T
-        find_near(x, tuple(m), measured, gate, near)
-        log_new = -0.5 * (gate + np.log(np.linalg.det(2 * np.pi * Q)))
-        counts = np.array([textbook.correct_pose(belief, landmark, one, sensor)[1] for one in z]) >= log_new
-        assert np.all(near[counts])
-        kept, possible, pairs = kept + near.sum(), possible + counts.sum(), pairs + 40
-    assert 0 < possible <= kept < 0.8 * pairs
-
-
 def test_the_pool_grows_and_is_reused() -> None:
     """Many landmarks, resampled at every scan: the pool grows, and slices of extinct particles are reused."""
     log = simulate(seed=2, clean=True, landmarks=60, arena=6.0, orientation=False, **HALF)
@@ -268,9 +210,8 @@ def test_the_pool_grows_and_is_reused() -> None:
         for i in (0, 59):
             for estimate in state.map(i, provisional=True).values():
                 assert np.all(np.linalg.eigvalsh(estimate.covariance) > 0)
-    pool = slam._maps
-    used = pool._landmarks[pool._landmarks >= 0]
-    assert len(np.unique(used)) == len(used) < len(pool._pool) < 200 < pool._created
+    used, (pool, created) = slam._engine.landmarks(), slam._engine.pool()
+    assert len(np.unique(used)) == len(used) < pool < 200 < created
     assert len(slam.result().landmarks) > 20
 
 
@@ -303,7 +244,7 @@ def test_same_result_whatever_the_number_of_threads(kind: type) -> None:
 
 
 def test_options() -> None:
-    with pytest.raises(OptionError, match="association must be one of auto, known, maximum-likelihood, sampled"):
+    with pytest.raises(OptionError, match="association must be one of auto, known, maximum-likelihood"):
         FastSLAM1(association="nearest")
     with pytest.raises(OptionError, match="new_landmark_threshold must lie between 0 and 1"):
         FastSLAM2(new_landmark_threshold=0.0)

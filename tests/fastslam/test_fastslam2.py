@@ -8,8 +8,7 @@ from error_rates import bound
 
 from fastslam import FastSLAM1, FastSLAM2, textbook
 from fastslam.noise import standard_normals
-from graphslam import MotionModel, SensorModel, simulate
-from graphslam.se2 import wrap
+from graphslam import SensorModel, simulate
 
 # with such a precise sensor the two versions differ
 SHARP = SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005)
@@ -123,23 +122,6 @@ def test_without_sightings_it_is_1() -> None:
         slam.observe([0], [[2.0, 0.3]])
     np.testing.assert_array_equal(a.state.poses, b.state.poses)
     np.testing.assert_array_equal(a.state.map(7)[0].mean, b.state.map(7)[0].mean)
-
-
-@pytest.mark.parametrize("omega", [0.0, 1e-9, 0.05, 0.29, 0.31, 1.7, -2.5])
-def test_prediction_is_the_motion_models_gaussian(omega: float) -> None:
-    """A M A' + epsilon I on both sides of every branch of the compiled prediction."""
-    from fastslam.motions import chord_gaussian, predict
-
-    motion, poses = MotionModel(), np.random.default_rng(0).normal(0, 2, (7, 3))
-    poses[:, 2] = wrap(poses[:, 2])
-    control = np.array([0.4, omega])
-    belief, M = np.empty((9, 7)), np.diag(motion.M(control, DT))
-    predict(0, 7, poses.T.copy(), *chord_gaussian(*control, *M, DT), motion.epsilon, belief)
-    expected = motion.f(poses, control, DT)
-    np.testing.assert_allclose(belief[:2].T, expected[:, :2], atol=1e-13)
-    np.testing.assert_allclose(belief[2], wrap(expected[:, 2]), atol=1e-13)
-    rows, columns = np.triu_indices(3)
-    np.testing.assert_allclose(belief[3:].T, motion.covariance(poses, control, DT)[:, rows, columns], atol=1e-13)
 
 
 def test_more_effective_particles_with_a_sharp_sensor() -> None:

@@ -165,8 +165,7 @@ def test_long_logs_mix_by_their_bends(monkeypatch: pytest.MonkeyPatch) -> None:
     log = simulate(seed=0, steps=40, clean=True, orientation=False, **FIFTH)
     options = {"seed": 1, "particles": 5, "iterations": 150, "warm_up": 40, "chains": 2, **FIFTH}
     whole = ParticleGibbs(log, **options).run()
-    monkeypatch.setattr("fastslam.gibbs.bends.MOVES", 1)
-    monkeypatch.setattr("fastslam.gibbs.bends.Bends.renew", lambda _self, _rng, x, m, _step: (x, m, 0.3))
+    monkeypatch.setattr("fastslam.gibbs.chains.MOVES", 0)
     without = ParticleGibbs(log, **options).run()
     assert np.nanmin(whole.mixing.ess) > 2 * np.nanmin(without.mixing.ess)
     off = (whole.poses - without.poses)[1:] / np.sqrt(np.diagonal(whole.pose_covariances[1:], axis1=1, axis2=2))
@@ -234,7 +233,8 @@ def test_noise_that_leaves_floating_point_is_refused() -> None:
         ParticleGibbs(log, motion=motion, particles=4, iterations=8, warm_up=8, chains=1).run()
     sightings = log.sightings.copy()
     sightings[5, 0] = 1e49
-    with pytest.raises(OptionError, match="longest is 1e\\+49 m"):
+    # rounding decides which of the two is noticed first
+    with pytest.raises(OptionError, match="longest is 1e\\+49 m|left floating point"):
         ParticleGibbs(log.replace(sightings=sightings), particles=4, iterations=8, warm_up=8, chains=1).run()
 
 

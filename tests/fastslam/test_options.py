@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import fastslam
-from fastslam import FastSLAM1, FastSLAM2, FilterOptions, MonteCarloLocalization, warm_up
+from fastslam import FastSLAM1, FastSLAM2, FilterOptions
 from graphslam import OptionError, simulate
 
 
@@ -40,15 +40,6 @@ def test_a_result_keeps_its_origin_and_is_printed_in_one_line() -> None:
         f"FilterResult(FastSLAM2 on simulated: 30 particles, 11 poses, {len(result.landmarks)} landmarks, "
         f"smallest ESS {result.ess.min():.1f}, {result.resampled.sum()} resamplings)"
     )
-
-
-@pytest.mark.parametrize("kind", [MonteCarloLocalization, FastSLAM1, FastSLAM2])
-@pytest.mark.parametrize("psi", [True, False])
-def test_warm_up_does_not_change_the_filter(kind: type, psi: bool) -> None:
-    log = simulate(seed=2, steps=10, orientation=psi)
-    slam = kind(log, particles=20, seed=1)
-    warm_up(slam)
-    np.testing.assert_array_equal(slam.run().poses, kind(log, particles=20, seed=1).run().poses)
 
 
 def test_seed_none_is_refused() -> None:

@@ -11,20 +11,21 @@ from test_gibbs import MOTION, small
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, ParticleGibbs
 from graphslam import OptionError, SensorModel, load, sample_log_path, simulate
 from graphslam.log import UNIDENTIFIED
-from graphslam.se2 import wrap
+from graphslam.se2 import between, wrap
 
 SENSOR = SensorModel()
 
 
 @pytest.mark.parametrize("columns", [2, 3])
 @pytest.mark.parametrize("range_noise", ["measured", "estimated"])
-def test_moments_and_likelihood_of_an_update(columns: int, range_noise: str) -> None:
-    """Gaussian prior times the density of the sighting, by samples of the prior."""
+def test_moments_and_likelihood_of_an_update(columns: int, range_noise: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sighting after those that are integrated together: prior times density, by samples of the prior."""
+    monkeypatch.setattr("fastslam.fastslam1.JOINT", 1)
     landmark, pose = np.array([3.0, 2.0, 0.4])[:columns], np.array([0.2, -0.1, 0.3])
     z = SENSOR.h(pose, landmark) + np.array([[0.3, 0.04, -0.03], [-0.3, -0.03, 0.05]])[:, :columns]
     q = np.diagonal(SENSOR.Q(z[1:]), axis1=1, axis2=2).copy()
     normals = np.random.default_rng(0).standard_normal((2_000_000, columns))
-    slam = FastSLAM1(particles=1, start=pose, landmark_update="moments", range_noise=range_noise)
+    slam = FastSLAM1(particles=1, start=pose, landmark_update="joint", range_noise=range_noise)
     slam.observe([0], z[:1])
     prior = slam.state.map(0)[0]
     m = prior.mean + normals @ np.linalg.cholesky(prior.covariance).T
@@ -37,8 +38,8 @@ def test_moments_and_likelihood_of_an_update(columns: int, range_noise: str) -> 
     likelihood, weights = np.log(weights.mean()), weights / weights.sum()
     mean = weights @ m
     covariance = (m - mean).T @ (weights[:, None] * (m - mean))
-    found = slam._weigh(np.array([0]), z[1:].copy(), q.copy())
-    assert found is not None
+    assert slam._weigh(np.array([0]), z[1:].copy(), q.copy())
+    found = slam._engine.log_likelihoods()
     estimate, std = slam.state.map(0)[0], np.sqrt(np.diag(covariance))
     scaled = (estimate.covariance - covariance) / np.outer(std, std)
     errors = np.array([np.abs((estimate.mean - mean) / std).max(), np.abs(scaled).max(), found[0] - likelihood])
@@ -50,7 +51,7 @@ def test_moments_and_likelihood_of_an_update(columns: int, range_noise: str) -> 
 
 def test_first_sighting_has_the_moments_of_its_posterior() -> None:
     pose, z, rng = np.array([0.2, -0.1, 0.3]), np.array([3.0, 0.4, -0.2]), np.random.default_rng(0)
-    slam = FastSLAM1(particles=1, start=pose, landmark_update="moments")
+    slam = FastSLAM1(particles=1, start=pose, landmark_update="joint")
     slam.observe([0], [z])
     noise = rng.standard_normal((400_000, 3)) * np.sqrt(np.diag(SENSOR.Q(z)))
     samples, weights = SENSOR.h_inverse(pose, z + noise), z[0] + noise[:, 0]
@@ -77,9 +78,10 @@ def test_evidence_and_moments_of_all_sightings(columns: int, range_noise: str) -
     slam = FastSLAM1(particles=1, start=poses[0], landmark_update="joint", range_noise=range_noise)
     found = 0.0
     for k in range(3):
-        slam._poses = poses[k][:, None].copy()
-        value = slam._weigh(np.array([0]), z[k : k + 1].copy(), q[k : k + 1].copy())
-        found += 0.0 if value is None else value[0]
+        if k > 0:
+            slam._engine.move_by_gaussian(0, between(poses[k - 1], poses[k]), 1e-24 * np.eye(3), False)
+        slam._weigh(np.array([0]), z[k : k + 1].copy(), q[k : k + 1].copy())
+        found += slam._engine.log_likelihoods()[0]
     estimate = slam.state.map(0)[0]
     L = 1.5 * np.linalg.cholesky(estimate.covariance)
     normals = rng.standard_normal((400_000, columns))
@@ -125,7 +127,7 @@ def test_joint_landmarks_through_resampling_repeated_sightings_and_threads(monke
     for kind in (FastSLAM1, FastSLAM2):
         results = [kind(log, particles=9000, threads=threads, **options).run() for threads in (1, 2)]
         np.testing.assert_array_equal(results[0].mean_poses, results[1].mean_poses)
-        monkeypatch.setattr("fastslam.joint_kernels.MOST", 3)
+        monkeypatch.setattr("fastslam.fastslam1.JOINT", 3)
         few = kind(log, particles=9000, **options).run()
         monkeypatch.undo()
         assert results[0].resampled.any()
@@ -142,7 +144,7 @@ def test_moments_reach_the_exact_posterior() -> None:
     mean, std, of_reference = reference.mean[6:], reference.std[6:], reference.mean_errors[6:] / reference.std[6:]
     for kind in (FastSLAM1, FastSLAM2):
         errors, spreads = {}, {}
-        for update in ("kalman", "moments", "joint"):
+        for update in ("kalman", "joint"):
             means = []
             for seed in range(24):
                 slam = kind(log, particles=4000, seed=seed, motion=MOTION, landmark_update=update)
@@ -152,10 +154,9 @@ def test_moments_reach_the_exact_posterior() -> None:
             scaled = (np.array(means) - mean) / std
             errors[update], spreads[update] = scaled.mean(axis=0), np.hypot(mean_error(scaled), of_reference)
         check_normal(errors["joint"], spreads["joint"], 23)
-        # the others by how much these approximations are off, with the same error rate
-        error = bound(14, 23) * max(spreads["kalman"].max(), spreads["moments"].max())
+        # the other by how much this approximation is off, with the same error rate
+        error = bound(7, 23) * spreads["kalman"].max()
         assert np.abs(errors["kalman"]).max() > 0.55 - error
-        assert np.abs(errors["moments"]).max() < 0.1 + error
 
 
 @pytest.mark.parametrize("cls", [FastSLAM1, FastSLAM2, MonteCarloLocalization])
@@ -177,9 +178,8 @@ def test_the_steps_of_the_lectures(cls: type) -> None:
     ("options", "message"),
     [
         ({"stage": "walk"}, "stage must be one of motion, weights, resampling"),
-        ({"landmark_update": "ukf"}, "landmark_update must be one of kalman, moments, joint"),
+        ({"landmark_update": "ukf"}, "landmark_update must be one of kalman, joint"),
         ({"range_noise": "true"}, "range_noise must be one of measured, estimated"),
-        ({"landmark_update": "moments", "association": "maximum-likelihood"}, "needs the association known"),
         (
             {"landmark_update": "joint", "association": "maximum-likelihood"},
             "^landmark_update joint needs the .* leave out landmark_update$",

@@ -8,10 +8,8 @@ from hypothesis import strategies as st
 
 from fastslam import RESAMPLING_SCHEMES, effective_sample_size
 from fastslam.options import RESAMPLING, FilterOptions
-from fastslam.resampling import _evenly_spaced
-from fastslam.threads import Threads
-from fastslam.weight_kernels import normalize
 from graphslam import OptionError
+from graphslam.engine import engine
 
 weights_lists = st.lists(st.one_of(st.just(0.0), st.floats(1e-9, 1.0)), min_size=1, max_size=40).filter(
     lambda w: sum(w) > 0
@@ -79,22 +77,7 @@ def test_evenly_spaced_positions_by_search(count: int) -> None:
             continue
         offset, cumulative = rng.random(), np.cumsum(weights)
         expected = np.searchsorted(cumulative, (offset + np.arange(count)) / count * cumulative[-1], side="right")
-        np.testing.assert_array_equal(_evenly_spaced(cumulative, offset), expected)
-
-
-@pytest.mark.parametrize("count", [1, 64, 65, 3000])
-def test_weights_are_normalized(count: int) -> None:
-    rng = np.random.default_rng(count)
-    before, likelihood = rng.normal(-300, 20, (2, count))
-    likelihood[1::7] = -np.inf
-    product, team = before + likelihood, Threads(count, 1)
-    highest = product.max()
-    weights, total, squares = normalize(team, product, highest)
-    expected = np.exp(before + likelihood - highest)
-    np.testing.assert_allclose(weights, expected, rtol=1e-14)
-    assert total == pytest.approx(expected.sum(), rel=1e-13)
-    assert squares == pytest.approx(expected @ expected, rel=1e-13)
-    np.testing.assert_allclose(np.exp(product), expected / expected.sum(), rtol=1e-12)
+        np.testing.assert_array_equal(engine.evenly_spaced(cumulative, offset), expected)
 
 
 def test_effective_sample_size() -> None:

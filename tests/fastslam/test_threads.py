@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
-from fastslam.threads import Threads, available_threads
 from graphslam import OptionError, simulate
+from graphslam.threads import available_threads
 
 
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2, MonteCarloLocalization])
@@ -23,28 +24,8 @@ def test_same_result_whatever_the_number_of_threads(kind: type) -> None:
 
 
 @pytest.mark.parametrize(("particles", "threads", "expected"), [(100, 4, 1), (8192, 4, 2), (10_000, 2, 2), (1, 1, 1)])
-def test_ranges_cover_every_particle_once(particles: int, threads: int, expected: int) -> None:
-    team, visits = Threads(particles, threads), np.zeros(particles, dtype=int)
-
-    def work(lo: int, hi: int) -> None:
-        visits[lo:hi] += 1
-
-    team.run(work)
-    np.testing.assert_array_equal(visits, 1)
-    assert team.count == expected
-
-
-def test_light_work_stays_in_one_thread_longer() -> None:
-    ranges: list[tuple[int, int]] = []
-
-    def work(lo: int, hi: int) -> None:
-        ranges.append((lo, hi))
-
-    Threads(10_000, 2).run_light(work)
-    assert ranges == [(0, 10_000)]
-    ranges.clear()
-    Threads(100_000, 2).run_light(work)
-    assert sorted(ranges) == [(0, 50_176), (50_176, 100_000)]
+def test_few_particles_take_few_threads(particles: int, threads: int, expected: int) -> None:
+    assert FastSLAM1(particles=particles, threads=threads)._engine.threads == expected
 
 
 def test_a_large_filter_is_the_same_in_two_threads() -> None:
@@ -55,24 +36,35 @@ def test_a_large_filter_is_the_same_in_two_threads() -> None:
     np.testing.assert_array_equal(a.ess, b.ess)
 
 
-def test_errors_of_a_thread_are_raised() -> None:
-    def work(lo: int, hi: int) -> None:
-        if lo > 0:
-            raise ValueError("in the other thread")
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_forked_process_can_continue_a_filter() -> None:
+    slam, twin = (FastSLAM1(particles=9000, seed=1, threads=2) for _ in range(2))
+    for filter_ in (slam, twin):
+        filter_.move((0.2, 0.1), 1.0)
+    child = os.fork()
+    if child == 0:
+        slam.move((0.2, 0.1), 1.0)
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0
+    # and the parent, too
+    for filter_ in (slam, twin):
+        filter_.move((0.2, 0.1), 1.0)
+    np.testing.assert_array_equal(slam.state.poses, twin.state.poses)
 
-    with pytest.raises(ValueError, match="in the other thread"):
-        Threads(10_000, 2).run(work)
 
+def test_a_filter_in_several_python_threads() -> None:
+    """They take turns; a step is never seen half done."""
+    slam = FastSLAM1(particles=9000, seed=1, threads=2)
 
-def test_a_forked_process_starts_its_own_threads() -> None:
-    def work(lo: int, hi: int) -> None:
-        pass
+    def drive() -> None:
+        for _ in range(50):
+            slam._engine.move_by_control(1, (0.1, 0.1, 0.01, 0.01, 1.0, 1e-6), True)
+            assert np.isfinite(slam._engine.poses).all()
 
-    team = Threads(10_000, 2)
-    team.run(work)
-    team._process = -1  # in a child this is its parent's number
-    team.run(work)
-    assert team._process == os.getpid()
+    with ThreadPoolExecutor(4) as pool:
+        for future in [pool.submit(drive) for _ in range(4)]:
+            future.result()
 
 
 @pytest.mark.parametrize("threads", [0, -1, 1.5])
@@ -84,4 +76,4 @@ def test_bad_number(threads: float) -> None:
 def test_the_limit_of_numba_is_respected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
     assert available_threads() == 1
-    assert FastSLAM1(particles=100_000)._threads.count == 1
+    assert FastSLAM1(particles=100_000)._engine.threads == 1

@@ -32,4 +32,4 @@ def test_drive(kind: type, shared_data: Callable[[str], Path]) -> None:
     assert result.poses.shape == (4001, 3)
     assert error(result.poses) < 1.5
     # histories are shared back in time: far fewer rows than 300 for every step
-    assert slam._genealogy.stored_rows < 0.2 * 300 * 4001
+    assert slam._engine.stored_poses < 0.2 * 300 * 4001

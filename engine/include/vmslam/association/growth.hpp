@@ -1,0 +1,45 @@
+// Joint hypotheses that are grown from seeds, for prior covariances so large that single pairs have no evidence.
+//
+// A hypothesis begins with given pairs. Then the pair with the most evidence given all pairs so far is added, while the
+// evidence rises. Given a pair b, residuals and covariance of the others are conditioned on it:
+//
+//     nu_c <- nu_c - S_cb S_bb^-1 nu_b,    S_ce <- S_ce - S_cb S_bb^-1 S_be.
+//
+// The sum of the steps is the joint evidence E of search.hpp.
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include "vmslam/association/residuals.hpp"
+
+namespace vmslam::association {
+
+/// The number of second pairs that are returned for each seed.
+inline constexpr std::size_t second_pairs = 3;
+
+/// Pairs (C) of an item and an older landmark. A view.
+struct Pairs {
+    std::span<const Number> items, landmarks;
+    Residuals residuals;
+    std::span<const double> weights;  ///< what the evidence for each has beside log N
+    std::span<const bool> allowed;    ///< which may be added
+};
+
+/// A hypothesis: which pairs it has, E, and the pairs with the most evidence given its first one (-1 for none).
+struct Grown {
+    std::vector<char> members;
+    double evidence = 0.0;
+    std::array<Number, second_pairs> second;
+};
+
+struct GrowthRules {
+    double gate_of_given;  ///< the most nu' S^-1 nu of a pair with which a hypothesis begins, given those before
+    double gate;           ///< the same of one that is added
+    bool grow;             ///< whether pairs are added
+};
+
+/// The hypothesis that begins with some pairs (-1 stands for none) and grows.
+Grown grown_from(std::span<const Number> begin, const Pairs& pairs, const GrowthRules& rules);
+
+}  // namespace vmslam::association

@@ -1,0 +1,38 @@
+// The best joint hypothesis: which item is which landmark.
+//
+// Every candidate c pairs an item with a landmark. A hypothesis h chooses at most one candidate for each item and uses no
+// landmark twice. Its evidence, over that of the hypothesis that all items are new, is
+//
+//     E(h) = sum of w_c + log N(nu_h; 0, S_hh).
+//
+// Only hypotheses with nu_h' S_hh^-1 nu_h within the gate count, and with all their parts in the order of the search.
+//
+// Source: Neira and Tardos, Data association in stochastic mapping using the joint compatibility test, T-RA 2001.
+#pragma once
+
+#include <vector>
+
+#include "vmslam/association/residuals.hpp"
+
+namespace vmslam::association {
+
+/// The candidates of item i are start[i] to start[i + 1] - 1. A view.
+struct Candidates {
+    std::span<const Number> start, landmarks;  ///< (I + 1) and (C), landmarks numbered from 0
+    Residuals residuals;
+    std::span<const double> weights;  ///< (C) w_c
+    std::span<const double> bounds;   ///< (C) the most that each can add to E
+    std::span<const bool> allowed;    ///< (C) which may be used
+};
+
+/// The candidate of each item, -1 for none, and E.
+struct BestHypothesis {
+    std::vector<Number> chosen;
+    double evidence = 0.0;
+};
+
+/// Depth-first branch and bound. `gates` has the most nu' S^-1 nu of 0 to I pairs. After `most` extended hypotheses the best
+/// one so far is the result.
+BestHypothesis best_hypothesis(const Candidates& candidates, std::span<const double> gates, Number most);
+
+}  // namespace vmslam::association

@@ -1,0 +1,159 @@
+// Gaussians of landmarks and of single poses: fuse, move to other axes, draw.
+//
+// Sightings are relative places
+//
+//     q = (R(theta)' (m - p), m_h - theta),    y | x, m ~ N(q, C),
+//
+// with C constant in the axes of the robot. Seen from a known pose, a sighting is y in world axes with a turned C: an
+// observation of the landmark itself. So fusing sightings and integrating landmarks out is exact linear algebra, and the
+// order of the sightings does not matter. Without psi (not `oriented`) the heading is a number of variance 1 on which nothing
+// depends.
+#pragma once
+
+#include "vmslam/edges/arithmetic.hpp"
+#include "vmslam/gibbs/random.hpp"
+#include "vmslam/numbers/elementary.hpp"
+
+namespace vmslam::gibbs {
+
+using edges::Rotation;
+using edges::Symmetric;
+using edges::Vector;
+using numbers::wrap_angle;
+
+inline Rotation rotation(double angle) {
+    const auto [sine, cosine] = numbers::sincos(angle);
+    Rotation axes;
+    axes.c = cosine, axes.s = sine;
+    return axes;
+}
+
+/// A pose with the cosine and sine of its heading.
+struct Frame {
+    Vector at;
+    Rotation axes;
+
+    Frame() : at{} {}
+    explicit Frame(const Vector& pose) : at(pose), axes(rotation(pose.t)) {}
+};
+
+inline Vector operator+(const Vector& a, const Vector& b) { return {a.x + b.x, a.y + b.y, a.t + b.t}; }
+
+/// G v, G = blkdiag(R(angle), 1).
+inline Vector turned(const Rotation& r, const Vector& v) { return {r.c * v.x - r.s * v.y, r.s * v.x + r.c * v.y, v.t}; }
+
+/// The pose that lies at d in the axes of a pose.
+inline Vector composed(const Frame& pose, const Vector& d) {
+    const Vector v = edges::Vector{pose.axes.c * d.x - pose.axes.s * d.y, pose.axes.s * d.x + pose.axes.c * d.y, d.t};
+    return {pose.at.x + v.x, pose.at.y + v.y, wrap_angle(pose.at.t + v.t)};
+}
+
+/// Where another pose or a landmark lies in the axes of a pose.
+inline Vector relative(const Frame& pose, const Vector& other) {
+    const double dx = other.x - pose.at.x, dy = other.y - pose.at.y, c = pose.axes.c, s = pose.axes.s;
+    return {c * dx + s * dy, c * dy - s * dx, wrap_angle(other.t - pose.at.t)};
+}
+
+/// The deviation d - motion, the heading wrapped.
+inline Vector deviation(const Vector& motion, const Vector& d) {
+    return {d.x - motion.x, d.y - motion.y, wrap_angle(d.t - motion.t)};
+}
+
+/// r' W r
+inline double squared(const Symmetric& W, const Vector& r) { return edges::dot(r, W * r); }
+
+struct Inverse {
+    Symmetric matrix;
+    double determinant;
+};
+
+inline Inverse inverse(const Symmetric& V) {
+    const double a = V.yy * V.tt - V.yt * V.yt, b = V.xt * V.yt - V.xy * V.tt, c = V.xy * V.yt - V.xt * V.yy;
+    const double determinant = V.xx * a + V.xy * b + V.xt * c, i = 1.0 / determinant;
+    return {{a * i, b * i, (V.xx * V.tt - V.xt * V.xt) * i, c * i, (V.xy * V.xt - V.xx * V.yt) * i,
+             (V.xx * V.yy - V.xy * V.xy) * i},
+            determinant};
+}
+
+/// L, L L' = S, by rows.
+struct LowerRoot {
+    double xx, yx, yy, tx, ty, tt;
+
+    explicit LowerRoot(const Symmetric& S) {
+        xx = std::sqrt(S.xx);
+        yx = S.xy / xx, tx = S.xt / xx;
+        yy = std::sqrt(S.yy - yx * yx);
+        ty = (S.yt - yx * tx) / yy;
+        tt = std::sqrt(S.tt - tx * tx - ty * ty);
+    }
+    /// L n
+    Vector operator*(const Vector& n) const { return {xx * n.x, yx * n.x + yy * n.y, tx * n.x + ty * n.y + tt * n.t}; }
+    /// L^-1 d
+    Vector whitened(const Vector& d) const {
+        const double a = d.x / xx, b = (d.y - yx * a) / yy;
+        return {a, b, (d.t - tx * a - ty * b) / tt};
+    }
+    double determinant() const { return xx * yy * tt; }
+};
+
+inline Vector normals(Random& random) {
+    const double x = random.normal(), y = random.normal(), t = random.normal();
+    return {x, y, t};
+}
+
+/// A draw from N(mean, S).
+inline Vector drawn(Random& random, const Vector& mean, const Symmetric& S) {
+    const Vector d = mean + LowerRoot(S) * normals(random);
+    return {d.x, d.y, wrap_angle(d.t)};
+}
+
+/// A landmark. A negative S.xx marks one that has not been seen: its prior is flat.
+struct Gaussian {
+    Vector mean{};
+    Symmetric S{-1.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+
+    bool seen() const { return S.xx >= 0; }
+};
+
+/// y - mean, the heading wrapped, and zero where nothing depends on it.
+inline Vector innovation(const Vector& y, const Vector& mean, bool oriented) {
+    return {y.x - mean.x, y.y - mean.y, oriented ? wrap_angle(y.t - mean.t) : 0.0};
+}
+
+/// log N(r; 0, V) without the constant of 2 pi, for the inverse of V and W r.
+inline double log_density(const Vector& r, const Inverse& W, const Vector& g) {
+    return -0.5 * (edges::dot(r, g) + logarithm(W.determinant));
+}
+
+/// log N(y; mean, S + C) without the constant of 2 pi.
+inline double density(const Gaussian& mark, const Vector& y, const Symmetric& C, bool oriented) {
+    const Inverse W = inverse(mark.S + C);
+    const Vector r = innovation(y, mark.mean, oriented);
+    return log_density(r, W, W.matrix * r);
+}
+
+/// Let a landmark absorb the observation y ~ N(m, C); returns log N(y; mean, S + C), 0 for the first one.
+double fuse(Gaussian& mark, const Vector& y, const Symmetric& C, bool oriented);
+
+/// Let a landmark absorb a sighting from a known pose, as `fuse`.
+inline double absorb(Gaussian& mark, const Frame& pose, const Vector& y, const Symmetric& C, bool oriented) {
+    return fuse(mark, composed(pose, y), edges::turned(pose.axes, C), oriented);
+}
+
+/// The information L on a small displacement d of a pose, in its own axes, and eta = L d at its mode.
+struct Information {
+    Symmetric L{};
+    Vector eta{};
+
+    /// eta' d - d' L d / 2
+    double quadratic(const Vector& d) const { return edges::dot(eta, d) - 0.5 * squared(L, d); }
+    /// Add A' W A to L and A' g to eta, A = [[1, 0, -q_y], [0, 1, q_x], [0, 0, 1]]: d moves the relative place q to q - A d.
+    void add_at(const Vector& q, const Symmetric& W, const Vector& g);
+    /// Add that of a sighting (y, C) of a landmark: A' V^-1 A and A' V^-1 (q - y), V = S + C with S in the axes of the pose.
+    void add_sighting(const Frame& pose, const Gaussian& mark, const Vector& y, const Symmetric& C, bool oriented);
+};
+
+/// W - W (W + M)^-1 W = (W^-1 + M^-1)^-1: the information M after noise of the information W.
+Symmetric passed(const Symmetric& W, const Symmetric& M);
+
+}  // namespace vmslam::gibbs

@@ -1,0 +1,115 @@
+// Unknown data association: every particle decides by itself which landmark each sighting belongs to.
+//
+// The hypotheses of a sighting k are the landmarks j near it, with w_j = N(z_k; h(m_j), V) under the predicted pose, and a
+// new landmark, with w_0. The most likely pair of the scan is taken first, and no landmark twice. Where sightings have
+// classes, w_j is also multiplied by n sum over c of p(c) P(shown k given c): by how much this class is likelier than for a
+// new landmark.
+//
+// A landmark is a slice of rows: 0 to 8 are the Gaussian; 9 is the evidence for the landmark, 0 where the particle does not
+// have it; 10 is the step of its last sighting. With n classes, rows 11 to 10 + n are p(c), the probability that it is of
+// class c.
+#pragma once
+
+#include <limits>
+#include <span>
+
+#include "vmslam/particles/kalman.hpp"
+
+namespace vmslam::particles {
+
+inline constexpr int evidence_row = 9, last_step_row = 10, first_class_row = 11;
+/// The evidence is the number of sightings minus the number of misses: confirmed when seen twice, permanent when three times.
+inline constexpr double confirmed_evidence = 2.0, permanent_evidence = 3.0;
+
+/// Smallest and largest x and y.
+struct Box {
+    double left = std::numeric_limits<double>::infinity(), right = -left, low = left, high = -left;
+
+    /// A box around lane k of some points, each `wide` in every direction.
+    void include(const Lanes& x, const Lanes& y, const Lanes& wide, int k);
+    void include(const Box& other);
+    bool overlaps(const Box& other) const;
+};
+
+/// P(shown k given class c), (n, n + 1) by rows; the last column, 1/n, is for sightings of unknown class; n = 0: no classes.
+struct Confusion {
+    std::size_t classes = 0;
+    std::vector<double> numbers;
+
+    double operator()(std::size_t c, std::int64_t shown) const {
+        return numbers[c * (classes + 1) + static_cast<std::size_t>(shown)];
+    }
+};
+
+/// Variances [m², rad²] by which the covariances are too small, because errors of sightings are correlated.
+struct Blur {
+    double position, heading;
+};
+
+/// Where in the world a sighting may be, for the particles of a group: the mean m of a landmark that is perfectly known lies
+/// within `wide` of (x, y) in each direction if it is a hypothesis. For another landmark this is wider by 2 sqrt(gate trace
+/// S). With the gate on range l and bearing, abs(m - z) <= sqrt(gate) (2 sqrt(trace S) + 2 sqrt(trace P) + sigma_l + l
+/// (sigma_theta + sigma_phi)), S and P the covariances of the positions of landmark and robot.
+struct Place {
+    Lanes x, y, wide;
+};
+Place place_of(const Gaussian& belief, const Sighting& sighting, double gate);
+
+/// The scan of one step, and the landmarks that it may have seen.
+struct AnonymousScan {
+    std::span<const Sighting> sightings;
+    /// the class of each sighting, and its log likelihood if it belongs to a new landmark
+    std::span<const std::int64_t> shown;
+    std::vector<double> log_new;
+    bool oriented;
+    double gate, step;
+    const Confusion* confusion;
+    /// slices that may be in view, in the order of creation, and one for each sighting of a new landmark
+    std::vector<Blocks*> near, fresh;
+    std::vector<std::size_t> near_slices, fresh_slices;
+
+    /// The scan as a group of particles sees it.
+    class Group;
+};
+
+class AnonymousScan::Group {
+   public:
+    explicit Group(const AnonymousScan& scan)
+        : scan_(scan), hypotheses_(scan.sightings.size()), chosen_(scan.sightings.size()), won_(scan.sightings.size()) {}
+
+    /// Choose the landmark of each sighting under the predicted pose; returns the log likelihoods of the sightings of new
+    /// landmarks, and of the classes of the others.
+    Lanes begin(std::size_t first, const Gaussian& belief);
+    /// Correct the pose by the sightings of known landmarks; returns their log likelihood under the prediction if it
+    /// `weighs`.
+    Lanes correct(Gaussian& belief, bool weighs) const;
+    /// Update the landmarks from the drawn pose, and the evidence for them; returns the log likelihood of the known ones if
+    /// it `weighs`.
+    Lanes update(const Pose& pose, bool weighs) const;
+
+   private:
+    /// A landmark that may be that of a sighting, and the log likelihoods; -inf where it is no hypothesis.
+    struct Hypothesis {
+        std::int64_t landmark;
+        Lanes score;
+    };
+    void weigh_landmark(const Gaussian& belief, std::int64_t c);
+    void choose();
+    numbers::Integers conflicts() const;
+    void choose_in_order(int lane);
+    Lanes class_ratio(std::size_t k) const;
+    Lanes chosen_numbers(std::size_t k, int row) const;
+    Gaussian chosen_landmark(std::size_t k) const;
+    void write_chosen(std::size_t k, const numbers::Integers& known, int row, const Lanes& value) const;
+    void update_known(std::size_t k, const Gaussian& landmark) const;
+    void create(std::size_t k, const Pose& pose) const;
+
+    const AnonymousScan& scan_;
+    std::size_t first_ = 0;
+    std::vector<std::vector<Hypothesis>> hypotheses_;
+    /// for each sighting the place in `near` of its landmark, -1: a new one; and its log likelihood
+    std::vector<numbers::Integers> chosen_;
+    std::vector<Lanes> won_;
+};
+
+}  // namespace vmslam::particles

@@ -1,0 +1,76 @@
+// Poses, Gaussians and sightings of eight particles.
+#pragma once
+
+#include "vmslam/numbers/elementary.hpp"
+#include "vmslam/particles/rows.hpp"
+
+namespace vmslam::particles {
+
+struct Pose {
+    Lanes x, y, t;
+};
+
+/// Mean and covariance of a landmark or of a pose, (x, y, heading). Without a heading xh, yh and hh have no meaning.
+struct Gaussian {
+    Lanes x, y, h, xx, xy, xh, yy, yh, hh;
+
+    Pose mean() const { return {x, y, h}; }
+};
+
+/// Range, bearing and psi of a sighting, or their variances.
+struct Reading {
+    double range, bearing, psi;
+};
+
+struct Sighting {
+    Reading z, variances;
+};
+
+/// One number for each coordinate, of a motion for example.
+struct Three {
+    double x, y, t;
+};
+
+/// The upper triangle of a symmetric matrix.
+struct Six {
+    double xx, xy, xt, yy, yt, tt;
+};
+
+inline Pose read_pose(const Rows& rows, std::size_t first, const Index* ancestors = nullptr) {
+    return {read(rows.row(0), first, ancestors), read(rows.row(1), first, ancestors), read(rows.row(2), first, ancestors)};
+}
+
+inline void write_pose(Rows& rows, std::size_t first, const Pose& pose) {
+    numbers::store(rows.row(0) + first, pose.x);
+    numbers::store(rows.row(1) + first, pose.y);
+    numbers::store(rows.row(2) + first, pose.t);
+}
+
+/// The rows of a Gaussian without a heading, which are x, y, xx, xy, yy, and of one with a heading.
+inline constexpr int point_rows = 5, oriented_rows = 9;
+
+inline Gaussian read_gaussian(const Blocks& blocks, bool oriented, std::size_t first, const Index* ancestors = nullptr) {
+    const auto at = [&](int k) { return read(blocks, k, first, ancestors); };
+    if (oriented) return {at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7), at(8)};
+    const Lanes zero{};
+    return {at(0), at(1), zero, at(2), at(3), zero, at(4), zero, zero};
+}
+
+inline void write_gaussian(Blocks& blocks, bool oriented, std::size_t first, const Gaussian& g) {
+    const auto put = [&](int k, const Lanes& value) { numbers::store(blocks.group(k, first), value); };
+    put(0, g.x), put(1, g.y);
+    if (oriented) {
+        put(2, g.h), put(3, g.xx), put(4, g.xy), put(5, g.xh), put(6, g.yy), put(7, g.yh), put(8, g.hh);
+    } else {
+        put(2, g.xx), put(3, g.xy), put(4, g.yy);
+    }
+}
+
+inline Gaussian select(const numbers::Integers& condition, const Gaussian& a, const Gaussian& b) {
+    using numbers::select;
+    return {select(condition, a.x, b.x),   select(condition, a.y, b.y),   select(condition, a.h, b.h),
+            select(condition, a.xx, b.xx), select(condition, a.xy, b.xy), select(condition, a.xh, b.xh),
+            select(condition, a.yy, b.yy), select(condition, a.yh, b.yh), select(condition, a.hh, b.hh)};
+}
+
+}  // namespace vmslam::particles

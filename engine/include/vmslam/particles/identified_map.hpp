@@ -1,0 +1,148 @@
+// The maps of all particles for sightings with ids: one column per landmark, never copied at resampling.
+//
+// A column holds one landmark's Gaussian for each particle of the level at which it was last seen. Resampling does not touch
+// columns. When the landmark is seen again, each particle reads what its ancestor wrote and writes its own Gaussian into
+// another column. A step therefore costs what is in view, whatever the size of the map, and no two particles share a place
+// that one of them could change.
+//
+// Rejected: copying maps at resampling (N times the landmarks at each resampling), and the literature's balanced tree per
+// particle (Montemerlo et al. 2002), whose log(landmarks) pointers per particle cost more cache misses than this takes in
+// total.
+#pragma once
+
+#include <map>
+#include <memory>
+#include <optional>
+
+#include "vmslam/particles/history.hpp"
+#include "vmslam/particles/joint.hpp"
+#include "vmslam/particles/kalman.hpp"
+
+namespace vmslam::particles {
+
+using LandmarkId = std::int64_t;
+
+/// The noise of the range at the estimated range r: variance (rate r)² + variance.
+struct RangeNoise {
+    double rate, variance;
+};
+
+class IdentifiedMap {
+   public:
+    /// `jointly`: so many sightings of a landmark (at most `most_sightings`) are integrated together, and the following ones
+    /// alone; 0: a landmark follows by the Kalman gain from each.
+    IdentifiedMap(History& history, std::size_t particles, bool oriented, std::size_t jointly,
+                  std::optional<RangeNoise> range_noise)
+        : history_(history), particles_(particles), oriented_(oriented), jointly_(jointly), range_noise_(range_noise) {}
+
+    bool oriented() const { return oriented_; }
+    bool has(LandmarkId id) const { return columns_.contains(id); }
+    std::vector<LandmarkId> ids() const;
+    /// Give all particles the same Gaussian of a landmark that is known beforehand.
+    void place(LandmarkId id, const Three& mean, const Six& covariance);
+
+    /// What a step does with one sighting.
+    struct Task;
+    /// The tasks of a scan, in its order; `poses` is where the poses will be from which it was seen.
+    class Scan;
+    Scan scan(std::span<const LandmarkId> ids, std::span<const Sighting> sightings, std::shared_ptr<const Rows> poses);
+    /// Columns that a scan has replaced can be reused.
+    void end_scan();
+
+    /// The numbers of a landmark, and the particles' ancestors by which they are read.
+    struct View {
+        const Blocks* numbers;
+        const Index* ancestors;
+    };
+    View view(LandmarkId id);
+
+   private:
+    /// All sightings of a landmark, of which the last `here` are from the poses `last` and the others from `past`.
+    struct Sighted {
+        Rows past;
+        std::shared_ptr<const Rows> last;
+        std::size_t here;
+        Rows log_evidence;
+        std::vector<RatedSighting> sightings;
+    };
+    struct Column {
+        std::int64_t level;
+        std::shared_ptr<Blocks> numbers;
+        std::shared_ptr<Sighted> sighted;
+    };
+
+    Task first_sighting(LandmarkId id, const Sighting& sighting, const std::shared_ptr<const Rows>& poses);
+    Task later_sighting(Column& column, const Sighting& sighting, const std::shared_ptr<const Rows>& poses);
+    void join(Sighted& sighted, const RatedSighting& sighting, const std::shared_ptr<const Rows>& poses,
+              const Index* slots) const;
+    std::shared_ptr<Blocks> spare();
+
+    History& history_;
+    std::size_t particles_;
+    bool oriented_;
+    std::size_t jointly_;
+    std::optional<RangeNoise> range_noise_;
+    std::map<LandmarkId, Column> columns_;
+    /// columns that nobody uses, and those that are still read in this scan
+    std::vector<std::shared_ptr<Blocks>> spare_, replaced_;
+};
+
+struct IdentifiedMap::Task {
+    enum class Kind { first, first_moments, kalman, joint, single } kind;
+    /// as measured, by which poses are corrected, and with the noise at the estimated range, if that is wanted
+    Sighting sighting;
+    RatedSighting rated;
+    Blocks* target;
+    /// where the landmark is read, which was known before; null source for a first sighting
+    const Blocks* source = nullptr;
+    const Index* slots = nullptr;
+    /// whether it is the scan's first sighting of a landmark that was known before the scan
+    bool leading = false;
+    /// of a landmark that follows from its first `count` sightings together: log Z before, and where to write it
+    std::shared_ptr<const Sighted> sighted = nullptr;
+    std::size_t count = 0;
+    std::shared_ptr<const Rows> evidence_before = nullptr;
+    double* evidence_after = nullptr;
+};
+
+class IdentifiedMap::Scan {
+   public:
+    Scan(bool oriented, std::vector<Task> tasks) : oriented_(oriented), tasks_(std::move(tasks)) {}
+
+    bool weighs() const;
+    bool has_leading() const;
+
+    /// The sightings as a group of particles sees them.
+    class Group;
+
+   private:
+    bool oriented_;
+    std::vector<Task> tasks_;
+};
+
+class IdentifiedMap::Scan::Group {
+   public:
+    explicit Group(const Scan& scan) : scan_(scan) {}
+
+    /// Nothing is weighed before the pose is corrected or drawn.
+    Lanes begin(std::size_t first, const Gaussian&) {
+        first_ = first;
+        return Lanes{};
+    }
+    /// Correct the pose by the first sighting of each landmark; returns its log likelihood under the prediction if it
+    /// `weighs`.
+    Lanes correct(Gaussian& belief, bool weighs) const;
+    /// Weigh and update the landmarks from the drawn pose; `leaders`: whether the sightings of `correct` are weighed here.
+    Lanes update(const Pose& pose, bool leaders) const;
+
+   private:
+    Lanes update_one(const Task& task, const Pose& pose) const;
+    Lanes update_linearised(const Task& task, const Pose& pose, Gaussian& landmark) const;
+    Lanes update_alone(const Task& task, const Pose& pose, Gaussian& landmark) const;
+    Lanes update_jointly(const Task& task, const Pose& pose, Gaussian& landmark) const;
+
+    const Scan& scan_;
+    std::size_t first_ = 0;
+};
+
+}  // namespace vmslam::particles

@@ -1,0 +1,109 @@
+// Association of sightings without ids: joint hypotheses, and how often landmarks were in view.
+#include <nanobind/stl/pair.h>
+
+#include <algorithm>
+#include <stdexcept>
+
+#include "arrays.hpp"
+#include "bindings.hpp"
+#include "vmslam/association/growth.hpp"
+#include "vmslam/association/search.hpp"
+#include "vmslam/association/views.hpp"
+
+namespace vmslam::python {
+namespace {
+
+using namespace association;
+
+void require(bool holds, const char* what) {
+    if (!holds) throw std::invalid_argument(what);
+}
+
+/// Residuals (C, d) with their covariance (C d, C d), in as many numbers.
+Residuals residuals_of(const In<double>& nu, const In<double>& covariance) {
+    require(nu.ndim() == 2 && nu.shape(1) >= 1 && nu.shape(1) <= most_coordinates, "residuals have 1 to 3 coordinates");
+    require(covariance.size() == nu.size() * nu.size(),
+            "the covariance has a row and a column for each number of the residuals");
+    return {span(nu), span(covariance), nu.shape(1)};
+}
+
+Out<std::int64_t> views(const In<double>& poses, const In<double>& landmarks, const In<double>& origin,
+                        const In<double>& limits) {
+    require(landmarks.ndim() == 2 && landmarks.shape(1) >= 2, "landmarks have at least two coordinates");
+    require(poses.size() % 3 == 0 && origin.size() == 2 && limits.size() % 3 == 0, "poses and limits have three columns");
+    std::vector<FieldLimit> fields(limits.size() / 3);
+    for (std::size_t k = 0; k < fields.size(); ++k) {
+        const double* const row = limits.data() + 3 * k;
+        fields[k] = {row[0], row[1], row[2]};
+    }
+    std::vector<std::int64_t> counts;
+    {
+        const nb::gil_scoped_release other_threads;
+        counts =
+            count_views(span(poses), {span(landmarks), landmarks.shape(1)}, {origin.data()[0], origin.data()[1]}, fields);
+    }
+    return array(std::move(counts), {fields.size(), landmarks.shape(0)});
+}
+
+std::pair<Out<Number>, double> best(const In<Number>& start, const In<Number>& landmarks, const In<double>& nu,
+                                    const In<double>& covariance, const In<double>& weights, const In<double>& bounds,
+                                    const In<bool>& allowed, const In<double>& gates, Number most) {
+    const Candidates candidates{span(start),   span(landmarks), residuals_of(nu, covariance),
+                                span(weights), span(bounds),    span(allowed)};
+    const std::size_t count = candidates.residuals.size();
+    require(landmarks.size() == count && weights.size() == count && bounds.size() == count && allowed.size() == count,
+            "the arrays of the candidates have different lengths");
+    require(start.size() >= 1 && start.data()[0] == 0 && start.data()[start.size() - 1] == Number(count) &&
+                std::is_sorted(candidates.start.begin(), candidates.start.end()),
+            "the starts of the items must ascend from 0 to the number of candidates");
+    require(gates.size() >= start.size(), "a gate is needed for every number of pairs");
+    // they are numbered, so that a list of all landmarks is short
+    for (const Number landmark : candidates.landmarks)
+        require(landmark >= 0 && landmark < Number(count), "landmarks must be numbered from 0");
+    BestHypothesis found;
+    {
+        const nb::gil_scoped_release other_threads;
+        found = best_hypothesis(candidates, span(gates), most);
+    }
+    return {array(std::move(found.chosen)), found.evidence};
+}
+
+/// Hypotheses from rows of pairs (S, n): their members (S, C), evidence (S,) and best second pairs (S, 3).
+nb::tuple grown(const In<Number>& begin, const In<Number>& items, const In<Number>& landmarks, const In<double>& nu,
+                const In<double>& covariance, const In<double>& weights, const In<bool>& allowed, double gate_of_given,
+                double gate, bool grow) {
+    const Pairs pairs{span(items), span(landmarks), residuals_of(nu, covariance), span(weights), span(allowed)};
+    const std::size_t count = pairs.residuals.size();
+    require(items.size() == count && landmarks.size() == count && weights.size() == count && allowed.size() == count,
+            "the arrays of the pairs have different lengths");
+    require(begin.ndim() == 2, "each hypothesis begins with a row of pairs");
+    for (const Number c : span(begin))
+        require(c >= -1 && c < Number(count), "a hypothesis begins with pairs that are not there");
+    const std::size_t rows = begin.shape(0), given = begin.shape(1);
+    std::vector<char> members(rows * count);
+    std::vector<double> evidence(rows);
+    std::vector<Number> second(rows * second_pairs);
+    {
+        const nb::gil_scoped_release other_threads;
+        for (std::size_t k = 0; k < rows; ++k) {
+            const Grown one = grown_from(span(begin).subspan(k * given, given), pairs, {gate_of_given, gate, grow});
+            std::copy(one.members.begin(), one.members.end(), members.begin() + k * count);
+            evidence[k] = one.evidence;
+            std::copy(one.second.begin(), one.second.end(), second.begin() + k * second_pairs);
+        }
+    }
+    auto* const owned = new std::vector<char>(std::move(members));
+    const nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<char>*>(p); });
+    Out<bool> flags(reinterpret_cast<bool*>(owned->data()), {rows, count}, owner);
+    return nb::make_tuple(flags, array(std::move(evidence)), array(std::move(second), {rows, second_pairs}));
+}
+
+}  // namespace
+
+void bind_association(nb::module_& m) {
+    m.def("count_views", &views);
+    m.def("best_hypothesis", &best);
+    m.def("grow_hypotheses", &grown);
+}
+
+}  // namespace vmslam::python

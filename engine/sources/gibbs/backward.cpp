@@ -1,0 +1,115 @@
+#include "vmslam/gibbs/backward.hpp"
+
+#include <algorithm>
+
+namespace vmslam::gibbs {
+
+BackwardSampler::BackwardSampler(const RecordedParticles& particles, const Problem& problem, Number candidates)
+    : particles_(particles), problem_(problem), candidates_(std::min(candidates, particles.count)) {
+    compute_maps();
+    cumulative_.resize(particles.log_weights.size());
+    double sum = 0.0;
+    for (std::size_t k = 0; k < cumulative_.size(); ++k) {
+        if (k % particles.count == 0) sum = 0.0;
+        cumulative_[k] = sum += exponential(particles.log_weights[k]);
+    }
+}
+
+/// The landmarks of all particles after each step: one array for each step at which a landmark was seen.
+void BackwardSampler::compute_maps() {
+    const Number J = problem_.marks, N = particles_.count, steps = particles_.steps();
+    last_event_.assign(steps * J, -1);
+    slots_.resize(steps * J * N);
+    for (Number t = 0; t < steps; ++t) {
+        for (Number j = 0; t > 0 && j < J; ++j) {
+            last_event_[t * J + j] = last_event_[(t - 1) * J + j];
+            if (last_event_[t * J + j] < 0) continue;
+            const std::int32_t* const before = slots_.data() + ((t - 1) * J + j) * N;
+            for (Number i = 0; i < N; ++i) slots_[(t * J + j) * N + i] = before[particles_.parents[t * N + i]];
+        }
+        observe(t);
+    }
+}
+
+/// Let the particles absorb the sightings of a step.
+void BackwardSampler::observe(Number t) {
+    const Number J = problem_.marks, N = particles_.count;
+    const auto sightings = seen_at(problem_, problem_.sightings, t, t);
+    for (const Sighting& s : sightings) {
+        std::int32_t& event = last_event_[t * J + s.mark];
+        std::int32_t* const slots = slots_.data() + (t * J + s.mark) * N;
+        const auto first = std::find_if(sightings.begin(), sightings.end(), [&](const auto& o) { return o.mark == s.mark; });
+        // the first sighting of the landmark at this step begins an event
+        if (&*first == &s) {
+            std::vector<Gaussian> marks(N);
+            if (event >= 0)
+                for (Number i = 0; i < N; ++i) marks[i] = events_[event][slots[i]];
+            for (Number i = 0; i < N; ++i) slots[i] = static_cast<std::int32_t>(i);
+            event = static_cast<std::int32_t>(events_.size());
+            events_.push_back(std::move(marks));
+        }
+        for (Number i = 0; i < N; ++i) absorb(events_[event][i], Frame(particles_.pose(t, i)), s.y, s.C, problem_.oriented);
+    }
+}
+
+Trajectory BackwardSampler::draw(Random& random) const {
+    const Number J = problem_.marks, N = particles_.count, T = particles_.steps() - 1;
+    std::vector<Gaussian> after(J);
+    Trajectory motions(T + 1), path(T + 1);
+    std::vector<Shared> shared;
+    Number chosen = random.choose(particles_.log_weights.subspan(T * N, N));
+    for (Number t = T + 1; t-- > 0;) {
+        if (t < T) {
+            const auto ancestor = static_cast<Number>(particles_.parents[(t + 1) * N + chosen]);
+            motions[t + 1] = relative(Frame(particles_.pose(t, ancestor)), particles_.pose(t + 1, chosen));
+            const Frame d(motions[t + 1]);
+            shared.clear();
+            for (Number j = 0; j < J; ++j) {
+                if (!after[j].seen()) continue;
+                after[j] = {composed(d, after[j].mean), edges::turned(d.axes, after[j].S)};
+                const std::int32_t event = last_event_[t * J + j];
+                if (event >= 0) shared.push_back({&events_[event], slots_.data() + (t * J + j) * N, &after[j]});
+            }
+            chosen = attach(random, t, ancestor, shared);
+        }
+        for (const Sighting& s : seen_at(problem_, problem_.sightings, t, t))
+            fuse(after[s.mark], s.y, s.C, problem_.oriented);
+    }
+    path[0] = particles_.pose(0, chosen);
+    for (Number t = 1; t <= T; ++t) path[t] = composed(Frame(path[t - 1]), motions[t]);
+    return path;
+}
+
+/// The particle of step t to which the rest of the trajectory is attached.
+Number BackwardSampler::attach(Random& random, Number t, Number ancestor, std::span<const Shared> shared) const {
+    const Number N = particles_.count;
+    const auto sums = std::span(cumulative_).subspan(t * N, N);
+    std::vector<Number> candidates(candidates_);
+    std::vector<double> log_weights(candidates_, 0.0);
+    for (Number c = 0; c < candidates_; ++c) {
+        if (candidates_ == N) {
+            candidates[c] = c;
+            log_weights[c] = particles_.log_weights[t * N + c];
+        } else if (c == 0) {
+            candidates[c] = ancestor;
+        } else {
+            const double level = random.uniform() * sums.back();
+            const auto at = std::upper_bound(sums.begin(), sums.end(), level) - sums.begin();
+            candidates[c] = std::min(static_cast<Number>(at), N - 1);
+        }
+        log_weights[c] += log_likelihood(t, candidates[c], shared);
+    }
+    return candidates[random.choose(log_weights)];
+}
+
+/// The sum of log N(mean_after; q(x_i, mean_i), S_after + S_i), in world axes.
+double BackwardSampler::log_likelihood(Number t, Number i, std::span<const Shared> shared) const {
+    const Frame pose(particles_.pose(t, i));
+    double sum = 0.0;
+    for (const auto& [particles, slots, after] : shared)
+        sum += density((*particles)[slots[i]], composed(pose, after->mean), edges::turned(pose.axes, after->S),
+                       problem_.oriented);
+    return sum;
+}
+
+}  // namespace vmslam::gibbs

@@ -1,0 +1,86 @@
+#include "vmslam/gibbs/chain.hpp"
+
+#include <algorithm>
+
+#include "vmslam/gibbs/pivots.hpp"
+#include "vmslam/gibbs/stretches.hpp"
+
+namespace vmslam::gibbs {
+namespace {
+
+/// The share of moves of the bends that should be accepted.
+constexpr double aim = 0.3;
+
+}  // namespace
+
+ChainSamples Chain::run(Random& random, const Problem& problem, const Directions& directions, const ChainRules& rules) {
+    ChainSamples samples;
+    tried_ = kept_ = 0;
+    weigh_sightings(problem);
+    state_.map = draw_map(random, poses, sightings_, problem.marks, problem.oriented);
+    for (Number sweep = 0; sweep < rules.sweeps; ++sweep) {
+        if (problem.exact) state_.log_weight = log_ratio(poses, state_.map, sightings_, problem.oriented);
+        Correction* const correction = problem.exact ? &state_ : nullptr;
+        Pivots(problem, sightings_, guess, rules.particles, correction).renew(random, poses);
+        renew_stretches(random, problem, rules);
+        if (!problem.exact) state_.map = draw_map(random, poses, sightings_, problem.marks, problem.oriented);
+        bend(random, problem, directions, rules, sweep);
+        // after the bends, which integrate the precisions out
+        if (problem.degrees > 0) renew_precisions(random, problem);
+        samples.trajectories.push_back(poses);
+        samples.maps.push_back(state_.map);
+    }
+    accepted = static_cast<double>(kept_) / static_cast<double>(tried_);
+    return samples;
+}
+
+void Chain::weigh_sightings(const Problem& problem) {
+    precision_.resize(problem.sightings.size(), 1.0);
+    sightings_ = problem.sightings;
+    for (std::size_t k = 0; k < sightings_.size(); ++k) {
+        Sighting& s = sightings_[k];
+        const double variance = 1.0 / precision_[k];
+        s.C = variance * s.C;
+        s.q = {variance * s.q.x, variance * s.q.y, variance * s.q.t};
+    }
+}
+
+/// Renew all poses in stretches of `block` steps, the first one of a random length.
+void Chain::renew_stretches(Random& random, const Problem& problem, const ChainRules& rules) {
+    const Number T = problem.steps();
+    const StretchRules stretch{rules.particles, !problem.exact};
+    Number begin = 1;
+    Number end = std::min(1 + static_cast<Number>(random.uniform() * static_cast<double>(rules.block)), T);
+    while (begin <= T) {
+        const Trajectory old(poses.begin() + begin, poses.begin() + end + 1);
+        renew_stretch(random, problem, sightings_, guess, stretch, begin, end, poses);
+        ++tried_;
+        if (!problem.exact || state_.accepts(random, poses, sightings_, problem.oriented))
+            ++kept_;
+        else
+            std::copy(old.begin(), old.end(), poses.begin() + begin);
+        begin = end + 1;
+        end = std::min(end + rules.block, T);
+    }
+}
+
+void Chain::bend(Random& random, const Problem& problem, const Directions& directions, const ChainRules& rules,
+                 Number sweep) {
+    if (rules.moves == 0) return;
+    const int accepted_moves = Bends(problem, directions, poses, state_.map).move(random, step_, rules.moves);
+    if (!rules.warm_up) return;
+    // Robbins and Monro: log b rises by (share - aim) / sqrt(sweep)
+    const double share = static_cast<double>(accepted_moves) / rules.moves;
+    step_ = std::min(step_ * exponential((share - aim) / std::sqrt(1.0 + static_cast<double>(sweep))), 1.0);
+}
+
+/// precision_k ~ Gamma((nu + n) / 2, 2 / (nu + e' C^-1 e)).
+void Chain::renew_precisions(Random& random, const Problem& problem) {
+    std::vector<double> squares(problem.sightings.size());
+    cost(problem, poses, state_.map, problem.exact, squares);
+    const double shape = 0.5 * (problem.degrees + problem.coordinates());
+    for (std::size_t k = 0; k < squares.size(); ++k) precision_[k] = 2 / (problem.degrees + squares[k]) * random.gamma(shape);
+    weigh_sightings(problem);
+}
+
+}  // namespace vmslam::gibbs

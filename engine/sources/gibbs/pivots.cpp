@@ -1,0 +1,116 @@
+#include "vmslam/gibbs/pivots.hpp"
+
+namespace vmslam::gibbs {
+namespace {
+
+/// Gauss-Newton steps to the Gaussian of the candidates.
+constexpr int fits = 3;
+
+/// The information on a displacement of the end of a motion, in the axes there, from the motion's prior.
+Information prior_at(const Vector& middle, const Motion& motion) {
+    const Rotation back = rotation(-middle.t);
+    const Symmetric W = edges::turned(back, motion.information);
+    const Vector d = deviation(middle, motion.mean);
+    return {W, W * turned(back, d)};
+}
+
+}  // namespace
+
+void Pivots::renew(Random& random, Trajectory& x) {
+    look_ahead(x);
+    for (const Sighting& s : seen_at(problem_, sightings_, 0, 0))
+        absorb(before_[s.mark], Frame(x[0]), s.y, s.C, problem_.oriented);
+    for (Number t = 1; t < x.size(); ++t) {
+        const Frame start(x[t - 1]);
+        find_shared(t);
+        const Motion& motion = problem_.motions[t - 1];
+        // without shared landmarks nothing but the prior
+        const Vector d =
+            shared_.empty() ? drawn(random, motion.mean, inverse(motion.information).matrix) : choose(random, t, start);
+        move(random, x, t, start, d);
+        const Frame pose(x[t]);
+        for (const Sighting& s : seen_at(problem_, sightings_, t, t))
+            absorb(before_[s.mark], pose, s.y, s.C, problem_.oriented);
+    }
+}
+
+/// What the sightings from each step on say of the landmarks, in the axes of that pose.
+void Pivots::look_ahead(const Trajectory& x) {
+    const Number T = problem_.steps(), J = problem_.marks;
+    before_.assign(J, {});
+    after_.assign((T + 1) * J, {});
+    motions_.resize(T);
+    for (Number t = T; t > 0; --t) {
+        motions_[t - 1] = relative(Frame(x[t - 1]), x[t]);
+        if (t < T) {
+            const Frame d(motions_[t]);
+            for (Number j = 0; j < J; ++j) {
+                const Gaussian& next = after(t + 1)[j];
+                if (next.seen()) after(t)[j] = {composed(d, next.mean), edges::turned(d.axes, next.S)};
+            }
+        }
+        for (const Sighting& s : seen_at(problem_, sightings_, t, t)) fuse(after(t)[s.mark], s.y, s.C, problem_.oriented);
+    }
+}
+
+void Pivots::find_shared(Number t) {
+    shared_.clear();
+    for (Number j = 0; j < problem_.marks; ++j)
+        if (before_[j].seen() && after(t)[j].seen()) shared_.push_back({&before_[j], after(t) + j});
+}
+
+Pivots::Fit Pivots::fit(Number t, const Frame& start) const {
+    Fit fit{guess_[t - 1], {}, {}};
+    for (int k = 0; k < fits; ++k) {
+        if (k > 0) fit.middle = composed(Frame(fit.middle), fit.mean);
+        Information sum = prior_at(fit.middle, problem_.motions[t - 1]);
+        const Frame pose(composed(start, fit.middle));
+        for (const auto& [before, after] : shared_) sum.add_sighting(pose, *before, after->mean, after->S, problem_.oriented);
+        fit.P = inverse(sum.L).matrix;
+        fit.mean = fit.P * sum.eta;
+    }
+    return fit;
+}
+
+/// The sum of log N(mean_after; q(x_t, mean_before), S_after + S_before), in world axes.
+double Pivots::log_likelihood(const Frame& pose) const {
+    double sum = 0.0;
+    for (const auto& [before, after] : shared_)
+        sum += density(*before, composed(pose, after->mean), edges::turned(pose.axes, after->S), problem_.oriented);
+    return sum;
+}
+
+Vector Pivots::choose(Random& random, Number t, const Frame& start) {
+    const Fit proposal = fit(t, start);
+    const Motion& motion = problem_.motions[t - 1];
+    const LowerRoot root(proposal.P);
+    const Frame middle(proposal.middle);
+    for (Number n = 0; n < candidates_.size(); ++n) {
+        Vector d = motions_[t - 1], e;
+        if (n == 0) {
+            e = root.whitened(deviation(proposal.mean, relative(middle, d)));
+        } else {
+            e = normals(random);
+            d = composed(middle, proposal.mean + root * e);
+        }
+        candidates_[n] = d;
+        // log of prior and likelihood over the density of the proposal
+        const double over_proposal = 0.5 * (dot(e, e) - squared(motion.information, deviation(motion.mean, d)));
+        log_weights_[n] = over_proposal + log_likelihood(Frame(composed(start, d)));
+    }
+    return candidates_[random.choose(log_weights_)];
+}
+
+/// Set d_t; with a correction, all later poses move along, and the whole trajectory is accepted or not.
+void Pivots::move(Random& random, Trajectory& x, Number t, const Frame& start, const Vector& d) const {
+    if (!correction_) {
+        x[t] = composed(start, d);
+        return;
+    }
+    Trajectory trial = x;
+    trial[t] = composed(start, d);
+    for (Number later = t; later + 1 < x.size(); ++later) trial[later + 1] = composed(Frame(trial[later]), motions_[later]);
+    if (correction_->accepts(random, trial, sightings_, problem_.oriented)) x = std::move(trial);
+}
+
+}  // namespace vmslam::gibbs

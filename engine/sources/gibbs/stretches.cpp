@@ -1,0 +1,200 @@
+#include "vmslam/gibbs/stretches.hpp"
+
+#include <algorithm>
+#include <numeric>
+
+namespace vmslam::gibbs {
+namespace {
+
+/// Gauss-Newton steps to the path about which the guide is linearised.
+constexpr int fits = 2;
+/// Particles are resampled below this share of N.
+constexpr double least_share = 0.5;
+
+/// The particles of a stretch. The weights of particle p and what belongs to it are those of its whole path so far.
+class Stretch {
+   public:
+    Stretch(Random& random, const Problem& problem, std::span<const Sighting> sightings, const StretchRules& rules,
+            Number begin, Number end, Trajectory& x)
+        : random_(random),
+          problem_(problem),
+          sightings_(sightings),
+          rules_(rules),
+          begin_(begin),
+          end_(end),
+          x_(x),
+          map_(problem, sightings, x, begin, end),
+          count_(map_.before.size()) {}
+
+    void renew(std::span<const Vector> guess) {
+        if (rules_.ancestors) draw_map();
+        linearise(guess);
+        start();
+        for (Number i = 0; i < size(); ++i) {
+            move(i);
+            if (i + 1 < size()) resample(i);
+        }
+        Number chosen = random_.choose(log_weights_);
+        for (Number i = size(); i-- > 0;) {
+            x_[begin_ + i] = at(i, chosen);
+            chosen = parents_[i * rules_.particles + chosen];
+        }
+    }
+
+   private:
+    Number size() const { return end_ - begin_ + 1; }
+    const Vector* following() const { return end_ < problem_.steps() ? &x_[end_ + 1] : nullptr; }
+    Vector& at(Number i, Number p) { return poses_[i * rules_.particles + p]; }
+    const Motion& motion_to(Number i) const { return problem_.motions[begin_ + i - 1]; }
+
+    /// m, a map for the ancestors, drawn given the present trajectory.
+    void draw_map() {
+        std::vector<Gaussian> all = map_.before;
+        for (const Sighting& s : seen_at(problem_, sightings_, begin_, end_))
+            absorb(all[map_.number[s.mark]], Frame(x_[s.step]), s.y, s.C, problem_.oriented);
+        for (const Gaussian& mark : all) drawn_.push_back(drawn(random_, mark.mean, mark.S));
+    }
+
+    /// The path of the guide: first that of the guessed motions, then that of the means of the proposals.
+    void linearise(std::span<const Vector> guess) {
+        guide_.middle.resize(size());
+        Frame pose(x_[begin_ - 1]);
+        for (Number i = 0; i < size(); ++i) guide_.middle[i] = pose = Frame(composed(pose, guess[begin_ - 1 + i]));
+        guide_.compute(problem_, sightings_, map_, begin_, following());
+        for (int k = 1; k < fits; ++k) {
+            pose = Frame(x_[begin_ - 1]);
+            for (Number i = 0; i < size(); ++i) {
+                Frame& middle = guide_.middle[i];
+                middle = pose = Frame(composed(middle, proposal(pose, middle, motion_to(i), guide_.full[i]).mean));
+            }
+            guide_.compute(problem_, sightings_, map_, begin_, following());
+        }
+    }
+
+    void start() {
+        const Number N = rules_.particles;
+        poses_.resize(size() * N);
+        parents_.resize(size() * N);
+        maps_.reserve(N * count_);
+        for (Number p = 0; p < N; ++p) maps_.insert(maps_.end(), map_.before.begin(), map_.before.end());
+        log_weights_.assign(N, 0.0), surplus_.assign(N, 0.0), psi_.assign(N, 0.0);
+        ancestors_.resize(N);
+        std::iota(ancestors_.begin(), ancestors_.end(), Number{0});
+    }
+
+    /// Draw pose i of all particles, and weigh them.
+    void move(Number i) {
+        const Frame& middle = guide_.middle[i];
+        const Motion& motion = motion_to(i);
+        for (Number p = 0; p < rules_.particles; ++p) {
+            const Frame from(i == 0 ? x_[begin_ - 1] : at(i - 1, ancestors_[p]));
+            const Proposal q = proposal(from, middle, motion, guide_.full[i]);
+            const LowerRoot root(q.P);
+            Vector pose = x_[begin_ + i], d, n;
+            if (p == 0) {
+                d = relative(middle, pose);
+                n = root.whitened(deviation(q.mean, d));
+            } else {
+                n = normals(random_);
+                d = q.mean + root * n;
+                d.t = wrap_angle(d.t);
+                pose = composed(middle, d);
+            }
+            at(i, p) = pose;
+            parents_[i * rules_.particles + p] = ancestors_[p];
+            // log p(x_t | x_{t-1}) / q(x_t)
+            double value = 0.5 * dot(n, n) + logarithm(root.determinant());
+            value -= 0.5 * squared(motion.information, deviation(motion.mean, relative(from, pose)));
+            const Frame there(pose);
+            value += observe(i, p, there);
+            log_weights_[p] += value + look_ahead(i, p, there, d);
+        }
+    }
+
+    /// log p(z_t | x_t, map) of a particle, whose map absorbs the sightings.
+    double observe(Number i, Number p, const Frame& pose) {
+        double sum = 0.0;
+        for (const Sighting& s : seen_at(problem_, sightings_, begin_ + i, begin_ + i)) {
+            const Number j = map_.number[s.mark];
+            const Vector place = composed(pose, s.y);
+            const Symmetric spread = edges::turned(pose.axes, s.C);
+            const double increment = fuse(maps_[p * count_ + j], place, spread, problem_.oriented);
+            sum += increment;
+            // log p(z | x, m) / p(z | x)
+            if (rules_.ancestors) surplus_[p] += density({drawn_[j], {}}, place, spread, problem_.oriented) - increment;
+        }
+        return sum;
+    }
+
+    /// log psi_t(x_t) / psi_{t-1}(x_{t-1}); at the end p(x_{e+1} | x_e) in place of psi_e.
+    double look_ahead(Number i, Number p, const Frame& pose, const Vector& d) {
+        const double before = psi_[p];
+        if (i + 1 < size()) {
+            psi_[p] = guide_.ahead[i].quadratic(d);
+            return psi_[p] - before;
+        }
+        return (following() ? log_motion(end_, pose, *following()) : 0.0) - before;
+    }
+
+    /// log p(x_{t+1} | x_t) without constants.
+    double log_motion(Number t, const Frame& pose, const Vector& next) const {
+        const Motion& motion = problem_.motions[t];
+        return -0.5 * squared(motion.information, deviation(motion.mean, relative(pose, next)));
+    }
+
+    /// Draw the ancestors of the particles of the next pose, where the effective sample size has become small.
+    void resample(Number i) {
+        const Number N = rules_.particles;
+        std::vector<double> weights(N);
+        const Sums sums = exponentials(log_weights_, weights);
+        if (sums.weights * sums.weights >= least_share * static_cast<double>(N) * sums.squares) {
+            std::iota(ancestors_.begin(), ancestors_.end(), Number{0});
+            return;
+        }
+        ancestors_[0] = rules_.ancestors ? ancestor_of_first(i) : 0;
+        for (Number p = 1; p < N; ++p) ancestors_[p] = random_.pick(weights);
+        const std::vector<double> surplus = surplus_, psi = psi_;
+        spare_.resize(maps_.size());
+        for (Number p = 0; p < N; ++p) {
+            const Number a = ancestors_[p];
+            std::copy_n(maps_.begin() + a * count_, count_, spare_.begin() + p * count_);
+            surplus_[p] = surplus[a], psi_[p] = psi[a];
+        }
+        std::swap(maps_, spare_);
+        log_weights_.assign(N, 0.0);
+    }
+
+    Number ancestor_of_first(Number i) {
+        std::vector<double> rho(rules_.particles);
+        for (Number p = 0; p < rho.size(); ++p)
+            rho[p] = log_weights_[p] - psi_[p] + log_motion(begin_ + i, Frame(at(i, p)), x_[begin_ + i + 1]) + surplus_[p];
+        return random_.choose(rho);
+    }
+
+    Random& random_;
+    const Problem& problem_;
+    std::span<const Sighting> sightings_;
+    const StretchRules& rules_;
+    Number begin_, end_;
+    Trajectory& x_;
+    LocalMap map_;
+    Number count_;  ///< landmarks of the local map
+    Map drawn_;     ///< m
+    Guide guide_;
+    std::vector<Vector> poses_;           ///< (n, N)
+    std::vector<Number> parents_;         ///< (n, N) the particle of the pose before
+    std::vector<Gaussian> maps_, spare_;  ///< (N, count)
+    std::vector<double> log_weights_;
+    std::vector<double> surplus_;  ///< log prod p(z | x, m) / p(z | x)
+    std::vector<double> psi_;      ///< log psi of the pose before
+    std::vector<Number> ancestors_;
+};
+
+}  // namespace
+
+void renew_stretch(Random& random, const Problem& problem, std::span<const Sighting> sightings, std::span<const Vector> guess,
+                   const StretchRules& rules, Number begin, Number end, Trajectory& x) {
+    Stretch(random, problem, sightings, rules, begin, end, x).renew(guess);
+}
+
+}  // namespace vmslam::gibbs

@@ -1,0 +1,115 @@
+#include "vmslam/particles/motion.hpp"
+
+#include "vmslam/particles/proposal.hpp"
+
+namespace vmslam::particles {
+
+using namespace numbers;
+
+namespace {
+
+// x_t = f(x_{t-1}, u + std n_01) + sqrt(epsilon) n_234
+class ControlDraw {
+   public:
+    explicit ControlDraw(const ControlMotion& u) : u_(u), pose_std_(std::sqrt(u.epsilon)) {}
+
+    Pose operator()(const Pose& x, std::uint64_t key, const Bits& particles) const {
+        const FiveNormals<Lanes> n = five_normals<Lanes>(key, particles);
+        const Pose moved = driven(x, u_, n.n0, n.n1);
+        return {moved.x + pose_std_ * n.n2, moved.y + pose_std_ * n.n3, wrap_angle(Lanes(moved.t + pose_std_ * n.n4))};
+    }
+
+   private:
+    ControlMotion u_;
+    double pose_std_;
+};
+
+// x_{t-1} moves, in its own axes, by mean + L n with L L' = covariance
+class WholeDraw {
+   public:
+    explicit WholeDraw(const WholeMotion& m)
+        : d_(m.mean),
+          l00_(std::sqrt(m.covariance.xx)),
+          l10_(m.covariance.xy / l00_),
+          l20_(m.covariance.xt / l00_),
+          l11_(std::sqrt(m.covariance.yy - l10_ * l10_)),
+          l21_((m.covariance.yt - l20_ * l10_) / l11_),
+          l22_(std::sqrt(m.covariance.tt - l20_ * l20_ - l21_ * l21_)) {}
+
+    Pose operator()(const Pose& x, std::uint64_t key, const Bits& particles) const {
+        const auto [n0, n1] = normal_pair<Lanes>(key, particles, 0);
+        const Lanes n2 = normal_pair<Lanes>(key, particles, 1).first;
+        const Lanes ahead = d_.x + l00_ * n0, left = d_.y + l10_ * n0 + l11_ * n1;
+        const auto [s, c] = sincos(x.t);
+        return {x.x + c * ahead - s * left, x.y + s * ahead + c * left,
+                wrap_angle(Lanes(x.t + d_.t + l20_ * n0 + l21_ * n1 + l22_ * n2))};
+    }
+
+   private:
+    Three d_;
+    double l00_, l10_, l20_, l11_, l21_, l22_;
+};
+
+template <class Draw>
+void draw_poses(const Draw& draw, std::uint64_t key, const Rows& starts, Rows& moved, std::size_t lo, std::size_t hi) {
+    for (std::size_t i = lo; i < hi; i += lanes) write_pose(moved, i, draw(read_pose(starts, i), key, particles_of(i)));
+}
+
+}  // namespace
+
+Pose driven(const Pose& x, const ControlMotion& u, const Lanes& c0, const Lanes& c1) {
+    const Lanes half = (u.omega + u.omega_std * c1) * u.dt / 2.0;
+    const Lanes sine = sincos(half).sine;
+    const Lanes way = (u.nu + u.nu_std * c0) * u.dt * numbers::select(half != 0.0, Lanes(sine / half), 1.0);
+    const auto [s, c] = sincos(Lanes(x.t + half));
+    return {x.x + way * c, x.y + way * s, x.t + 2.0 * half};
+}
+
+Chord chord(double nu, double omega, double dt) {
+    const double a = omega * dt / 2, q = a * a;
+    const auto [sine, cosine] = sincos(a);
+    // d/da (sin(a) / a): as a series, exact to rounding, where the difference would cancel
+    const double slope = q < 0.09
+                             ? a * polynomial(q, -1.0 / 3, 1.0 / 30, -1.0 / 840, 1.0 / 45360, -1.0 / 3991680, 1.0 / 518918400)
+                             : (cosine - sine / a) / a;
+    const double sinc = a != 0.0 ? sine / a : 1.0;
+    return {a, {nu * dt * sinc, 0.0, 2 * a}, dt * sinc, nu * dt * dt / 2 * slope, nu * dt * dt / 2 * sinc, dt};
+}
+
+Prediction predict(const Motion& motion, bool exact) {
+    if (const auto* const whole = std::get_if<WholeMotion>(&motion.model)) return {0.0, whole->mean, whole->covariance, 0.0};
+    const auto& u = std::get<ControlMotion>(motion.model);
+    const Chord f = chord(u.nu, u.omega, u.dt);
+    const double nu_var = u.nu_std * u.nu_std, omega_var = u.omega_std * u.omega_std;
+    const Six AMA{f.by_nu * f.by_nu * nu_var + f.along * f.along * omega_var,
+                  f.along * f.across * omega_var,
+                  f.along * f.turn * omega_var,
+                  f.across * f.across * omega_var,
+                  f.across * f.turn * omega_var,
+                  f.turn * f.turn * omega_var};
+    return {f.angle, f.mean, AMA, exact ? widened(u.epsilon, AMA.xx + AMA.yy + AMA.tt) : u.epsilon};
+}
+
+// mean: moved in axes turned by `angle`; covariance: R A M A' R' + epsilon I
+Gaussian Prediction::of(const Pose& x) const {
+    const auto [s, c] = sincos(Lanes(x.t + angle));
+    const Six& P = covariance;
+    return {x.x + c * mean.x - s * mean.y,
+            x.y + s * mean.x + c * mean.y,
+            wrap_angle(Lanes(x.t + mean.t)),
+            c * c * P.xx - 2.0 * c * s * P.xy + s * s * P.yy + epsilon,
+            c * s * (P.xx - P.yy) + (c * c - s * s) * P.xy,
+            c * P.xt - s * P.yt,
+            s * s * P.xx + 2.0 * c * s * P.xy + c * c * P.yy + epsilon,
+            s * P.xt + c * P.yt,
+            all<Lanes>(P.tt + epsilon)};
+}
+
+void move_poses(const Motion& motion, const Rows& starts, Rows& moved, std::size_t lo, std::size_t hi) {
+    if (const auto* const control = std::get_if<ControlMotion>(&motion.model))
+        draw_poses(ControlDraw(*control), motion.key, starts, moved, lo, hi);
+    else
+        draw_poses(WholeDraw(std::get<WholeMotion>(motion.model)), motion.key, starts, moved, lo, hi);
+}
+
+}  // namespace vmslam::particles

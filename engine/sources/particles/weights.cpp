@@ -1,0 +1,81 @@
+#include "vmslam/particles/weights.hpp"
+
+#include <numeric>
+
+#include "vmslam/numbers/elementary.hpp"
+
+namespace vmslam::particles {
+
+using namespace numbers;
+
+WeightSums normalize(const Ranges& ranges, double* log_weights, double highest, double* weights) {
+    const std::size_t particles = ranges.particles();
+    std::vector<WeightSums> sums((particles + chunk - 1) / chunk, {0.0, 0.0});
+    ranges.each_light([&](std::size_t lo, std::size_t hi) {
+        for (std::size_t begin = lo; begin < hi; begin += chunk) {
+            Lanes total{}, squares{};
+            const std::size_t end = std::min(begin + chunk, hi);
+            for (std::size_t i = begin; i < end; i += lanes) {
+                Lanes w = numbers::exp(Lanes(load(log_weights + i) - highest));
+                // the lanes behind the last particle
+                for (std::size_t k = i + lanes; k > end; --k) w[k - 1 - i] = 0.0;
+                store(weights + i, w);
+                total += w, squares += w * w;
+            }
+            sums[begin / chunk] = {sparse::sum<lanes>(total), sparse::sum<lanes>(squares)};
+        }
+    });
+    WeightSums all{0.0, 0.0};
+    for (const WeightSums& s : sums) all = {all.total + s.total, all.squares + s.squares};
+    const double less = highest + numbers::log(all.total);
+    for (std::size_t i = 0; i < particles; ++i) log_weights[i] -= less;
+    return all;
+}
+
+Highest highest_of(std::span<const double> values) {
+    double top = values[0];
+    std::size_t i = 0;
+    if (values.size() >= lanes) {
+        Lanes most = load(values.data());
+        for (i = lanes; i + lanes <= values.size(); i += lanes) most = larger(most, load(values.data() + i));
+        for (int k = 0; k < lanes; ++k) top = larger(top, double(most[k]));
+    }
+    for (; i < values.size(); ++i) top = larger(top, values[i]);
+    const auto place = std::find(values.begin(), values.end(), top) - values.begin();
+    return {top, static_cast<std::size_t>(place)};
+}
+
+// The first position of particle k is the number of positions before cumulative[k-1]. Each particle writes its index there;
+// if it has no position, the next particle overwrites it. Then the indices are spread to the right.
+std::vector<Index> evenly_spaced(std::span<const double> cumulative, double offset) {
+    const auto count = static_cast<std::int64_t>(cumulative.size());
+    const double total = cumulative.back(), scale = static_cast<double>(count) / total;
+    std::vector<Index> ancestors(count + 1, 0);
+    std::int64_t first = 0;
+    for (std::int64_t k = 0; k < count; ++k) {
+        ancestors[first] = static_cast<Index>(k);
+        const double after = std::ceil(cumulative[k] * scale - offset);
+        first = cumulative[k] == total || after >= static_cast<double>(count) ? count
+                : after > 0.0                                                 ? static_cast<std::int64_t>(after)
+                                                                              : 0;
+    }
+    ancestors.pop_back();
+    Index highest = 0;
+    for (Index& ancestor : ancestors) ancestor = highest = std::max(highest, ancestor);
+    return ancestors;
+}
+
+std::vector<Index> at_positions(std::span<const double> cumulative, std::span<const double> positions) {
+    const double total = cumulative.back();
+    std::size_t last = cumulative.size() - 1, k = 0;
+    while (last > 0 && cumulative[last - 1] == total) --last;
+    std::vector<Index> ancestors;
+    ancestors.reserve(positions.size());
+    for (const double position : positions) {
+        while (k < last && cumulative[k] <= position * total) ++k;
+        ancestors.push_back(static_cast<Index>(k));
+    }
+    return ancestors;
+}
+
+}  // namespace vmslam::particles

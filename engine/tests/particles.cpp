@@ -1,0 +1,322 @@
+// Particle filters without Python: each part against a plain computation.
+#include <algorithm>
+#include <array>
+#include <limits>
+#include <map>
+#include <random>
+
+#include "expect.hpp"
+#include "vmslam/particles/existence.hpp"
+#include "vmslam/particles/filter.hpp"
+
+namespace {
+
+using namespace vmslam;
+using namespace vmslam::particles;
+
+double normal(std::mt19937& random) { return std::normal_distribution<>()(random); }
+double between(std::mt19937& random, double low, double high) { return std::uniform_real_distribution<>(low, high)(random); }
+Lanes each(double x) { return numbers::all<Lanes>(x); }
+
+/// A random Gaussian around a place.
+Gaussian gaussian(std::mt19937& random, double x, double y, double h, double spread) {
+    double a[3][3], S[3][3]{};
+    for (auto& row : a)
+        for (double& entry : row) entry = spread * normal(random);
+    for (int r = 0; r < 3; ++r)
+        for (int c = 0; c < 3; ++c)
+            for (int k = 0; k < 3; ++k) S[r][c] += a[r][k] * a[c][k];
+    return {each(x),
+            each(y),
+            each(h),
+            each(S[0][0] + 1e-3),
+            each(S[0][1]),
+            each(S[0][2]),
+            each(S[1][1] + 1e-3),
+            each(S[1][2]),
+            each(S[2][2] + 1e-3)};
+}
+
+/// The history against one list of poses per particle, with resampling up to twice in a step.
+void test_history(unsigned seed) {
+    std::mt19937 random(seed);
+    const std::size_t count = 1 + seed % 13;
+    History tree(count);
+    std::vector<std::vector<double>> lines(count);
+    std::vector<std::map<std::int64_t, Index>> names(count);
+    for (int step = 0; step < 60; ++step) {
+        Rows poses(3, count);
+        for (std::size_t i = 0; i < count; ++i) lines[i].push_back(poses.row(0)[i] = normal(random));
+        tree.open_level();
+        tree.write(poses, 0, count);
+        for (unsigned again = random() % 3; again > 0; --again) {
+            const std::int64_t level = tree.level();
+            for (std::size_t i = 0; i < count; ++i) names[i][level] = static_cast<Index>(i);
+            std::vector<Index> ancestors(count);
+            for (Index& a : ancestors) a = static_cast<Index>(random() % count);
+            std::sort(ancestors.begin(), ancestors.end());
+            tree.branch(ancestors);
+            const auto old_lines = lines;
+            const auto old_names = names;
+            for (std::size_t i = 0; i < count; ++i) lines[i] = old_lines[ancestors[i]], names[i] = old_names[ancestors[i]];
+        }
+        if (step % 20 == 19) tree.prune();
+    }
+    for (const auto& [level, unused] : names[0]) {
+        const Index* const ancestors = tree.ancestors(level);
+        for (std::size_t i = 0; i < count; ++i)
+            expect((ancestors ? ancestors[i] : static_cast<Index>(i)) == names[i][level], "ancestors of a level", seed);
+    }
+    for (std::size_t i = 0; i < count; ++i) {
+        const auto path = tree.trajectory(i);
+        expect(path.size() == lines[i].size(), "a history has a pose for each step", seed);
+        for (std::size_t t = 0; t < path.size(); ++t) expect(path[t][0] == lines[i][t], "poses of a history", seed);
+    }
+    const History::Summary summary = tree.summary(std::vector<double>(count, 1.0 / static_cast<double>(count)));
+    for (std::size_t t = 0; t < 60; ++t) {
+        double mean = 0.0;
+        for (const auto& line : lines) mean += line[t] / static_cast<double>(count);
+        expect(std::fabs(summary.means[t][0] - mean) < 1e-12, "the mean of all histories", seed);
+    }
+}
+
+/// Weights that are normalised, whatever the number of particles; sums that do not depend on the threads.
+void test_weights(unsigned seed) {
+    std::mt19937 random(seed);
+    const std::size_t count = 1 + random() % 3000;
+    Rows log_weights(1, count), weights(1, count);
+    for (std::size_t i = 0; i < count; ++i)
+        log_weights.row(0)[i] = i % 7 == 1 ? -std::numeric_limits<double>::infinity() : -300 + 20 * normal(random);
+    const Rows before = log_weights;
+    const auto [highest, place] = highest_of({before.row(0), count});
+    expect(before.row(0)[place] == highest, "the place of the highest weight", seed);
+    const WeightSums sums = normalize(Ranges(count, 1), log_weights.row(0), highest, weights.row(0));
+    double total = 0.0, all = 0.0;
+    for (std::size_t i = 0; i < count; ++i) {
+        total += std::exp(before.row(0)[i] - highest);
+        all += std::exp(log_weights.row(0)[i]);
+    }
+    expect(std::fabs(sums.total / total - 1) < 1e-13 && std::fabs(all - 1) < 1e-12, "normalised weights", seed);
+}
+
+/// A M A' + epsilon I on both sides of every branch of the prediction, A by central differences.
+void test_prediction(double omega) {
+    const ControlMotion u{0.4, omega, 0.1, 0.2, 1.3, 1e-4};
+    std::mt19937 random(1);
+    const Pose x{each(0.3), each(-0.2), each(normal(random))};
+    const Gaussian predicted = predict({u, 0}, false).of(x);
+    const auto f = [&](double c0, double c1) {
+        const Pose moved = driven(x, u, each(c0), each(c1));
+        return std::array<double, 3>{moved.x[0], moved.y[0], moved.t[0]};
+    };
+    constexpr double h = 1e-5;
+    const auto nu_more = f(h, 0), nu_less = f(-h, 0), omega_more = f(0, h), omega_less = f(0, -h), mean = f(0, 0);
+    double P[3][3];
+    for (int r = 0; r < 3; ++r)
+        for (int c = 0; c < 3; ++c)
+            P[r][c] = ((nu_more[r] - nu_less[r]) * (nu_more[c] - nu_less[c]) +
+                       (omega_more[r] - omega_less[r]) * (omega_more[c] - omega_less[c])) /
+                          (4 * h * h) +
+                      (r == c ? u.epsilon : 0);
+    const double found[6]{predicted.xx[0], predicted.xy[0], predicted.xh[0],
+                          predicted.yy[0], predicted.yh[0], predicted.hh[0]};
+    const double wanted[6]{P[0][0], P[0][1], P[0][2], P[1][1], P[1][2], P[2][2]};
+    for (int k = 0; k < 6; ++k) expect(std::fabs(found[k] - wanted[k]) < 1e-9, "the covariance of a motion", 0);
+    expect(std::fabs(predicted.x[0] - mean[0]) < 1e-13 && std::fabs(predicted.y[0] - mean[1]) < 1e-13, "the mean of a motion",
+           0);
+}
+
+/// The product of two Gaussians, in the information form.
+void test_merged(unsigned seed) {
+    std::mt19937 random(seed);
+    const bool oriented = seed % 2 == 0;
+    const Gaussian a = gaussian(random, 0.1, 0.2, 3.1, 0.2), b = gaussian(random, 0.15, 0.1, -3.1, 0.2),
+                   c = fused(a, b, oriented);
+    const auto inverse = [&](const Gaussian& g, double(&out)[3][3]) {
+        const double S[3][3]{{g.xx[0], g.xy[0], oriented ? g.xh[0] : 0},
+                             {g.xy[0], g.yy[0], oriented ? g.yh[0] : 0},
+                             {oriented ? g.xh[0] : 0, oriented ? g.yh[0] : 0, oriented ? g.hh[0] : 1}};
+        double det = 0;
+        for (int k = 0; k < 3; ++k) {
+            const int i = (k + 1) % 3, j = (k + 2) % 3;
+            det += S[0][k] * (S[1][i] * S[2][j] - S[1][j] * S[2][i]);
+            for (int r = 0; r < 3; ++r) {
+                const int m = (r + 1) % 3, n = (r + 2) % 3;
+                out[k][r] = S[m][i] * S[n][j] - S[m][j] * S[n][i];
+            }
+        }
+        for (auto& row : out)
+            for (double& entry : row) entry /= det;
+    };
+    double A[3][3], B[3][3], C[3][3];
+    inverse(a, A), inverse(b, B), inverse(c, C);
+    const int n = oriented ? 3 : 2;
+    const double da[3]{c.x[0] - a.x[0], c.y[0] - a.y[0], oriented ? numbers::wrap_angle(c.h[0] - a.h[0]) : 0};
+    const double db[3]{c.x[0] - b.x[0], c.y[0] - b.y[0], oriented ? numbers::wrap_angle(c.h[0] - b.h[0]) : 0};
+    for (int r = 0; r < n; ++r) {
+        double gradient = 0, scale = 1;
+        for (int k = 0; k < n; ++k) {
+            gradient += A[r][k] * da[k] + B[r][k] * db[k];
+            scale += std::fabs(A[r][k] * da[k]) + std::fabs(B[r][k] * db[k]);
+            expect(std::fabs(C[r][k] - A[r][k] - B[r][k]) < 1e-8 * (1 + std::fabs(C[r][r]) + std::fabs(C[k][k])),
+                   "information of merged landmarks", seed);
+        }
+        expect(std::fabs(gradient) < 1e-8 * scale, "the mean of merged landmarks", seed);
+    }
+}
+
+/// Two landmarks of classes, just outside and just inside of the gate; the product of their probabilities.
+void test_merge(bool alike) {
+    Blocks old(13, lanes), young(13, lanes);
+    const double p[2][2]{{0.95, 0.05}, {alike ? 0.9 : 0.02, alike ? 0.1 : 0.98}};
+    const auto reset = [&] {
+        for (int row = 0; row < 13; ++row)
+            for (int i = 0; i < lanes; ++i)
+                old.at(row, i) = young.at(row, i) = row == 3 || row == 6 ? 0.1 : row == 8 ? 1.0 : 0.0;
+        for (int i = 0; i < lanes; ++i) {
+            young.at(0, i) = 0.3;  // at a squared distance of 0.45
+            old.at(evidence_row, i) = young.at(evidence_row, i) = 2.0;
+            old.at(last_step_row, i) = 4.0;
+            young.at(last_step_row, i) = i == 1 ? 4.0 : 5.0;
+            for (int c = 0; c < 2; ++c) old.at(first_class_row + c, i) = p[0][c], young.at(first_class_row + c, i) = p[1][c];
+        }
+    };
+    const double common = p[0][0] * p[1][0] + p[0][1] * p[1][1], bound = 0.45 - 2 * std::log(2 * common);
+    Blocks* const both[]{&old, &young};
+    for (const bool merged : {false, true}) {
+        reset();
+        merge(both, false, bound + (merged ? 1e-6 : -1e-6), {0.0, 0.0}, 2, 0, lanes);
+        expect((young.at(evidence_row, 0) == 0.0) == merged, "landmarks that are one", 0);
+        expect(young.at(evidence_row, 1) == 2.0, "one scan saw both", 0);
+        if (!merged) continue;
+        expect(old.at(evidence_row, 0) == permanent_evidence && old.at(last_step_row, 0) == 5.0, "evidence of both", 0);
+        expect(std::fabs(old.at(first_class_row, 0) - p[0][0] * p[1][0] / common) < 1e-12, "classes of both", 0);
+    }
+}
+
+/// The assignment of a scan against the plain greedy one, over all pairs and without a gate.
+void test_association(unsigned seed) {
+    std::mt19937 random(seed);
+    const bool oriented = seed % 2 == 0;
+    const std::size_t known = 1 + random() % 8, count = 1 + random() % 6;
+    const Gaussian belief = gaussian(random, 0.0, 0.0, 0.3, 0.1);
+    std::vector<Blocks> pool(known + count, Blocks(first_class_row, lanes));
+    std::vector<Gaussian> landmarks;
+    std::vector<Sighting> sightings;
+    AnonymousScan scan{};
+    const Confusion none;
+    for (std::size_t j = 0; j < known; ++j) {
+        landmarks.push_back(gaussian(random, between(random, 2, 4), between(random, -1, 1), between(random, -1, 1), 0.15));
+        // lanes differ in where the landmark is
+        for (int i = 0; i < lanes; ++i) landmarks[j].x[i] += 0.3 * normal(random);
+        write_gaussian(pool[j], true, 0, landmarks[j]);
+        for (int i = 0; i < lanes; ++i)
+            pool[j].at(evidence_row, i) = random() % 5 == 0 ? 0.0 : 1.0, pool[j].at(last_step_row, i) = 0.0;
+        scan.near.push_back(&pool[j]);
+    }
+    const double border = 9.0, variances[3]{0.04, 0.003, 0.003};
+    double log_q = 0.0;
+    for (int d = 0; d < (oriented ? 3 : 2); ++d) log_q += std::log(variances[d]) + log_2pi;
+    for (std::size_t k = 0; k < count; ++k) {
+        sightings.push_back({{between(random, 2, 4), between(random, -0.6, 0.1), between(random, -1, 1)},
+                             {variances[0], variances[1], variances[2]}});
+        scan.log_new.push_back(-0.5 * (border + log_q));
+        scan.fresh.push_back(&pool[known + k]);
+    }
+    const std::vector<std::int64_t> shown(count, 0);
+    scan.sightings = sightings, scan.shown = shown, scan.oriented = oriented, scan.gate = border, scan.step = 7,
+    scan.confusion = &none;
+    std::vector<std::vector<Lanes>> scores(count);
+    for (std::size_t k = 0; k < count; ++k)
+        for (std::size_t j = 0; j < known; ++j)
+            scores[k].push_back(predicted_likelihood(belief, landmarks[j], sightings[k], oriented));
+    std::vector<std::array<bool, lanes>> owned(known);
+    for (std::size_t j = 0; j < known; ++j)
+        for (int i = 0; i < lanes; ++i) owned[j][i] = pool[j].at(evidence_row, i) > 0.0;
+    AnonymousScan::Group group(scan);
+    group.begin(0, belief);
+    group.update(belief.mean(), true);
+    for (int i = 0; i < lanes; ++i) {
+        std::vector<bool> taken(known, false), done(count, false);
+        while (true) {
+            double best = -std::numeric_limits<double>::infinity();
+            std::size_t sighting = count, landmark = known;
+            for (std::size_t k = 0; k < count; ++k)
+                for (std::size_t j = 0; j < known; ++j)
+                    if (!done[k] && !taken[j] && owned[j][i] && scores[k][j][i] >= scan.log_new[k] && scores[k][j][i] > best)
+                        best = scores[k][j][i], sighting = k, landmark = j;
+            if (sighting == count) break;
+            done[sighting] = taken[landmark] = true;
+        }
+        for (std::size_t j = 0; j < known; ++j)
+            expect((pool[j].at(last_step_row, i) == 7.0) == taken[j], "the landmarks of a scan", seed);
+        for (std::size_t k = 0; k < count; ++k) {
+            const bool created = numbers::any(numbers::load(pool[known + k].group(last_step_row, 0)) == 7.0);
+            expect((created && pool[known + k].at(evidence_row, i) > 0.0) == !done[k], "the new landmarks of a scan", seed);
+        }
+    }
+}
+
+/// Filters of all kinds run, with one thread and with three to the same numbers.
+void test_filters(bool oriented, bool ids, Version version, std::size_t jointly) {
+    const auto run = [&](std::size_t threads) {
+        const std::size_t count = 12'301;
+        Rows poses(3, count);
+        poses.fill(0.0);
+        Filter filter(std::move(poses), threads, false);
+        const double unknown = std::numeric_limits<double>::quiet_NaN();
+        if (ids)
+            filter.use_ids(oriented, jointly, std::nullopt);
+        else
+            filter.use_no_ids(oriented, {20.0, 6.0, 2, {unknown, unknown, unknown}}, {});
+        for (int step = 0; step < 5; ++step) {
+            if (step > 0)
+                filter.move({ControlMotion{0.3, 0.2, 0.05, 0.05, 1.0, 1e-4}, static_cast<std::uint64_t>(step)}, true);
+            std::vector<Sighting> sightings;
+            const double x = 0.3 * step, t = 0.2 * step;
+            for (const auto& [mx, my] : {std::pair{3.0, 1.0}, {2.5, -1.0}, {4.0, 0.2}})
+                sightings.push_back({{std::hypot(mx - x, my), std::atan2(my, mx - x) - t, -t}, {0.04, 0.003, 0.003}});
+            const std::array<LandmarkId, 3> names{4, 2, 9};
+            const std::array<std::int64_t, 3> shown{};
+            if (ids)
+                filter.weigh_identified(names, sightings, version);
+            else
+                filter.weigh_anonymous(sightings, shown, version);
+            const Filter::Reweighed weighed = filter.reweigh();
+            expect(weighed.possible && weighed.ess >= 1.0, "effective sample size", 0);
+            const std::span<const double> weights = filter.weights();
+            std::vector<double> sums;
+            for (const double w : weights) sums.push_back(w + (sums.empty() ? 0.0 : sums.back()));
+            filter.branch(evenly_spaced(sums, 0.5));
+            filter.end_step();
+        }
+        std::vector<double> out;
+        for (std::size_t i = 0; i < filter.particles(); ++i)
+            out.insert(out.end(), {filter.poses()->row(0)[i], filter.poses()->row(1)[i], filter.poses()->row(2)[i]});
+        return out;
+    };
+    const std::vector<double> one = run(1);
+    expect(one == run(3), "a filter does not depend on the number of threads", 0);
+    expect(std::all_of(one.begin(), one.end(), [](double x) { return std::isfinite(x); }), "finite poses", 0);
+}
+
+}  // namespace
+
+void test_particles() {
+    for (unsigned seed = 0; seed < 40; ++seed) {
+        test_history(seed);
+        test_weights(seed);
+        test_merged(seed);
+    }
+    for (unsigned seed = 0; seed < 200; ++seed) test_association(seed);
+    for (const double omega : {0.0, 1e-9, 0.05, 0.4, 0.5, 1.7, -2.5}) test_prediction(omega);
+    test_merge(true);
+    test_merge(false);
+    for (const bool oriented : {false, true}) {
+        for (const Version version : {Version::motion, Version::corrected_exact, Version::corrected_linearised}) {
+            test_filters(oriented, true, version, 0);
+            test_filters(oriented, false, version, 0);
+        }
+        test_filters(oriented, true, Version::corrected_exact, 3);
+    }
+}

@@ -1,0 +1,129 @@
+"""The samplers of the engine: NumPy's random numbers, and what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fastslam import GibbsOptions
+from fastslam.gibbs.bends import Bends, Target
+from fastslam.gibbs.sightings import Problem
+from graphslam import Log, MotionModel, SensorModel, simulate
+from graphslam.engine import engine
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return simulate(seed=2, steps=5, clean=True)
+
+
+@pytest.fixture(scope="module")
+def target(log: Log) -> Target:
+    return Target.of(Problem.of(log, MotionModel(), SensorModel()), GibbsOptions())
+
+
+def test_a_map_is_drawn_with_numpy_s_numbers(log: Log, target: Target) -> None:
+    """Given the trajectory, a landmark seen once is its sighting plus a root of its covariance times normal numbers."""
+    p, x = target.problem, log.initial_poses
+    drawn = target.in_engine.draw_map(x, np.random.default_rng(7).bit_generator)
+    normals = np.random.default_rng(7).standard_normal((len(p.ids), 3))
+    counts = np.bincount(p.marks)
+    for j in np.flatnonzero(counts == 1):
+        k = int(np.flatnonzero(p.marks == j)[0])
+        pose = x[p.steps[k]]
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        G = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        C = p.C[k][[[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+        expected = pose + G @ p.y[k] + np.linalg.cholesky(G @ C @ G.T) @ normals[j]
+        np.testing.assert_allclose(np.sin(drawn[j] - expected)[2], 0, atol=1e-12)
+        np.testing.assert_allclose(drawn[j, :2], expected[:2], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("first", lambda a: a[::-1].copy()),
+        ("first", lambda a: a[:-1]),
+        ("first", lambda a: a + 1),
+        ("marks", lambda a: a - 1),
+        ("marks", lambda a: a + 100),
+        ("y", lambda a: a[:-1]),
+        ("C", lambda a: a[:-1]),
+        ("z", lambda a: a[:, :2].copy()),
+        ("columns", lambda a: 2 * a),
+    ],
+)
+def test_problems_that_are_none_are_refused(target: Target, name: str, change: Any) -> None:
+    p = target.problem
+    given: dict[str, Any] = {"y": p.y, "C": p.C, "weights": p.C, "z": p.z, "q": p.q}
+    arrays = {name: np.ascontiguousarray(part) for name, part in given.items()}
+    given = {
+        "motions": p.motions,
+        "information": np.ascontiguousarray(p.information),
+        "first": p.first,
+        "marks": p.marks,
+    }
+    given |= arrays | {"landmarks": len(p.ids), "columns": p.columns, "exact": False, "degrees": 0.0}
+    engine.GibbsProblem(*given.values())
+    with pytest.raises((ValueError, TypeError)):
+        engine.GibbsProblem(*(given | {name: change(given[name])}).values())
+
+
+def test_chains_take_what_belongs_together(log: Log, target: Target) -> None:
+    bits, x = np.random.default_rng(0).bit_generator, log.initial_poses
+    marks = np.array([log.true_landmarks[j] for j in target.problem.ids.tolist()])
+    bends = Bends(target, x, marks)
+    chain = engine.GibbsChain(bits, x, target.problem.motions)
+    given = target.in_engine, *bends.mode, bends.directions, bends.deviations
+    trajectories, maps = chain.run(*given, 2, 1, 3, 2, True)
+    assert trajectories.shape == (3, *x.shape) and maps.shape == (3, *marks.shape)
+    for wrong in (
+        (*given[:1], x[:-1], *given[2:]),
+        (*given[:2], marks[:-1], *given[3:]),
+        (*given[:3], np.ascontiguousarray(bends.directions[:, :-1]), bends.deviations),
+    ):
+        with pytest.raises(ValueError, match="wrong number of rows|another width"):
+            chain.run(*wrong, 2, 1, 3, 2, True)
+    for particles, block in ((1, 1), (2, 0)):
+        with pytest.raises(ValueError, match="two particles"):
+            chain.run(*given, particles, block, 3, 2, True)
+    with pytest.raises(ValueError, match="another number of poses"):
+        engine.GibbsChain(bits, x[:3], target.problem.motions[:2]).run(*given, 2, 1, 3, 2, True)
+    with pytest.raises((AttributeError, TypeError)):
+        engine.GibbsChain(np.random.default_rng(0), x, target.problem.motions)
+    with pytest.raises(ValueError, match="rows"):
+        engine.GibbsChain(bits, x, target.problem.motions[:2])
+
+
+@pytest.mark.parametrize("parent", [-1, 4])
+def test_particles_have_parents(target: Target, parent: int) -> None:
+    poses, weights = np.zeros((6, 4, 3)), np.zeros((6, 4))
+    parents = np.zeros((6, 4), np.int32)
+    engine.BackwardSampler(poses, weights, parents, target.in_engine, 10).draw(np.random.default_rng(0).bit_generator)
+    with pytest.raises(ValueError, match="at least one"):
+        engine.BackwardSampler(poses, weights, parents, target.in_engine, 0)
+    with pytest.raises(ValueError, match="row for each step"):
+        engine.BackwardSampler(poses[:-1], weights, parents, target.in_engine, 10)
+    parents[3, 2] = parent
+    with pytest.raises(ValueError, match="none of the particles"):
+        engine.BackwardSampler(poses, weights, parents, target.in_engine, 10)
+
+
+def test_searches_take_what_belongs_together() -> None:
+    start, marks, some = np.array([0, 1, 2]), np.array([0, 1]), np.ones(2)
+    given: list[Any] = [start, marks, np.zeros((2, 2)), np.eye(4), some, some, np.ones(2, bool), np.ones(3), 10]
+    assert engine.best_hypothesis(*given)[0].shape == (2,)
+    for place, wrong in (
+        (0, np.array([0, 3, 2])), (0, np.array([1, 2])), (1, np.array([0, 2])), (1, np.array([0, -1])),
+        (2, np.zeros((2, 4))), (3, np.eye(3)), (4, np.ones(3)), (6, np.ones(1, bool)), (7, np.ones(2)),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=r"must|different|needed|coordinates|covariance"):
+            engine.best_hypothesis(*given[:place], wrong, *given[place + 1 :])
+    begin = np.array([[0, -1]])
+    pairs: list[Any] = [begin, marks, marks, np.zeros((2, 2)), np.eye(4), some, np.ones(2, bool), 1.0, 1.0, True]
+    assert engine.grow_hypotheses(*pairs)[0].shape == (1, 2)
+    for place, wrong in ((0, np.array([[2]])), (0, np.array([0])), (1, np.zeros(3, np.int64)), (5, np.ones(1))):
+        with pytest.raises(ValueError, match=r"begins|different"):
+            engine.grow_hypotheses(*pairs[:place], wrong, *pairs[place + 1 :])
