@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from .comparison import Comparison, run
     from .consistency import study_consistency
     from .datasets import survey
+    from .evaluation import evaluate
     from .importing import import_log
     from .options import RunOptions
     from .overview import inspect_log
@@ -47,6 +48,7 @@ _PUBLIC = {
     "comparison": "Comparison run",
     "consistency": "study_consistency",
     "datasets": "survey",
+    "evaluation": "evaluate",
     "importing": "import_log",
     "overview": "inspect_log",
     "options": "RunOptions",

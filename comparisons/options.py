@@ -429,6 +429,30 @@ class ImportOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class EvaluationOptions(Options):
+    """How `evaluation.evaluate` compares estimates with the ground truth. In `TableOptions`, truth names all trajectories."""
+
+    components = {"tables": (TableOptions, "Tables of trajectories")}
+    hidden = ("axes", "centre", "bearings", "sensor_offset", "truth_offset", "sensor_yaw")
+    true_map: Path | None = option(
+        None, "The true map (.csv, .npz, .yaml, .geojson).", metavar="FILE", default_text="that of a log"
+    )
+    maps: tuple[Path, ...] | None = option(
+        None, "The maps of the estimates, in their order; - for none.", metavar="FILE,..."
+    )
+    match: str = option(
+        "id", "How the error of a map finds pairs of landmarks: by their ids, or by place within the cutoff.",
+        choices=("id", "place"),
+    )  # fmt: skip
+    cutoff: float = option(
+        1.0, "A landmark farther than this from every true one is false; of GOSPA.", unit="m", positive=True
+    )
+    longest_gap: float = option(
+        1.0, "The truth is interpolated across gaps that are not longer than this.", unit="s", positive=True
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class SimulationOptions(Options):
     """A simulated log: a world, the faults of the robot, and the noise models of a clean world."""
 

@@ -42,7 +42,7 @@ COVARIANCE = ("var_x", "cov_xy", "var_y", "cov_x_heading", "cov_y_heading", "var
 #: words in other names of errors, and what they are errors of
 _OF_ERRORS = {"var", "variance", "cov", "covariance", "std", "stdev", "stddev", "sd", "sigma", "err", "error"}
 _ERRORS_OF = {"x", "y", "xx", "xy", "yy", "heading", "theta", "yaw", "pos", "position", "range"}
-_UPPER = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+UPPER = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 #: means, covariances, classes and joint covariance: the arguments of `LandmarkMap`
 Parts = dict[str, Any]
@@ -89,7 +89,7 @@ def map_text(
         mean = np.asarray(means[j], dtype=float).tolist()
         cells: list[float | None] = [*mean, *[None] * (3 - len(mean))]
         C = covariances.get(j)
-        cells += [None if C is None or max(place) >= len(C) else C[place] for place in _UPPER]
+        cells += [None if C is None or max(place) >= len(C) else C[place] for place in UPPER]
         row = [str(j), *("" if c is None or np.isnan(c) else repr(float(c)) for c in cells)]
         lines.append(",".join(row + [_quoted_cell(str(classes.get(j, "")))] * bool(classes)))
     return "\n".join(lines) + "\n"
@@ -147,7 +147,7 @@ def _check_errors(table: Table) -> None:
 
 def _symmetric(numbers: Mapping[str, float]) -> Array:
     C = np.full((3, 3), np.nan)
-    for name, (i, j) in zip(COVARIANCE, _UPPER):
+    for name, (i, j) in zip(COVARIANCE, UPPER):
         C[i, j] = C[j, i] = numbers.get(name, np.nan)
     return C
 

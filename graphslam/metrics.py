@@ -238,6 +238,42 @@ def named_by_place(
     return {ids[c]: estimate[numbers[r]] for r, c in zip(rows, columns, strict=True)}
 
 
+def matched_places(
+    truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], cutoff: float
+) -> list[tuple[int, int]]:
+    """The pairs (true id, id) of landmarks nearer than the cutoff [m] that `gospa` counts; maps in one frame, any ids."""
+    from scipy.optimize import linear_sum_assignment
+
+    if not truth or not estimate:
+        return []
+    ids, numbers = sorted(truth), sorted(estimate)
+    ways = _positions(estimate, numbers)[:, None] - _positions(truth, ids)
+    squares = np.sum(ways**2, axis=2)
+    rows, columns = linear_sum_assignment(np.minimum(squares, cutoff**2))
+    near = squares[rows, columns] < cutoff**2
+    return sorted((ids[c], numbers[r]) for r, c in zip(rows[near].tolist(), columns[near].tolist()))
+
+
+def gospa(truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], cutoff: float) -> float:
+    """The GOSPA distance [m] of two maps in one frame, with the exponents p = 2 and alpha = 2.
+
+        sqrt( min over pairs of  sum of |m_k - M_j|² + c²/2 (landmarks of both maps without a partner) )
+
+    A landmark that is missed or false costs as much as an error of c / sqrt(2), c the cutoff [m]. Ids do not count.
+
+    Source: Rahmathullah, Garcia-Fernandez and Svensson, *Generalized optimal sub-pattern assignment metric* (FUSION 2017).
+    """
+    pairs = matched_places(truth, estimate, cutoff)
+    if pairs:
+        true, found = (
+            np.array([np.asarray(of[j])[:2] for j in side]) for of, side in zip((truth, estimate), zip(*pairs))
+        )
+        near = float(np.sum((found - true) ** 2))
+    else:
+        near = 0.0
+    return float(np.sqrt(near + cutoff**2 / 2 * (len(truth) + len(estimate) - 2 * len(pairs))))
+
+
 def pose_nees(errors: Array, covariances: Array) -> Array:
     """The normalised estimation error squared e' P^-1 e / 3 for errors (T, 3) with covariances (T, 3, 3); (T,).
 

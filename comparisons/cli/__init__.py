@@ -15,7 +15,7 @@ import typer
 
 from .checks import backends, solvers
 from .imports import import_, show
-from .logs import calibrate, datasets, simulate
+from .logs import calibrate, datasets, evaluate, simulate
 from .run import animate, report, run
 from .studies import consistency, particles, study, sweep
 from .verb import add_verb, list_verb, name_of
@@ -64,6 +64,11 @@ VERBS: dict[Callable[..., None], tuple[str, ...]] = {
         "slam-compare show",
         "slam-compare show drive.npz --figure drive.png",
         "slam-compare show folder --json -",
+    ),
+    evaluate: (
+        "slam-compare evaluate truth.tum mine.tum theirs.csv --figure errors.png",
+        "slam-compare evaluate LOG mine.tum --maps mine-map.csv",
+        "slam-compare evaluate truth.csv mine.csv --angles truth=degrees --json -",
     ),
     solvers: (
         "slam-compare solvers",

@@ -1,4 +1,4 @@
-"""The verbs about logs: simulate, calibrate, datasets."""
+"""The verbs about logs and their ground truth: simulate, calibrate, evaluate, datasets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .output import DIFFERENT, Output
 from .verb import LogFile, command
 
 if TYPE_CHECKING:
-    from ..options import OUTPUT, CalibrationOptions, SimulationOptions
+    from ..options import OUTPUT, CalibrationOptions, EvaluationOptions, FigureOptions, SimulationOptions
 
 
 def simulate(
@@ -83,6 +83,33 @@ def calibrate(
     elif out is not None:
         leave_out = ("source", "gaussian", "robots")
         output.hint(f"Next: {command('run', log, '--noise', out, options=options, leave_out=leave_out)}")
+
+
+def evaluate(
+    output: Output,
+    truth: Annotated[
+        Path,
+        typer.Argument(metavar="TRUTH", help="The true poses: a table (.csv, .tum, ...), or a log with ground truth."),
+    ],
+    estimates: Annotated[list[Path], typer.Argument(metavar="ESTIMATE ...", help="Tables of estimated poses.")],
+    *,
+    options: EvaluationOptions,
+    drawing: FigureOptions,
+) -> None:
+    """Compare trajectories and maps of any program with the ground truth.
+
+    A trajectory is a table with columns t, x, y and theta, or a quaternion; TUM files are read as they are. Covariances of
+    the poses in the columns var_x, cov_xy, var_y, cov_x_heading, cov_y_heading and var_heading give the NEES.
+    """
+    from ..evaluation import evaluate as compare
+    from ..saving import FIGURE_FORMATS, check_can_write
+
+    if drawing.figure is not None:
+        check_can_write(drawing.figure, endings=FIGURE_FORMATS)
+    found = compare(truth, *estimates, options=options)
+    output.show(found)
+    output.json(found.to_json())
+    output.draw(found, drawing.figure)
 
 
 def datasets(

@@ -10,6 +10,8 @@ from .runs import (
     AssociationDocument,
     DoubtDocument,
     EstimatorDocument,
+    EvaluatedDocument,
+    EvaluateDocument,
     RunDocument,
     VerdictDocument,
     certificate_document,
@@ -21,6 +23,7 @@ from .studies import ConsistencyDocument, ParticlesDocument, StudyDocument, Swee
 #: the document that each verb writes
 DOCUMENTS: dict[str, type[Document]] = {
     "run": RunDocument,
+    "evaluate": EvaluateDocument,
     "simulate": SimulateDocument,
     "solvers": SolversDocument,
     "backends": BackendsDocument,
@@ -36,7 +39,8 @@ DOCUMENTS: dict[str, type[Document]] = {
 }
 
 __all__ = [
-    "DOCUMENTS", "AssociationDocument", "Document", "DoubtDocument", "EstimatorDocument", "VerdictDocument",
+    "DOCUMENTS", "AssociationDocument", "Document", "DoubtDocument", "EstimatorDocument", "EvaluateDocument",
+    "EvaluatedDocument", "VerdictDocument",
     "certificate_document", "describe",
     "document", "parameters_document",
 ]  # fmt: skip

@@ -221,3 +221,33 @@ class AnimateDocument(Document):
     seconds: Annotated[float, about("time of estimation and drawing [s]")]
     notes: Annotated[list[str], about("remarks of the estimator")]
     poses: Annotated[list[Pose], about("the trajectory in the last frame")]
+
+
+class EvaluatedDocument(Document):
+    """The errors of one estimate; null where they cannot be known."""
+
+    name: Annotated[str, about("name of the estimate")]
+    poses: Annotated[Count, about("number of its poses")]
+    compared: Annotated[Count, about("poses at whose time the truth is known")]
+    ate_m: Annotated[float, about("absolute trajectory error [m]")]
+    most_m: Annotated[float, about("largest position error after alignment [m]")]
+    rpe_m: Annotated[float | None, about("relative pose error between neighbouring poses [m]")]
+    rpe_rad: Annotated[float | None, about("the same of the rotation [rad]")]
+    heading_rad: Annotated[float | None, about("error of the headings after alignment [rad]")]
+    nees: Annotated[float | None, about("mean NEES of the poses per degree of freedom; 1: consistent")]
+    landmarks: Annotated[Count | None, about("number of landmarks of the map")]
+    landmark_rmse_m: Annotated[float | None, about("error of the map in the aligned frame [m]")]
+    missed: Annotated[Count | None, about("true landmarks without a partner within the cutoff")]
+    false: Annotated[Count | None, about("landmarks without a true one within the cutoff")]
+    gospa_m: Annotated[float | None, about("GOSPA distance of the maps [m], p = 2, alpha = 2")]
+
+
+class EvaluateDocument(Document):
+    """`slam-compare evaluate`."""
+
+    truth: Annotated[str, about("name of the ground truth")]
+    true_poses: Annotated[Count, about("number of true poses")]
+    true_landmarks: Annotated[Count | None, about("number of true landmarks; null without a true map")]
+    cutoff_m: Annotated[float, about("`--cutoff` [m]")]
+    estimates: Annotated[list[EvaluatedDocument], about("one for each estimate, in the order of the command")]
+    notes: Annotated[list[str], about("remarks of the readers")]

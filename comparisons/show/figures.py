@@ -144,6 +144,13 @@ def _draw_errors(axes: Axes, comparison: Comparison) -> None:
             # errors cross each other more often than paths do
             axes.plot(elapsed, errors, **style | {"linewidth": 0.7 * style.get("linewidth", 1.0)})
             medians.append(float(np.nanmedian(errors)))
+    log_scale_where_apart(axes, medians)
+    axes.set(xlabel=time_axis(comparison.log), ylabel="position error [m]", title="(b) position error of every pose")
+    axes.margins(x=0.02)
+
+
+def log_scale_where_apart(axes: Axes, medians: list[float]) -> None:
+    """A logarithmic axis where the medians of errors are more than a factor of ten apart."""
     positive = [median for median in medians if median > 0]
     if positive and max(positive) > 10 * min(positive):
         axes.set_yscale("log")
@@ -151,8 +158,6 @@ def _draw_errors(axes: Axes, comparison: Comparison) -> None:
         axes.set_ylim(bottom=min(positive) / 10)
     else:
         axes.set_ylim(bottom=0)
-    axes.set(xlabel=time_axis(comparison.log), ylabel="position error [m]", title="(b) position error of every pose")
-    axes.margins(x=0.02)
 
 
 def _draw_convergence(axes: Axes, comparison: Comparison) -> None:

@@ -10,12 +10,13 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from ..exchange import time_axis
-from .canvas import WIDTH, paper_figure, set_limits
-from .figures import MOST_SIGHTINGS
+from .canvas import WIDTH, as_text, paper_figure, set_limits
+from .figures import MOST_SIGHTINGS, log_scale_where_apart
 from .placement import between_poses, true_line
 from .style import SIGHTING, START, TRUE_LANDMARK, TRUTH, colour_of, style_of
 
 if TYPE_CHECKING:
+    from ..evaluation import Evaluation
     from ..overview import Histogram, Overview
 
 
@@ -76,3 +77,30 @@ def _draw_times(axes: Axes, overview: Overview) -> None:
 def _draw_histogram(axes: Axes, histogram: Histogram, label: str, title: str) -> None:
     axes.stairs(histogram.counts, histogram.edges, fill=True, color=colour_of("graph"))
     axes.set(xlabel=label, ylabel="sightings", title=title)
+
+
+def evaluation_figure(evaluation: Evaluation) -> Figure:
+    """The figure of estimates against the ground truth, 7.16 inches wide: aligned paths and maps, and position errors."""
+    with paper_figure() as figure:
+        left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
+        legend: dict[str, Any] = {}
+        true = evaluation.truth.poses
+        (legend["ground truth"],) = left.plot(true[:, 0], true[:, 1], **TRUTH)
+        if evaluation.true_map:
+            places = np.array([place[:2] for place in evaluation.true_map.values()])
+            (legend["true landmark"],) = left.plot(*places.T, **TRUE_LANDMARK)
+        medians = []
+        for k, each in enumerate(evaluation.estimates):
+            style = {"color": f"C{k % 10}", "linewidth": 1.0}
+            (legend[as_text(each.name)],) = left.plot(each.aligned[:, 0], each.aligned[:, 1], **style)
+            if each.aligned_map:
+                left.plot(*np.array(list(each.aligned_map.values())).T, "x", color=style["color"], markersize=4)
+            right.plot(each.times, each.errors, **style)
+            medians.append(float(np.median(each.errors)))
+        core = [true[:, :2], *([places] if evaluation.true_map else [])]
+        set_limits(left, np.concatenate(core), [each.aligned[:, :2] for each in evaluation.estimates])
+        left.set(xlabel="x [m]", ylabel="y [m]", title="(a) aligned paths")
+        log_scale_where_apart(right, medians)
+        right.set(xlabel="time [s]", ylabel="position error [m]", title="(b) position error of every pose")
+        figure.legend(list(legend.values()), list(legend), loc="outside lower center", ncols=min(4, len(legend)))
+    return figure

@@ -1,4 +1,4 @@
-"""Tables of logs: what an import found, and a log before it is solved."""
+"""Tables of logs: what an import found, a log before it is solved, and estimates of any program against the truth."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from .placement import between_poses
 from .text_plots import bars, plan
 
 if TYPE_CHECKING:
+    from ..evaluation import Evaluation
     from ..importing import Import
     from ..overview import Overview
     from .tables import Tables
@@ -87,3 +88,35 @@ def overview_tables(overview: Overview) -> Tables:
             "axes against the odometry."
         )
     return [rates, seen], remarks
+
+
+def evaluation_tables(evaluation: Evaluation) -> Tables:
+    """A row for each estimate; columns without any number are left out."""
+    estimates = evaluation.estimates
+    columns = {
+        "poses\ncompared": [f"{e.compared} of {e.poses}" for e in estimates],
+        "ATE\n[m]": [number(e.ate_m) for e in estimates],
+        "most\n[m]": [number(e.most_m) for e in estimates],
+        "RPE\n[m]": [number(e.rpe_m) for e in estimates],
+        "RPE\n[rad]": [number(e.rpe_rad) for e in estimates],
+        "heading\n[rad]": [number(e.heading_rad) for e in estimates],
+        "NEES": [number(e.nees, 2) for e in estimates],
+        "map\n[m]": [number(e.landmark_rmse_m) for e in estimates],
+        "missed": [NOTHING if e.missed is None else str(e.missed) for e in estimates],
+        "false": [NOTHING if e.false is None else str(e.false) for e in estimates],
+        "GOSPA\n[m]": [number(e.gospa_m) for e in estimates],
+    }
+    shown = {title: cells for title, cells in columns.items() if set(cells) != {NOTHING}}
+    truth = evaluation.truth
+    table = LeanTable(f"against {truth.name}: {len(truth.times)} true poses", ["estimate"], list(shown))
+    for k, each in enumerate(estimates):
+        table.add_row(each.name, *(cells[k] for cells in shown.values()))
+    remarks = ["Positions and maps are aligned to the truth by the rigid motion with the least squared errors."]
+    if "NEES" in shown:
+        remarks.append("NEES: 1 means consistent covariances, above 1 overconfident ones.")
+    if "GOSPA\n[m]" in shown:
+        how = "of the same ids" if evaluation.options.match == "id" else "matched by place"
+        remarks.append(
+            f"map: error of landmarks {how}; missed, false: without a partner within {evaluation.options.cutoff:g} m."
+        )
+    return [table], [*remarks, *(f"{note}." for note in evaluation.notes)]

@@ -49,6 +49,7 @@ RESULTS = {
     "ParticleStudy": ("study_tables.particle_tables", "study_figures.particles_figure"),
     "ConsistencyStudy": ("study_tables.consistency_tables", "study_figures.consistency_figure"),
     "Summary": ("study_tables.summary_tables", "study_figures.study_figure"),
+    "Evaluation": ("log_tables.evaluation_tables", "log_figures.evaluation_figure"),
     "Survey": ("study_tables.survey_tables", ""),
     "Calibration": ("study_tables.calibration_tables", ""),
     "Import": ("log_tables.import_tables", ""),

@@ -57,7 +57,7 @@ KINDS = {
 CONVINCING = 1.0
 #: below this gain of the log likelihood, divided by the sightings that count as one, odometry counts as nearly exact; and the
 #: seconds for one sighting of each landmark in the second test
-NEEDED, MORE = 7.5, 1.0
+NEEDED, MORE = 8.0, 1.0
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = {"sightings": 60, "poses": 20}
 #: an estimate is doubtful with fewer sightings than this, with more than this part of the ids wrong, and with a bias that is

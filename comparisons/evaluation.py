@@ -1,0 +1,291 @@
+"""`evaluate`: trajectories and maps of any program against the ground truth.
+
+A trajectory is a table of times and poses (CSV, TSV, TUM, Parquet), as `run` writes them; its rows may have the covariances
+of the poses in world axes, in the columns `graphslam.map_files.COVARIANCE`. Each pose of an estimate is compared with the
+truth at its time: between two true poses, on the arc that leads from one to the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from graphslam import LandmarkMap, LogError, OptionError, load
+from graphslam.map_files import COVARIANCE, UPPER
+from graphslam.metrics import (
+    align,
+    gospa,
+    heading_rmse,
+    landmark_rmse,
+    matched_places,
+    pose_nees,
+    position_errors,
+    rpe,
+)
+from graphslam.se2 import Array, compose, interpolate, rotation, wrap
+from graphslam.tables.columns import plain
+from graphslam.tables.drive import truth_of
+from graphslam.tables.options import TableOptions
+from graphslam.tables.sources import PARQUET, TEXT, table_of
+
+from .display import Displayed
+from .documents import EvaluatedDocument, EvaluateDocument, document
+from .options import EvaluationOptions
+
+#: stands for the map of an estimate that has none
+NO_MAP = Path("-")
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses with times.
+
+    Attributes:
+        name: that of the file, without its ending.
+        times: (N,) in nanoseconds, increasing.
+        poses: (N, 3), the heading NaN where it is not known.
+        covariances: (N, 3, 3) in world axes, or None.
+    """
+
+    name: str
+    times: np.ndarray
+    poses: Array
+    covariances: Array | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluated:
+    """The errors of one estimate; None where they cannot be known. Errors of the map are those after the same alignment.
+
+    Attributes:
+        name: of the estimate.
+        poses, compared: the number of its poses, and of those at whose time the truth is known.
+        ate_m, most_m: root mean square and largest of the position errors after alignment [m].
+        rpe_m, rpe_rad: errors of the motion between neighbouring poses, see `graphslam.metrics.rpe`.
+        heading_rad: root mean square of the errors of the headings after alignment.
+        nees: mean of e' P^-1 e / 3; about 1 for right covariances. Where that of the first pose is zero, errors are those
+            in its frame, else in that of the truth. None without covariances, true headings, or the truth of the first pose.
+        landmarks: the number of landmarks of the map.
+        landmark_rmse_m: error of the landmarks whose ids are true ones, or, with ``match="place"``, of the pairs.
+        missed, false: true landmarks that have no partner within the cutoff, and landmarks of the map without.
+        gospa_m: see `graphslam.metrics.gospa`.
+        times, errors: (N,) [s] since the first true pose, and position errors [m].
+        aligned: (N, 3) the aligned poses.
+        aligned_map: {id: place}.
+        notes: what the reader of the files has to say.
+    """
+
+    name: str
+    poses: int
+    compared: int
+    ate_m: float
+    most_m: float
+    rpe_m: float | None
+    rpe_rad: float | None
+    heading_rad: float | None
+    nees: float | None
+    times: Array
+    errors: Array
+    aligned: Array
+    landmarks: int | None = None
+    landmark_rmse_m: float | None = None
+    missed: int | None = None
+    false: int | None = None
+    gospa_m: float | None = None
+    aligned_map: Mapping[int, Array] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluation(Displayed):
+    """Estimates against one ground truth."""
+
+    truth: Trajectory
+    estimates: tuple[Evaluated, ...]
+    options: EvaluationOptions
+    true_map: Mapping[int, Array] | None = None
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What the readers of all files have to say."""
+        return (*self.truth.notes, *(note for each in self.estimates for note in each.notes))
+
+    def to_json(self) -> dict[str, Any]:
+        """The errors as plain data, see docs/json.md."""
+        return document(
+            EvaluateDocument, self, truth=self.truth.name, true_poses=len(self.truth.times),
+            true_landmarks=None if self.true_map is None else len(self.true_map), cutoff_m=self.options.cutoff,
+            estimates=[document(EvaluatedDocument, each) for each in self.estimates],
+        )  # fmt: skip
+
+
+def evaluate(
+    truth: str | PathLike[str],
+    *estimates: str | PathLike[str],
+    options: EvaluationOptions | None = None,
+    **changes: Any,
+) -> Evaluation:
+    """Compare trajectories, and maps, with the ground truth.
+
+    Args:
+        truth: a table of the true poses, or a log with ground truth, whose map counts, too.
+        estimates: tables of poses.
+        options: or single ones as keywords, see `options.EvaluationOptions`.
+
+    Raises:
+        LogError: a file holds no trajectory; no pose of an estimate is within the time of the truth.
+        OptionError: an option is impossible, or there is no estimate.
+    """
+    if options is not None and changes:
+        raise OptionError(f"give {next(iter(changes))} as a field of options, or leave out options")
+    options = options or EvaluationOptions.of(**changes)
+    if not estimates:
+        raise OptionError("name at least one estimate after the ground truth: evaluate TRUTH ESTIMATE ...")
+    if options.maps and len(options.maps) != len(estimates):
+        raise OptionError(
+            f"there are {len(options.maps)} maps for {len(estimates)} estimates; name one for each, - for none"
+        )
+    tables = TableOptions(**options.of_component("tables"))
+    right, true_map = _truth(Path(truth), tables)
+    if options.true_map is not None:
+        true_map = LandmarkMap.load(options.true_map)
+    if options.maps and true_map is None:
+        raise OptionError("maps are compared with the true map: name it with --true-map FILE")
+    names = _names([Path(path) for path in estimates])
+    found = []
+    for k, (name, path) in enumerate(zip(names, estimates)):
+        of_map = options.maps[k] if options.maps else NO_MAP
+        found.append(
+            _evaluated(
+                right, read_trajectory(Path(path), name, tables), true_map,
+                None if of_map == NO_MAP else LandmarkMap.load(of_map), options,
+            )
+        )  # fmt: skip
+    return Evaluation(right, tuple(found), options, true_map)
+
+
+def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
+    """The trajectory of a table.
+
+    Raises:
+        LogError: it has no times or poses; with the line and the likely cause.
+    """
+    if path.suffix.lower() not in (*TEXT, *PARQUET):
+        raise LogError(
+            f"{path}: a trajectory is a table ({', '.join((*TEXT, *PARQUET))}) with columns t, x, y and theta"
+        )
+    table = table_of(path, "trajectory")
+    timed = truth_of(table, options)
+    poses = timed.rows
+    if poses.shape[1] == 2:
+        poses = np.column_stack([poses, np.full(len(poses), np.nan)])
+    columns = {plain(each)[0]: k for k, each in enumerate(table.names or ())}
+    covariances = None
+    if "var_x" in columns and all(each in columns for each in COVARIANCE):
+        if len(timed.times) != len(table) or np.any(np.diff(timed.times) <= 0):
+            raise table.error(None, "rows with covariances must be in the order of time, and each needs a pose")
+        numbers, covariances = table.numbers([columns[each] for each in COVARIANCE]), np.empty((len(table), 3, 3))
+        for k, (i, j) in enumerate(UPPER):
+            covariances[:, i, j] = covariances[:, j, i] = numbers[:, k]
+    return Trajectory(name, timed.times, poses, covariances, timed.notes)
+
+
+def _truth(path: Path, options: TableOptions) -> tuple[Trajectory, Mapping[int, Array] | None]:
+    """The true trajectory, and the true map of a log."""
+    if path.suffix.lower() in (*TEXT, *PARQUET):
+        return read_trajectory(path, path.stem, options), None
+    log = load(path)
+    if log.true_poses is None or log.times is None:
+        raise LogError(f"{path}: the log has no true poses with times")
+    known = log.covered
+    times = np.round(log.times[known] * 1e9).astype(np.int64)
+    return Trajectory(path.stem, times, log.true_poses[known], notes=log.notes), log.true_landmarks
+
+
+def _evaluated(
+    truth: Trajectory,
+    estimate: Trajectory,
+    true_map: Mapping[int, Array] | None,
+    places: Mapping[int, Array] | None,
+    options: EvaluationOptions,
+) -> Evaluated:
+    right = _at(truth, estimate.times, options.longest_gap)
+    known = np.isfinite(right[:, 0])
+    if np.count_nonzero(known) < 2:
+        spans = [f"{each.times[0] / 1e9:.3f} to {each.times[-1] / 1e9:.3f} s" for each in (truth, estimate)]
+        raise LogError(
+            f"{estimate.name}: {np.count_nonzero(known)} of {len(known)} poses are at a time at which the truth is known; "
+            f"the truth goes from {spans[0]}, the estimate from {spans[1]}. If their clocks begin at different moments, "
+            "write the times of one by that of the other; --longest-gap allows longer gaps between true poses"
+        )
+    poses, at = estimate.poses[known], right[known]
+    placement = align(at, poses)
+    errors = position_errors(at, poses)
+    with_heading = bool(np.isfinite(poses[:, 2]).all())
+    step = rpe(at, poses) if with_heading else None
+    on_map: dict[str, Any] = {}
+    if places is not None and true_map is not None:
+        moved = {j: compose(placement, [*place[:2], 0.0])[:2] for j, place in places.items()}
+        pairs = matched_places(true_map, moved, options.cutoff)
+        named = {j: moved[k] for j, k in pairs} if options.match == "place" else moved
+        on_map = {
+            "landmarks": len(places), "landmark_rmse_m": landmark_rmse(true_map, named, np.zeros(3)),
+            "missed": len(true_map) - len(pairs), "false": len(moved) - len(pairs),
+            "gospa_m": gospa(true_map, moved, options.cutoff), "aligned_map": moved,
+        }  # fmt: skip
+    return Evaluated(
+        estimate.name, len(known), int(np.count_nonzero(known)),
+        ate_m=float(np.sqrt(np.mean(errors**2))), most_m=float(errors.max()),
+        rpe_m=None if step is None else step[0], rpe_rad=None if step is None else step[1],
+        heading_rad=heading_rmse(at, poses) if with_heading else None,
+        nees=_nees(at, poses, estimate.covariances[known] if known[0] and estimate.covariances is not None else None),
+        times=(estimate.times[known] - truth.times[0]) / 1e9, errors=errors, aligned=compose(placement, estimate.poses),
+        notes=estimate.notes, **on_map,
+    )  # fmt: skip
+
+
+def _at(truth: Trajectory, times: np.ndarray, longest_gap: float) -> Array:
+    """The true poses (N, 3) at times (N,) [ns], NaN where the truth has none for longer than a gap [s]."""
+    after = np.clip(np.searchsorted(truth.times, times), 1, len(truth.times) - 1) if len(truth.times) > 1 else 0 * times
+    before = np.maximum(after - 1, 0)
+    begin, end = truth.times[before], truth.times[after]
+    share = (times - begin) / np.maximum(end - begin, 1)
+    a, b = truth.poses[before], truth.poses[after]
+    # without headings, on the line between both positions
+    flat = ~np.isfinite(a[:, 2] + b[:, 2])
+    found = interpolate(np.where(flat[:, None], [0.0, 0.0, 0.0], a), np.where(flat[:, None], [0.0, 0.0, 0.0], b), share)
+    found[flat, :2] = a[flat, :2] + share[flat, None] * (b - a)[flat, :2]
+    found[flat, 2] = np.nan
+    inside = (times >= truth.times[0]) & (times <= truth.times[-1])
+    exact = (times == begin) | (times == end)
+    found[~inside | ((end - begin > longest_gap * 1e9) & ~exact)] = np.nan
+    return found
+
+
+def _nees(truth: Array, poses: Array, covariances: Array | None) -> float | None:
+    """`Evaluated.nees` of all poses (N, 3), the first with its truth."""
+    if covariances is None or not np.isfinite(truth).all() or not np.isfinite(poses).all():
+        return None
+    if not covariances[0].any():
+        turn = truth[0, 2] - poses[0, 2]
+        frame = np.array([*(truth[0, :2] - rotation(turn) @ poses[0, :2]), turn])
+        turned = np.eye(3)
+        turned[:2, :2] = rotation(turn)
+        poses, covariances = compose(frame, poses), turned @ covariances @ turned.T
+    errors = poses - truth
+    errors[:, 2] = wrap(errors[:, 2])
+    each = pose_nees(errors, covariances)
+    return float(np.nanmean(each)) if np.isfinite(each).any() else None
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """The names of the files without their endings, with the folder where two are alike."""
+    stems = [path.stem for path in paths]
+    return [str(Path(p.parent.name) / p.stem) if stems.count(p.stem) > 1 else p.stem for p in paths]

@@ -1,0 +1,170 @@
+"""`evaluate`: trajectories and maps of any program against the ground truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import comparisons
+from comparisons.cli import make_app
+from comparisons.exchange import tum_text
+from graphslam import FormatError, LandmarkMap, LogError, OptionError, load, metrics, sample_log_path, save, simulate
+from graphslam.map_files import COVARIANCE, UPPER
+from graphslam.se2 import compose
+
+TIMES = 100.0 + 0.1 * np.arange(200)
+#: half a circle of 10 m in 20 s
+TRUE = np.column_stack([
+    10 * np.sin(np.pi * (TIMES - 100) / 20), 10 - 10 * np.cos(np.pi * (TIMES - 100) / 20), np.pi * (TIMES - 100) / 20
+])  # fmt: skip
+
+
+@pytest.fixture
+def truth(tmp_path: Path) -> Path:
+    path = tmp_path / "truth.tum"
+    path.write_text(tum_text(TIMES, TRUE))
+    return path
+
+
+def written(path: Path, times: np.ndarray, poses: np.ndarray, covariances: np.ndarray | None = None) -> Path:
+    names, columns = ["t", "x", "y", "theta"], [times, *poses.T]
+    if covariances is not None:
+        names += COVARIANCE
+        columns += [covariances[:, i, j] for i, j in UPPER]
+    rows = [",".join(map(repr, map(float, row))) for row in zip(*columns)]
+    path.write_text("\n".join([",".join(names), *rows]) + "\n")
+    return path
+
+
+def test_the_errors_are_those_of_the_metrics(truth: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    poses = compose([3.0, -2.0, 0.7], TRUE) + rng.normal(0, [0.1, 0.1, 0.02], TRUE.shape)
+    found = comparisons.evaluate(truth, written(tmp_path / "mine.csv", TIMES, poses)).estimates[0]
+    assert (found.name, found.poses, found.compared) == ("mine", 200, 200)
+    assert found.ate_m == pytest.approx(metrics.ate(TRUE, poses), rel=1e-6)
+    assert (found.rpe_m, found.rpe_rad) == pytest.approx(metrics.rpe(TRUE, poses), rel=1e-6)
+    assert found.heading_rad == pytest.approx(metrics.heading_rmse(TRUE, poses), rel=1e-6)
+    assert found.most_m == pytest.approx(metrics.position_errors(TRUE, poses).max(), rel=1e-6)
+    assert found.nees is None and found.gospa_m is None
+
+
+def test_the_truth_is_taken_at_the_times_of_the_estimate(truth: Path, tmp_path: Path) -> None:
+    """Between two true poses on their arc: a chord of this circle would be 0.3 mm off."""
+    times = np.arange(99.05, 125.0, 0.1)
+    turned = np.pi * (times - 100) / 20
+    poses = np.column_stack([10 * np.sin(turned), 10 - 10 * np.cos(turned), turned])
+    found = comparisons.evaluate(truth, written(tmp_path / "mine.csv", times, poses)).estimates[0]
+    assert found.compared == np.count_nonzero((times >= TIMES[0]) & (times <= TIMES[-1]))
+    assert found.ate_m < 1e-6
+    # with gaps of five seconds in the truth
+    rare = tmp_path / "rare.tum"
+    rare.write_text(tum_text(TIMES[::50], TRUE[::50]))
+    few = comparisons.evaluate(rare, tmp_path / "mine.csv", longest_gap=5.5).estimates[0]
+    assert few.compared == np.count_nonzero((times >= 100.0) & (times <= 115.0)) and few.ate_m < 1e-4
+    with pytest.raises(
+        LogError, match="0 of 260 poses are at a time at which the truth is known; the truth goes from 100"
+    ):
+        comparisons.evaluate(rare, tmp_path / "mine.csv")
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_right_covariances_have_a_nees_of_one(truth: Path, tmp_path: Path, held: bool) -> None:
+    rng = np.random.default_rng(1)
+    root = np.array([[0.1, 0, 0], [0.05, 0.2, 0], [0.01, 0.02, 0.03]])
+    poses = TRUE + rng.normal(size=TRUE.shape) @ root.T
+    covariances = np.broadcast_to(root @ root.T, (len(poses), 3, 3)).copy()
+    if held:
+        # the errors of the others are those in the frame of the first pose, wherever it is said to be
+        poses[0], covariances[0] = TRUE[0], 0.0
+        frame = np.array([5.0, 1.0, 0.0])
+        poses = compose(frame, poses)
+    found = comparisons.evaluate(truth, written(tmp_path / "mine.csv", TIMES, poses, covariances)).estimates[0]
+    # the mean of 200 values of chi-square / 3, whose standard deviation is sqrt(2/3)
+    assert found.nees == pytest.approx(1.0, abs=4 * (2 / 3 / 200) ** 0.5)
+
+
+def test_maps_are_compared_by_id_and_by_place(truth: Path, tmp_path: Path) -> None:
+    estimate = written(tmp_path / "mine.csv", TIMES, compose([1.0, 2.0, 0.5], TRUE))
+    right = LandmarkMap({j: [2.0 * j, 3.0] for j in range(5)})
+    right.save(tmp_path / "true.csv")
+    # 0 is missed, 3 and 4 are exchanged, 9 does not exist; all others are 0.1 m off
+    places = {1: [2.1, 3.0], 2: [4.1, 3.0], 4: [6.1, 3.0], 3: [8.1, 3.0], 9: [50.0, 50.0]}
+    LandmarkMap({j: compose([1.0, 2.0, 0.5], [*p, 0.0])[:2] for j, p in places.items()}).save(tmp_path / "map.csv")
+    options = {"true_map": tmp_path / "true.csv", "maps": (str(tmp_path / "map.csv"),)}
+    by_id = comparisons.evaluate(truth, estimate, **options).estimates[0]
+    assert (by_id.landmarks, by_id.missed, by_id.false) == (5, 1, 1)
+    assert by_id.landmark_rmse_m == pytest.approx(np.sqrt((2 * 0.1**2 + 1.9**2 + 2.1**2) / 4), rel=1e-6)
+    assert by_id.gospa_m == pytest.approx(np.sqrt(4 * 0.1**2 + 2 / 2), rel=1e-6)
+    by_place = comparisons.evaluate(truth, estimate, match="place", cutoff=0.5, **options).estimates[0]
+    assert by_place.landmark_rmse_m == pytest.approx(0.1, rel=1e-6)
+    assert by_place.gospa_m == pytest.approx(np.sqrt(4 * 0.1**2 + 2 * 0.25 / 2), rel=1e-6)
+
+
+def test_gospa_against_all_assignments() -> None:
+    from itertools import permutations
+
+    rng = np.random.default_rng(3)
+    true, found = ({j: rng.uniform(0, 3, 2) for j in range(n)} for n in (4, 5))
+    c = 1.2
+    best = min(
+        sum(min(np.sum((true[j] - found[k]) ** 2), c**2) for j, k in zip(true, chosen)) + c**2 / 2
+        for chosen in permutations(found, 4)
+    )
+    assert metrics.gospa(true, found, c) == pytest.approx(best**0.5, rel=1e-12)
+    assert metrics.gospa(true, {}, c) == pytest.approx((4 * c**2 / 2) ** 0.5)
+    assert metrics.gospa({}, {}, c) == 0.0
+
+
+def test_what_run_writes_has_the_errors_of_its_table(tmp_path: Path) -> None:
+    """Also against the log, whose true poses and map count."""
+    comparison = comparisons.run(sample_log_path(), estimators=["graph"])
+    comparison.save(tmp_path)
+    save(load(sample_log_path()), tmp_path / "log.npz")
+    for right in (tmp_path / "truth.tum", tmp_path / "log.npz"):
+        options = {"maps": [str(tmp_path / "graph-map.npz")], "true_map": str(tmp_path / "truth-map.csv")}
+        if right.suffix == ".npz":
+            del options["true_map"]
+        found = comparisons.evaluate(right, tmp_path / "graph.tum", **options).estimates[0]
+        row = comparison.table["graph"]
+        assert found.ate_m == pytest.approx(row.ate_m, abs=1e-6)
+        assert found.rpe_m == pytest.approx(row.rpe_m, abs=1e-6)
+        assert found.landmark_rmse_m == pytest.approx(row.landmark_rmse_m, abs=1e-6)
+
+
+def test_the_verb_writes_table_json_and_figure(truth: Path, tmp_path: Path) -> None:
+    mine = written(tmp_path / "mine.csv", TIMES, TRUE + [0.1, 0.0, 0.0] * np.sin(TIMES)[:, None])
+    flat = tmp_path / "flat.csv"
+    flat.write_text("t,x,y\n" + "\n".join(f"{t!r},{x!r},{y!r}" for t, (x, y, _) in zip(TIMES.tolist(), TRUE.tolist())))
+    words = [truth, mine, flat, "--json", tmp_path / "e.json", "--figure", tmp_path / "e.png"]
+    done = CliRunner().invoke(make_app(["evaluate"]), ["evaluate", *map(str, words)])
+    assert done.exit_code == 0, done.output
+    assert "mine" in done.output and "200 of 200" in done.output and "NEES" not in done.output
+    content = json.loads((tmp_path / "e.json").read_text())
+    assert [each["name"] for each in content["estimates"]] == ["mine", "flat"]
+    assert content["estimates"][1]["rpe_m"] is None and content["estimates"][1]["ate_m"] < 1e-6
+    assert (tmp_path / "e.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_impossible_input_is_refused_with_a_sentence(truth: Path, tmp_path: Path) -> None:
+    estimate = written(tmp_path / "mine.csv", TIMES, TRUE)
+    with pytest.raises(OptionError, match="name at least one estimate"):
+        comparisons.evaluate(truth)
+    with pytest.raises(OptionError, match="there are 2 maps for 1 estimates; name one for each, - for none"):
+        comparisons.evaluate(truth, estimate, maps=["-", "-"])
+    with pytest.raises(OptionError, match="name it with --true-map FILE"):
+        comparisons.evaluate(truth, estimate, maps=["map.csv"])
+    with pytest.raises(LogError, match="a trajectory is a table"):
+        comparisons.evaluate(truth, tmp_path / "graph.g2o")
+    with pytest.raises(FormatError):
+        comparisons.evaluate(truth, tmp_path / "missing.csv")
+    save(simulate(seed=0).replace(true_poses=None, true_landmarks=None), tmp_path / "log.npz")
+    with pytest.raises(LogError, match="the log has no true poses with times"):
+        comparisons.evaluate(tmp_path / "log.npz", estimate)
+    gap = TRUE.copy()
+    gap[7] = np.nan
+    with pytest.raises(LogError, match="rows with covariances must be in the order of time, and each needs a pose"):
+        comparisons.evaluate(truth, written(tmp_path / "gap.csv", TIMES, gap, np.zeros((len(TRUE), 3, 3))))
