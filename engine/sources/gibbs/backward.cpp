@@ -97,19 +97,23 @@ Number BackwardSampler::attach(Random& random, Number t, Number ancestor, std::s
             const auto at = std::upper_bound(sums.begin(), sums.end(), level) - sums.begin();
             candidates[c] = std::min(static_cast<Number>(at), N - 1);
         }
-        log_weights[c] += log_likelihood(t, candidates[c], shared);
     }
+    add_log_likelihoods(t, candidates, shared, log_weights);
     return candidates[random.choose(log_weights)];
 }
 
-/// The sum of log N(mean_after; q(x_i, mean_i), S_after + S_i), in world axes.
-double BackwardSampler::log_likelihood(Number t, Number i, std::span<const Shared> shared) const {
-    const Frame pose(particles_.pose(t, i));
-    double sum = 0.0;
-    for (const auto& [particles, slots, after] : shared)
-        sum += density((*particles)[slots[i]], composed(pose, after->mean), edges::turned(pose.axes, after->S),
-                       problem_.oriented);
-    return sum;
+/// Add the sum of log N(mean_after; q(x_i, mean_i), S_after + S_i), in world axes, for some particles i. The particles of one
+/// landmark follow each other, because they are near each other in memory.
+void BackwardSampler::add_log_likelihoods(Number t, std::span<const Number> particles, std::span<const Shared> shared,
+                                          std::span<double> log_weights) const {
+    std::vector<Frame> poses;
+    for (const Number i : particles) poses.emplace_back(particles_.pose(t, i));
+    std::vector<LogDensities> densities(particles.size());
+    for (const auto& [marks, slots, after] : shared)
+        for (std::size_t c = 0; c < particles.size(); ++c)
+            densities[c].add((*marks)[slots[particles[c]]], composed(poses[c], after->mean),
+                             edges::turned(poses[c].axes, after->S), problem_.oriented);
+    for (std::size_t c = 0; c < particles.size(); ++c) log_weights[c] += densities[c].sum();
 }
 
 }  // namespace vmslam::gibbs

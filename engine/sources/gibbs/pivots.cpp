@@ -74,10 +74,10 @@ Pivots::Fit Pivots::fit(Number t, const Frame& start) const {
 
 /// The sum of log N(mean_after; q(x_t, mean_before), S_after + S_before), in world axes.
 double Pivots::log_likelihood(const Frame& pose) const {
-    double sum = 0.0;
+    LogDensities densities;
     for (const auto& [before, after] : shared_)
-        sum += density(*before, composed(pose, after->mean), edges::turned(pose.axes, after->S), problem_.oriented);
-    return sum;
+        densities.add(*before, composed(pose, after->mean), edges::turned(pose.axes, after->S), problem_.oriented);
+    return densities.sum();
 }
 
 Vector Pivots::choose(Random& random, Number t, const Frame& start) {

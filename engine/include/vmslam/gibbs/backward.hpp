@@ -55,7 +55,8 @@ class BackwardSampler {
     void compute_maps();
     void observe(Number t);
     Number attach(Random& random, Number t, Number ancestor, std::span<const Shared> shared) const;
-    double log_likelihood(Number t, Number i, std::span<const Shared> shared) const;
+    void add_log_likelihoods(Number t, std::span<const Number> particles, std::span<const Shared> shared,
+                             std::span<double> log_weights) const;
 
     const RecordedParticles particles_;
     const Problem& problem_;

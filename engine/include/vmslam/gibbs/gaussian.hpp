@@ -132,6 +132,25 @@ inline double density(const Gaussian& mark, const Vector& y, const Symmetric& C,
     return log_density(r, W, W.matrix * r);
 }
 
+/// The sum of many log densities; one logarithm serves many determinants, whose product stays within floating point.
+class LogDensities {
+   public:
+    /// Add log N(y; mean, S + C).
+    void add(const Gaussian& mark, const Vector& y, const Symmetric& C, bool oriented) {
+        const Inverse W = inverse(mark.S + C);
+        const Vector r = innovation(y, mark.mean, oriented);
+        squares_ += squared(W.matrix, r);
+        determinants_ *= W.determinant;
+        if (determinants_ > 1e-200 && determinants_ < 1e200) return;
+        logarithms_ += logarithm(determinants_);
+        determinants_ = 1.0;
+    }
+    double sum() const { return -0.5 * (squares_ + logarithms_ + logarithm(determinants_)); }
+
+   private:
+    double squares_ = 0.0, determinants_ = 1.0, logarithms_ = 0.0;
+};
+
 /// Let a landmark absorb the observation y ~ N(m, C); returns log N(y; mean, S + C), 0 for the first one.
 double fuse(Gaussian& mark, const Vector& y, const Symmetric& C, bool oriented);
 
