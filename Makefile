@@ -6,16 +6,16 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .PHONY: compare test check lint engine-test docs docs-check clean
 
-compare: .venv/.compiled
+compare: .venv/.installed
 	$(BIN)/slam-compare run
 
 # two processes; the tests of a file stay together, because they share its fixtures, in the order of tests/conftest.py
 PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
-test: lint .venv/.compiled-all
+test: lint .venv/.installed-test
 	$(PYTEST)
 
-check: lint .venv/.compiled-all
+check: lint .venv/.installed-test
 	$(PYTEST) -m "not slow and not browser and not cluster"
 
 lint: .venv/.installed-test
@@ -32,8 +32,6 @@ lint: .venv/.installed-test
 .venv/.tools: engine/build_backend.py | .venv/bin/python
 	$(PIP) install 'scikit-build-core>=0.11' 'nanobind>=2.4'
 	$(BIN)/python engine/build_backend.py | $(PIP) install --requirement /dev/stdin
-	@# compiled numba kernels name the modules from which they came; those of the factorisation moved
-	@find graphslam fastslam -name '*.nb[ic]' -delete
 	@touch $@
 
 # pip runs again when the requirements or the engine change; a stamp is written only when everything is installed
@@ -43,13 +41,6 @@ INSTALL = @echo "Installing packages and building the engine: $(1)" && $(PIP) in
 .venv/.installed: pyproject.toml $(ENGINE) .venv/.tools
 	$(call INSTALL,.)
 	@touch $@
-
-# not needed, only quicker: the kernels of both packages, on two cores; first those of a comparison, for tests all
-.venv/.compiled: .venv/.installed
-	touch $@
-
-.venv/.compiled-all: .venv/.compiled
-	touch $@
 
 .venv/.installed-test: pyproject.toml $(ENGINE) .venv/.tools
 	$(call INSTALL,.[test])
@@ -62,12 +53,12 @@ engine-test:
 	build/engine-test/vmslam_tests
 
 # the documentation site in English and Japanese; results of its code are kept in .cache, and its pages are tested if it is built
-docs: .venv/.installed-docs .venv/.compiled
+docs: .venv/.installed-docs .venv/.installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "open site/index.html, or run: $(BIN)/mkdocs serve"
 
 # a quick check of the site: links, formulas, both languages, and the code of some pages, which the commit chooses
-docs-check: .venv/.installed-docs .venv/.compiled
+docs-check: .venv/.installed-docs .venv/.installed
 	NO_MKDOCS_2_WARNING=1 SITE_SECONDS=$${SITE_SECONDS:-30} $(BIN)/mkdocs build --strict --quiet --site-dir .cache/site-check
 
 .venv/.installed-docs: pyproject.toml $(ENGINE) .venv/.tools

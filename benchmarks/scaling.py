@@ -6,7 +6,7 @@ A robot mows a strip of a given width among landmarks, about ten in view at each
 again on its way back; 2-D sensor, clean noise a tenth of the book's. A strip grows in one direction, so elimination
 costs the same per pose; a field that grows in both has the n^1.5 of all planar graphs (try --side 250). Each size runs
 in a process of its own, so that the peak memory is that size's. "cpu" is the processor time of building and solving;
-NUMBA_NUM_THREADS=1 keeps the factorisation on one thread.
+OMP_NUM_THREADS=1 keeps the factorisation on one thread.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ def check_unchanged(log: Path | None, sha256: str) -> None:
 def versions() -> list[str]:
     """This project, Python and the packages that the numbers depend on, with their versions."""
     found = []
-    for name in ("virtual-motion-slam", "numpy", "scipy", "numba", "gtsam"):
+    for name in ("virtual-motion-slam", "numpy", "scipy", "gtsam"):
         try:
             found.append(f"{name} {version(name)}")
         except PackageNotFoundError:

@@ -22,6 +22,9 @@ from graphslam.errors import OptionError, quoted
 _RENAMED = {("sensor", name): f"sensor_{name}" for name in ("offset", "min_range", "max_range", "field_of_view")}
 _RENAMED |= {("gibbs", f.name): f"gibbs_{f.name}" for f in fields(GibbsOptions)}
 
+#: the group of the options that say what is written
+OUTPUT = "Output"
+
 
 class Points:
     """The kind of options that are a list of points, or their number: 'x,y x,y ...' on the command line."""

@@ -23,15 +23,17 @@ from graphslam.models import RESIDUALS, MotionModel, SensorModel
 from graphslam.parameters.declared import PARAMETERS, parsed
 from graphslam.sources.simulator import MotionFaults, SensorFaults
 from graphslam.sources.worlds import WORLDS, World
-from graphslam.tables.options import TableOptions
 
+from .option import OUTPUT as OUTPUT
 from .option import Options
+from .table_options import EvaluationOptions as EvaluationOptions
+from .table_options import ImportOptions as ImportOptions
 
 #: the noise models: parameter name of an estimator and table of a TOML file -> the model
 MODELS: dict[str, type[MotionModel] | type[SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
 
 #: groups of options in the help of a verb
-NOISE, FILTER, GIBBS, OUTPUT = "Noise models", "Particle filters", "Particle smoother", "Output"
+NOISE, FILTER, GIBBS = "Noise models", "Particle filters", "Particle smoother"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -403,52 +405,6 @@ class CalibrationOptions(ReadingOptions):
         False,
         "With the ground truth, count every residual fully, those of wrong sightings too; the default is Student's t "
         "distribution.",
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImportOptions(Options):
-    """Where the tables or topics of a drive are, and how `importing.import_log` reads them."""
-
-    panel = "Tables and topics"
-    components = {"tables": (TableOptions, "Units, clocks, columns and axes")}
-    odometry: str | None = option(
-        None, "Table or topic of the odometry.", metavar="FILE|TOPIC", default_text="found by name and type"
-    )
-    sightings: str | None = option(None, "Table or topic of the sightings.", metavar="FILE|TOPIC")
-    truth: str | None = option(None, "Table or topic of the true poses.", metavar="FILE|TOPIC")
-    map: str | None = option(None, "Table of the true landmarks.", metavar="FILE")
-    recipe: Path | None = option(
-        None, "TOML file with these options, files, topics and columns; see docs/own_robot.md.", metavar="FILE",
-        default_text="import.toml in the folder",
-    )  # fmt: skip
-    keep_every: float | None = option(
-        None, "Also keep a pose at least once in this time, even where nothing was seen.", unit="s", positive=True,
-        default_text="poses only where something was seen", panel=OUTPUT,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluationOptions(Options):
-    """How `evaluation.evaluate` compares estimates with the ground truth. In `TableOptions`, truth names all trajectories."""
-
-    components = {"tables": (TableOptions, "Tables of trajectories")}
-    hidden = ("axes", "centre", "bearings", "sensor_offset", "truth_offset", "sensor_yaw")
-    true_map: Path | None = option(
-        None, "The true map (.csv, .npz, .yaml, .geojson).", metavar="FILE", default_text="that of a log"
-    )
-    maps: tuple[Path, ...] | None = option(
-        None, "The maps of the estimates, in their order; - for none.", metavar="FILE,..."
-    )
-    match: str = option(
-        "id", "How the error of a map finds pairs of landmarks: by their ids, or by place within the cutoff.",
-        choices=("id", "place"),
-    )  # fmt: skip
-    cutoff: float = option(
-        1.0, "A landmark farther than this from every true one is false; of GOSPA.", unit="m", positive=True
-    )
-    longest_gap: float = option(
-        1.0, "The truth is interpolated across gaps that are not longer than this.", unit="s", positive=True
     )
 
 

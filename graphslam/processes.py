@@ -26,7 +26,7 @@ from pebble import ProcessExpired, ProcessPool
 
 from .errors import SlamError
 
-_ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
                              "VECLIB_MAXIMUM_THREADS", "TBB_NUM_THREADS"), "1")  # fmt: skip
 
 

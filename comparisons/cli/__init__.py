@@ -1,6 +1,6 @@
 """The command line ``slam-compare``, also ``python -m comparisons``.
 
-NumPy, numba, GTSAM, matplotlib and the estimators are imported inside the verbs, so that ``--help`` answers at once.
+NumPy, GTSAM, matplotlib and the estimators are imported inside the verbs, so that ``--help`` answers at once.
 Exit status: 0 success, 1 a comparison found a difference or a run failed, 2 wrong input or option, 130 interrupted.
 """
 

@@ -363,6 +363,7 @@ def _fitted(unknowns: Unknowns, rounds: int) -> tuple[Unknowns, dict[str, float]
         gain, errors = improve_variances(unknowns)
         if gain < GAIN:
             break
+    unknowns.take_noise()
     unknowns.iterate(1)
     names = [*unknowns.motion_parts, *unknowns.sensor_parts]
     return unknowns, {name: float(error) / 2 for name, error in zip(names, errors)}

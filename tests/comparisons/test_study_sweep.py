@@ -172,7 +172,7 @@ def test_the_time_limit_ends_one_run_and_no_other(make: Callable[..., Study]) ->
 @pytest.mark.slow
 def test_a_task_that_dies_or_takes_too_long_costs_only_itself() -> None:
     with processes(1, []) as pool:
-        assert pool.schedule(os.getenv, ("NUMBA_NUM_THREADS",)).result() == "1"
+        assert pool.schedule(os.getenv, ("OMP_NUM_THREADS",)).result() == "1"
         died = pool.schedule(os.kill, (pool.schedule(os.getpid).result(), signal.SIGSEGV))
         with pytest.raises(ProcessExpired) as caught:
             died.result()

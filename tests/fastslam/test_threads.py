@@ -73,7 +73,7 @@ def test_bad_number(threads: float) -> None:
         FastSLAM1(threads=threads)
 
 
-def test_the_limit_of_numba_is_respected(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
+def test_the_limit_of_the_environment_is_respected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
     assert available_threads() == 1
     assert FastSLAM1(particles=100_000)._engine.threads == 1

@@ -9,7 +9,7 @@ import pytest
 import graphslam
 from graphslam import MotionFaults, MotionModel, SensorFaults, SensorModel, World
 
-HEAVY = ("gtsam", "numba", "scipy.stats", "scipy.io", "scipy.optimize", "scipy.sparse")
+HEAVY = ("gtsam", "scipy.stats", "scipy.io", "scipy.optimize", "scipy.sparse")
 
 
 @pytest.mark.parametrize(
