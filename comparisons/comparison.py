@@ -252,13 +252,24 @@ class Comparison(Displayed):
         if not {"given", "log"} & set(self.noise_source.values()) or self.noise_ratio is None:
             return
         name, ratio = self.noise_ratio
-        ratios = {"all": ratio} | typical_costs(self[name])
-        if max(ratios.values()) > DOUBTFUL:
-            shown = ", ".join(f"{value:.1f} of {each}" for each, value in ratios.items())
+        medians = typical_costs(self[name])
+        shown = ", ".join(f"{value:.1f} in the median of the {each}" for each, value in medians.items())
+        told = (
+            f"J per degree of freedom of {name} is {ratio:.1f}, its shares {shown}"
+            if medians
+            else (f"J per degree of freedom of {name} is {ratio:.1f}")
+        )
+        if max(medians.values(), default=ratio) > DOUBTFUL:
             yield Finding(
                 "too little noise",
-                f"the noise models say less noise than this log shows: J per degree of freedom of {name} is {shown}, and "
-                "should be about 1; do they belong to another robot, or are sightings wrong? Compare with --noise auto",
+                f"the noise models say less noise than this log shows: {told}, and should be about 1; do they belong to "
+                "another robot, or are sightings wrong? Compare with --noise auto",
+            )
+        elif ratio > DOUBTFUL:
+            yield Finding(
+                "wrong sightings",
+                f"{told}, and should be about 1: the noise models fit most sightings, and some are wrong, such as by misread "
+                "ids. A noise file does not correct ids; --noise auto does",
             )
 
     @property

@@ -152,8 +152,10 @@ def evaluate(
         raise OptionError(
             f"there are {len(options.maps)} maps for {len(estimates)} estimates; name one for each, - for none"
         )
-    tables = TableOptions(**options.of_component("tables"))
-    right, true_map = _truth(Path(truth), tables)
+    given = options.of_component("tables")
+    right, true_map = _truth(Path(truth), TableOptions(**given))
+    # what is said of the truth alone does not hold for the estimates
+    tables = TableOptions(**{name: _without_truth(value) for name, value in given.items()})
     if options.true_map is not None:
         true_map = LandmarkMap.load(options.true_map)
     if options.maps and true_map is None:
@@ -189,6 +191,10 @@ def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
     columns = {plain(each)[0]: k for k, each in enumerate(table.names or ())}
     covariances = None
     if "var_x" in columns and all(each in columns for each in COVARIANCE):
+        if any(unit in each for each in timed.columns for unit in ("[cm]", "[mm]", "[degrees]")):
+            raise table.error(
+                None, "poses with covariances must be in metres and radians, the units of the covariances"
+            )
         if len(timed.times) != len(table) or np.any(np.diff(timed.times) <= 0):
             raise table.error(None, "rows with covariances must be in the order of time, and each needs a pose")
         numbers, covariances = table.numbers([columns[each] for each in COVARIANCE]), np.empty((len(table), 3, 3))
@@ -207,6 +213,14 @@ def _truth(path: Path, options: TableOptions) -> tuple[Trajectory, Mapping[int, 
     known = log.covered
     times = np.round(log.times[known] * 1e9).astype(np.int64)
     return Trajectory(path.stem, times, log.true_poses[known], notes=log.notes), log.true_landmarks
+
+
+def _without_truth(value: Any) -> Any:
+    """The value of an option of tables without its entries for the table "truth"."""
+    if not isinstance(value, str):
+        return value
+    entries = [each for each in value.split(",") if not each.strip().startswith(("truth=", "truth."))]
+    return ",".join(entries) or None
 
 
 def _evaluated(

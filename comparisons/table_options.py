@@ -35,7 +35,10 @@ class ImportOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationOptions(Options):
-    """How `evaluation.evaluate` compares estimates with the ground truth. In `TableOptions`, truth names all trajectories."""
+    """How `evaluation.evaluate` compares estimates with the ground truth.
+
+    In the options of tables, truth=... holds for the ground truth alone, and a value without a table for all trajectories.
+    """
 
     components = {"tables": (TableOptions, "Tables of trajectories")}
     hidden = ("axes", "centre", "bearings", "sensor_offset", "truth_offset", "sensor_yaw")

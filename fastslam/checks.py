@@ -57,6 +57,9 @@ def measurements(ids: Any, sightings: ArrayLike) -> tuple[np.ndarray, Array]:
         raise OptionError(f"observe takes {expected}, not {quoted(ids)} and {quoted(sightings)}") from None
     if numbers.dtype.kind not in "iu":
         raise OptionError(f"the ids of landmarks must be whole numbers, not {quoted(numbers.tolist())}")
+    if numbers.dtype.kind == "u" and np.any(numbers > np.iinfo(np.int64).max):
+        raise OptionError(f"the ids of landmarks must be below 2^63, not {quoted(int(numbers.max()))}")
+    numbers = numbers.astype(np.int64)
     if not np.all(np.isfinite(z)) or np.any(z[:, 0] <= 0):
         raise OptionError("sightings must be finite and their ranges above zero")
     z[:, 1:] = wrap(z[:, 1:])

@@ -283,7 +283,7 @@ def _noise_remarks(comparison: Comparison) -> list[str]:
         remarks.append(f"J per dof (degree of freedom): about 1 means that the noise models fit{but}.{verdict}")
     expected = [f"{r.name} {number(r.expected_ate_m, 3)} m" for r in comparison.results if r.expected_ate_m is not None]
     if expected:
-        remarks.append(f"Expected ATE, from the covariances: {', '.join(expected)}.")
+        remarks.append(f"Expected ATE, from the covariances, if the noise models are right: {', '.join(expected)}.")
     return remarks
 
 

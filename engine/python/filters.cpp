@@ -32,7 +32,13 @@ class SharedFilter {
     auto with(const Work& work) {
         const nb::gil_scoped_release release;
         const std::lock_guard lock(mutex_);
-        return work(filter_);
+        require(!incomplete_, "an earlier step of this filter ran out of memory: make a new one with fewer particles");
+        try {
+            return work(filter_);
+        } catch (const std::bad_alloc&) {
+            incomplete_ = true;
+            throw;
+        }
     }
 
    private:
@@ -46,6 +52,7 @@ class SharedFilter {
     }
 
     std::mutex mutex_;
+    bool incomplete_ = false;  ///< whether a step ended halfway
     Filter filter_;
 };
 
@@ -258,7 +265,8 @@ void bind_weighing(nb::class_<SharedFilter>& c) {
     });
     c.def("branch", [](SharedFilter& s, In<Index> ancestors) {
         s.with([&](Filter& f) {
-            const std::span<const Index> a = span(ancestors);
+            // a copy, which nobody changes after the check
+            const std::vector<Index> a(ancestors.data(), ancestors.data() + ancestors.size());
             const auto count = static_cast<Index>(f.particles());
             require(a.size() == f.particles() && a.front() >= 0 && a.back() < count && std::is_sorted(a.begin(), a.end()),
                     "ancestors (N,) must ascend from 0 to N - 1 at most");
@@ -322,7 +330,9 @@ void bind_state(nb::class_<SharedFilter>& c) {
 
 void bind_random(nb::module_& m) {
     m.def("standard_normals", [](std::uint64_t key, std::size_t particles) {
+        require(particles < (std::size_t{1} << 31), "particles");
         std::vector<double> out;
+        out.reserve(5 * particles);
         for (std::uint64_t i = 0; i < particles; ++i) {
             const auto [n0, n1, n2, n3, n4] = numbers::five_normals<double>(key, i);
             out.insert(out.end(), {n0, n1, n2, n3, n4});

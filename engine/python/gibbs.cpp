@@ -67,6 +67,7 @@ Problem problem_of(const In<double>& motions, const In<double>& information, con
     require(starts[0] == 0 && starts[T + 1] == Index(K) && std::is_sorted(starts.begin(), starts.end()),
             "the first sightings of the steps must ascend from 0 to the number of sightings");
     require(columns == 2 || columns == 3, "sightings have 2 or 3 columns");
+    require(landmarks < (Number{1} << 31), "landmarks are numbered with 31 bits");
     Problem problem{{}, {}, {starts.begin(), starts.end()}, landmarks, columns == 3, exact, degrees};
     const std::vector<Vector> means = vectors(motions, T), places = vectors(y, K), measured = vectors(z, K);
     const std::vector<Vector> variances = vectors(q, K);
@@ -114,36 +115,54 @@ class SharedChain {
         set_guess(guess);
     }
 
-    void set_guess(const In<double>& guess) { chain_.guess = vectors(guess, chain_.poses.size() - 1); }
-    double accepted() const { return chain_.accepted; }
-    Out<double> poses() const { return array_of(chain_.poses); }
+    void set_guess(const In<double>& guess) {
+        const Use use(busy_);
+        chain_.guess = vectors(guess, chain_.poses.size() - 1);
+    }
+    double accepted() const {
+        const Use use(busy_);
+        return chain_.accepted;
+    }
+    Out<double> poses() const {
+        const Use use(busy_);
+        return array_of(chain_.poses);
+    }
 
     nb::tuple run(const Problem& problem, const In<double>& poses, const In<double>& marks, const In<double>& rows,
                   const In<double>& deviations, Number particles, Number block, Number sweeps, int moves, bool warm_up) {
+        const Use use(busy_);
         const std::size_t count = problem.steps() + 1;
         require(chain_.poses.size() == count, "the chain has another number of poses than the problem");
         require(particles >= 2 && block >= 1 && moves >= 0, "a chain needs two particles and stretches of at least one step");
         const std::size_t width = 3 * problem.steps() + (problem.oriented ? 3 : 2) * problem.marks;
         require(rows.size() == width * deviations.size(), "the directions have another width than the state");
         const Directions directions{vectors(poses, count), vectors(marks, problem.marks), span(rows), span(deviations)};
-        if (busy_.test_and_set()) throw std::runtime_error("the chain is running in another thread");
         ChainSamples samples;
-        try {
+        {
             const nb::gil_scoped_release other_threads;
             samples = chain_.run(random_, problem, directions, {particles, block, sweeps, moves, warm_up});
-        } catch (...) {
-            busy_.clear();
-            throw;
         }
-        busy_.clear();
         return nb::make_tuple(array_of(samples.trajectories, count), array_of(samples.maps, problem.marks));
     }
 
    private:
+    /// The use of the chain by one thread.
+    class Use {
+       public:
+        explicit Use(std::atomic_flag& busy) : busy_(busy) {
+            if (busy_.test_and_set()) throw std::runtime_error("the chain is in use by another thread");
+        }
+        ~Use() { busy_.clear(); }
+        Use(const Use&) = delete;
+
+       private:
+        std::atomic_flag& busy_;
+    };
+
     nb::object generator_;
     Random random_;
     Chain chain_;
-    std::atomic_flag busy_;
+    mutable std::atomic_flag busy_;
 };
 
 /// Backward simulation with the arrays and the problem that it reads.

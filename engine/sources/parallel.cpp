@@ -1,7 +1,8 @@
 #include "vmslam/parallel.hpp"
 
 #ifndef __wasm__
-#include <system_error>
+#include <atomic>
+#include <exception>
 #include <thread>
 #include <vector>
 #endif
@@ -12,14 +13,28 @@ void in_parallel(int count, void (*work)(const void* context, int), const void* 
 #ifdef __wasm__
     for (int k = 0; k < count; ++k) work(context, k);
 #else
-    std::vector<std::jthread> threads;
-    int started = 1;
-    try {
-        for (; started < count; ++started) threads.emplace_back(work, context, started);
-    } catch (const std::system_error&) {
+    // an exception that leaves a thread would end the process: the first one is thrown again here
+    std::atomic_flag failed;
+    std::exception_ptr failure;
+    const auto guarded = [&](int k) noexcept {
+        try {
+            work(context, k);
+        } catch (...) {
+            if (!failed.test_and_set()) failure = std::current_exception();
+        }
+    };
+    {
+        std::vector<std::jthread> threads;
+        int started = 1;
+        try {
+            for (; started < count; ++started) threads.emplace_back(guarded, started);
+        } catch (...) {
+            // no more threads, or no memory for them: the rest is done here
+        }
+        guarded(0);
+        for (; started < count; ++started) guarded(started);
     }
-    work(context, 0);
-    for (; started < count; ++started) work(context, started);
+    if (failure) std::rethrow_exception(failure);
 #endif
 }
 

@@ -23,7 +23,7 @@ from .unknowns import DEGREES_MOTIONS, DEGREES_SIGHTINGS, LONGEST, SPREAD, Unkno
 
 
 def improve_variances(unknowns: Unknowns) -> tuple[float, Array]:
-    """Take one step of the variances: the predicted gain of the log likelihood, and the standard errors of the logarithms.
+    """Take one step of the variances: twice the predicted gain of the log likelihood, and the logarithms' standard errors.
 
     The unknowns should be near their optimum for the present variances; they take the Gauss-Newton step of this problem, too.
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from ..checks import check_count, check_type
 from ..errors import GraphError, LogError
-from ..log import Log, check_is_log
+from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from ..parameters.corrections import corrected_log
 from ..parameters.declared import ParameterEstimate
@@ -120,6 +120,8 @@ class RobotEstimate:
             f"{name} {values[name]:.2g} +- {100 * error:.0f} %" for name, error in self.errors.items() if error < 1
         )
         lines = [f"noise estimated from this log: {noise or 'it tells no value, so that typical ones are taken'}"]
+        if self.inflation > 1 and noise:
+            lines[0] += f"; that of the sensor is {self.inflation**0.5:.1f} times that of a single sighting"
         if self.parameters.names:
             lines.append(f"biases estimated from this log: {self.parameters.sentence}")
         return (*lines, *self.remarks)
@@ -192,6 +194,13 @@ def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate 
         place = {name: getattr(log.sensor or SensorModel(), name) for name in SensorModel.GEOMETRY}
         return log.replace(motion=MotionModel(), sensor=SensorModel(**place)), None
     if noise is None and not unknown_noise(log):
+        nameless = int(np.count_nonzero(log.landmarks == UNIDENTIFIED))
+        if unknown_noise(log.with_sightings(log.landmarks != UNIDENTIFIED)) and nameless:
+            reason = (
+                f"the noise models are the book's, because {nameless} of {len(log.landmarks)} sightings have no id; --noise "
+                "auto finds ids and noise together"
+            )
+            log = log.replace(notes=(*log.notes, reason))
         return log, None
     try:
         found = estimate_robot(log)

@@ -87,6 +87,20 @@ def test_right_covariances_have_a_nees_of_one(truth: Path, tmp_path: Path, held:
     assert found.nees == pytest.approx(1.0, abs=4 * (2 / 3 / 200) ** 0.5)
 
 
+def test_units_of_the_truth_are_not_those_of_the_estimate(tmp_path: Path) -> None:
+    degrees = TRUE * [1.0, 1.0, 180 / np.pi]
+    truth = written(tmp_path / "truth.csv", TIMES, degrees)
+    estimate = written(tmp_path / "mine.csv", TIMES, TRUE)
+    found = comparisons.evaluate(truth, estimate, angles="truth=degrees").estimates[0]
+    assert found.heading_rad is not None and found.heading_rad < 1e-9
+    both = comparisons.evaluate(truth, written(tmp_path / "theirs.csv", TIMES, degrees), angles="degrees").estimates[0]
+    assert both.heading_rad is not None and both.heading_rad < 1e-9
+    covariances = np.broadcast_to(np.eye(3), (len(TIMES), 3, 3))
+    path = written(tmp_path / "units.csv", TIMES, degrees, covariances)
+    with pytest.raises(LogError, match="poses with covariances must be in metres and radians"):
+        comparisons.evaluate(truth, path, angles="degrees")
+
+
 def test_maps_are_compared_by_id_and_by_place(truth: Path, tmp_path: Path) -> None:
     estimate = written(tmp_path / "mine.csv", TIMES, compose([1.0, 2.0, 0.5], TRUE))
     right = LandmarkMap({j: [2.0 * j, 3.0] for j in range(5)})

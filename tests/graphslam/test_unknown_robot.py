@@ -44,6 +44,7 @@ from graphslam.identification.unknowns import (
     PRIORS,
     Unknowns,
 )
+from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import evaluate
 from graphslam.parameters.corrections import corrected_controls, motion_slopes
 from graphslam.se2 import between, wrap
@@ -209,6 +210,15 @@ def test_what_cannot_tell_its_noise_keeps_the_books() -> None:
         Graph.from_log(few, noise="auto")
     with pytest.raises(OptionError, match="noise"):
         Graph.from_log(log, noise="perfect")
+
+
+def test_one_sighting_without_an_id_is_told() -> None:
+    log = warehouse()[0]
+    ids = log.landmarks.copy()
+    ids[3] = UNIDENTIFIED
+    known, found = robot.known_robot(log.replace(landmarks=ids))
+    assert found is None
+    assert f"the noise models are the book's, because 1 of {len(ids)} sightings have no id" in known.notes[-1]
 
 
 def test_models_of_the_log_or_of_the_caller_are_used() -> None:

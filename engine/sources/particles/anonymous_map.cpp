@@ -189,8 +189,9 @@ std::vector<std::size_t> AnonymousMap::make_room(std::size_t count) {
 void AnonymousMap::enlarge(std::size_t more) {
     const int rows = first_class_row + static_cast<int>(confusion_.classes);
     for (std::size_t n = 0; n < more; ++n) {
+        auto numbers = std::make_unique<Blocks>(rows, particles_);
         slices_.emplace_back();
-        slices_.back().rows = std::make_unique<Blocks>(rows, particles_);
+        slices_.back().rows = std::move(numbers);
     }
 }
 

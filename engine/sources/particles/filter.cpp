@@ -135,6 +135,8 @@ void Filter::branch(std::span<const Index> ancestors) {
     }
     history_.branch(ancestors);
     if (record_) record_->branch(ancestors);
+    // a motion belongs to the particles from which it started
+    motion_.reset();
     const auto poses = fresh(3);
     for (int row = 0; row < 3; ++row)
         for (std::size_t i = 0; i < particles_; ++i) poses->row(row)[i] = poses_->row(row)[ancestors[i]];

@@ -32,11 +32,15 @@ void History::open_level(bool is_step) {
         if (end > most_rows)
             throw std::length_error("the histories of so many particles are too long to be stored; take fewer particles");
         const std::size_t size = std::min(2 * end, most_rows);
+        // all of them or none: without memory nothing has changed
+        for (auto* const numbers : {&x_, &y_, &t_}) numbers->reserve(size);
+        for (auto* const numbers : {&parents_, &numbers_}) numbers->reserve(size);
         for (auto* const numbers : {&x_, &y_, &t_}) numbers->resize(size);
         for (auto* const numbers : {&parents_, &numbers_}) numbers->resize(size);
     }
-    first_.push_back(end);
+    is_step_.resize(levels());
     is_step_.push_back(is_step);
+    first_.push_back(end);
     if (branched_) living_ = static_cast<std::int64_t>(levels()) - 1;
     branched_ = false;
 }

@@ -29,12 +29,12 @@ class WholeDraw {
    public:
     explicit WholeDraw(const WholeMotion& m)
         : d_(m.mean),
-          l00_(std::sqrt(m.covariance.xx)),
-          l10_(m.covariance.xy / l00_),
-          l20_(m.covariance.xt / l00_),
-          l11_(std::sqrt(m.covariance.yy - l10_ * l10_)),
-          l21_((m.covariance.yt - l20_ * l10_) / l11_),
-          l22_(std::sqrt(m.covariance.tt - l20_ * l20_ - l21_ * l21_)) {}
+          l00_(root(m.covariance.xx)),
+          l10_(over(m.covariance.xy, l00_)),
+          l20_(over(m.covariance.xt, l00_)),
+          l11_(root(m.covariance.yy - l10_ * l10_)),
+          l21_(over(m.covariance.yt - l20_ * l10_, l11_)),
+          l22_(root(m.covariance.tt - l20_ * l20_ - l21_ * l21_)) {}
 
     Pose operator()(const Pose& x, std::uint64_t key, const Bits& particles) const {
         const auto [n0, n1] = normal_pair<Lanes>(key, particles, 0);
@@ -46,6 +46,10 @@ class WholeDraw {
     }
 
    private:
+    // rounding may leave a singular covariance with a pivot below zero, in whose direction nothing is drawn
+    static double root(double pivot) { return std::sqrt(std::max(pivot, 0.0)); }
+    static double over(double covariance, double pivot) { return pivot > 0.0 ? covariance / pivot : 0.0; }
+
     Three d_;
     double l00_, l10_, l20_, l11_, l21_, l22_;
 };

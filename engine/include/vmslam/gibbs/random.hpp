@@ -43,7 +43,7 @@ class Random {
     BitSource source_;
 };
 
-/// e^x, log x and log(1 + x), the same on every machine; unlike those of `numbers` they have a value for every x.
+/// e^x and log x, the same on every machine; unlike those of `numbers` they have a value for every x.
 double exponential(double x);
 double logarithm(double x);
 

@@ -96,9 +96,12 @@ VMSLAM_INLINE Real atan2(const Real& y, const Real& x) {
 template <class Real>
 VMSLAM_INLINE Real log(const Real& x) {
     using Integer = IntegerOf<Real>;
+    using Bits = BitsOf<Real>;
     constexpr std::int64_t sqrt_half = 0x3FE6A09E667F3BCD;
-    const Integer bits = std::bit_cast<Integer>(x), exponent = (bits - sqrt_half) >> 52;
-    const Real f = std::bit_cast<Real>(Integer(bits - (exponent << 52))) - 1.0;  // x = 2^exponent (1 + f), 1 + f near 1
+    // differences and shifts of unsigned numbers, which may wrap
+    const Bits bits = std::bit_cast<Bits>(x);
+    const Integer exponent = Integer(Bits(bits - static_cast<std::uint64_t>(sqrt_half))) >> 52;
+    const Real f = std::bit_cast<Real>(Bits(bits - (Bits(exponent) << 52))) - 1.0;  // x = 2^exponent (1 + f), 1 + f near 1
     const Real s = f / (2.0 + f), q = s * s;
     const Real p = q * polynomial(q, 6.666666666666735130e-01, 3.999999999940941908e-01, 2.857142874366239149e-01,
                                   2.222219843214978396e-01, 1.818357216161805012e-01, 1.531383769920937332e-01,
