@@ -2,6 +2,8 @@
 #include "bindings.hpp"
 
 NB_MODULE(_engine, module) {
+    // objects that live until the interpreter ends are no mistake of the user, who would see a page of warnings
+    vmslam::python::nb::set_leak_warnings(false);
     module.doc() = "The engine of virtual-motion-slam; see the Python modules that use it.";
     vmslam::python::bind_association(module);
     vmslam::python::bind_certificate(module);
