@@ -217,7 +217,14 @@ def test_an_unknown_estimator_gets_a_style_of_its_own() -> None:
 
 def test_every_class_of_results_has_a_renderer() -> None:
     from comparisons import (  # noqa: F401
-        backends, consistency, datasets, evaluation, importing, overview, particles, solvers,
+        backends,
+        consistency,
+        datasets,
+        evaluation,
+        importing,
+        overview,
+        particles,
+        solvers,
     )  # fmt: skip
 
     kinds = {kind.__name__ for kind in Displayed.__subclasses__()}
