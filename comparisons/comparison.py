@@ -253,23 +253,21 @@ class Comparison(Displayed):
             return
         name, ratio = self.noise_ratio
         medians = typical_costs(self[name])
-        shown = ", ".join(f"{value:.1f} in the median of the {each}" for each, value in medians.items())
-        told = (
-            f"J per degree of freedom of {name} is {ratio:.1f}, its shares {shown}"
-            if medians
-            else (f"J per degree of freedom of {name} is {ratio:.1f}")
-        )
+        told = f"J per degree of freedom of {name} is {ratio:.1f}, and should be about 1"
+        if medians:
+            shown = " and ".join(f"{value:.1f} for {each}" for each, value in medians.items())
+            told += f"; in the median it is {shown}"
         if max(medians.values(), default=ratio) > DOUBTFUL:
             yield Finding(
                 "too little noise",
-                f"the noise models say less noise than this log shows: {told}, and should be about 1; do they belong to "
-                "another robot, or are sightings wrong? Compare with --noise auto",
+                f"the noise models say less noise than this log shows: {told}. Do they belong to another robot, or are "
+                "sightings wrong? Compare with --noise auto",
             )
         elif ratio > DOUBTFUL:
             yield Finding(
                 "wrong sightings",
-                f"{told}, and should be about 1: the noise models fit most sightings, and some are wrong, such as by misread "
-                "ids. A noise file does not correct ids; --noise auto does",
+                f"{told}: the noise models fit most sightings, and some sightings are wrong, such as by misread ids. A noise "
+                "file does not correct ids; --noise auto does",
             )
 
     @property

@@ -7,6 +7,7 @@ truth at its time: between two true poses, on the arc that leads from one to the
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -40,6 +41,8 @@ from .options import EvaluationOptions
 
 #: stands for the map of an estimate that has none
 NO_MAP = Path("-")
+#: the tables of all estimates in the options of tables, beside "truth"
+ESTIMATES = "estimates"
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,10 +155,8 @@ def evaluate(
         raise OptionError(
             f"there are {len(options.maps)} maps for {len(estimates)} estimates; name one for each, - for none"
         )
-    given = options.of_component("tables")
-    right, true_map = _truth(Path(truth), TableOptions(**given))
-    # what is said of the truth alone does not hold for the estimates
-    tables = TableOptions(**{name: _without_truth(value) for name, value in given.items()})
+    right, true_map = _truth(Path(truth), _table_options(options, "truth"))
+    tables = _table_options(options, ESTIMATES)
     if options.true_map is not None:
         true_map = LandmarkMap.load(options.true_map)
     if options.maps and true_map is None:
@@ -164,12 +165,14 @@ def evaluate(
     found = []
     for k, (name, path) in enumerate(zip(names, estimates)):
         of_map = options.maps[k] if options.maps else NO_MAP
-        found.append(
-            _evaluated(
-                right, read_trajectory(Path(path), name, tables), true_map,
-                None if of_map == NO_MAP else LandmarkMap.load(of_map), options,
-            )
-        )  # fmt: skip
+        try:
+            trajectory = read_trajectory(Path(path), name, tables)
+        except LogError as error:
+            # the reader's advice names the table "truth"
+            advice = re.sub(r"(?<= )truth(?=[=.])", ESTIMATES, str(error))
+            raise error if advice == str(error) else LogError(advice) from None
+        places = None if of_map == NO_MAP else LandmarkMap.load(of_map)
+        found.append(_evaluated(right, trajectory, true_map, places, options))
     return Evaluation(right, tuple(found), options, true_map)
 
 
@@ -215,12 +218,16 @@ def _truth(path: Path, options: TableOptions) -> tuple[Trajectory, Mapping[int, 
     return Trajectory(path.stem, times, log.true_poses[known], notes=log.notes), log.true_landmarks
 
 
-def _without_truth(value: Any) -> Any:
-    """The value of an option of tables without its entries for the table "truth"."""
-    if not isinstance(value, str):
-        return value
-    entries = [each for each in value.split(",") if not each.strip().startswith(("truth=", "truth."))]
-    return ",".join(entries) or None
+def _table_options(options: EvaluationOptions, table: str) -> TableOptions:
+    """How a trajectory is read: the options for all tables and for this one, which the reader knows as "truth"."""
+    found: dict[str, Any] = {}
+    for name, value in options.of_component("tables").items():
+        entries = [each.strip() for each in value.split(",")] if isinstance(value, str) else []
+        others = {"truth", ESTIMATES} - {table}
+        kept = [each for each in entries if re.split("[=.]", each)[0] not in others]
+        renamed = [re.sub(f"^{table}(?=[=.])", "truth", each) for each in kept]
+        found[name] = (",".join(renamed) or None) if entries else value
+    return TableOptions(**found)
 
 
 def _evaluated(

@@ -37,7 +37,8 @@ class ImportOptions(Options):
 class EvaluationOptions(Options):
     """How `evaluation.evaluate` compares estimates with the ground truth.
 
-    In the options of tables, truth=... holds for the ground truth alone, and a value without a table for all trajectories.
+    In the options of tables, truth=... holds for the ground truth, estimates=... for the estimates, and a value without a
+    table for all trajectories.
     """
 
     components = {"tables": (TableOptions, "Tables of trajectories")}

@@ -99,7 +99,8 @@ def evaluate(
     """Compare trajectories and maps of any program with the ground truth.
 
     A trajectory is a table with columns t, x, y and theta, or a quaternion; TUM files are read as they are. Covariances of
-    the poses in the columns var_x, cov_xy, var_y, cov_x_heading, cov_y_heading and var_heading give the NEES.
+    the poses in the columns var_x, cov_xy, var_y, cov_x_heading, cov_y_heading and var_heading give the NEES. The options of
+    tables hold for all of them, or with truth=... and estimates=... for one kind.
     """
     from ..evaluation import evaluate as compare
     from ..saving import FIGURE_FORMATS, check_can_write

@@ -42,8 +42,7 @@ class Odometry:
     def __init__(self, log: Log) -> None:
         assert log.controls is not None and log.dt is not None and log.times is not None
         self.log, self.times = log, log.times
-        parts = motion_parts(log, ESTIMATED)
-        self._parts = {name: C for name, C in parts.items() if C.any()}
+        self._parts = motion_parts(log, ESTIMATED)
         # what the log itself says of the noise of single controls, such as across a silence of the odometry
         self._recorded, self._of_gaps = STILL.accumulate(
             log.controls, log.dt, log.control_starts, log.control_variances

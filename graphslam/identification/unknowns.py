@@ -204,7 +204,7 @@ class Unknowns:
         return self.odometry.poses(self.parameters)[self._steps]
 
     def poses_of(self, log: Log, odometry: Odometry) -> Array:
-        """The poses (T+1, 3) of another log of the same drive, which may have more poses or fewer; and its odometry.
+        """The poses (T+1, 3) of another log of the same drive, with more poses or fewer; ``odometry`` covers it.
 
         The motions between poses are those of the corrected controls. What these leave out is shared out in time.
         """

@@ -95,6 +95,14 @@ def test_units_of_the_truth_are_not_those_of_the_estimate(tmp_path: Path) -> Non
     assert found.heading_rad is not None and found.heading_rad < 1e-9
     both = comparisons.evaluate(truth, written(tmp_path / "theirs.csv", TIMES, degrees), angles="degrees").estimates[0]
     assert both.heading_rad is not None and both.heading_rad < 1e-9
+    theirs = comparisons.evaluate(estimate, tmp_path / "theirs.csv", angles="estimates=degrees").estimates[0]
+    assert theirs.heading_rad is not None and theirs.heading_rad < 1e-9
+    nameless = tmp_path / "names.csv"
+    nameless.write_text(estimate.read_text().replace("t,x,y", "when,x,y", 1))
+    # the advice is one that helps
+    with pytest.raises(LogError, match=r"--columns estimates\.t=NAME"):
+        comparisons.evaluate(estimate, nameless)
+    assert comparisons.evaluate(estimate, nameless, columns="estimates.t=when").estimates[0].ate_m < 1e-9
     covariances = np.broadcast_to(np.eye(3), (len(TIMES), 3, 3))
     path = written(tmp_path / "units.csv", TIMES, degrees, covariances)
     with pytest.raises(LogError, match="poses with covariances must be in metres and radians"):
