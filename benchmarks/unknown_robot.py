@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 
 import comparisons
-from comparisons.kernels import warm_up
+from comparisons.loading import warm_up
 from comparisons.results import EstimatorResult
 from graphslam import Graph, GraphError, Log, SensorModel, SlamError, Solution, solve
 from graphslam.metrics import ate

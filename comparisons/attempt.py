@@ -18,7 +18,7 @@ from graphslam import Log, OptionError, SlamError
 
 from .estimators import ESTIMATORS
 from .failures import sentence
-from .kernels import warm_up
+from .loading import warm_up
 from .options import RunOptions
 from .pool import how_it_ended, processes, too_long
 from .results import EstimatorResult

@@ -1,6 +1,6 @@
 """The pool of local processes in which studies, solver checks and the studies of filters do their work.
 
-`graphslam.processes` starts the processes; here they also compile or load the kernels of estimators before their first task.
+`graphslam.processes` starts the processes; here they also load the modules of estimators before their first task.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from graphslam.processes import default_jobs, how_it_ended
 
 from .estimators import BUILT_IN, ESTIMATORS
 from .failures import sentence
-from .kernels import warm_up
+from .loading import warm_up
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
 def process_pool(jobs: int, estimators: Sequence[str]) -> ProcessPool:
-    """A `graphslam.processes.process_pool` whose processes compile or load the kernels of estimators first."""
+    """A `graphslam.processes.process_pool` whose processes load the modules of estimators first."""
     return local.process_pool(jobs, partial(_warm_up, tuple(estimators), added_estimators()))
 
 
@@ -85,7 +85,7 @@ def results(
         function: of a module, so that it can be named to a process.
         tasks: plain data.
         jobs: how many processes; 0 for this process, None for one on each core.
-        estimators: whose kernels are compiled or loaded before the first task.
+        estimators: whose modules are loaded before the first task.
         limit: of the time of each task [s]; None for no limit.
         instead: makes the result of a task that took longer, or whose process died, from the task and the reason. Without
             it they are errors.

@@ -205,7 +205,7 @@ def _graph(variant: Variant, log: Log, models: dict[str, Any]) -> Graph:
 
 @cache
 def _warm_up(variant: Variant) -> None:
-    """Let both solvers compile or load the kernels of a variant, on a tiny log, outside of the measured time."""
+    """Let both solvers load what a variant needs, on a tiny log, outside of the measured time."""
     with suppress(GraphError, LogError):
         graph = _graph(variant, simulate(steps=20), {})
         for solver in (solve, solve_with_gtsam):

@@ -27,7 +27,6 @@ def test_no_traceback_no_nan_no_false_convergence_and_no_end_above_the_start(fuz
     failed, outcomes = [], []
     for number in range(CASES[suite]):
         name, check = fuzz["SUITES"][suite](2026, number)
-        # kernels may be compiled on the way
         outcome, problems = fuzz["attempt"](check, limit=200)
         outcomes.append(outcome)
         failed += [f"{name}: {problem}" for problem in problems]

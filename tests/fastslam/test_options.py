@@ -1,4 +1,4 @@
-"""Options are declared once, results keep them, and kernels are compiled without the user's log."""
+"""Options are declared once, and results keep them."""
 
 from __future__ import annotations
 
