@@ -25,7 +25,7 @@ from graphslam import (
 from graphslam.calibration.unidentified import robot_of
 from graphslam.errors import quoted
 from graphslam.files import check_file
-from graphslam.identification.robot import known_robot
+from graphslam.identification.robot import enough_ids, known_robot
 from graphslam.keyframes import with_poses_every
 from graphslam.landmark_map import as_map
 from graphslam.localization import in_frame_of
@@ -104,7 +104,7 @@ def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], C
     if options.noise is None and _gives_noise(options):
         return log, values, None
     try:
-        if options.noise == AUTO and not log.identified:
+        if options.noise == AUTO and not enough_ids(log):
             # the models of the options have the place of the sensor
             found, notes = robot_of(log, *options.models(log.motion, log.sensor))
             known = Calibration.of(found).apply(log)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .log import Log
-from .models import MotionModel
+from .models import MotionModel, additional_variances
 from .se2 import Array, between, compose, wrap
 
 #: rounding of sums of durations, as a part of an interval
@@ -88,8 +88,8 @@ def control_path(
     rows = np.concatenate([[0], np.cumsum(pieces)])[log.control_starts]
     recorded = log.dt if log.recorded_dt is None else log.recorded_dt
     M = motion.M(controls, dt, np.repeat(recorded, pieces))
-    if log.control_variances is not None:
-        M[:, [0, 1], [0, 1]] += np.repeat(log.control_variances, pieces, axis=0)
+    V = np.repeat(additional_variances(log.control_variances, len(log.dt)), pieces, axis=0)
+    M[:, [0, 1], [0, 1]] += V[:, :2]
 
     # f is affine in (x, y): each control begins at the origin, with the heading that it has within its motion
     first, last, motion_of = rows[:-1], rows[1:] - 1, np.repeat(np.arange(len(rows) - 1), np.diff(rows))
@@ -100,8 +100,8 @@ def control_path(
     B[:, 0, :] += driven[:, 1, None] * B[:, 2, :]
     B[:, 1, :] -= driven[:, 0, None] * B[:, 2, :]
     each = B @ M @ np.swapaxes(B, 1, 2)
-    if motion.slip:
-        each += motion.sideways(before, controls, dt)
+    if motion.slip or V[:, 2].any():
+        each += motion.sideways(before, controls, dt, V[:, 2])
     C = _sums(each, first, motion_of)
     elapsed = _sums(dt, first, motion_of)
     share = elapsed / elapsed[last][motion_of]

@@ -20,7 +20,7 @@ from .log_checks import (
     length_of,
     whole_numbers,
 )
-from .models import MotionModel, SensorModel
+from .models import MotionModel, SensorModel, additional_variances
 from .reading import NO_CLASS, NO_ID, UNIDENTIFIED
 from .se2 import Array, mounted, wrap
 from .tables import TableOptions, parts_of_tables
@@ -37,8 +37,9 @@ class Log:
         dt: duration of each control [s], (S,) or one number; None together with ``controls``.
         controls: u = (nu, omega) [m/s, rad/s], (S, 2); None where there are none.
         control_starts: (T+1,), increasing, from 0 to S; default: one control per motion, row t moves pose t to pose t+1.
-        control_variances: (S, 2) variances of single controls [m²/s², rad²/s²] in addition to those of the motion model,
-            for example across a gap in the odometry; or None.
+        control_variances: (S, 3) variances of single controls in addition to those of the motion model, for example across
+            a gap in the odometry: of the speed, the turn rate and the speed sideways [m²/s², rad²/s², m²/s²]; (S, 2)
+            without the last; or None.
         recorded_dt: (S,) the duration [s] of the recorded control of which each control is a piece, where sightings cut
             controls; its pieces share the variance that the motion model gives it (`MotionModel.M`). Default: ``dt``.
         steps: the step of each sighting, (M,), not decreasing.
@@ -187,9 +188,10 @@ class Log:
         if self.control_starts is not None:
             values["control_starts"] = checked_starts(self.control_starts, len(controls))
         if self.control_variances is not None:
-            variances = values["control_variances"] = finite_floats(
-                "control_variances", self.control_variances, controls.shape
-            )
+            given = array_of("control_variances", self.control_variances)
+            columns = 2 if given.ndim == 2 and given.shape[1] == 2 else 3
+            variances = finite_floats("control_variances", given, (len(controls), columns))
+            values["control_variances"] = additional_variances(variances, len(controls))
             if np.any(variances < 0):
                 raise LogError(f"control_variances has the entry {variances.min():g}, but a variance is not negative")
         if self.recorded_dt is not None:

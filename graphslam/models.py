@@ -166,12 +166,16 @@ class MotionModel(NoiseModel):
         covariance[..., 1, 1] = (self.on**2 * nu + self.oo**2 * omega) / dt + self.sigma_omega**2 * pieces
         return covariance
 
-    def sideways(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
-        """The covariance of the slip of a control, S = slip² |nu| dt n n', n across its chord; (..., 3, 3)."""
+    def sideways(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike, variance: ArrayLike = 0.0) -> Array:
+        """The covariance of the slip of a control, S = (slip² |nu| dt + V dt²) n n', n across its chord; (..., 3, 3).
+
+        V is an additional ``variance`` of the speed sideways, (...) [m²/s²].
+        """
         pose, control, dt = _broadcast(pose, control, dt)
         across = pose[..., 2] + control[..., 1] * dt / 2 + np.pi / 2
         n = np.stack([np.cos(across), np.sin(across), np.zeros_like(across)], axis=-1)
-        return (self.slip**2 * np.abs(control[..., 0]) * dt)[..., None, None] * n[..., :, None] * n[..., None, :]
+        size = self.slip**2 * np.abs(control[..., 0]) * dt + np.asarray(variance) * dt**2
+        return size[..., None, None] * n[..., :, None] * n[..., None, :]
 
     def covariance(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
         """The covariance of the pose after one motion from a known pose, A M A' + S + epsilon I; (..., 3, 3)."""
@@ -199,7 +203,8 @@ class MotionModel(NoiseModel):
             controls: (S, 2) [m/s, rad/s].
             dt: (S,) [s].
             starts: (T+1,), increasing, from 0 to S.
-            control_variances: (S, 2) additional variances of single controls [m²/s², rad²/s²], added to M; or None.
+            control_variances: (S, 3) additional variances of single controls: of the speed and of the turn rate, added to M,
+                and of the speed sideways, for S [m²/s², rad²/s², m²/s²]; (S, 2) without the last; or None.
             recorded_dt: (S,) the duration of the recorded control that each control is a piece of [s], as for `M`; or None.
 
         Returns:
@@ -207,13 +212,12 @@ class MotionModel(NoiseModel):
         """
         controls, dt = np.asarray(controls, dtype=float), np.asarray(dt, dtype=float)
         motions, A = self.accumulated_slopes(controls, dt, starts)
-        M = self.M(controls, dt, recorded_dt)
-        if control_variances is not None:
-            M[:, [0, 1], [0, 1]] += control_variances
+        M, V = self.M(controls, dt, recorded_dt), additional_variances(control_variances, len(controls))
+        M[:, [0, 1], [0, 1]] += V[:, :2]
         each = A @ M @ np.swapaxes(A, -1, -2)
-        if self.slip:
+        if self.slip or V[:, 2].any():
             # a slip turns nothing, so that no lever arm moves it
-            each += self.sideways(_headings(controls, dt, starts), controls, dt)
+            each += self.sideways(_headings(controls, dt, starts), controls, dt, V[:, 2])
         covariances = np.add.reduceat(each, starts[:-1], axis=0) if len(starts) > 1 else np.zeros((0, 3, 3))
         return motions, covariances + self.epsilon * np.eye(3)
 
@@ -245,6 +249,15 @@ class MotionModel(NoiseModel):
         poses[1:, 0], poses[1:, 1] = np.cumsum(x), np.cumsum(y)
         poses[:, :2] += start[:2]
         return poses
+
+
+def additional_variances(control_variances: ArrayLike | None, count: int) -> Array:
+    """The variances (S, 3) of `MotionModel.accumulate`; 0 where none are given."""
+    variances = np.zeros((count, 3))
+    if control_variances is not None:
+        given = np.asarray(control_variances, dtype=float)
+        variances[:, : given.shape[1]] = given
+    return variances
 
 
 def _arc(heading: Array, control: Array, dt: Array) -> tuple[Array, Array, Array]:

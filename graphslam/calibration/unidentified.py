@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..association import associate
 from ..errors import GraphError, LogError
-from ..identification.robot import RobotEstimate, estimate_robot
+from ..identification.robot import RobotEstimate, enough_ids, estimate_robot
 from ..log import UNIDENTIFIED, Log
 from ..models import MotionModel, SensorModel
 from ..parameters.corrections import without_biases
@@ -12,7 +12,7 @@ from ..parameters.declared import PLACE
 
 
 def robot_of(log: Log, motion: MotionModel, sensor: SensorModel) -> tuple[RobotEstimate, tuple[str, ...]]:
-    """`estimate_robot`, and notes; where sightings have no ids, ids and robot are found in turn.
+    """`estimate_robot`, and notes; where too few sightings have ids, ids and robot are found in turn.
 
     Noise models that are too wide hide wrong ids, and wrong ids change the noise. So ids are found with the noise to begin
     with, then the robot, then ids in the corrected log with the noise that was found, and then the robot again.
@@ -24,7 +24,7 @@ def robot_of(log: Log, motion: MotionModel, sensor: SensorModel) -> tuple[RobotE
     Raises:
         LogError, GraphError: no ids can be found, or the log does not tell the noise.
     """
-    if log.identified:
+    if enough_ids(log):
         return estimate_robot(log, sensor=sensor), ()
     named, note = _with_found_ids(log, log, motion, sensor)
     found = estimate_robot(named, sensor=sensor)

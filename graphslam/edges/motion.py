@@ -38,7 +38,7 @@ def motion_edges(
         dt: [s].
         motion: gives f, F, A, M, S and epsilon.
         starts: (T+1,) the first control of each motion, as `Log.control_starts`; default: one control a motion.
-        control_variances: (S, 2) more noise of single controls, as `Log.control_variances`.
+        control_variances: (S, 3) or (S, 2), more noise of single controls, as `Log.control_variances`.
         recorded_dt: (S,) [s] the durations of the recorded controls, as `Log.recorded_dt`.
         frame: "world" or "body".
         scale: lambda, multiplies the information of all motion edges (the book adds each edge lambda times).

@@ -31,7 +31,7 @@ from ..errors import FormatError, decimals
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..reading import ReadOptions
-from ..sources.streams import BRIDGED_GAP, Stream, bridge, gap_note, in_order
+from ..sources.streams import Stream, bridge, gap_note, in_order, silent
 from .base import NO_SIGHTING, Format, errors_name, member
 from .mat import Shape, has_variables, read_mat
 
@@ -73,20 +73,19 @@ def _read(path: Path, _: ReadOptions) -> Log:
     notes += [] if valid.all() else [f"the truth covers {valid.sum()} of {len(times)} poses"]
     controls = np.column_stack([content["v"], content["om"]])[1:]
     with errors_name(path):
-        gaps = dt[dt > BRIDGED_GAP].tolist()
-        if gaps:
-            notes.append(gap_note(gaps))
+        gaps = silent(dt, times)
+        if gaps.any():
+            notes.append(gap_note(dt[gaps].tolist()))
             warnings.warn(f"{path}: {notes[-1]}", UserWarning, stacklevel=3)
-        driven, lasting, _recorded, starts, variances = bridge(controls, dt, dt, np.arange(len(times)), controls)
+        driven, variances = bridge(controls, np.zeros(len(dt)), dt, dt, gaps, controls)
         return Log(
-            dt=lasting,
+            dt=dt,
             controls=driven,
-            control_starts=starts,
             control_variances=variances,
             steps=steps,
             landmarks=columns,
             sightings=np.column_stack([content[name][steps, columns] for name in ("r", "b")]),
-            initial_poses=MotionModel().dead_reckoning(truth[0] if valid[0] else np.zeros(3), driven, lasting)[starts],
+            initial_poses=MotionModel().dead_reckoning(truth[0] if valid[0] else np.zeros(3), driven, dt),
             true_poses=truth if valid.any() else None,
             true_landmarks=dict(enumerate(content["l"])),
             start_time=float(times[0]),

@@ -88,6 +88,7 @@ class RobotEstimate:
         parameters: scales, biases, delay and place of the sensor with their covariance, without those that are held.
         errors: {name of a noise value: its standard error as a part of the value}.
         changed, dropped: (M,) bool, rows of the given log whose id was replaced, and that fit no landmark.
+        identified: (M,) bool, those that have an id; the others are corrected, too, but tell nothing.
         correlations: (B,) of the errors of one landmark over the lags between `LAGS`.
         inflation: the factor on the variances of the sensor with which its errors count as independent; 1: they are.
         nearly_exact: whether nothing in the log speaks against exact odometry, whose noise is then a part of its estimate.
@@ -100,6 +101,7 @@ class RobotEstimate:
     errors: dict[str, float]
     changed: np.ndarray
     dropped: np.ndarray
+    identified: np.ndarray
     correlations: Array
     inflation: float
     nearly_exact: bool
@@ -109,8 +111,8 @@ class RobotEstimate:
 
     @property
     def misread(self) -> float:
-        """The part of the sightings whose id is wrong, or that show no landmark."""
-        return float(np.mean(self.changed | self.dropped))
+        """The part of the sightings with ids whose id is wrong, or that show no landmark."""
+        return float(np.mean((self.changed | self.dropped)[self.identified]))
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -141,9 +143,9 @@ class RobotEstimate:
             lines.append(
                 f"{self.misread:.0%} of the ids contradict the other sightings; is the column of the ids right?"
             )
-        if len(self.changed) < FEW:
+        if (count := np.count_nonzero(self.identified)) < FEW:
             lines.append(
-                f"the log has only {len(self.changed)} sightings, which tell the noise roughly: the trajectory may be "
+                f"the log has only {count} sightings{'' if self.identified.all() else ' with ids'}, which tell the noise roughly: the trajectory may be "
                 "several times less accurate than with the true noise, which --noise FILE or the noise options give"
             )
         return tuple(lines)
@@ -161,10 +163,15 @@ class RobotEstimate:
                 "the log does not show that the odometry is noisy: the noise of the motion was reduced to a quarter of its "
                 "estimate"
             )
-        wrong, dropped = int(self.changed.sum()), int(self.dropped.sum())
+        count, wrong, dropped = (int(each.sum()) for each in (self.identified, self.changed, self.dropped))
+        if not self.identified.all():
+            lines.append(
+                f"{len(self.identified) - count} of {len(self.identified)} sightings have no id and were not used for the "
+                "estimate"
+            )
         if wrong or dropped:
             lines.append(
-                f"{wrong + dropped} of {len(self.changed)} sightings ({self.misread:.1%}) contradict their id: {wrong} got "
+                f"{wrong + dropped} of {count} sightings ({self.misread:.1%}) contradict their id: {wrong} got "
                 f"the id of the landmark that fits, {dropped} fit none and were left out"
             )
         if self.inflation > 1:
@@ -194,13 +201,6 @@ def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate 
         place = {name: getattr(log.sensor or SensorModel(), name) for name in SensorModel.GEOMETRY}
         return log.replace(motion=MotionModel(), sensor=SensorModel(**place)), None
     if noise is None and not unknown_noise(log):
-        nameless = int(np.count_nonzero(log.landmarks == UNIDENTIFIED))
-        if unknown_noise(log.with_sightings(log.landmarks != UNIDENTIFIED)) and nameless:
-            reason = (
-                f"the noise models are the book's, because {nameless} of {len(log.landmarks)} sightings have no id; --noise "
-                "auto finds ids and noise together"
-            )
-            log = log.replace(notes=(*log.notes, reason))
         return log, None
     try:
         found = estimate_robot(log)
@@ -214,22 +214,27 @@ def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate 
 
 def unknown_noise(log: Log) -> bool:
     """Whether nothing is known of the noise of a log, although it could tell it."""
-    if log.simulated or log.motion is not None or log.controls is None or not log.identified:
+    if log.simulated or log.motion is not None or log.controls is None or np.all(log.landmarks == UNIDENTIFIED):
         return False
     sensor, book = log.sensor or SensorModel(), SensorModel()
     return all(value == getattr(book, name) for name, value in vars(sensor).items() if name not in SensorModel.GEOMETRY)
+
+
+def enough_ids(log: Log) -> bool:
+    """Whether the sightings that have ids may be enough for `estimate_robot`."""
+    return log.identified or np.count_nonzero(log.landmarks != UNIDENTIFIED) >= FEWEST["sightings"]
 
 
 def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0) -> RobotEstimate:
     """Estimate noise, biases and misread ids of a log from nothing but its odometry and its sightings.
 
     Args:
-        log: with controls and ids.
+        log: with controls and ids. Sightings without an id are corrected like the others, but not used.
         sensor: where the sensor is believed to be, and what it can see; default: that of the log, else at the robot's pose.
         seed: of the random signs with which covariances of predictions are estimated.
 
     Raises:
-        LogError: the log has too few sightings, no controls, or sightings without ids.
+        LogError: the log has too few sightings with ids, or no controls.
         GraphError: the sightings do not determine noise and biases.
     """
     check_is_log(log)
@@ -244,7 +249,8 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
 
 def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotEstimate:
     """`estimate_robot` for a log that has enough."""
-    drive = _of_sightings(log)
+    identified = log.landmarks != UNIDENTIFIED
+    drive = _of_sightings(log.with_sightings(identified))
     local, doubtful, alone = _local(drive, sensor)
     fewer = _at_most(drive.with_sightings(~doubtful), MOST)
     first = _joined(fewer, sensor, local, ROUNDS[1])[0]
@@ -272,7 +278,9 @@ def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotE
         seen, range_rate=seen.range_rate * factor**0.5, range_std=seen.range_std * factor**0.5,
         bearing_std=seen.bearing_std * factor**0.5, orientation_std=seen.orientation_std * factor**0.5,
     )  # fmt: skip
-    parameters = replace(last.parameters, recorded=log.with_sightings(right, landmarks=names))
+    landmarks, changed, dropped = log.landmarks.copy(), np.zeros_like(identified), np.zeros_like(identified)
+    landmarks[identified], changed[identified], dropped[identified] = ids.landmarks, ids.changed, ids.dropped
+    parameters = replace(last.parameters, recorded=log.with_sightings(~dropped, landmarks=landmarks[~dropped]))
     free = [k for k, name in enumerate(parameters.names) if name not in held]
     names, means, deviations = (
         np.array(each)[free].tolist() for each in (parameters.names, parameters.means, parameters.deviations)
@@ -286,8 +294,8 @@ def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotE
         {name: (m, s) for name, m, s in zip(names, means, deviations)},
     )  # fmt: skip
     return RobotEstimate(
-        log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, changed=ids.changed,
-        dropped=ids.dropped, correlations=rho, inflation=factor, nearly_exact=nearly_exact,
+        log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, changed=changed,
+        dropped=dropped, identified=identified, correlations=rho, inflation=factor, nearly_exact=nearly_exact,
     )  # fmt: skip
 
 
@@ -295,11 +303,13 @@ def _check(log: Log) -> None:
     """Raise `LogError` where a log cannot tell noise and biases."""
     if log.controls is None:
         raise LogError(f"{log.name} has no odometry, without which sightings do not tell the noise; give it by hand")
-    if not log.identified:
+    count = int(np.count_nonzero(log.landmarks != UNIDENTIFIED))
+    if count == 0 < len(log.steps):
         raise LogError(f"{log.name} has sightings without ids; find them first, for example with graphslam.associate")
-    if len(log.steps) < FEWEST["sightings"] or log.num_poses < FEWEST["poses"]:
+    if count < FEWEST["sightings"] or log.num_poses < FEWEST["poses"]:
+        with_ids = "" if log.identified else " with ids"
         raise LogError(
-            f"{log.name} has {len(log.steps)} sightings from {log.num_poses} poses; noise and biases are estimated from at "
+            f"{log.name} has {count} sightings{with_ids} from {log.num_poses} poses; noise and biases are estimated from at "
             f"least {FEWEST['sightings']} sightings and {FEWEST['poses']} poses"
         )
 

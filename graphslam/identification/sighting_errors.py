@@ -18,6 +18,7 @@ import numpy as np
 from ..log import Log
 from ..se2 import Array
 from .edges import Edges
+from .parts import ordinary
 from .unknowns import Unknowns
 
 #: samples of the covariance of the solution
@@ -152,7 +153,11 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
     """
     times = log.times
     assert times is not None
-    rows = np.flatnonzero(np.isin(log.landmarks, unknowns.ids) & ~used)
+    # beside a silence of the odometry, a pose follows its sightings, and the covariance of its prediction hides their errors
+    told = np.ones(log.num_poses, dtype=bool)
+    silent = np.flatnonzero(~ordinary(log))
+    told[silent], told[silent + 1] = False, False
+    rows = np.flatnonzero(np.isin(log.landmarks, unknowns.ids) & ~used & told[log.steps])
     order = np.lexsort((rows, log.landmarks[rows]))
     rows = rows[order]
     if len(rows) < FEWEST:

@@ -3,7 +3,7 @@
 `graphslam.simulate` is the simulator of the book: one step per control, and noise as the lectures have it. Here odometry
 and sensor have their own rates, the robot works in a warehouse, an orchard or a field, and its recording has what real ones
 have: scale errors and biases, a late sensor that is not where it should be, misread ids, clutter, errors that are correlated
-in time, missed sightings and gaps. The log does not tell the noise.
+in time, missed sightings and gaps of the sensor and of the odometry. The log does not tell the noise.
 """
 
 from __future__ import annotations
@@ -126,15 +126,17 @@ class Drive:
     correlation: float = option(50.0, "Number of scans over which they are correlated")
     gaps: int = option(0, "Number of times at which the sensor sees nothing")
     gap: float = option(15.0, "Duration of each of these", "s")
+    silences: int = option(0, "Number of times at which no odometry is recorded")
+    silence: float = option(5.0, "Duration of each of these", "s")
 
     def __post_init__(self) -> None:
         check_choice("place", self.place, PLACES)
-        check_count(seed=self.seed, landmarks=self.landmarks, gaps=self.gaps)
+        check_count(seed=self.seed, landmarks=self.landmarks, gaps=self.gaps, silences=self.silences)
         check_positive(
             duration=self.duration, speed=self.speed, turn_rate=self.turn_rate, odometry_rate=self.odometry_rate,
             sensor_rate=self.sensor_rate, correlation=self.correlation,
         )  # fmt: skip
-        check_not_negative(gap=self.gap)
+        check_not_negative(gap=self.gap, silence=self.silence)
         for name in ("misread", "clutter", "missed", "correlated"):
             if not 0 <= getattr(self, name) < 1:
                 raise OptionError(f"{name} must be at least 0 and below 1, not {getattr(self, name)!r}")
@@ -212,7 +214,10 @@ class Drive:
         variances = np.diagonal(self.motion.M(controls, 1 / self.odometry_rate), axis1=1, axis2=2)
         nu, omega = (controls + rng.standard_normal(controls.shape) * np.sqrt(variances)).T
         recorded = p["turn_scale"] * omega + p["turn_rate_bias"] + p["curvature_bias"] * nu
-        return Stream(times, np.column_stack([p["wheel_scale"] * nu, recorded]))
+        kept = np.ones(len(times), dtype=bool)
+        for begin in np.random.default_rng([self.seed, 1]).uniform(0, path.duration - self.silence, self.silences):
+            kept &= (times < begin) | (times > begin + self.silence)
+        return Stream(times[kept], np.column_stack([p["wheel_scale"] * nu, recorded])[kept])
 
     def _sightings(
         self, path: Path, place: Place, rng: np.random.Generator

@@ -21,8 +21,9 @@ from ..models import MotionModel
 from ..reading import MOST_POSES, ReadOptions
 from ..se2 import Array, interpolate, mounted
 
-#: odometry that is silent for longer [s] is bridged: by its last control, which is a guess up to the second time only
-BRIDGED_GAP, LONGEST_HELD = 2.0, 10.0
+#: odometry that is silent for longer [s], and for so many times the usual time between rows, is bridged: its last control
+#: fades with this time constant [s]
+BRIDGED_GAP, USUAL_GAPS, FADING = 2.0, 3.0, 2.0
 
 #: rows that are out of order by at most this time [s] are sorted; more is another drive, or another clock
 MOST_DISORDER = 1.0
@@ -165,10 +166,12 @@ def divide(odometry: Stream, times: Array) -> tuple[Array, Array, Array, np.ndar
     following = np.minimum(row + 1, len(odometry) - 1)
     silence = odometry.times[following] - odometry.times[row]
     lasting = np.diff(cuts)
-    bridged = silence > BRIDGED_GAP
+    bridged = silent(silence, odometry.times)
     gaps = silence[bridged][np.unique(row[bridged], return_index=True)[1]].tolist()
-    pieces = bridge(odometry.rows[row], lasting, silence, np.searchsorted(cuts, times), odometry.rows)
-    return *pieces, gaps
+    controls, variances = bridge(
+        odometry.rows[row], cuts[:-1] - odometry.times[row], lasting, silence, bridged, odometry.rows
+    )
+    return controls, lasting, silence, np.searchsorted(cuts, times), variances, gaps
 
 
 def _distinct(times: Array) -> Array:
@@ -176,72 +179,48 @@ def _distinct(times: Array) -> Array:
     return times[np.append(True, np.diff(times) > 0)]
 
 
+def silent(lapse: Array, times: Array) -> np.ndarray:
+    """Whether times (N,) [s] from a row of odometry to the next are silences, given the times of all rows."""
+    return lapse > max(BRIDGED_GAP, USUAL_GAPS * float(np.median(np.diff(times))))
+
+
 def bridge(
-    controls: Array, lasting: Array, silence: Array, starts: np.ndarray, recorded: Array
-) -> tuple[Array, Array, Array, np.ndarray, Array | None]:
+    controls: Array, begin: Array, lasting: Array, silence: Array, bridged: np.ndarray, recorded: Array
+) -> tuple[Array, Array | None]:
     """Control pieces, some of them within silences of the odometry, with honest noise.
 
-    Up to `LONGEST_HELD` the last control holds throughout the silence. One unknown control has then an error of variance
-    V silence² in the motion, where V is the variance of all controls.
-
-    In a longer silence the robot may have gone anywhere and turned at will, and the last control says nothing. The robot
-    stays where it was, with a standard deviation of v silence along x and along y and of w silence, at most pi, in its
-    heading, where v and w are the root mean squares of all speeds and turn rates. As a control has no sideways part, four
-    stand for the piece: one with noise along x, a quarter turn, one with noise along y, and the turn back with the
-    noise of the heading.
+    In a silence the robot may go anywhere and turn at will. The mean of its control u fades, u exp(-t / `FADING`) at the time
+    t after the last row. The way has a standard deviation of v silence, ahead and to the side, and the heading one of w
+    silence, at most pi, where v and w are the root mean squares of all speeds and turn rates.
 
     Pieces are independent in a log. With variances of one times silence / lasting their sum is the same, however many poses
     are in the silence.
 
     Args:
-        controls, lasting, silence: (S, 2), (S,) and (S,): what the pieces are of, how long they last, and the time from
-            their odometry row to the next one [s].
-        starts: (T+1,) as in `Log.control_starts`.
+        controls: (S, 2) of the rows that the pieces belong to.
+        begin, lasting, silence: (S,) how long after its row each piece begins, how long it lasts, and the time from its row
+            to the next one [s].
+        bridged: (S,) which of them are `silent`.
         recorded: (N, 2) all controls of the odometry.
 
     Returns:
-        controls, dt, recorded_dt, control_starts and control_variances of the `Log`, these None where there is no silence.
+        The controls (S, 2), and the ``control_variances`` (S, 3) of the `Log`, or None where there is no silence.
     """
-    if not np.any(silence > BRIDGED_GAP):
-        return controls, lasting, silence, starts, None
-    share = np.where(silence > BRIDGED_GAP, silence / lasting, 0.0)
-    variances = share[:, None] * np.var(recorded, axis=0)
-    long = np.flatnonzero(silence > LONGEST_HELD)
-    count = np.ones(len(controls), dtype=np.int64)
-    count[long] = 4
-    starts = np.concatenate([[0], np.cumsum(count)])[starts]
-    at = (np.cumsum(count) - count)[long]
-    controls, variances = np.repeat(controls, count, axis=0), np.repeat(variances, count, axis=0)
-    dt, whole = np.repeat(lasting / count, count), np.repeat(silence, count)
-    usual = np.sqrt(np.mean(recorded**2, axis=0))
-    turning = np.minimum(usual[1], np.pi / silence[long])
-    # the motion of each piece has these variances, which one of its four controls brings about in a quarter of the time
-    moved, turned = (rate**2 * silence[long] * lasting[long] / (lasting[long] / 4) ** 2 for rate in (usual[0], turning))
-    quarter = np.pi / 2 / (lasting[long] / 4)
-    zero = np.zeros(len(long))
-    for k, (turn, speed, rate) in enumerate(
-        ((zero, moved, zero), (quarter, zero, zero), (zero, moved, zero), (-quarter, zero, turned))
-    ):
-        controls[at + k] = np.column_stack([zero, turn])
-        variances[at + k] = np.column_stack([speed, rate])
-        whole[at + k] = dt[at + k]
-    return controls, dt, whole, starts, variances
+    if not bridged.any():
+        return controls, None
+    share = np.where(bridged, silence / lasting, 0.0)
+    speed, turn_rate = np.sqrt(np.mean(recorded**2, axis=0))
+    turn_rate = np.minimum(turn_rate, np.pi / silence)
+    variances = (
+        share[:, None] * np.column_stack([np.full(len(share), speed), turn_rate, np.full(len(share), speed)]) ** 2
+    )
+    left = FADING / lasting * (np.exp(-begin / FADING) - np.exp(-(begin + lasting) / FADING))
+    return controls * np.where(bridged, left, 1.0)[:, None], variances
 
 
 def gap_note(gaps: list[float]) -> str:
     """The note about bridged gaps [s]."""
-    held = [gap for gap in gaps if gap <= LONGEST_HELD]
-    unknown = [gap for gap in gaps if gap > LONGEST_HELD]
-    notes = []
-    if held:
-        notes.append(
-            f"{_lengths(held)}: bridged by the last control, with noise as large as the spread of all controls"
-        )
-    if unknown:
-        notes.append(
-            f"{_lengths(unknown)}: bridged, with the noise of a robot that moved and turned at will at its usual speeds"
-        )
-    return "; ".join(notes)
+    return f"{_lengths(gaps)}: bridged, with the noise of a robot that moved and turned at will at its usual speeds"
 
 
 def _lengths(gaps: list[float]) -> str:

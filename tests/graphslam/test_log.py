@@ -99,7 +99,7 @@ def test_odometry_finer_than_the_poses():
 
 
 def test_poses_left_out_join_their_motions():
-    log = fine(control_variances=np.arange(10).reshape(5, 2), start_time=1.0)
+    log = fine(control_variances=np.arange(15).reshape(5, 3), start_time=1.0)
     joined = log.at_steps([0, 2])
     assert joined.control_starts.tolist() == [0, 5]
     np.testing.assert_allclose(joined.dead_reckoning(), log.dead_reckoning()[[0, 2]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -212,13 +213,39 @@ def test_what_cannot_tell_its_noise_keeps_the_books() -> None:
         Graph.from_log(log, noise="perfect")
 
 
-def test_one_sighting_without_an_id_is_told() -> None:
-    log = warehouse()[0]
+def test_sightings_without_ids_are_corrected_but_tell_nothing() -> None:
+    log, _, whole = warehouse()
     ids = log.landmarks.copy()
-    ids[3] = UNIDENTIFIED
+    nameless = np.arange(len(ids)) % 7 == 3
+    ids[nameless] = UNIDENTIFIED
     known, found = robot.known_robot(log.replace(landmarks=ids))
-    assert found is None
-    assert f"the noise models are the book's, because 1 of {len(ids)} sightings have no id" in known.notes[-1]
+    assert found is not None
+    assert any(f"{nameless.sum()} of {len(ids)} sightings have no id and were not used" in note for note in known.notes)
+    # they are in the log of the robot, nameless and without the biases of the sensor
+    assert np.count_nonzero(known.landmarks == UNIDENTIFIED) == nameless.sum()
+    assert not (found.changed | found.dropped)[nameless].any()
+    assert found.misread == pytest.approx(whole.misread, rel=0.5)
+    # noise and biases are those of the other sightings
+    named = estimate_robot(log.with_sightings(~nameless))
+    assert found.parameters.names == named.parameters.names
+    np.testing.assert_allclose(found.parameters.values, named.parameters.values, rtol=1e-6, atol=1e-9)
+    with pytest.raises(LogError, match="without ids"):
+        estimate_robot(log.replace(landmarks=np.full(len(ids), UNIDENTIFIED)))
+
+
+@pytest.mark.parametrize("seed", [1006, 1007])
+def test_silences_of_the_odometry_spoil_nothing(seed: int) -> None:
+    """Poses within a silence follow their sightings; the noise of all others is found as without it."""
+    errors = []
+    for silences in (0, 3):
+        drive = replace(Drive.random(seed), silences=silences, silence=8.0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            log = drive.simulate()[0]
+        assert log.notes[:1] == () if silences == 0 else "3 gaps of 8.0 to" in log.notes[0]
+        found = estimate_robot(log)
+        errors.append(ate(log, solve(Graph.from_log(found.log, edges="landmark+motion", kernel="cauchy")).poses))
+    assert errors[1] < 1.5 * errors[0] + 0.005
 
 
 def test_models_of_the_log_or_of_the_caller_are_used() -> None:
