@@ -123,9 +123,9 @@ class Comparison(Displayed):
 
     @property
     def noise_source(self) -> dict[str, str]:
-        """Where each noise model comes from: "book", "log" (or its reader), "estimated" from this log, or "given"."""
-        if self.options.noise == AUTO:
-            return dict.fromkeys(self.models, "estimated")
+        """Where each noise model comes from: "book", "log" (or its reader), "file", "estimated" from this log, or "given"."""
+        if self.options.noise is not None:
+            return dict.fromkeys(self.models, "estimated" if self.options.noise == AUTO else "file")
         return {
             name: "book"
             if _noise(used) == _noise(MODELS[name]())
@@ -229,6 +229,7 @@ class Comparison(Displayed):
             RunDocument,
             log=describe(self.log, self.source),
             noise={n: {"source": self.noise_source[n], "model": asdict(model)} for n, model in self.models.items()},
+            robot=None if self.options.calibration is None else self.options.calibration.to_json(),
             estimators=[by_name[row.name] for row in self.table],
             files={kind: str(path) for kind, path in (files or {}).items()},
             notes=getattr(files, "notes", []),
@@ -249,7 +250,7 @@ class Comparison(Displayed):
         from the drive. With half the noise of the sensor one is above 2 on 15 of the 16 whose errors are not correlated; J
         does not show it where they are.
         """
-        if not {"given", "log"} & set(self.noise_source.values()) or self.noise_ratio is None:
+        if not {"given", "log", "file"} & set(self.noise_source.values()) or self.noise_ratio is None:
             return
         name, ratio = self.noise_ratio
         medians = typical_costs(self[name])

@@ -36,6 +36,8 @@ def config_text(
         "estimators": estimators,
         "time_limit": time_limit,
         **{each.name: value for each, value in options.changed() if each.only != "python"},
+        # the numbers of a noise file are below
+        "noise": options.noise if options.noise == AUTO else None,
         "map": None if options.map is None else _path_text(options.map.absolute()),
         # what was estimated from the log is estimated again
         **{

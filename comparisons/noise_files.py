@@ -25,6 +25,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from graphslam import FormatError, SensorModel
 from graphslam.calibration import Calibration
 from graphslam.errors import printable
@@ -91,6 +93,12 @@ def write_noise(result: Calibration, path: Path, log: str) -> None:
         },
     }
     head = f"The noise of {printable(log)}, from {result.source}; read by slam-compare run --noise."
-    comment = [head, *result.notes, *(f"Not recommended: {doubt}" for doubt in result.doubts)]
+    errors = ", ".join(f"{name} {error:.2g}" for name, error in result.errors.items() if error < np.inf)
+    comment = [
+        head,
+        *([f"Standard errors: {errors}."] if errors else []),
+        *result.notes,
+        *(f"Not recommended: {doubt}" for doubt in result.doubts),
+    ]
     with write_whole(path) as temporary:
         temporary.write_text(to_toml(table, "\n".join(comment)), encoding="utf-8")

@@ -52,7 +52,7 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
     Returns:
         The log; where it came from, None for a `Log`; the options, whose noise models are those of the options, else
         those of the noise file, else those of the log, else those estimated from it, else the book's. Its ``noise`` is
-        `AUTO` where they were estimated, with what was found as its ``calibration``, and None otherwise; its ``numbers``
+        `AUTO` where they were estimated, with what was found as its ``calibration``, or the noise file; its ``numbers``
         are those of the filters. With a map the log is in its frame, and the map its ``landmark_map``.
 
     Raises:
@@ -83,7 +83,14 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
     return (
         data,
         source,
-        replace(options, noise=AUTO if found else None, numbers=others, **models, **corrected, **in_map),
+        replace(
+            options,
+            noise=AUTO if found else None if options.noise in (AUTO, BOOK) else options.noise,
+            numbers=others,
+            **models,
+            **corrected,
+            **in_map,
+        ),
     )
 
 

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
     from .formats import load, save
     from .graph import Graph
-    from .identification.robot import RobotEstimate, estimate_robot
+    from .identification.result import RobotEstimate
+    from .identification.robot import estimate_robot
     from .incremental.solver import OnlineSolver
     from .incremental.stream import OnlineEstimate, online, solve_by_steps, steps_of
     from .keyframes import with_poses_every
@@ -56,7 +57,8 @@ _PUBLIC = {
     "errors": "FactorError FormatError GraphError LogError OptionError SlamError",
     "formats": "load save",
     "graph": "Graph",
-    "identification.robot": "RobotEstimate estimate_robot",
+    "identification.result": "RobotEstimate",
+    "identification.robot": "estimate_robot",
     "incremental.solver": "OnlineSolver",
     "incremental.stream": "OnlineEstimate online solve_by_steps steps_of",
     "keyframes": "with_poses_every",

@@ -208,6 +208,12 @@ class CalibrateDocument(Document):
         dict[str, float | None], about("degrees of freedom of Student's t, from the truth; null: normal distribution")
     ]
     counts: Annotated[dict[str, Count], about("number of motions and sightings that were used")]
+    misread: Annotated[
+        float | None, about("part of the sightings whose id is wrong, or that show no landmark; null from the truth")
+    ]
+    inflation: Annotated[
+        float, about("factor on the variances of the sensor with which its correlated errors count as independent")
+    ]
     logs: Annotated[list[str], about("names of the logs")]
     notes: Annotated[list[str], about("remarks of the calibration")]
-    doubts: Annotated[list[str], about("why the noise is not recommended: several logs disagree")]
+    doubts: Annotated[list[str], about("why the noise may be wrong, or is not recommended")]

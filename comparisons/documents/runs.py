@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from .base import CostPerDof, Count, Covariance, Document, Id, Pose, Position, about, document
-from .logs import LogDocument
+from .logs import CalibrateDocument, LogDocument
 
 if TYPE_CHECKING:
     from graphslam.parameters import ParameterEstimate
@@ -188,10 +188,10 @@ class NoiseDocument(Document):
     """A noise model of the run."""
 
     source: Annotated[
-        Literal["book", "log", "estimated", "given"],
+        Literal["book", "log", "file", "estimated", "given"],
         about(
-            "book: the lectures' values; log: those of the log or its reader; estimated: from this log; given: by options "
-            "or a noise file"
+            "book: the lectures' values; log: those of the log or its reader; file: a noise file; estimated: from this log; "
+            "given: by options"
         ),
     ]
     model: Annotated[dict[str, Any], about("fields of `graphslam.MotionModel` or `graphslam.SensorModel`")]
@@ -202,6 +202,9 @@ class RunDocument(Document):
 
     log: LogDocument
     noise: Annotated[dict[str, NoiseDocument], about("the noise models `motion` and `sensor` of all estimators")]
+    robot: Annotated[
+        CalibrateDocument | None, about("noise and biases that were estimated from the log; null where none were")
+    ]
     estimators: Annotated[list[EstimatorDocument], about("in the order of the table")]
     files: Annotated[dict[str, str], about("the files written, by kind or name")]
     notes: Annotated[list[str], about("files that could not be made, one sentence each")]

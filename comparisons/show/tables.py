@@ -258,7 +258,7 @@ def _exchanged(comparison: Comparison) -> list[str]:
 def _noise_remarks(comparison: Comparison) -> list[str]:
     """Which noise models were used, and what J per degree of freedom says about them."""
     names = {
-        "book": "the book's", "log": "those of the log or its reader", "given": "as given",
+        "book": "the book's", "log": "those of the log or its reader", "file": "those of the noise file", "given": "as given",
         "estimated": "estimated from this log",
     }  # fmt: skip
     sources = {name: names[source] for name, source in comparison.noise_source.items()}

@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from ..checks import array_of, check_choice, check_not_negative, check_type
 from ..errors import LogError
 from ..identification.parts import OF_SENSOR, with_variances
-from ..identification.robot import RobotEstimate
+from ..identification.result import RobotEstimate
 from ..log import Log, check_is_log
 from ..models import MotionModel, SensorModel
 from ..parameters.corrections import without_biases
@@ -49,6 +49,9 @@ class Calibration:
             are few, the models describe typical motions and sightings, without the outliers, and a robust kernel is
             needed. From the truth only.
         counts: {"motion": number of motions, "sensor": number of sightings} that were used.
+        misread: the part of the sightings whose id is wrong, or that show no landmark; None from the truth.
+        inflation: the factor on the variances of the sensor with which correlated errors count as independent, see
+            `RobotEstimate`; 1: they are, or nobody asked.
         source: "truth" or "residuals"; the latter, too, where true poses without a map tell the numbers of the motion only.
         logs: the names of the logs.
         notes: what the user should know, one sentence each.
@@ -70,6 +73,8 @@ class Calibration:
     bounds: dict[str, float] = field(default_factory=dict)
     degrees: dict[str, float] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
+    misread: float | None = None
+    inflation: float = 1.0
     source: str = "truth"
     logs: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -115,6 +120,8 @@ class Calibration:
             counts={
                 "motion": sum(one.log.num_poses - 1 for one in every), "sensor": sum(len(one.log.steps) for one in every),
             },
+            misread=float(np.average([one.misread for one in every], weights=[len(one.changed) for one in every])),
+            inflation=float(np.exp(np.mean([np.log(one.inflation) for one in every]))),
             source="residuals", logs=tuple(one.log.name for one in every),
             notes=(
                 *noise.notes,

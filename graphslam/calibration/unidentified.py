@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from ..association import associate
 from ..errors import GraphError, LogError
-from ..identification.robot import RobotEstimate, enough_ids, estimate_robot
+from ..identification.result import RobotEstimate
+from ..identification.robot import enough_ids, estimate_robot
 from ..log import UNIDENTIFIED, Log
 from ..models import MotionModel, SensorModel
 from ..parameters.corrections import without_biases

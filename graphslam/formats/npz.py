@@ -4,8 +4,8 @@ Arrays (absent = None): ``format`` ("graphslam-log-1"), ``dt`` (T,), ``controls`
 (M,), ``sightings`` (M, 2 or 3), ``classes`` (M,), numbers or words, ``initial_poses`` (T+1, 3), ``true_poses`` (T+1, 3),
 ``truth_offset`` (2,; absent = at the robot's pose), ``true_landmark_ids`` (L,), ``true_landmark_poses`` (L, 3; a third
 column of NaN marks a landmark without heading), ``start_time``, and for logs with several controls per motion
-``control_starts`` (T+1,), ``control_variances`` (S, 3) or (S, 2), ``recorded_dt`` (S,) and ``true_path`` (S+1, 3); ``motion`` and
-``sensor``, the fields of the noise models in their order, where the log has such models; ``notes`` (N,) and
+``control_starts`` (T+1,), ``control_variances`` (S, 3) or (S, 2), ``recorded_dt`` (S,) and ``true_path`` (S+1, 3);
+``motion`` and ``sensor``, the fields of the noise models in their order, where the log has such models; ``notes`` (N,) and
 ``doubts`` (N, 2), texts; ``uncertain`` (K, 2), names and numbers as texts; ``simulated``, where `simulate` made the log. No
 pickles.
 """

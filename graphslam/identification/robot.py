@@ -18,7 +18,7 @@ The second-order theory is that of `identification.unknowns` and `identification
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,8 +28,8 @@ from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from ..parameters.corrections import corrected_log
 from ..parameters.declared import ParameterEstimate
-from ..se2 import Array
 from .restricted_likelihood import improve_variances, log_likelihood
+from .result import KINDS, RobotEstimate
 from .sighting_errors import LAGS, SHORT, checked_ids, correlations, inflation, smoothed
 from .unknowns import Unknowns
 
@@ -50,137 +50,14 @@ DEPENDENT, HARDLY = 0.2, 0.15
 COMMON = 2.0
 #: a calibrated robot has no biases of the one kind or of the other: they are held at their ideal values where the logarithmic
 #: evidence for that is above this number
-KINDS = {
-    "odometry": ("wheel_scale", "turn_scale", "turn_rate_bias", "curvature_bias"),
-    "sensor": ("range_bias", "bearing_bias", "sensor_ahead", "sensor_left", "sensor_delay"),
-}
 CONVINCING = 1.0
 #: below this gain of the log likelihood, divided by the sightings that count as one, odometry counts as nearly exact; and the
 #: seconds for one sighting of each landmark in the second test
 NEEDED, MORE = 8.0, 1.0
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = {"sightings": 60, "poses": 20}
-#: an estimate is doubtful with fewer sightings than this, with more than this part of the ids wrong, and with a bias that is
-#: so many standard deviations of its prior from its ideal value, for which these are likely causes
-FEW, MANY_MISREAD, IMPLAUSIBLE = 150, 0.2, 4.0
-CAUSES = {
-    "wheel_scale": "is the odometry in metres per second?",
-    "turn_scale": "is the odometry in radians per second? Noise in recorded turns makes the scale too large.",
-    "turn_rate_bias": "is the gyroscope calibrated?",
-    "curvature_bias": "does one wheel have another radius?",
-    "range_bias": "do ranges count from another point of the sensor?",
-    "bearing_bias": "is the sensor mounted straight?",
-    "sensor_ahead": "is the place of the sensor right (sensor offset)?",
-    "sensor_left": "is the place of the sensor right (sensor offset)?",
-    "sensor_delay": "do odometry and sensor have the same clock?",
-}
 #: of longer logs only so many sightings are used at once where this is enough, and so many for correlations
 MOST, MOST_CORRELATED = 6000, 12_000
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RobotEstimate:
-    """What `estimate_robot` finds.
-
-    Attributes:
-        log: the log with the ids corrected, clutter left out, scales and biases taken out, and these noise models as its own.
-        motion, sensor: the noise models. That of the sensor counts correlated sightings as `inflation` says.
-        parameters: scales, biases, delay and place of the sensor with their covariance, without those that are held.
-        errors: {name of a noise value: its standard error as a part of the value}.
-        changed, dropped: (M,) bool, rows of the given log whose id was replaced, and that fit no landmark.
-        identified: (M,) bool, those that have an id; the others are corrected, too, but tell nothing.
-        correlations: (B,) of the errors of one landmark over the lags between `LAGS`.
-        inflation: the factor on the variances of the sensor with which its errors count as independent; 1: they are.
-        nearly_exact: whether nothing in the log speaks against exact odometry, whose noise is then a part of its estimate.
-    """
-
-    log: Log
-    motion: MotionModel
-    sensor: SensorModel
-    parameters: ParameterEstimate
-    errors: dict[str, float]
-    changed: np.ndarray
-    dropped: np.ndarray
-    identified: np.ndarray
-    correlations: Array
-    inflation: float
-    nearly_exact: bool
-
-    def __repr__(self) -> str:
-        return f"<RobotEstimate: {'; '.join(self.sentences)}>"
-
-    @property
-    def misread(self) -> float:
-        """The part of the sightings with ids whose id is wrong, or that show no landmark."""
-        return float(np.mean((self.changed | self.dropped)[self.identified]))
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """What was found, for the notes of a table."""
-        values = vars(self.motion) | {n: v for n, v in vars(self.sensor).items() if n not in SensorModel.GEOMETRY}
-        noise = ", ".join(
-            f"{name} {values[name]:.2g} +- {100 * error:.0f} %" for name, error in self.errors.items() if error < 1
-        )
-        lines = [f"noise estimated from this log: {noise or 'it tells no value, so that typical ones are taken'}"]
-        if self.inflation > 1 and noise:
-            lines[0] += f"; that of the sensor is {self.inflation**0.5:.1f} times that of a single sighting"
-        if self.parameters.names:
-            lines.append(f"biases estimated from this log: {self.parameters.sentence}")
-        return (*lines, *self.remarks)
-
-    @property
-    def doubts(self) -> tuple[str, ...]:
-        """Why the result may be wrong although noise and biases were found, one sentence each."""
-        p, lines = self.parameters, []
-        for k, name in enumerate(p.names):
-            mean, deviation = p.priors[name]
-            if abs(p.values[k] - mean) > IMPLAUSIBLE * deviation:
-                lines.append(
-                    f"{name}, estimated as {p.values[k]:.3g}, is rarely so far from {mean:g}; {CAUSES[name]} If the value is "
-                    "wrong, so are the trajectory and its standard deviations"
-                )
-        if self.misread > MANY_MISREAD:
-            lines.append(
-                f"{self.misread:.0%} of the ids contradict the other sightings; is the column of the ids right?"
-            )
-        if (count := np.count_nonzero(self.identified)) < FEW:
-            lines.append(
-                f"the log has only {count} sightings{'' if self.identified.all() else ' with ids'}, which tell the noise roughly: the trajectory may be "
-                "several times less accurate than with the true noise, which --noise FILE or the noise options give"
-            )
-        return tuple(lines)
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What was found beside noise and biases, one sentence each."""
-        lines = [
-            f"nothing in the log shows a bias of the {kind}: {', '.join(names)} keep their ideal values"
-            for kind, names in KINDS.items()
-            if not set(names) & set(self.parameters.names)
-        ]
-        if self.nearly_exact:
-            lines.append(
-                "the log does not show that the odometry is noisy: the noise of the motion was reduced to a quarter of its "
-                "estimate"
-            )
-        count, wrong, dropped = (int(each.sum()) for each in (self.identified, self.changed, self.dropped))
-        if not self.identified.all():
-            lines.append(
-                f"{len(self.identified) - count} of {len(self.identified)} sightings have no id and were not used for the "
-                "estimate"
-            )
-        if wrong or dropped:
-            lines.append(
-                f"{wrong + dropped} of {count} sightings ({self.misread:.1%}) contradict their id: {wrong} got "
-                f"the id of the landmark that fits, {dropped} fit none and were left out"
-            )
-        if self.inflation > 1:
-            span = LAGS[int(np.count_nonzero(self.correlations))]
-            lines.append(
-                f"errors of successive sightings of a landmark are correlated over up to {span:g} s, so {self.inflation:.1f} "
-                "sightings count as one"
-            )
-        return tuple(lines)
 
 
 #: the choices of the option ``noise``: from the log, or the lectures' values
@@ -222,7 +99,7 @@ def unknown_noise(log: Log) -> bool:
 
 def enough_ids(log: Log) -> bool:
     """Whether the sightings that have ids may be enough for `estimate_robot`."""
-    return log.identified or np.count_nonzero(log.landmarks != UNIDENTIFIED) >= FEWEST["sightings"]
+    return bool(log.identified or np.count_nonzero(log.landmarks != UNIDENTIFIED) >= FEWEST["sightings"])
 
 
 def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0) -> RobotEstimate:

@@ -224,9 +224,9 @@ def gap_note(gaps: list[float]) -> str:
 
 
 def _lengths(gaps: list[float]) -> str:
-    if len(gaps) == 1:
-        return f"1 gap of {decimals(gaps[0], 1)} s in the odometry"
-    return f"{len(gaps)} gaps of {decimals(min(gaps), 1)} to {decimals(max(gaps), 1)} s in the odometry"
+    shortest, longest = decimals(min(gaps), 1), decimals(max(gaps), 1)
+    lengths = longest if shortest == longest else f"{shortest} to {longest}"
+    return f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} of {lengths} s in the odometry"
 
 
 def truth_at(times: Array, truth: Stream) -> Array:
