@@ -93,6 +93,11 @@ class NoiseOptions(Options):
         "noise, biases and misread ids from this log. book: the values of the lectures.",
         metavar="FILE|auto|book", default_text="the log's models, else auto where the log can tell",
     )  # fmt: skip
+    check_ids: bool | None = option(
+        None, "Compare every id with the sightings around it, by the given noise: misread ids get the id of the landmark "
+        "that fits, or are left out. What is estimated from the log (--noise auto) includes this.",
+        default_text="with a noise file",
+    )  # fmt: skip
     wheel_scale: float | None = _correction("wheel_scale")
     turn_scale: float | None = _correction("turn_scale")
     turn_rate_bias: float | None = _correction("turn_rate_bias")

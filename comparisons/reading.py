@@ -17,6 +17,7 @@ from graphslam import (
     GraphError,
     Log,
     LogError,
+    MotionModel,
     OptionError,
     SensorModel,
     load,
@@ -25,7 +26,7 @@ from graphslam import (
 from graphslam.calibration.unidentified import robot_of
 from graphslam.errors import quoted
 from graphslam.files import check_file
-from graphslam.identification.robot import enough_ids, known_robot
+from graphslam.identification.robot import enough_ids, known_robot, with_checked_ids
 from graphslam.keyframes import with_poses_every
 from graphslam.landmark_map import as_map
 from graphslam.localization import in_frame_of
@@ -69,6 +70,9 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
     numbers = {n: v for n, v in options.numbers.items() if not (found and n in SensorModel.GEOMETRY)}
     motion, sensor = replace(options, numbers=numbers).models(data.motion, data.sensor)
     data = without_biases(data, motion=motion, sensor=sensor, **values)
+    of_file = options.noise not in (None, AUTO, BOOK)
+    if check_ids := (of_file if options.check_ids is None else options.check_ids) and found is None:
+        data = _with_checked_ids(data, motion, sensor)
     if options.max_range is not None:
         # what is farther away has been left out, so that the sensor does not see it
         sensor = replace(sensor, max_range=min(sensor.max_range, options.max_range))
@@ -78,20 +82,15 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
         data, notes = in_frame_of(data, landmark_map, motion=motion, sensor=sensor)
         data = data.replace(notes=(*data.notes, *notes))
         in_map = {"landmark_map": landmark_map}
-    others = {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)}
-    models: dict[str, Any] = {"motion": motion, "sensor": sensor, "calibration": found}
-    return (
-        data,
-        source,
-        replace(
-            options,
-            noise=AUTO if found else None if options.noise in (AUTO, BOOK) else options.noise,
-            numbers=others,
-            **models,
-            **corrected,
-            **in_map,
-        ),
-    )
+    filled: dict[str, Any] = {
+        "numbers": {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)},
+        "noise": AUTO if found else options.noise if of_file else None,
+        "motion": motion,
+        "sensor": sensor,
+        "calibration": found,
+        "check_ids": check_ids or None,
+    }
+    return data, source, replace(options, **filled, **corrected, **in_map)
 
 
 def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], Calibration | None]:
@@ -124,6 +123,14 @@ def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], C
         return known, values, None if estimate is None else Calibration.of(estimate)
     except (GraphError, LogError) as error:
         return log.replace(notes=(*log.notes, f"noise auto kept {_kept(log)}: {error}")), values, None
+
+
+def _with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:
+    """The log of a robot that is known from a noise file, with misread ids corrected."""
+    try:
+        return with_checked_ids(log, motion, sensor)
+    except GraphError as error:
+        return log.replace(notes=(*log.notes, f"the ids were not checked: {error}"))
 
 
 def _gives_noise(options: LogOptions) -> bool:

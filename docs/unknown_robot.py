@@ -29,7 +29,7 @@ for given, true, names in (
         print(f"{name:12} estimated {values[0]:.4f}, true {values[1]:.4f}, book {values[2]:.4f}")
 
 # %% ids
-wrong, named = truth.misread | truth.clutter, found.changed | found.dropped
+wrong, named = truth.misread | truth.clutter, found.ids.changed | found.ids.dropped
 print(
     f"found: {named[wrong].mean():.1%} of the wrong ids; taken for wrong: {named[~wrong].mean():.1%} of the right ones"
 )
@@ -38,7 +38,7 @@ assert named[wrong].mean() > 0.95 and named[~wrong].mean() < 0.01
 # %% steps
 import matplotlib.pyplot as plt
 
-right_ids = log.with_sightings(~found.dropped, landmarks=found.log.landmarks)
+right_ids = found.ids.correct(log)
 options = {"edges": "landmark+motion", "kernel": "cauchy"}
 models = {"motion": found.motion, "sensor": found.sensor}
 steps = {

@@ -120,7 +120,7 @@ class Calibration:
             counts={
                 "motion": sum(one.log.num_poses - 1 for one in every), "sensor": sum(len(one.log.steps) for one in every),
             },
-            misread=float(np.average([one.misread for one in every], weights=[len(one.changed) for one in every])),
+            misread=float(np.average([one.ids.share for one in every], weights=[len(one.ids.changed) for one in every])),
             inflation=float(np.exp(np.mean([np.log(one.inflation) for one in every]))),
             source="residuals", logs=tuple(one.log.name for one in every),
             notes=(

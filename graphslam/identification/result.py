@@ -10,7 +10,7 @@ from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..parameters.declared import ParameterEstimate
 from ..se2 import Array
-from .sighting_errors import LAGS
+from .sighting_errors import LAGS, Ids
 
 #: the biases of odometry and sensor
 KINDS = {
@@ -51,8 +51,7 @@ class RobotEstimate:
         motion, sensor: the noise models. That of the sensor counts correlated sightings as `inflation` says.
         parameters: scales, biases, delay and place of the sensor with their covariance, without those that are held.
         errors: {name of a noise value: its standard error as a part of the value}.
-        changed, dropped: (M,) bool, rows of the given log whose id was replaced, and that fit no landmark.
-        identified: (M,) bool, those that have an id; the others are corrected, too, but tell nothing.
+        ids: those of the given log, checked. Sightings without an id are corrected like the others, but tell nothing.
         correlations: (B,) of the errors of one landmark over the lags between `LAGS`.
         inflation: the factor on the variances of the sensor with which its errors count as independent; 1: they are.
         nearly_exact: whether nothing in the log speaks against exact odometry, whose noise is then a part of its estimate.
@@ -63,20 +62,13 @@ class RobotEstimate:
     sensor: SensorModel
     parameters: ParameterEstimate
     errors: dict[str, float]
-    changed: np.ndarray
-    dropped: np.ndarray
-    identified: np.ndarray
+    ids: Ids
     correlations: Array
     inflation: float
     nearly_exact: bool
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
-
-    @property
-    def misread(self) -> float:
-        """The part of the sightings with ids whose id is wrong, or that show no landmark."""
-        return float(np.mean((self.changed | self.dropped)[self.identified]))
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -111,11 +103,11 @@ class RobotEstimate:
             for name, (most, why) in UNUSUAL.items()
             if name in self.errors and self.errors[name] < 1 and values[name] > most
         ]
-        if self.misread > MANY_MISREAD:
+        if self.ids.share > MANY_MISREAD:
             lines.append(
-                f"{self.misread:.0%} of the ids contradict the other sightings; is the column of the ids right?"
+                f"{self.ids.share:.0%} of the ids contradict the other sightings; is the column of the ids right?"
             )
-        if (count := np.count_nonzero(self.identified)) < FEW:
+        if (count := np.count_nonzero(self.ids.identified)) < FEW:
             lines.append(
                 f"the log has only {count} sightings with ids, which tell the noise roughly: the trajectory may be several "
                 "times less accurate than with the true noise, which --noise FILE or the noise options give"
@@ -135,17 +127,13 @@ class RobotEstimate:
                 "the log does not show that the odometry is noisy: the noise of the motion was reduced to a quarter of its "
                 "estimate"
             )
-        count, wrong, dropped = (int(each.sum()) for each in (self.identified, self.changed, self.dropped))
-        if not self.identified.all():
+        nameless = np.count_nonzero(~self.ids.identified)
+        if nameless:
             lines.append(
-                f"{len(self.identified) - count} of {len(self.identified)} sightings have no id and were not used for the "
-                "estimate"
+                f"{nameless} of {len(self.ids.identified)} sightings have no id and were not used for the estimate"
             )
-        if wrong or dropped:
-            lines.append(
-                f"{wrong + dropped} of {count} sightings ({self.misread:.1%}) contradict their id: {wrong} got "
-                f"the id of the landmark that fits, {dropped} fit none and were left out"
-            )
+        if (contradicting := self.ids.sentence) is not None:
+            lines.append(contradicting)
         if self.inflation > 1:
             span = LAGS[int(np.count_nonzero(self.correlations))]
             lines.append(

@@ -30,7 +30,7 @@ from ..parameters.corrections import corrected_log
 from ..parameters.declared import ParameterEstimate
 from .restricted_likelihood import improve_variances, log_likelihood
 from .result import KINDS, RobotEstimate
-from .sighting_errors import LAGS, SHORT, checked_ids, correlations, inflation, smoothed
+from .sighting_errors import LAGS, SHORT, Ids, checked_ids, correlations, inflation, smoothed
 from .unknowns import Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
@@ -126,14 +126,9 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
 
 def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotEstimate:
     """`estimate_robot` for a log that has enough."""
-    identified = log.landmarks != UNIDENTIFIED
-    drive = _of_sightings(log.with_sightings(identified))
-    local, doubtful, alone = _local(drive, sensor)
-    fewer = _at_most(drive.with_sightings(~doubtful), MOST)
-    first = _joined(fewer, sensor, local, ROUNDS[1])[0]
-    ids = checked_ids(drive, _everywhere(first, fewer), alone, rng)
-    right, names = ~ids.dropped, ids.landmarks[~ids.dropped]
-    named = drive.with_sightings(right, landmarks=names)
+    drive, first, ids = _with_ids(log, sensor, rng)
+    named = ids.correct(drive)
+    ids = ids.within(log.landmarks)
     sparse, used = _sparse(named)
     second = _joined(sparse, sensor, first, ROUNDS[2])[0]
     exact = _fitted(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
@@ -155,9 +150,7 @@ def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotE
         seen, range_rate=seen.range_rate * factor**0.5, range_std=seen.range_std * factor**0.5,
         bearing_std=seen.bearing_std * factor**0.5, orientation_std=seen.orientation_std * factor**0.5,
     )  # fmt: skip
-    landmarks, changed, dropped = log.landmarks.copy(), np.zeros_like(identified), np.zeros_like(identified)
-    landmarks[identified], changed[identified], dropped[identified] = ids.landmarks, ids.changed, ids.dropped
-    parameters = replace(last.parameters, recorded=log.with_sightings(~dropped, landmarks=landmarks[~dropped]))
+    parameters = replace(last.parameters, recorded=ids.correct(log))
     free = [k for k, name in enumerate(parameters.names) if name not in held]
     names, means, deviations = (
         np.array(each)[free].tolist() for each in (parameters.names, parameters.means, parameters.deviations)
@@ -171,9 +164,48 @@ def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotE
         {name: (m, s) for name, m, s in zip(names, means, deviations)},
     )  # fmt: skip
     return RobotEstimate(
-        log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, changed=changed,
-        dropped=dropped, identified=identified, correlations=rho, inflation=factor, nearly_exact=nearly_exact,
+        log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, ids=ids, correlations=rho,
+        inflation=factor, nearly_exact=nearly_exact,
     )  # fmt: skip
+
+
+def _with_ids(
+    log: Log, sensor: SensorModel, rng: np.random.Generator, motion: MotionModel | None = None
+) -> tuple[Log, Unknowns, Ids]:
+    """The log with only its sightings with ids, the solution with the landmarks by their ids, and these ids checked.
+
+    Args:
+        motion: the noise of the motion is this, and that of the sensor that of ``sensor``. Default: both are estimated.
+    """
+    drive = _of_sightings(log.with_sightings(log.landmarks != UNIDENTIFIED))
+    local, doubtful, alone = _local(drive, sensor, motion)
+    fewer = _at_most(drive.with_sightings(~doubtful), MOST)
+    first = _joined(fewer, sensor, local, ROUNDS[1])[0]
+    return drive, first, checked_ids(drive, _everywhere(first, fewer), alone, rng)
+
+
+def with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel, *, seed: int = 0) -> Log:
+    """The log of a robot that is known, with the ids that contradict their place replaced or left out, and a note.
+
+    Args:
+        log: without biases. Where it has too few sightings with ids to judge them, it stays as it is.
+        motion, sensor: the noise.
+        seed: of the random signs with which covariances of predictions are estimated.
+
+    Raises:
+        GraphError: the sightings do not determine the poses.
+    """
+    try:
+        _check(log)
+    except LogError:
+        return log
+    try:
+        ids = _with_ids(log, sensor, np.random.default_rng(seed), motion)[2].within(log.landmarks)
+    except np.linalg.LinAlgError:
+        raise GraphError(
+            f"{log.name}: the sightings do not determine the poses, so that no id can be checked"
+        ) from None
+    return log if ids.sentence is None else ids.correct(log).replace(notes=(*log.notes, ids.sentence))
 
 
 def _check(log: Log) -> None:
@@ -191,7 +223,7 @@ def _check(log: Log) -> None:
         )
 
 
-def _local(log: Log, sensor: SensorModel) -> tuple[Unknowns, np.ndarray, np.ndarray]:
+def _local(log: Log, sensor: SensorModel, motion: MotionModel | None) -> tuple[Unknowns, np.ndarray, np.ndarray]:
     """The problem of episodes, solved; and (M,) bool which sightings stand alone in time or contradict their episode, and
     which stand alone."""
     for pause in PAUSES:
@@ -203,16 +235,24 @@ def _local(log: Log, sensor: SensorModel) -> tuple[Unknowns, np.ndarray, np.ndar
         # single sightings are normal
         alone = np.zeros(len(log.steps), dtype=bool)
     if len(log.steps) <= MOST:
-        local = _fitted(Unknowns(log, episodes, sensor), ROUNDS[0])[0]
+        local = _fitted(_begun(log, episodes, sensor, motion), ROUNDS[0])[0]
     else:
         # noise and biases from the beginning, and with them all poses
         beginning = _beginning(log, MOST)
-        part = _fitted(Unknowns(beginning, episodes[: len(beginning.steps)], sensor), ROUNDS[0])[0]
+        part = _fitted(_begun(beginning, episodes[: len(beginning.steps)], sensor, motion), ROUNDS[0])[0]
         local = Unknowns(log, episodes, sensor, part)
         local.iterate(4)
     doubtful = alone.copy()
     doubtful[np.flatnonzero(local.used)] |= local.linearized().edges[1].squares > CONTRADICTS
     return local, doubtful, alone
+
+
+def _begun(log: Log, groups: np.ndarray, sensor: SensorModel, motion: MotionModel | None) -> Unknowns:
+    """The first problem of a log; where the noise is known, it is held, and there are no biases."""
+    unknowns = Unknowns(log, groups, sensor)
+    if motion is not None:
+        unknowns.hold_noise(motion, sensor)
+    return unknowns
 
 
 def _episodes(log: Log, pause: float) -> np.ndarray:

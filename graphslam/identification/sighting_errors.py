@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..log import Log
+from ..log import UNIDENTIFIED, Log
 from ..se2 import Array
 from .edges import Edges
 from .parts import ordinary
@@ -78,11 +78,40 @@ class Ids:
     Attributes:
         landmarks: (M,) ids, where another landmark fits clearly better that of the other one.
         changed, dropped: (M,) bool: those, and the sightings that fit no landmark.
+        identified: (M,) bool, the sightings that have an id; the others are neither.
     """
 
     landmarks: np.ndarray
     changed: np.ndarray
     dropped: np.ndarray
+    identified: np.ndarray
+
+    @property
+    def share(self) -> float:
+        """The part of the sightings with ids whose id is wrong, or that show no landmark."""
+        return float(np.mean((self.changed | self.dropped)[self.identified]))
+
+    @property
+    def sentence(self) -> str | None:
+        """What was changed, for the notes of a table; None where nothing was."""
+        changed, dropped, count = (int(each.sum()) for each in (self.changed, self.dropped, self.identified))
+        if changed + dropped == 0:
+            return None
+        return (
+            f"{changed + dropped} of {count} sightings ({self.share:.1%}) contradict their id: {changed} got the id of the "
+            f"landmark that fits, {dropped} fit none and were left out"
+        )
+
+    def within(self, landmarks: np.ndarray) -> Ids:
+        """The ids of a whole log, given all of them (M,), of which these are the ones that are not `UNIDENTIFIED`."""
+        identified = landmarks != UNIDENTIFIED
+        whole, changed, dropped = landmarks.copy(), np.zeros_like(identified), np.zeros_like(identified)
+        whole[identified], changed[identified], dropped[identified] = self.landmarks, self.changed, self.dropped
+        return Ids(whole, changed, dropped, identified)
+
+    def correct(self, log: Log) -> Log:
+        """The log with these ids, without the sightings that fit no landmark."""
+        return log.with_sightings(~self.dropped, landmarks=self.landmarks[~self.dropped])
 
 
 def checked_ids(log: Log, unknowns: Unknowns, alone: np.ndarray, rng: np.random.Generator) -> Ids:
@@ -108,7 +137,7 @@ def checked_ids(log: Log, unknowns: Unknowns, alone: np.ndarray, rng: np.random.
     supported = np.isin(landmarks, ids[strong])
     tried = np.flatnonzero((own > CONTRADICTS) | ~supported)
     if len(tried) == 0 or len(strong) == 0:
-        return Ids(landmarks, changed, dropped)
+        return Ids(landmarks, changed, dropped, np.ones_like(dropped))
     others = np.stack([predictions.distances(log, tried, np.full(len(tried), j))[0] for j in strong.tolist()])
     # an id that is more probably wrong than right does not come back
     others[np.isin(tried, unlikely) & (ids[strong][:, None] == landmarks[tried])] = UNLIKELY
@@ -120,7 +149,7 @@ def checked_ids(log: Log, unknowns: Unknowns, alone: np.ndarray, rng: np.random.
     landmarks[tried[fits]] = ids[strong[best[fits]]]
     changed[tried[fits]] = True
     dropped[tried[~fits]] = np.isfinite(own[tried[~fits]]) & (own[tried[~fits]] > CONTRADICTS)
-    return Ids(landmarks, changed, dropped)
+    return Ids(landmarks, changed, dropped, np.ones_like(dropped))
 
 
 def _unlikely(log: Log, rows: np.ndarray, density: Array) -> np.ndarray:

@@ -65,6 +65,8 @@ DEGREES_SIGHTINGS, DEGREES_MOTIONS = 4.0, 8.0
 OF_GAUSSIAN_SIGHTINGS, OF_GAUSSIAN_MOTIONS = {2: 0.7267, 3: 0.7559}, 0.8389
 #: where nothing speaks against exact odometry, its noise has this part of the estimate (docs/decisions.md)
 EXACT = 1 / 4
+#: what counts as no variance
+LEAST_VARIANCE = 1e-14
 #: the standard deviation of the prior of a parameter that is held
 HELD = 1e-7
 #: the least distance between sensor and landmark [m], where the bearing is undefined
@@ -166,6 +168,16 @@ class Unknowns:
         self.parameters = replace(
             p, values=np.where(held, p.means, p.values), deviations=np.where(held, HELD, p.deviations)
         )
+
+    def hold_noise(self, motion: MotionModel, sensor: SensorModel) -> None:
+        """Keep these variances, and all parameters at their ideal values."""
+        self.hold(self.parameters.names)
+        known, sightings = vars(motion) | vars(sensor), OF_GAUSSIAN_SIGHTINGS[self.sightings.shape[1]]
+        for name in self.logarithms:
+            part = OF_GAUSSIAN_MOTIONS if name in self.motion_parts else sightings
+            self.logarithms[name] = float(np.log(max(known[name] ** 2 * part, LEAST_VARIANCE)))
+        self.held_variances = frozenset(self.logarithms)
+        self.take_noise()
 
     def with_nearly_exact_odometry(self) -> Unknowns:
         """The same problem with `EXACT` times the noise of the motion, which is kept."""

@@ -217,7 +217,7 @@ def test_the_noise_of_a_robot_is_estimated_and_told(invoke: Invoke, tmp_path: Pa
     assert json.loads(Path("b.json").read_text())["estimators"][0]["cost"] == run["estimators"][0]["cost"]
     # noise.toml takes noise and biases, but no ids, to the very same graph
     assert run["files"]["noise.toml"] == "a/noise.toml"
-    named = log.with_sightings(~found.dropped, landmarks=found.log.landmarks)
+    named = found.ids.correct(log)
     data, _, options = prepare(named, RunOptions.of(noise="a/noise.toml"))
     np.testing.assert_array_equal(data.sightings, found.log.sightings)
     np.testing.assert_array_equal(data.controls, found.log.controls)
@@ -298,10 +298,31 @@ def test_logs_without_ids(tmp_path: Path) -> None:
 def test_noise_of_another_robot_is_noticed(tmp_path: Path) -> None:
     log = drive_of_a_robot(tmp_path)
     found = estimate_robot(log)
-    noise, named = Calibration.of(found), log.with_sightings(~found.dropped, landmarks=found.log.landmarks)
+    noise, named = Calibration.of(found), found.ids.correct(log)
     for factor in (1.0, 3.0):
         smaller = {name: getattr(found.sensor, name) / factor for name in ("range_rate", "range_std", "bearing_std")}
         write_noise(replace(noise, sensor=replace(found.sensor, **smaller)), tmp_path / "noise.toml", "a robot")
         outcome = run(named, estimators=["graph"], noise=tmp_path / "noise.toml")
         said = [finding.message for finding in outcome.findings if "less noise than this log shows" in finding.message]
         assert len(said) == (factor > 1)
+
+
+def test_a_noise_file_of_the_robot_corrects_misread_ids(tmp_path: Path) -> None:
+    """The noise of one drive is used for another one, whose ids are misread as often."""
+    first, second = (Drive(seed=seed, duration=150.0, landmarks=20, misread=0.08) for seed in (5, 6))
+    write_noise(Calibration.of(estimate_robot(first.simulate()[0])), tmp_path / "noise.toml", "first")
+    log, truth = second.simulate()
+    with_file = run(log, estimators=["graph"], noise=tmp_path / "noise.toml")
+    assert with_file.noise_source == {"motion": "file", "sensor": "file"}
+    assert any("contradict their id" in note for note in with_file.log.notes)
+    assert not with_file.findings
+    oracle = log.with_sightings(~truth.clutter, landmarks=truth.landmarks[~truth.clutter])
+    right = run(oracle, estimators=["graph"], noise=tmp_path / "noise.toml")
+    errors = [each.metrics["graph"].ate_m or np.inf for each in (with_file, right)]
+    assert errors[0] < 1.3 * errors[1]
+    # the configuration repeats the run
+    files = with_file.save(tmp_path / "results")
+    again = run(
+        log, estimators=["graph"], **{n: v for n, v in read_config(files["config"]).items() if n != "estimators"}
+    )
+    np.testing.assert_array_equal(again["graph"].poses, with_file["graph"].poses)

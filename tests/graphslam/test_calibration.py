@@ -227,7 +227,7 @@ def warehouse(seed: int, **wrong: float) -> tuple[Log, DriveTruth, RobotEstimate
 
 def with_ids_of(log: Log, found: RobotEstimate) -> Log:
     """The recorded log with the ids that were found; noise files carry no ids."""
-    return log.with_sightings(~found.dropped, landmarks=found.log.landmarks)
+    return found.ids.correct(log)
 
 
 def test_a_calibration_from_residuals_is_the_estimate() -> None:

@@ -117,14 +117,14 @@ def test_few_sightings_are_told() -> None:
 
 def test_misread_ids_are_found() -> None:
     log, truth, found = warehouse()
-    wrong, named = truth.misread | truth.clutter, found.changed | found.dropped
+    wrong, named = truth.misread | truth.clutter, found.ids.changed | found.ids.dropped
     assert wrong.mean() > 0.02
     assert np.mean(named[wrong]) > 0.9
     assert np.mean(named[~wrong]) < 0.01
     # those that were changed got the true id
-    kept = found.log.landmarks[found.changed[~found.dropped]]
-    assert np.mean(kept == truth.landmarks[found.changed]) > 0.98
-    assert len(found.log.steps) == len(log.steps) - found.dropped.sum()
+    kept = found.log.landmarks[found.ids.changed[~found.ids.dropped]]
+    assert np.mean(kept == truth.landmarks[found.ids.changed]) > 0.98
+    assert len(found.log.steps) == len(log.steps) - found.ids.dropped.sum()
 
 
 def test_the_default_is_as_good_as_knowing_the_robot() -> None:
@@ -232,8 +232,8 @@ def test_sightings_without_ids_are_corrected_but_tell_nothing() -> None:
     assert any(f"{nameless.sum()} of {len(ids)} sightings have no id and were not used" in note for note in known.notes)
     # they are in the log of the robot, nameless and without the biases of the sensor
     assert np.count_nonzero(known.landmarks == UNIDENTIFIED) == nameless.sum()
-    assert not (found.changed | found.dropped)[nameless].any()
-    assert found.misread == pytest.approx(whole.misread, rel=0.5)
+    assert not (found.ids.changed | found.ids.dropped)[nameless].any()
+    assert found.ids.share == pytest.approx(whole.ids.share, rel=0.5)
     # noise and biases are those of the other sightings
     named = estimate_robot(log.with_sightings(~nameless))
     assert found.parameters.names == named.parameters.names
@@ -396,7 +396,7 @@ def test_a_long_log_is_searched_by_parts(monkeypatch: pytest.MonkeyPatch) -> Non
     parts = estimate_robot(log)
     for name, error in parts.parameters.deviations.items():
         assert abs(parts.parameters[name] - whole.parameters[name]) < 3 * error, name
-    assert parts.misread == pytest.approx(whole.misread, rel=0.2)
+    assert parts.ids.share == pytest.approx(whole.ids.share, rel=0.2)
 
 
 def test_joined_motions_are_those_of_all_their_controls() -> None:
