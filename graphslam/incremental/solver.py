@@ -30,6 +30,10 @@ MOTION, SIGHTING, RELATION = range(3)
 PASSES = 15
 #: the standard deviation [m, rad] of landmarks that are exact in a map
 EXACT = 1e-5
+#: the part of J below which steps leave it
+TOLERANCE = 1e-7
+#: the fewest steps from one pose that stays a node, with a lag, to the next
+STRETCH = 20
 
 Model = TypeVar("Model", MotionModel, SensorModel)
 
@@ -48,10 +52,12 @@ class OnlineSolver:
         motion, sensor: the noise models; default: the book's.
         motion_weight: lambda, the factor on the information of the motion edges.
         kernel: a robust kernel on the sightings, or its name.
-        lag: poses that are older than so many steps are marginalised: their edges, at their last linearisation and with
-            their last robust weights, become a dense prior on the landmarks and the pose that they are tied to. These
-            poses are final. Landmarks stay. None keeps all poses.
-        tolerance: a step ends where the next pass would lower J by less than this part of it. Together with what passes
+        lag: poses that are older than so many steps are final. They are marginalised: their edges, at their last
+            linearisation and with their last robust weights, become a dense prior on what they are tied to. Landmarks stay
+            nodes, and so does one pose in each stretch of ``lag`` steps, at least `STRETCH`, in which landmarks were new:
+            the prior of a stretch is relative to it. None keeps all poses.
+        tolerance: a step ends where the next pass would lower J by less than this part of it; default: `TOLERANCE`, and a
+            hundredth of it with a lag, because later steps cannot correct what a prior was made of. Together with what passes
             leave out, J was at most 1.1e-6 above that of the batch solver on all steps that were compared
             (`docs/benchmarks.md`).
         map: landmarks that are known beforehand, in a form that `Graph.from_log` takes; exact ones have a standard deviation
@@ -71,11 +77,13 @@ class OnlineSolver:
         sensor: SensorModel | None = None,
         motion_weight: float = 1.0,
         kernel: Kernel | str | None = None,
-        tolerance: float = 1e-7,
+        tolerance: float | None = None,
         lag: int | None = None,
         map: Any = None,
         start_covariance: ArrayLike | None = None,
     ) -> None:
+        if tolerance is None:
+            tolerance = TOLERANCE if lag is None else TOLERANCE / 100
         check_positive(motion_weight=motion_weight, tolerance=tolerance)
         if lag is not None:
             check_count(lag=lag)
@@ -91,6 +99,8 @@ class OnlineSolver:
         self._final = np.zeros((64, 3))
         self._num_final = 0
         self._landmarks: dict[int, int] = {}
+        #: the number of landmarks when a final pose was kept last
+        self._mapped = 0
         self._columns: int | None = None
         #: the times of the latest step and of the newest pose, not a number where it is unknown
         self._time, self._arrived = -np.inf, np.nan
@@ -331,7 +341,14 @@ class OnlineSolver:
         """Make the oldest pose final."""
         if self._num_final == len(self._final):
             self._final = np.concatenate([self._final, np.zeros_like(self._final)])
-        self._final[self._num_final] = self._system.marginalize(self._poses.pop(0), self._poses[-1:])
+        oldest = self._poses.pop(0)
+        # where the map grows, one at intervals stays a node: what others leave is then relative to a pose nearby
+        due = self._num_final % max(self.lag or 0, STRETCH) == 0
+        if due and (self._num_final == 0 or len(self._landmarks) > self._mapped):
+            self._mapped = len(self._landmarks)
+            self._final[self._num_final] = self._system.values([oldest])[0]
+        else:
+            self._final[self._num_final] = self._system.marginalize(oldest, self._poses[-1:])
         self._num_final += 1
         if self._system.crowded():
             number = self._system.renumber()

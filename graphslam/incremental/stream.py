@@ -47,7 +47,7 @@ class OnlineEstimate:
         return self.solver.landmarks
 
 
-def online(log: Log, *, tolerance: float = 1e-7, lag: int | None = None, **options: Any) -> Iterator[OnlineEstimate]:
+def online(log: Log, *, tolerance: float | None = None, lag: int | None = None, **options: Any) -> Iterator[OnlineEstimate]:
     """Go through a log step by step, as a robot that drives; after every step the estimate is that of the whole graph.
 
     Args:
@@ -62,7 +62,7 @@ def online(log: Log, *, tolerance: float = 1e-7, lag: int | None = None, **optio
     return steps_of(Graph.from_log(log, edges="landmark+motion", **options), tolerance=tolerance, lag=lag)
 
 
-def solve_by_steps(graph: Graph, *, tolerance: float = 1e-7, lag: int | None = None) -> Solution:
+def solve_by_steps(graph: Graph, *, tolerance: float | None = None, lag: int | None = None) -> Solution:
     """The estimate after the last step of `steps_of`, which has converged if its last step has.
 
     With a lag, final poses have the last value that they had.
@@ -84,7 +84,7 @@ def solve_by_steps(graph: Graph, *, tolerance: float = 1e-7, lag: int | None = N
     )  # fmt: skip
 
 
-def steps_of(graph: Graph, *, tolerance: float = 1e-7, lag: int | None = None) -> Iterator[OnlineEstimate]:
+def steps_of(graph: Graph, *, tolerance: float | None = None, lag: int | None = None) -> Iterator[OnlineEstimate]:
     """As `online`, for the graph of a log with landmark nodes, motion edges and Cartesian residuals in the body frame.
 
     Raises:

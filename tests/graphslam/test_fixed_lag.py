@@ -46,7 +46,8 @@ def test_memory_is_that_of_the_lag():
     system = drive(10, 1.0, steps=400)._system
     assert system.num_edges <= 1200
     assert system.bytes < 600_000
-    assert system.num_priors == 1
+    # that of the first pose, and one for the poses since then: no landmark was new
+    assert system.num_priors == 2
     assert system.num_nodes < 100
 
 
@@ -64,3 +65,31 @@ def test_a_step_with_a_lag_that_only_the_batch_solver_can_take():
     tied = solver.poses
     solver.relinearize()
     np.testing.assert_allclose(wrap(solver.poses - tied), 0, atol=1e-3)
+
+
+def corridor(lag, seed):
+    """The newest pose after each step along a corridor of 90 m with landmarks at both sides."""
+    rng, std, move = np.random.default_rng(seed), np.array([0.03, 0.03, 0.03]), np.array([0.5, 0.0, 0.0])
+    solver, poses = OnlineSolver(sensor=SensorModel(range_rate=0.0, range_std=0.05, bearing_std=0.02), lag=lag), []
+    marks = np.array([[x, y] for x in np.arange(1.0, 95.0, 2.0) for y in (-1.5, 1.5)])
+    marks += rng.normal(0, 0.2, marks.shape)
+    for step in range(1, 181):
+        way = marks - move[:2] * step
+        exact = np.column_stack([np.hypot(*way.T), np.arctan2(way[:, 1], way[:, 0])])
+        seen = np.flatnonzero((exact[:, 0] < 4) & (np.abs(exact[:, 1]) < 1.2))
+        solver.step(
+            motion=move + rng.normal(0, std), covariance=np.diag(std**2), ids=seen,
+            sightings=exact[seen] + rng.normal(0, [0.05, 0.02], (len(seen), 2)),
+        )  # fmt: skip
+        poses.append(solver.pose)
+    return np.array(poses), np.sqrt(np.diag(solver.covariance()))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_corridor_with_a_lag_is_that_without(seed):
+    """The heading is uncertain by 0.1 rad at the end: a prior in world axes resists the turn, and poses jump by metres."""
+    (whole, std), (short, own) = corridor(None, seed), corridor(20, seed)
+    assert std[1] > 5.0
+    assert np.abs(short - whole)[:, :2].max() < 0.05 * std[1]
+    assert np.hypot(*np.diff(short, axis=0)[:, :2].T).max() < 0.75
+    np.testing.assert_allclose(own, std, rtol=0.25)

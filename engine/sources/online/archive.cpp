@@ -8,7 +8,7 @@
 namespace vmslam::online {
 namespace {
 
-constexpr char title[] = "vmslam online 1";
+constexpr char title[] = "vmslam online 2";
 
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Node>
@@ -34,8 +34,8 @@ auto fields(auto& value)
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Prior>
 {
-    auto& [members, information, rhs, centre, carry, group] = value;
-    return std::tie(members, information, rhs, centre, carry, group);
+    auto& [members, information, rhs, centre, relative, linear, carry, at, group] = value;
+    return std::tie(members, information, rhs, centre, relative, linear, carry, at, group);
 }
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Memory>

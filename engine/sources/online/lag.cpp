@@ -37,7 +37,7 @@ struct Dense {
         for (std::size_t i = 0; i < 3 * k; ++i) {
             const std::size_t row = 3 * graph.nodes[prior.members[i / 3]].local + i % 3;
             for (std::size_t j = 0; j < 3 * k; ++j)
-                at(row, 3 * graph.nodes[prior.members[j / 3]].local + j % 3) += prior.information[i * 3 * k + j];
+                at(row, 3 * graph.nodes[prior.members[j / 3]].local + j % 3) += prior.linear[i * 3 * k + j];
             rhs[row] += prior.carry[i];
         }
     }
@@ -73,6 +73,11 @@ Triple OnlineSystem::marginalize(Number node, std::span<const Number> newest) {
     around.erase(std::unique(around.begin(), around.end()), around.end());
     std::vector<Number> members{node};
     std::copy_if(around.begin(), around.end(), std::back_inserter(members), [&](Number other) { return other != node; });
+    const bool absolute = std::any_of(mine, priors_.end(), [](const Prior& prior) { return !prior.relative; });
+    // the others are relative to the oldest one that has a heading
+    const auto first = std::find_if(members.begin() + 1, members.end(), [&](Number n) { return !graph_.nodes[n].point; });
+    const bool relative = !absolute && first != members.end();
+    if (relative) std::rotate(members.begin() + 1, first, first + 1);
     const Triple value = values(members)[0];
 
     Number local = 0;
@@ -84,14 +89,21 @@ Triple OnlineSystem::marginalize(Number node, std::span<const Number> newest) {
         memory_.cost -= graph_.edges[e].cost;
         take_out(graph_, e);
     }
-    for (auto prior = mine; prior != priors_.end(); ++prior) dense.add(graph_, *prior);
+    for (auto prior = mine; prior != priors_.end(); ++prior) {
+        prior->evaluate(graph_, true);
+        dense.add(graph_, *prior);
+    }
     for (const Number member : members) graph_.nodes[member].local = -1;
 
     priors_.erase(mine, priors_.end());
     graph_.nodes[node].gone = true;
     std::erase(pending_, node);
     Reduced rest = without_first(dense.information, dense.rhs);
-    Prior prior{{members.begin() + 1, members.end()}, std::move(rest.information), rest.rhs, {}, rest.rhs};
+    Prior prior;
+    prior.members.assign(members.begin() + 1, members.end());
+    prior.information = std::move(rest.information);
+    prior.rhs = std::move(rest.rhs);
+    prior.relative = relative;
     std::vector<double> d;
     for (const Number member : prior.members) {
         prior.centre.push_back(graph_.nodes[member].x);
@@ -99,8 +111,10 @@ Triple OnlineSystem::marginalize(Number node, std::span<const Number> newest) {
     }
     const std::vector<double> pull = product(prior.information, d);
     for (std::size_t k = 0; k < pull.size(); ++k) prior.rhs[k] -= pull[k];
+    prior.evaluate(graph_, true);
     hang_prior(prior);
     priors_.push_back(std::move(prior));
+    if (relative) memory_.bent = usual_bent();
     if (lost_ || !eliminate({priors_.back().members, {}, newest, removed})) {
         complete();
         begin_at(places(), newest);

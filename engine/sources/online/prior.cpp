@@ -1,5 +1,6 @@
 #include "vmslam/online/prior.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace vmslam::online {
@@ -51,6 +52,15 @@ std::vector<char> points_of(const Graph& graph, std::span<const Number> members)
     return point;
 }
 
+/// A place in the axes of a node.
+Lever in_axes(const Rotation& axes, const Triple& node, const Triple& place) {
+    const double x = place[0] - node[0], y = place[1] - node[1];
+    return {axes.c * x + axes.s * y, axes.c * y - axes.s * x};
+}
+
+/// How far the Jacobian of a way may turn, in radians, before the tree takes the present one.
+constexpr double most_turned = 3e-3;
+
 }  // namespace
 
 std::vector<double> product(std::span<const double> A, std::span<const double> x) {
@@ -68,18 +78,102 @@ void Prior::turn_to_poses() {
     }
 }
 
-std::vector<double> Prior::carry_at(const Graph& graph) const {
-    std::vector<double> move(rhs.size());
-    for (std::size_t k = 0; k < members.size(); ++k) {
-        const Node& node = graph.nodes[members[k]];
-        for (int c = 0; c < 3; ++c) move[3 * k + c] = node.x[c] - centre[k][c];
-        if (!node.point) move[3 * k + 2] = edges::wrap(move[3 * k + 2]);
+void Prior::evaluate(const Graph& graph, bool renew) {
+    const std::vector<char> point = points_of(graph, members);
+    std::vector<Triple> x;
+    std::vector<double> d;
+    for (const Number member : members) {
+        const Node& node = graph.nodes[member];
+        x.push_back(node.x);
+        d.insert(d.end(), node.d.begin(), node.d.end());
     }
-    turn_rows(move, 1, centre, points_of(graph, members), true);
-    std::vector<double> result = rhs;
-    const std::vector<double> pull = product(information, move);
-    for (std::size_t k = 0; k < result.size(); ++k) result[k] -= pull[k];
+    const Way way(*this, x, point);
+    if (renew) {
+        linear = way.information(*this);
+        at = x;
+    }
+    carry = way.gradient(*this);
+    const std::vector<double> pull = product(linear, d);
+    for (std::size_t k = 0; k < carry.size(); ++k) carry[k] += pull[k];
+}
+
+bool Prior::outdated(const Graph& graph) const {
+    const Triple &first = graph.nodes[members[0]].x, &then = at[0];
+    const Rotation axes(first[2]), axes_then(then[2]);
+    const double turned = first[2] - then[2];
+    for (std::size_t k = 1; k < members.size(); ++k) {
+        const Node& node = graph.nodes[members[k]];
+        if (std::abs(node.point ? turned : node.x[2] - at[k][2] - turned) > most_turned) return true;
+        const Lever seen = in_axes(axes, first, node.x), before = in_axes(axes_then, then, at[k]);
+        if (std::hypot(seen.x - before.x, seen.y - before.y) > most_turned * (1.0 + std::hypot(before.x, before.y))) return true;
+    }
+    return false;
+}
+
+Way::Way(const Prior& prior, std::span<const Triple> x, const std::vector<char>& point)
+    : v(3 * x.size(), 0.0), relative_(prior.relative), point_(point), own_(x.size()), of_first_(x.size()), seen_(x.size()) {
+    const Triple &first = x[0], &centre = prior.centre[0];
+    const Rotation axes(first[2]), axes_of_centre(centre[2]);
+    for (std::size_t k = relative_ ? 1 : 0; k < x.size(); ++k) {
+        const Triple& c = prior.centre[k];
+        double *const to = v.data() + 3 * k, turned = x[k][2] - c[2];
+        Lever moved{x[k][0] - c[0], x[k][1] - c[1]};
+        if (relative_) {
+            seen_[k] = in_axes(axes, first, x[k]);
+            const Lever before = in_axes(axes_of_centre, centre, c);
+            moved = {seen_[k].x - before.x, seen_[k].y - before.y};
+            turned -= first[2] - centre[2];
+            of_first_[k] = Rotation(point[k] ? centre[2] : centre[2] - c[2]);
+            own_[k] = Rotation(point[k] ? centre[2] - first[2] : turned);
+        } else if (!point[k]) {
+            of_first_[k] = Rotation(-c[2]);
+            own_[k] = Rotation(turned);
+        }
+        const auto [cosine, sine] = of_first_[k];
+        to[0] = cosine * moved.x - sine * moved.y;
+        to[1] = sine * moved.x + cosine * moved.y;
+        to[2] = point[k] ? 0.0 : edges::wrap(turned);
+    }
+}
+
+// With u, phi the increments of the first node and B, A the rotations `of_first_` and `own_` of node k, relative ways change by
+//
+//     dv_k = A d_k - B (u + phi perp(seen_k)),    dtheta_k = d_theta_k - phi.
+void Way::times_jacobian(const double* row, double* product) const {
+    Triple first{};
+    for (std::size_t k = relative_ ? 1 : 0; k < own_.size(); ++k) {
+        const double *const a = row + 3 * k, c = own_[k].c, s = own_[k].s;
+        double* const to = product + 3 * k;
+        to[0] = c * a[0] + s * a[1];
+        to[1] = c * a[1] - s * a[0];
+        to[2] = a[2];
+        if (!relative_) continue;
+        const auto [cosine, sine] = of_first_[k];
+        const double x = cosine * a[0] + sine * a[1], y = cosine * a[1] - sine * a[0];
+        first[0] -= x;
+        first[1] -= y;
+        first[2] -= seen_[k].x * y - seen_[k].y * x + (point_[k] ? 0.0 : a[2]);
+    }
+    if (relative_) std::copy_n(first.data(), 3, product);
+}
+
+std::vector<double> Way::gradient(const Prior& prior) const {
+    std::vector<double> left = prior.rhs, result(left.size());
+    const std::vector<double> pull = product(prior.information, v);
+    for (std::size_t k = 0; k < left.size(); ++k) left[k] -= pull[k];
+    times_jacobian(left.data(), result.data());
     return result;
+}
+
+std::vector<double> Way::information(const Prior& prior) const {
+    const std::size_t n = v.size();
+    std::vector<double> J = prior.information;
+    for (int side = 0; side < 2; ++side) {
+        std::vector<double> product(n * n);
+        for (std::size_t i = 0; i < n; ++i) times_jacobian(J.data() + i * n, product.data() + i * n);
+        J = transposed(product, n);
+    }
+    return J;
 }
 
 Reduced without_first(std::span<const double> information, std::span<const double> rhs) {
@@ -105,39 +199,34 @@ Reduced without_first(std::span<const double> information, std::span<const doubl
     return left;
 }
 
-// With v the way of the nodes from their centres in world axes and T what turns it to their own: v' T' Lambda T v - 2 b' T v.
 PriorFamily::PriorFamily(const Prior& prior, const Graph& graph, std::span<const Number> number)
-    : values_(prior.centre), information_(prior.information), rhs_(prior.rhs) {
+    : prior_(prior), point_(points_of(graph, prior.members)), least_(square_in(prior.information, prior.rhs)) {
     for (const Number node : prior.members) nodes_.push_back(number[node]);
-    least_ = square_in(information_, rhs_);
-    const std::vector<char> point = points_of(graph, prior.members);
-    const std::size_t n = rhs_.size();
-    for (int side = 0; side < 2; ++side) {
-        turn_rows(information_, n, values_, point, false);
-        information_ = transposed(information_, n);
-    }
-    turn_rows(rhs_, 1, values_, point, false);
 }
 
 double PriorFamily::accumulate(const edges::State& state, edges::System* system, std::span<const edges::Place>) const {
     const std::size_t k = nodes_.size(), n = 3 * k;
-    std::vector<double> v(n);
-    for (std::size_t a = 0; a < k; ++a) {
-        for (int c = 0; c < 3; ++c) v[3 * a + c] = state.node(nodes_[a])[c] - values_[a][c];
-        v[3 * a + 2] = edges::wrap(v[3 * a + 2]);
-    }
-    const std::vector<double> pull = product(information_, v);
+    std::vector<Triple> x;
+    for (const edges::Place node : nodes_) x.push_back({state.node(node)[0], state.node(node)[1], state.node(node)[2]});
+    const Way way(prior_, x, point_);
+    const std::vector<double> pull = product(prior_.information, way.v);
     double total = least_;
-    for (std::size_t i = 0; i < n; ++i) total += v[i] * (pull[i] - 2 * rhs_[i]);
+    for (std::size_t i = 0; i < n; ++i) total += way.v[i] * (pull[i] - 2 * prior_.rhs[i]);
     if (!system) return total;
+    std::vector<double> xi = way.gradient(prior_), information = way.information(prior_);
+    turn_rows(xi, 1, x, point_, false);
+    for (int side = 0; side < 2; ++side) {
+        turn_rows(information, n, x, point_, false);
+        information = transposed(information, n);
+    }
     for (std::size_t b = 0; b < k; ++b) {
         system->open(nodes_[b]);
-        for (int c = 0; c < 3; ++c) system->xi[3 * nodes_[b] + c] += rhs_[3 * b + c] - pull[3 * b + c];
+        for (int c = 0; c < 3; ++c) system->xi[3 * nodes_[b] + c] += xi[3 * b + c];
         for (std::size_t a = 0; a < k; ++a) {
             if (nodes_[a] > nodes_[b]) continue;
             double* const block = system->block(system->slot_of[nodes_[a]]);
             for (int r = 0; r < 3; ++r)
-                for (int c = 0; c < 3; ++c) block[3 * r + c] += information_[(3 * a + r) * n + 3 * b + c];
+                for (int c = 0; c < 3; ++c) block[3 * r + c] += information[(3 * a + r) * n + 3 * b + c];
         }
     }
     return total;

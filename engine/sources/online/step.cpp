@@ -48,7 +48,7 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done, std::span<const Number> f
     std::vector<Number> moved;
     m.shrinks *= forget;
     while (done < most_passes_) {
-        if (m.hold > 0 && --m.hold == 0) m.bent.exact = Bent{}.exact;
+        if (m.hold > 0 && --m.hold == 0) m.bent.exact = usual_bent().exact;
         moved = std::move(pending_);
         pending_.clear();
         std::erase_if(moved, [&](Number node) { return !graph_.nodes[node].beyond(graph_.nodes[node].evaluated, close); });
@@ -79,15 +79,17 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done, std::span<const Number> f
         }
         if (predicted > (renewed ? diverging : slow) * last) {
             const bool closing = grows * last < predicted && predicted < near * m.cost;
-            if (closing && renewed && m.hold == 0 && m.limit < strict && m.bent.convex > 0.0)
+            if (closing && renewed && m.hold == 0 && m.limit < strict && m.bent.convex > 0.0 &&
+                m.bent.convex < infinity)
                 m.bent.convex = 0.0;
             else  // slow passes: more of the edges have to be linearised where they are
                 m.limit = std::max(stricter * m.limit, 1e-9);
         }
         last = predicted;
-        renewed = !edges.late.empty();
+        const std::vector<Number> above = renew_priors(edges.outdated);
+        renewed = !edges.late.empty() || !above.empty();
         ++done;
-        while (renewed && !refactor(graph_, tree_, edges.late, m.bent, m.cost)) {
+        while (renewed && !refactor(graph_, tree_, edges.late, above, m.bent, m.cost)) {
             if (m.hold > 0) return Outcome::indefinite;
             m.bent.exact = infinity;
             m.hold = held;
@@ -130,12 +132,21 @@ double OnlineSystem::work_of(std::span<const Number> fresh, std::span<const Numb
     return std::abs(total);
 }
 
+// Relative priors have no second derivatives in the factor. Those of the edges alone are of no use then: they sum up to nothing
+// along a turn of many nodes only together with those of what pulls on the other side.
+Bent OnlineSystem::usual_bent() const {
+    return std::ranges::any_of(priors_, [](const Prior& prior) { return prior.relative; }) ? Bent::never() : Bent{};
+}
+
 /// Put the supernode of a node into a list, if it is not there yet.
 void OnlineSystem::list_home(Number node, std::vector<Number>& homes) {
-    const Number home = graph_.nodes[node].home;
-    if (tree_.groups[home].marked) return;
-    tree_.groups[home].marked = true;
-    homes.push_back(home);
+    list_supernode(graph_.nodes[node].home, homes);
+}
+
+void OnlineSystem::list_supernode(Number s, std::vector<Number>& supernodes) {
+    if (tree_.groups[s].marked) return;
+    tree_.groups[s].marked = true;
+    supernodes.push_back(s);
 }
 
 std::vector<Number> OnlineSystem::homes_around(std::span<const Number> moved) {
@@ -147,8 +158,33 @@ std::vector<Number> OnlineSystem::homes_around(std::span<const Number> moved) {
             list_home(edge.ends[1 - side], homes);
             e = edge.next[side];
         }
+    for (const Prior* prior : priors_around(moved))
+        for (const Number member : prior->members) list_home(member, homes);
     for (const Number s : homes) tree_.groups[s].marked = false;
     return homes;
+}
+
+/// The relative priors of nodes. An absolute one is linear in the increments of points, and has to do with single poses else.
+std::vector<Prior*> OnlineSystem::priors_around(std::span<const Number> moved) {
+    std::vector<Prior*> found;
+    if (priors_.empty() || moved.empty()) return found;
+    const Stamp stamp = ++tree_.stamp;
+    for (const Number node : moved) graph_.nodes[node].mark = stamp;
+    for (Prior& prior : priors_)
+        if (prior.relative && std::ranges::any_of(prior.members, [&](Number n) { return graph_.nodes[n].mark == stamp; }))
+            found.push_back(&prior);
+    return found;
+}
+
+/// Linearise priors where their nodes are; returns the supernodes above, which are to be factorised again.
+std::vector<Number> OnlineSystem::renew_priors(std::span<Prior* const> priors) {
+    std::vector<Number> above;
+    for (Prior* const prior : priors) {
+        prior->evaluate(graph_, true);
+        write_prior(*prior, true);
+        above.push_back(tree_.groups[prior->group].parent);
+    }
+    return above;
 }
 
 OnlineSystem::Evaluation OnlineSystem::evaluate_edges(std::span<const Number> moved) {
@@ -167,6 +203,12 @@ OnlineSystem::Evaluation OnlineSystem::evaluate_edges(std::span<const Number> mo
             }
             e = edge.next[edge.side(node)];
         }
+    for (Prior* prior : priors_around(moved)) {
+        prior->evaluate(graph_, false);
+        write_prior(*prior, false);
+        list_supernode(tree_.groups[prior->group].parent, result.homes);
+        if (prior->outdated(graph_)) result.outdated.push_back(prior);
+    }
     for (const Number s : result.homes) tree_.groups[s].marked = false;
     return result;
 }

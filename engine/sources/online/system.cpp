@@ -26,14 +26,17 @@ Number OnlineSystem::add_node() {
 
 void OnlineSystem::add_prior(std::span<const Number> nodes, std::span<const Triple> places, std::vector<double> information,
                              bool points) {
-    Prior prior{{nodes.begin(), nodes.end()}, std::move(information), std::vector<double>(3 * nodes.size(), 0.0),
-                {places.begin(), places.end()}, {}};
+    Prior prior;
+    prior.members.assign(nodes.begin(), nodes.end());
+    prior.information = std::move(information);
+    prior.rhs.assign(3 * nodes.size(), 0.0);
+    prior.centre.assign(places.begin(), places.end());
     for (std::size_t k = 0; k < nodes.size(); ++k) {
         graph_.nodes[nodes[k]].point = points;
         graph_.nodes[nodes[k]].begin(places[k]);
     }
     if (!points) prior.turn_to_poses();
-    prior.carry = prior.rhs;
+    prior.evaluate(graph_, true);
     hang_prior(prior);
     priors_.push_back(std::move(prior));
 }
@@ -42,16 +45,23 @@ void OnlineSystem::add_prior(std::span<const Number> nodes, std::span<const Trip
 void OnlineSystem::hang_prior(Prior& prior) {
     const auto k = static_cast<Number>(prior.members.size());
     prior.group = tree_.create(0, k);
+    tree_.groups[prior.group].nodes = prior.members;
+    write_prior(prior, true);
+    tree_.hang(prior.group, 0);
+}
+
+/// What the tree has of a prior: the right-hand side, and the information, if it is new.
+void OnlineSystem::write_prior(const Prior& prior, bool renewed) {
     Supernode& group = tree_.groups[prior.group];
-    group.nodes = prior.members;
+    std::copy(prior.carry.begin(), prior.carry.end(), group.carry());
+    if (!renewed) return;
     const Front front = group.front();
-    for (Number column = 0; column < 3 * k; ++column) {
+    const auto n = static_cast<Number>(prior.carry.size());
+    for (Number column = 0; column < n; ++column) {
         double* const to = group.update() + column * front.update_height;
         std::fill_n(to, front.update_pad, 0.0);
-        std::copy_n(prior.information.data() + column * 3 * k, 3 * k, to + front.update_pad);
+        std::copy_n(prior.linear.data() + column * n, n, to + front.update_pad);
     }
-    std::copy(prior.carry.begin(), prior.carry.end(), group.carry());
-    tree_.hang(prior.group, 0);
 }
 
 bool OnlineSystem::add(Number known, std::span<const NewEdge> added, std::span<const Number> newest) {
@@ -129,7 +139,7 @@ bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Number> n
     tree_ = Tree();
     tree_.pivot_tolerance = tolerance;
     for (Prior& prior : priors_) {
-        prior.carry = prior.carry_at(graph_);
+        prior.evaluate(graph_, true);
         hang_prior(prior);
     }
     const std::vector<Number> nodes = graph_.live_nodes(), edges = graph_.live_edges();
@@ -149,9 +159,12 @@ bool OnlineSystem::factorize_again(std::span<const Number> newest) {
     const std::vector<Triple> x = places();
     memory_.bent.convex = memory_.work = infinity;
     const std::vector<Number> nodes = graph_.live_nodes(), edges = graph_.live_edges();
-    bool good = !lost_ && (refactor(graph_, tree_, edges, memory_.bent, memory_.cost) || eliminate({nodes, {}, newest, {}}));
+    std::vector<Prior*> priors;
+    for (Prior& prior : priors_) priors.push_back(&prior);
+    const std::vector<Number> above = renew_priors(priors);
+    bool good = !lost_ && (refactor(graph_, tree_, edges, above, memory_.bent, memory_.cost) || eliminate({nodes, {}, newest, {}}));
     good = good || begin_at(x, newest);
-    memory_.bent.convex = Bent{}.convex;
+    memory_.bent.convex = usual_bent().convex;
     // second derivatives may make it definite, so that steps can go on
     if (!good) begin_at(x, newest);
     return good;
@@ -168,7 +181,7 @@ bool OnlineSystem::linearize_late(std::span<const Number> newest) {
         if (differs_from_gauss_newton(graph_, graph_.edges[e], known_limit)) late.push_back(e);
     if (late.empty()) return true;
     const Bent without{infinity, memory_.bent.exact};
-    known_ = refactor(graph_, tree_, late, without, memory_.cost) || factorize_again(newest);
+    known_ = refactor(graph_, tree_, late, {}, without, memory_.cost) || factorize_again(newest);
     return known_;
 }
 

@@ -187,9 +187,10 @@ bool Tree::factorize(Graph& graph, Number s) {
     return true;
 }
 
-bool refactor(Graph& graph, Tree& tree, std::span<const Number> late, const Bent& bent, double& cost) {
-    std::vector<Number> homes;
-    homes.reserve(late.size());
+bool refactor(Graph& graph, Tree& tree, std::span<const Number> late, std::span<const Number> others, const Bent& bent,
+              double& cost) {
+    std::vector<Number> homes(others.begin(), others.end());
+    homes.reserve(others.size() + late.size());
     for (const Number e : late) {
         cost += relinearize(graph, graph.edges[e], bent);
         homes.push_back(graph.nodes[graph.edges[e].owner].home);

@@ -1,9 +1,14 @@
 // Priors of an online solution: what a map says, or what the edges of marginalised poses have left.
 //
-// A prior is d' Lambda d - 2 b' d in J, with the increments d of its nodes from their centres, those of poses in the axes of
-// their centres. The tree needs it for the sums of all increments since it was begun:
+// A prior is v' Lambda v - 2 b' v in J, with v(x) the way of its nodes from their centres. Two kinds:
 //
-//     carry = b + Lambda d_0,   d_0 the sums when the prior was made, and 0 in a new tree, where b is shifted to its values.
+//     absolute   v_k = R_ck' (p_k - c_k), theta_k - theta_ck, in the axes of the centre; of points in those of the world,
+//     relative   the same for what the first node sees, R_0' (p_k - p_0), so that turning all nodes together costs nothing.
+//
+// What edges between nodes leave is relative: after a long way the heading of the first node is uncertain, and an absolute way
+// is not linear in it. The tree has Lambda_x = J' Lambda J, J = dv/dx, and for the sums d of all increments
+//
+//     carry = J' (b - Lambda v) + Lambda_x d.
 #pragma once
 
 #include <vector>
@@ -15,15 +20,38 @@ namespace vmslam::online {
 
 struct Prior {
     std::vector<Number> members;
-    std::vector<double> information, rhs;  ///< (3k, 3k) and (3k)
+    std::vector<double> information, rhs;  ///< Lambda (3k, 3k) and b (3k)
     std::vector<Triple> centre;
-    std::vector<double> carry;  ///< `rhs` for the increments of the tree
-    Number group = 0;           ///< the supernode of the prior
+    bool relative = false;
+    std::vector<double> linear, carry;  ///< Lambda_x and `carry` of the tree
+    std::vector<Triple> at;             ///< the values of the nodes at which Lambda_x was evaluated
+    Number group = 0;                   ///< the supernode of the prior
 
     /// Turn the information from world axes to those of the centres.
     void turn_to_poses();
-    /// `rhs` for increments from the present values of the nodes.
-    std::vector<double> carry_at(const Graph& graph) const;
+    /// `carry` at the present values of the nodes, and Lambda_x, if it is to be renewed.
+    void evaluate(const Graph& graph, bool renew);
+    /// Whether the nodes have turned or moved so far against each other that Lambda_x is no good approximation.
+    bool outdated(const Graph& graph) const;
+};
+
+/// v (3k) of a prior at values of its nodes, and its Jacobian by their increments, each in its own axes.
+class Way {
+   public:
+    Way(const Prior& prior, std::span<const Triple> x, const std::vector<char>& point);
+    std::vector<double> v;
+    /// J' (b - Lambda v) and J' Lambda J.
+    std::vector<double> gradient(const Prior& prior) const;
+    std::vector<double> information(const Prior& prior) const;
+
+   private:
+    /// a J of a row vector.
+    void times_jacobian(const double* row, double* product) const;
+
+    bool relative_;
+    const std::vector<char>& point_;
+    std::vector<Rotation> own_, of_first_;  ///< what turns increments of a node, and those of the first, to the axes of v
+    std::vector<Lever> seen_;               ///< where the first node sees the others
 };
 
 /// y = A x for a square matrix.
@@ -43,9 +71,9 @@ class PriorFamily : public edges::Family {
     double accumulate(const edges::State& state, edges::System* system, std::span<const edges::Place> pairs) const override;
 
    private:
+    const Prior& prior_;
+    std::vector<char> point_;
     std::vector<edges::Place> nodes_;
-    std::vector<Triple> values_;
-    std::vector<double> information_, rhs_;
     double least_;  ///< b' Lambda^-1 b, so that the cost is at least 0
 };
 

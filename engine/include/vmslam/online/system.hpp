@@ -83,16 +83,22 @@ class OnlineSystem {
     bool iterate(std::span<const Number> newest, std::span<const Number> fresh = {}, std::span<const Number> touched = {},
                  std::span<const Triple> before = {});
     Outcome advance(int& done, std::span<const Number> fresh, std::span<const Number> touched, std::span<const Triple> before);
-    /// Evaluate the edges of nodes that moved: the supernodes of their ends, and the edges that are to be linearised again.
+    /// Evaluate the edges and relative priors of nodes that moved: the supernodes of their ends, and the edges and priors that
+    /// are to be linearised again.
     struct Evaluation {
         std::vector<Number> homes, late;
+        std::vector<Prior*> outdated;
     };
     Evaluation evaluate_edges(std::span<const Number> moved);
     void list_home(Number node, std::vector<Number>& homes);
+    void list_supernode(Number s, std::vector<Number>& supernodes);
+    std::vector<Number> renew_priors(std::span<Prior* const> priors);
+    std::vector<Prior*> priors_around(std::span<const Number> moved);
     std::vector<Number> homes_around(std::span<const Number> moved);
     double work_of(std::span<const Number> fresh, std::span<const Number> touched, std::span<const Triple> before) const;
     void allow_work(double predicted);
 
+    Bent usual_bent() const;
     bool eliminate(const Changes& changes);
     /// Build the tree anew with all nodes at x; returns whether they are determined. It is empty otherwise.
     bool begin_at(std::span<const Triple> x, std::span<const Number> newest);
@@ -100,6 +106,7 @@ class OnlineSystem {
     bool factorize_again(std::span<const Number> newest);
     bool linearize_late(std::span<const Number> newest);
     void hang_prior(Prior& prior);
+    void write_prior(const Prior& prior, bool renewed);
     std::vector<Triple> places() const;
 
     double tolerance_;

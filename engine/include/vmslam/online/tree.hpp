@@ -98,10 +98,11 @@ class Tree {
     std::vector<Numbers> packed_;
 };
 
-/// Factorise supernodes again where edges are linearised again, and those above them: the same nodes in the same order, other
-/// numbers. Returns whether Omega is positive definite. If it is not, the tree is of no use until all of it is built anew.
+/// Factorise supernodes again where edges are linearised again, `others`, and those above them: the same nodes in the same
+/// order, other numbers. Returns whether Omega is positive definite. If it is not, the tree is of no use until all of it is built anew.
 struct Bent;
-bool refactor(Graph& graph, Tree& tree, std::span<const Number> late, const Bent& bent, double& cost);
+bool refactor(Graph& graph, Tree& tree, std::span<const Number> late, std::span<const Number> others, const Bent& bent,
+              double& cost);
 
 /// A part of the graph that is eliminated anew.
 struct Changes {
