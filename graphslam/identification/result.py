@@ -17,6 +17,8 @@ KINDS = {
     "odometry": ("wheel_scale", "turn_scale", "turn_rate_bias", "curvature_bias"),
     "sensor": ("range_bias", "bearing_bias", "sensor_ahead", "sensor_left", "sensor_delay"),
 }
+#: a log tells a bias where its standard deviation is below so many times that of the prior
+TOLD = 0.7
 #: an estimate is doubtful with fewer sightings than this, with more than this part of the ids wrong, and with a bias that is
 #: so many standard deviations of its prior from its ideal value, for which these are likely causes
 FEW, MANY_MISREAD, IMPLAUSIBLE = 150, 0.2, 4.0
@@ -80,8 +82,12 @@ class RobotEstimate:
         lines = [f"noise estimated from this log: {noise or 'it tells no value, so that typical ones are taken'}"]
         if self.inflation > 1 and noise:
             lines[0] += f"; that of the sensor is {self.inflation**0.5:.1f} times that of a single sighting"
-        if self.parameters.names:
-            lines.append(f"biases estimated from this log: {self.parameters.sentence}")
+        p = self.parameters
+        told = [name for name in p.names if p.deviations[name] < TOLD * p.priors[name][1]]
+        if told:
+            lines.append(f"biases estimated from this log: {p.sentence_of(told)}")
+        if untold := [name for name in p.names if name not in told]:
+            lines.append(f"of {', '.join(untold)} the log tells little more than that usual robots have hardly any")
         return (*lines, *self.remarks)
 
     @property

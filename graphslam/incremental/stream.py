@@ -47,7 +47,9 @@ class OnlineEstimate:
         return self.solver.landmarks
 
 
-def online(log: Log, *, tolerance: float | None = None, lag: int | None = None, **options: Any) -> Iterator[OnlineEstimate]:
+def online(
+    log: Log, *, tolerance: float | None = None, lag: int | None = None, **options: Any
+) -> Iterator[OnlineEstimate]:
     """Go through a log step by step, as a robot that drives; after every step the estimate is that of the whole graph.
 
     Args:

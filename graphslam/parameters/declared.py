@@ -147,10 +147,14 @@ class ParameterEstimate:
     @property
     def sentence(self) -> str:
         """All values with their standard deviations, 'wheel_scale 1.035 +- 0.004, range_bias 0.12 +- 0.02 m'."""
-        parts = []
-        for name, value in zip(self.names, self.values.tolist()):
+        return self.sentence_of(self.names)
+
+    def sentence_of(self, names: Iterable[str]) -> str:
+        """The same for some of the values."""
+        parts, values = [], dict(zip(self.names, self.values.tolist()))
+        for name in names:
             unit = f" {PARAMETERS[name].unit}" if PARAMETERS[name].unit else ""
-            parts.append(f"{name} {value:.4g} +- {self.deviations[name]:.2g}{unit}")
+            parts.append(f"{name} {values[name]:.4g} +- {self.deviations[name]:.2g}{unit}")
         return ", ".join(parts)
 
 
