@@ -21,11 +21,6 @@ namespace {
 using namespace edges;
 using release = nb::call_guard<nb::gil_scoped_release>;
 
-template <class T>
-std::vector<T> vector(const In<T>& array) {
-    return {array.data(), array.data() + array.size()};
-}
-
 /// The symmetric part of matrices (d, d), which is all that J knows.
 Symmetric symmetric(const double* W, int d) {
     const auto both = [&](int r, int c) { return (W[r * d + c] + W[c * d + r]) / 2; };
@@ -59,7 +54,7 @@ std::vector<Sighting> sightings_of(const In<double>& z) {
 
 Sightings seen(const In<double>& z, const In<double>& noisy, const In<double>& trust, const std::array<double, 6>& sensor,
                int code, double width) {
-    return {sightings_of(z), sightings_of(noisy), vector(trust),
+    return {sightings_of(z), sightings_of(noisy), copy_of(trust),
             {sensor[0], sensor[1], sensor[2], sensor[3], sensor[4], sensor[5]}, kernel_of(code, width), z.shape(1) == 3};
 }
 
@@ -91,19 +86,19 @@ void bind_families(nb::module_& m) {
     nb::class_<PolarEdges, Family>(m, "PolarEdges")
         .def("__init__", [](PolarEdges* at, In<Place> first, In<Place> second, In<double> z, In<double> noisy,
                             In<double> trust, std::array<double, 6> sensor, int code, double width) {
-            new (at) PolarEdges(vector(first), vector(second), seen(z, noisy, trust, sensor, code, width));
+            new (at) PolarEdges(copy_of(first), copy_of(second), seen(z, noisy, trust, sensor, code, width));
         });
     nb::class_<VirtualMotionEdges, Family>(m, "VirtualMotionEdges")
         .def("__init__", [](VirtualMotionEdges* at, In<Place> starts, In<Place> nodes, In<double> z, In<double> noisy,
                             In<double> trust, std::array<double, 6> sensor, int code, double width, In<double> weights,
                             bool body) {
-            new (at) VirtualMotionEdges(vector(starts), vector(nodes), seen(z, noisy, trust, sensor, code, width),
-                                        vector(weights), body);
+            new (at) VirtualMotionEdges(copy_of(starts), copy_of(nodes), seen(z, noisy, trust, sensor, code, width),
+                                        copy_of(weights), body);
         });
     nb::class_<MarginalEdges, Family>(m, "MarginalEdges")
         .def("__init__", [](MarginalEdges* at, In<Place> starts, In<Place> nodes, In<double> z, In<double> noisy,
                             In<double> trust, std::array<double, 6> sensor, int code, double width, bool body) {
-            new (at) MarginalEdges(vector(starts), vector(nodes), seen(z, noisy, trust, sensor, code, width), body);
+            new (at) MarginalEdges(copy_of(starts), copy_of(nodes), seen(z, noisy, trust, sensor, code, width), body);
         })
         // e (M, 3), W (M, 6), its factor of trust and kernel (M,), the lever (M, 2), m̂ (G, 3) and the cost
         .def("around_means", [](const MarginalEdges& edges, In<double> state, In<double> reference) {

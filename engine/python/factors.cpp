@@ -38,11 +38,6 @@ void bind_whitened(nb::module_& m) {
         });
 }
 
-template <class T>
-std::vector<T> vector(const In<T>& values) {
-    return {values.data(), values.data() + values.size()};
-}
-
 void bind_pairs(nb::module_& m) {
     nb::class_<LandmarkPairs>(m, "LandmarkPairs")
         .def("__init__", [](LandmarkPairs* at, In<Place> nodes, In<double> z, In<double> ahead, std::array<double, 2> offset,
@@ -52,8 +47,8 @@ void bind_pairs(nb::module_& m) {
                 const double* const W = information.data() + 9 * k;
                 omega[k] = {W[0], W[3], W[4], W[6], W[7], W[8]};
             }
-            new (at) LandmarkPairs{vector(nodes), vector(z),  vector(ahead), static_cast<int>(z.shape(1)), offset[0],
-                                   offset[1],     turning,    vector(a),     vector(b),                    std::move(omega)};
+            new (at) LandmarkPairs{copy_of(nodes), copy_of(z),  copy_of(ahead), static_cast<int>(z.shape(1)), offset[0],
+                                   offset[1],     turning,    copy_of(a),     copy_of(b),                    std::move(omega)};
         })
         // y (K, d), the lever (K, 2), and the cosine and sine of the axes (K,)
         .def("placed", [](const LandmarkPairs& pairs, In<double> x) {
