@@ -48,7 +48,7 @@ INSTALL = @echo "Installing packages and building the engine: $(1)" && $(PIP) in
 
 # the tests of the engine that need no Python, with sanitizers
 engine-test:
-	cmake -S engine -B build/engine-test -DVMSLAM_TESTS=ON -DVMSLAM_SANITIZE=address,undefined -DCMAKE_BUILD_TYPE=Debug
+	cmake -S engine -B build/engine-test -DVMSLAM_TESTS=ON -DVMSLAM_NATIVE=ON -DVMSLAM_SANITIZE=address,undefined -DCMAKE_BUILD_TYPE=Debug
 	cmake --build build/engine-test --parallel 2
 	build/engine-test/vmslam_tests
 
