@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
-.PHONY: compare test check lint engine-test docs docs-check clean
+.PHONY: compare test check lint wheel-check engine-test docs docs-check clean
 
 compare: .venv/.installed
 	$(BIN)/slam-compare run
@@ -45,6 +45,16 @@ INSTALL = @echo "Installing packages and building the engine: $(1)" && $(PIP) in
 .venv/.installed-test: pyproject.toml $(ENGINE) .venv/.tools
 	$(call INSTALL,.[test])
 	@touch $@ .venv/.installed
+
+# a wheel as it would be published, for every processor, in an environment that has nothing else; used once on the sample log
+wheel-check: .venv/.tools
+	rm -rf build/wheels build/wheel-venv build/wheel-run
+	VMSLAM_NATIVE=OFF $(PIP) wheel --no-deps --no-build-isolation --wheel-dir build/wheels \
+		--config-settings build-dir=build/portable .
+	$(BIN)/python -m venv build/wheel-venv
+	build/wheel-venv/bin/python -m pip --quiet --disable-pip-version-check install build/wheels/*.whl
+	mkdir build/wheel-run
+	cd build/wheel-run && ../wheel-venv/bin/slam-compare run
 
 # the tests of the engine that need no Python, with sanitizers
 engine-test:
