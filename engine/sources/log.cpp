@@ -10,7 +10,8 @@ using edges::Symmetric;
 
 particles::ControlMotion MotionNoise::of(const Control& u) const {
     const double way = std::abs(u.nu) / u.dt, turn = std::abs(u.omega) / u.dt;
-    return {u.nu, u.omega, std::sqrt(nn * nn * way + no * no * turn), std::sqrt(on * on * way + oo * oo * turn), u.dt, epsilon};
+    return {u.nu, u.omega, std::sqrt(nn * nn * way + no * no * turn), std::sqrt(on * on * way + oo * oo * turn),
+            u.dt, epsilon};
 }
 
 Measured measured(const Control& u, const MotionNoise& noise) {
@@ -29,7 +30,7 @@ Measured measured(const edges::Sighting& z, bool oriented, const edges::Sensor& 
 std::vector<double> dead_reckoning(const Log& log) {
     std::vector<double> poses(log.start.begin(), log.start.end());
     for (const Control& u : log.controls) {
-        const double *const x = poses.data() + poses.size() - 3;
+        const double* const x = poses.data() + poses.size() - 3;
         const auto f = particles::chord(u.nu, u.omega, u.dt);
         const Rotation axes(x[2] + f.angle);
         poses.insert(poses.end(), {x[0] + axes.c * f.mean.x, x[1] + axes.s * f.mean.x, x[2] + f.mean.t});

@@ -19,7 +19,10 @@ class Threads {
    public:
     Threads() = default;
     Threads(const Threads&) = delete;
-    ~Threads() { std::for_each(threads_.begin(), threads_.end(), [](std::thread& thread) { thread.join(); }); }
+    Threads& operator=(const Threads&) = delete;
+    ~Threads() {
+        std::for_each(threads_.begin(), threads_.end(), [](std::thread& thread) { thread.join(); });
+    }
 
     template <class Work>
     void start(const Work& work, int k) {

@@ -19,7 +19,8 @@ int main(int argc, char** argv) try {
     solve::Run run{{.tolerance = 1e-9}, dead_reckoning(log)};
     graph.solve(run);
 
-    std::fprintf(stderr, "J = %.6g after %d steps%s\n", run.costs.back(), run.steps(), run.converged ? "" : ", not converged");
+    std::fprintf(stderr, "J = %.6g after %d steps%s\n", run.costs.back(), run.steps(),
+                 run.converged ? "" : ", not converged");
     for (std::size_t t = 0; t < log.poses(); ++t)
         std::printf("%.12g %.12g %.12g\n", run.state[3 * t], run.state[3 * t + 1], run.state[3 * t + 2]);
     return run.converged ? 0 : 1;

@@ -6,7 +6,10 @@
 namespace vmslam::edges {
 
 LandmarkSightings::LandmarkSightings(std::vector<Place> starts, std::vector<Place> nodes, Sightings sightings)
-    : starts_(std::move(starts)), nodes_(std::move(nodes)), groups_(nodes_.size()), seen_(std::move(sightings)),
+    : starts_(std::move(starts)),
+      nodes_(std::move(nodes)),
+      groups_(nodes_.size()),
+      seen_(std::move(sightings)),
       order_(nodes_.size()) {
     for (Place g = 0; g < landmarks(); ++g) std::fill(groups_.begin() + starts_[g], groups_.begin() + starts_[g + 1], g);
     std::iota(order_.begin(), order_.end(), 0);

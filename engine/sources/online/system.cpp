@@ -26,8 +26,11 @@ Number OnlineSystem::add_node() {
 
 void OnlineSystem::add_prior(std::span<const Number> nodes, std::span<const Triple> places, std::vector<double> information,
                              bool points) {
-    Prior prior{{nodes.begin(), nodes.end()}, std::move(information), std::vector<double>(3 * nodes.size(), 0.0),
-                {places.begin(), places.end()}, {}};
+    Prior prior{{nodes.begin(), nodes.end()},
+                std::move(information),
+                std::vector<double>(3 * nodes.size(), 0.0),
+                {places.begin(), places.end()},
+                {}};
     for (std::size_t k = 0; k < nodes.size(); ++k) {
         graph_.nodes[nodes[k]].point = points;
         graph_.nodes[nodes[k]].begin(places[k]);
@@ -179,7 +182,8 @@ std::optional<std::vector<double>> OnlineSystem::covariance(std::span<const Numb
         other.converged = true;
         return other.covariance(nodes, newest);
     }
-    if (!linearize_late(newest)) return std::nullopt;
+    const auto eliminated = [&](Number node) { return graph_.nodes[node].home > 0; };
+    if (!linearize_late(newest) || !std::all_of(nodes.begin(), nodes.end(), eliminated)) return std::nullopt;
     // the axes of the nodes are those of the solution
     values(nodes);
     return tree_.covariance(graph_, nodes);

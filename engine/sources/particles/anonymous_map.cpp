@@ -46,8 +46,7 @@ AnonymousMap::AnonymousMap(const AnonymousMap& other, History& history)
       steps_(other.steps_),
       limits_(other.limits_) {
     for (const Slice& slice : other.slices_)
-        slices_.push_back(
-            {std::make_unique<Blocks>(*slice.rows), slice.landmark, slice.level, slice.droppable, slice.box});
+        slices_.push_back({std::make_unique<Blocks>(*slice.rows), slice.landmark, slice.level, slice.droppable, slice.box});
 }
 
 std::vector<std::int64_t> AnonymousMap::ids() const {

@@ -45,7 +45,7 @@ void IdentifiedMap::place(LandmarkId id, const Three& mean, const Six& covarianc
 }
 
 IdentifiedMap::Scan IdentifiedMap::scan(std::span<const LandmarkId> ids, std::span<const Sighting> sightings,
-                                        std::shared_ptr<const Rows> poses) {
+                                        const std::shared_ptr<const Rows>& poses) {
     std::vector<Task> tasks;
     std::vector<LandmarkId> led;
     for (std::size_t k = 0; k < ids.size(); ++k) {

@@ -11,7 +11,8 @@ namespace vmslam::solve {
 
 void Graph::add_anchor(Place node, const edges::Vector& value, double information) {
     const edges::Symmetric omega{information, 0.0, information, 0.0, 0.0, information};
-    members_.push_back({std::make_unique<edges::AnchorEdges>(std::vector{edges::RelativeEdge{node, node, value, omega}}), {}, {}});
+    members_.push_back(
+        {std::make_unique<edges::AnchorEdges>(std::vector{edges::RelativeEdge{node, node, value, omega}}), {}, {}});
 }
 
 void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Kernel& kernel) {
@@ -51,8 +52,8 @@ void Graph::solve(Run& run, int threads) const {
 
     std::vector<double> values(9 * rows.size()), xi(3 * nodes_);
     std::vector<Place> workspace(nodes_);
-    GraphObjective objective(std::move(families), {pattern.start, pattern.rows, values.data(), xi.data(), workspace.data()}, {},
-                             0.0, factor);
+    GraphObjective objective(std::move(families), {pattern.start, pattern.rows, values.data(), xi.data(), workspace.data()},
+                             {}, 0.0, factor);
     objective.state_dependent = state_dependent;
     objective.reweighted = reweighted;
     gauss_newton(objective, run);

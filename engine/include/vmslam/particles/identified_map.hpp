@@ -47,7 +47,7 @@ class IdentifiedMap {
     struct Task;
     /// The tasks of a scan, in its order; `poses` is where the poses will be from which it was seen.
     class Scan;
-    Scan scan(std::span<const LandmarkId> ids, std::span<const Sighting> sightings, std::shared_ptr<const Rows> poses);
+    Scan scan(std::span<const LandmarkId> ids, std::span<const Sighting> sightings, const std::shared_ptr<const Rows>& poses);
     /// Columns that a scan has replaced can be reused.
     void end_scan();
 
