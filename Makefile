@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
-.PHONY: compare test check lint wheel-check engine-test engine-fuzz engine-lint engine-format docs docs-check clean
+.PHONY: compare test check lint wheel-check engine-test engine-fuzz engine-lint engine-format engine-wasm docs docs-check clean
 
 compare: .venv/.installed
 	$(BIN)/slam-compare run
@@ -86,9 +86,18 @@ build/engine-test/CMakeCache.txt: engine/CMakeLists.txt
 		-DCMAKE_BUILD_TYPE=Debug
 	@touch $@
 
+# the engine for web pages: build/wasm/vmslam.wasm and vmslam.js; the first build takes minutes, because it builds the library of C++, too
+engine-wasm: .venv/.engine-wasm
+	$(MAKE) -C engine/wasm -j2 PYTHON=$(abspath $(BIN)/python)
+
+.venv/.engine-wasm: | .venv/bin/python
+	$(PIP) install 'ziglang>=0.13'
+	@touch $@
+
 # the documentation site in English and Japanese; results of its code are kept in .cache, and its pages are tested if it is built
-docs: .venv/.installed-docs .venv/.installed
+docs: .venv/.installed-docs .venv/.installed engine-wasm
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	mkdir -p site/engine && cp build/wasm/vmslam.wasm build/wasm/vmslam.js site/engine/
 	@echo "open site/index.html, or run: $(BIN)/mkdocs serve"
 
 # a quick check of the site: links, formulas, both languages, and the code of some pages, which the commit chooses

@@ -6,12 +6,10 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
+from engine_outside import assert_same_poses, online, solution
 
-from graphslam import Graph, Log, load, save, simulate, solve
-from graphslam.incremental.solver import OnlineSolver
-from graphslam.se2 import wrap
+from graphslam import load, save, simulate
 
 ROOT = Path(__file__).parents[1]
 COMPILERS = ("c++", "g++", "clang++")
@@ -55,34 +53,17 @@ def log_file(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return path
 
 
-def assert_same(output: str, expected: np.ndarray) -> None:
-    poses = np.array([line.split() for line in output.splitlines()], dtype=float)
-    np.testing.assert_allclose(poses[:, :2], expected[:, :2], atol=1e-9)
-    np.testing.assert_allclose(wrap(poses[:, 2] - expected[:, 2]), 0.0, atol=1e-9)
+def rows(output: str) -> list[list[str]]:
+    """The words of each line."""
+    return [line.split() for line in output.splitlines()]
 
 
 def test_a_log_is_solved_as_in_python(programs: Path, log_file: Path) -> None:
-    graph = Graph.from_log(load(log_file), edges="virtual+motion", weight="marginal", frame="body", kernel="none")
-    assert_same(run(programs / "solve", log_file), solve(graph, initialize="dead-reckoning").poses)
+    assert_same_poses(rows(run(programs / "solve", log_file)), solution(load(log_file)).poses)
 
 
 def test_the_online_loop_gives_the_poses_of_python(programs: Path, log_file: Path) -> None:
-    log = load(log_file)
-    assert_same(run(programs / "online", log_file), online_poses(log))
-
-
-def online_poses(log: Log) -> np.ndarray:
-    """The newest pose of `OnlineSolver` after each step."""
-    solver, poses = OnlineSolver(log.initial_poses[0]), []
-    assert log.controls is not None and log.dt is not None
-    for t in range(log.num_poses):
-        seen = {"ids": log.landmarks[log.steps == t], "sightings": log.sightings[log.steps == t]}
-        if t > 0:
-            solver.step(log.controls[t - 1], log.dt[t - 1], **seen)
-        elif len(seen["ids"]):
-            solver.step(pose=0, **seen)
-        poses.append(solver.pose)
-    return np.array(poses)
+    assert_same_poses(rows(run(programs / "online", log_file)), online(load(log_file))[0])
 
 
 @pytest.mark.parametrize(
