@@ -92,8 +92,8 @@ VMSLAM_EXPORT(vm_free) void vm_free(double* numbers) { std::free(numbers); }
 
 /// Write the poses (motions + 1, 3) of the graph of a log, J and the number of steps; returns whether they converged.
 VMSLAM_EXPORT(vm_solve)
-int vm_solve(const double* start, const double* controls, int motions, const double* sightings, int count, const double* noise,
-             int oriented, double* poses, double* summary) {
+int vm_solve(const double* start, const double* controls, int motions, const double* sightings, int count,
+             const double* noise, int oriented, double* poses, double* summary) {
     const Robot robot(noise, oriented);
     Log log{{start[0], start[1], start[2]}, {}, {}, robot.oriented};
     for (int t = 0; t < motions; ++t) log.controls.push_back(control_of(controls + 3 * t));
