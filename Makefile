@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
-.PHONY: compare test check lint engine-test docs docs-check clean
+.PHONY: compare test check lint wheel-check engine-test engine-fuzz engine-lint engine-format engine-wasm docs docs-check clean
 
 compare: .venv/.installed
 	$(BIN)/slam-compare run
@@ -46,15 +46,58 @@ INSTALL = @echo "Installing packages and building the engine: $(1)" && $(PIP) in
 	$(call INSTALL,.[test])
 	@touch $@ .venv/.installed
 
+# a wheel as it would be published, for every processor, in an environment that has nothing else; used once on the sample log
+wheel-check: .venv/.tools
+	rm -rf build/wheels build/wheel-venv build/wheel-run
+	VMSLAM_NATIVE=OFF $(PIP) wheel --no-deps --no-build-isolation --wheel-dir build/wheels \
+		--config-settings build-dir=build/portable .
+	$(BIN)/python -m venv build/wheel-venv
+	build/wheel-venv/bin/python -m pip --quiet --disable-pip-version-check install build/wheels/*.whl
+	mkdir build/wheel-run
+	cd build/wheel-run && ../wheel-venv/bin/slam-compare run
+
 # the tests of the engine that need no Python, with sanitizers
-engine-test:
-	cmake -S engine -B build/engine-test -DVMSLAM_TESTS=ON -DVMSLAM_SANITIZE=address,undefined -DCMAKE_BUILD_TYPE=Debug
-	cmake --build build/engine-test --parallel 2
+engine-test: build/engine-test/CMakeCache.txt
+	cmake --build build/engine-test --parallel 2 --target vmslam_tests
 	build/engine-test/vmslam_tests
 
+# solves, online loops and filters on 12,000 inputs, many of them at the limits of floating point, with sanitizers
+FUZZ_INPUTS ?= 12000
+engine-fuzz: build/engine-test/CMakeCache.txt
+	cmake --build build/engine-test --parallel 2 --target vmslam_fuzz
+	build/engine-test/vmslam_fuzz $(FUZZ_INPUTS)
+
+# formatting and static analysis of the engine; the versions are fixed, because other ones format differently
+engine-lint: .venv/.engine-lint
+	$(BIN)/clang-format --style=file:engine/.clang-format --dry-run --Werror $$(git ls-files '*.cpp' '*.hpp')
+	cmake -S engine -B build/engine-lint -DCMAKE_EXPORT_COMPILE_COMMANDS=ON -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON
+	git ls-files 'engine/sources/*.cpp' | xargs -P 2 -n 4 \
+		$(BIN)/clang-tidy -p build/engine-lint --quiet --header-filter=vmslam
+
+engine-format: .venv/.engine-lint
+	$(BIN)/clang-format --style=file:engine/.clang-format -i $$(git ls-files '*.cpp' '*.hpp')
+
+.venv/.engine-lint: | .venv/bin/python
+	$(PIP) install clang-format==23.1.5 clang-tidy==23.1.4
+	@touch $@
+
+build/engine-test/CMakeCache.txt: engine/CMakeLists.txt
+	cmake -S engine -B build/engine-test -DVMSLAM_TESTS=ON -DVMSLAM_NATIVE=ON -DVMSLAM_SANITIZE=address,undefined,float-cast-overflow \
+		-DCMAKE_BUILD_TYPE=Debug
+	@touch $@
+
+# the engine for web pages: build/wasm/vmslam.wasm and vmslam.js; the first build takes minutes, because it builds the library of C++, too
+engine-wasm: .venv/.engine-wasm
+	$(MAKE) -C engine/wasm -j2 PYTHON=$(abspath $(BIN)/python)
+
+.venv/.engine-wasm: | .venv/bin/python
+	$(PIP) install 'ziglang>=0.13'
+	@touch $@
+
 # the documentation site in English and Japanese; results of its code are kept in .cache, and its pages are tested if it is built
-docs: .venv/.installed-docs .venv/.installed
+docs: .venv/.installed-docs .venv/.installed engine-wasm
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	mkdir -p site/engine && cp build/wasm/vmslam.wasm build/wasm/vmslam.js site/engine/
 	@echo "open site/index.html, or run: $(BIN)/mkdocs serve"
 
 # a quick check of the site: links, formulas, both languages, and the code of some pages, which the commit chooses

@@ -23,7 +23,7 @@ from scikit_build_core import build as scikit
 from scikit_build_core.build import build_sdist, get_requires_for_build_sdist  # noqa: F401
 
 ROOT = Path(__file__).resolve().parent.parent
-COMPILERS = ("c++", "g++", "clang++")
+COMPILERS = ("clang++",) if os.name == "nt" else ("c++", "g++", "clang++")
 #: a program that the compiler must be able to translate
 PROBE = "#include <concepts>\n#include <span>\nint main() { return static_cast<int>(std::span<int>{}.size()); }\n"
 
@@ -38,8 +38,6 @@ def _has_cxx20(command: list[str]) -> bool:
 
 def compiler() -> str | None:
     """The machine's C++20 compiler: that of CXX, or the first that is found; None if it has none."""
-    if os.name == "nt":
-        return "cl"  # CMake finds Visual Studio by itself
     given = os.environ.get("CXX")
     if given:
         if not _has_cxx20(shlex.split(given)):
@@ -47,7 +45,10 @@ def compiler() -> str | None:
                 f"The compiler CXX={given} does not know C++20; name a newer one (GCC 11, Clang 14), or unset CXX."
             )
         return given
-    return next((name for name in COMPILERS if _has_cxx20([name])), None)
+    found = next((name for name in COMPILERS if _has_cxx20([name])), None)
+    if found is None and os.name == "nt":
+        sys.exit("On Windows the engine needs Clang, because Visual Studio's compiler has no vectors: install LLVM.")
+    return found
 
 
 def _extra() -> list[str]:
@@ -59,7 +60,12 @@ def _extra() -> list[str]:
 
 @contextmanager
 def _tools() -> Iterator[None]:
-    """The tools of ziglang ahead of those on PATH, where the machine has no compiler."""
+    """The tools of ziglang ahead of those on PATH, where the machine has no compiler; Clang and Ninja on Windows."""
+    if os.name == "nt":
+        # CMake would take Visual Studio, and its compiler
+        with _environment(CXX=compiler() or "", CC=os.environ.get("CC", "clang"), CMAKE_GENERATOR="Ninja"):
+            yield
+        return
     if compiler() is not None:
         yield
         return
@@ -69,12 +75,16 @@ def _tools() -> Iterator[None]:
         script = folder / name
         script.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m ziglang {verb} "$@"\n')
         script.chmod(0o755)
-    before = {name: os.environ.get(name) for name in ("PATH", "CXX", "CC")}
-    os.environ |= {
-        "PATH": f"{folder}{os.pathsep}{before['PATH']}",
-        "CXX": str(folder / "c++"),
-        "CC": str(folder / "cc"),
-    }
+    path = f"{folder}{os.pathsep}{os.environ.get('PATH')}"
+    with _environment(PATH=path, CXX=str(folder / "c++"), CC=str(folder / "cc")):
+        yield
+
+
+@contextmanager
+def _environment(**values: str) -> Iterator[None]:
+    """Variables of the environment that have other values for a while."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ |= values
     try:
         yield
     finally:

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -141,6 +141,10 @@ class ParticleFilter(ABC):
         # whether this step has been observed, even if nothing was seen
         self._observed = False
         self._ess_history, self._resampled_history = [float(self.particles)], [False]
+
+    def __copy__(self) -> Self:
+        """A filter of its own, as `copy.deepcopy` makes one; both continue with the same random numbers."""
+        return deepcopy(self)
 
     # -- step by step ------------------------------------------------------------------------------------------------
 

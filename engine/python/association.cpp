@@ -48,8 +48,9 @@ Out<std::int64_t> views(const In<double>& poses, const In<double>& landmarks, co
 std::pair<Out<Number>, double> best(const In<Number>& start, const In<Number>& landmarks, const In<double>& nu,
                                     const In<double>& covariance, const In<double>& weights, const In<double>& bounds,
                                     const In<bool>& allowed, const In<double>& gates, Number most) {
-    const Candidates candidates{span(start),   span(landmarks), residuals_of(nu, covariance),
-                                span(weights), span(bounds),    span(allowed)};
+    // copies: these are checked here, and other threads may change the arrays afterwards
+    const std::vector<Number> starts = copy_of(start), numbers = copy_of(landmarks);
+    const Candidates candidates{starts, numbers, residuals_of(nu, covariance), span(weights), span(bounds), span(allowed)};
     const std::size_t count = candidates.residuals.size();
     require(landmarks.size() == count && weights.size() == count && bounds.size() == count && allowed.size() == count,
             "the arrays of the candidates have different lengths");
@@ -77,7 +78,9 @@ nb::tuple grown(const In<Number>& begin, const In<Number>& items, const In<Numbe
     require(items.size() == count && landmarks.size() == count && weights.size() == count && allowed.size() == count,
             "the arrays of the pairs have different lengths");
     require(begin.ndim() == 2, "each hypothesis begins with a row of pairs");
-    for (const Number c : span(begin))
+    // a copy, which other threads cannot change after the check
+    const std::vector<Number> beginnings = copy_of(begin);
+    for (const Number c : beginnings)
         require(c >= -1 && c < Number(count), "a hypothesis begins with pairs that are not there");
     const std::size_t rows = begin.shape(0), given = begin.shape(1);
     std::vector<char> members(rows * count);
@@ -86,7 +89,7 @@ nb::tuple grown(const In<Number>& begin, const In<Number>& items, const In<Numbe
     {
         const nb::gil_scoped_release other_threads;
         for (std::size_t k = 0; k < rows; ++k) {
-            const Grown one = grown_from(span(begin).subspan(k * given, given), pairs, {gate_of_given, gate, grow});
+            const Grown one = grown_from(std::span(beginnings).subspan(k * given, given), pairs, {gate_of_given, gate, grow});
             std::copy(one.members.begin(), one.members.end(), members.begin() + k * count);
             evidence[k] = one.evidence;
             std::copy(one.second.begin(), one.second.end(), second.begin() + k * second_pairs);

@@ -21,11 +21,6 @@ namespace {
 using namespace edges;
 using release = nb::call_guard<nb::gil_scoped_release>;
 
-template <class T>
-std::vector<T> vector(const In<T>& array) {
-    return {array.data(), array.data() + array.size()};
-}
-
 /// The symmetric part of matrices (d, d), which is all that J knows.
 Symmetric symmetric(const double* W, int d) {
     const auto both = [&](int r, int c) { return (W[r * d + c] + W[c * d + r]) / 2; };
@@ -39,7 +34,9 @@ std::vector<RelativeEdge> relative_edges(const In<Place>& first, const In<Place>
     std::vector<RelativeEdge> edges(first.size());
     for (std::size_t k = 0; k < edges.size(); ++k) {
         const double* const z = measured.data() + k * d;
-        edges[k] = {first.data()[k], second.data()[k], {z[0], z[1], d == 3 ? z[2] : 0.0},
+        edges[k] = {first.data()[k],
+                    second.data()[k],
+                    {z[0], z[1], d == 3 ? z[2] : 0.0},
                     symmetric(information.data() + k * d * d, d)};
     }
     return edges;
@@ -59,8 +56,9 @@ std::vector<Sighting> sightings_of(const In<double>& z) {
 
 Sightings seen(const In<double>& z, const In<double>& noisy, const In<double>& trust, const std::array<double, 6>& sensor,
                int code, double width) {
-    return {sightings_of(z), sightings_of(noisy), vector(trust),
-            {sensor[0], sensor[1], sensor[2], sensor[3], sensor[4], sensor[5]}, kernel_of(code, width), z.shape(1) == 3};
+    return {sightings_of(z),        sightings_of(noisy),
+            copy_of(trust),         {sensor[0], sensor[1], sensor[2], sensor[3], sensor[4], sensor[5]},
+            kernel_of(code, width), z.shape(1) == 3};
 }
 
 System system_of(const In<Place>& start, const In<Place>& rows, const InOut<double>& values, const InOut<double>& xi,
@@ -70,14 +68,20 @@ System system_of(const In<Place>& start, const In<Place>& rows, const InOut<doub
 
 void bind_families(nb::module_& m) {
     nb::class_<Family>(m, "Family")
-        .def("cost", [](const Family& f, In<double> state, In<double> reference) {
-            return f.accumulate({state.data(), reference.data()}, nullptr, {});
-        }, release())
-        .def("add", [](const Family& f, In<double> state, In<double> reference, In<Place> start, In<Place> rows,
-                       InOut<double> values, InOut<double> xi, InOut<Place> workspace, In<Place> pairs) {
-            System system = system_of(start, rows, values, xi, workspace);
-            return f.accumulate({state.data(), reference.data()}, &system, span(pairs));
-        }, release());
+        .def(
+            "cost",
+            [](const Family& f, In<double> state, In<double> reference) {
+                return f.accumulate({state.data(), reference.data()}, nullptr, {});
+            },
+            release())
+        .def(
+            "add",
+            [](const Family& f, In<double> state, In<double> reference, In<Place> start, In<Place> rows, InOut<double> values,
+               InOut<double> xi, InOut<Place> workspace, In<Place> pairs) {
+                System system = system_of(start, rows, values, xi, workspace);
+                return f.accumulate({state.data(), reference.data()}, &system, span(pairs));
+            },
+            release());
     nb::class_<RelativeEdges, Family>(m, "RelativeEdges")
         .def("__init__", [](RelativeEdges* at, In<Place> first, In<Place> second, In<double> measured, In<double> information,
                             bool world, int code, double width) {
@@ -91,20 +95,21 @@ void bind_families(nb::module_& m) {
     nb::class_<PolarEdges, Family>(m, "PolarEdges")
         .def("__init__", [](PolarEdges* at, In<Place> first, In<Place> second, In<double> z, In<double> noisy,
                             In<double> trust, std::array<double, 6> sensor, int code, double width) {
-            new (at) PolarEdges(vector(first), vector(second), seen(z, noisy, trust, sensor, code, width));
+            new (at) PolarEdges(copy_of(first), copy_of(second), seen(z, noisy, trust, sensor, code, width));
         });
     nb::class_<VirtualMotionEdges, Family>(m, "VirtualMotionEdges")
-        .def("__init__", [](VirtualMotionEdges* at, In<Place> starts, In<Place> nodes, In<double> z, In<double> noisy,
-                            In<double> trust, std::array<double, 6> sensor, int code, double width, In<double> weights,
-                            bool body) {
-            new (at) VirtualMotionEdges(vector(starts), vector(nodes), seen(z, noisy, trust, sensor, code, width),
-                                        vector(weights), body);
-        });
+        .def("__init__",
+             [](VirtualMotionEdges* at, In<Place> starts, In<Place> nodes, In<double> z, In<double> noisy, In<double> trust,
+                std::array<double, 6> sensor, int code, double width, In<double> weights, bool body) {
+                 new (at) VirtualMotionEdges(copy_of(starts), copy_of(nodes), seen(z, noisy, trust, sensor, code, width),
+                                             copy_of(weights), body);
+             });
     nb::class_<MarginalEdges, Family>(m, "MarginalEdges")
-        .def("__init__", [](MarginalEdges* at, In<Place> starts, In<Place> nodes, In<double> z, In<double> noisy,
-                            In<double> trust, std::array<double, 6> sensor, int code, double width, bool body) {
-            new (at) MarginalEdges(vector(starts), vector(nodes), seen(z, noisy, trust, sensor, code, width), body);
-        })
+        .def("__init__",
+             [](MarginalEdges* at, In<Place> starts, In<Place> nodes, In<double> z, In<double> noisy, In<double> trust,
+                std::array<double, 6> sensor, int code, double width, bool body) {
+                 new (at) MarginalEdges(copy_of(starts), copy_of(nodes), seen(z, noisy, trust, sensor, code, width), body);
+             })
         // e (M, 3), W (M, 6), its factor of trust and kernel (M,), the lever (M, 2), m̂ (G, 3) and the cost
         .def("around_means", [](const MarginalEdges& edges, In<double> state, In<double> reference) {
             const AroundMeans around = edges.around_means({state.data(), reference.data()});
@@ -135,9 +140,8 @@ void bind_kernels(nb::module_& m) {
     m.def("robust_weight", [each](int code, double width, In<double> squares) {
         return each(squares, [kernel = kernel_of(code, width)](double r2) { return kernel.weight(r2); });
     });
-    m.def("robust_expectations", [](int code, double width, int dimension) {
-        return expectations(kernel_of(code, width), dimension);
-    });
+    m.def("robust_expectations",
+          [](int code, double width, int dimension) { return expectations(kernel_of(code, width), dimension); });
 }
 
 void bind_starts(nb::module_& m) {
@@ -165,15 +169,14 @@ void bind_starts(nb::module_& m) {
         solve::hold(system_of(start, rows, values, xi, workspace), span(blocks), span(nodes));
     });
     // those of nodes from a coordinate on
-    m.def("rest", [](In<Place> start, In<Place> rows, InOut<double> values, InOut<double> xi, InOut<Place> workspace,
-                     In<Place> nodes, int coordinate) {
-        solve::rest(system_of(start, rows, values, xi, workspace), span(nodes), coordinate);
-    });
+    m.def("rest",
+          [](In<Place> start, In<Place> rows, InOut<double> values, InOut<double> xi, InOut<Place> workspace, In<Place> nodes,
+             int coordinate) { solve::rest(system_of(start, rows, values, xi, workspace), span(nodes), coordinate); });
     m.def("turned_to_world", [](In<double> state, In<Place> first, In<double> measured, In<double> information) {
         const std::size_t count = first.size();
         std::vector<double> offset(2 * count), omega(4 * count);
-        solve::turn_to_world(span(state), span(first), span(measured), span(information),
-                             static_cast<int>(measured.shape(1)), offset, omega);
+        solve::turn_to_world(span(state), span(first), span(measured), span(information), static_cast<int>(measured.shape(1)),
+                             offset, omega);
         return std::pair(array(std::move(offset), {count, 2}), array(std::move(omega), {count, 2, 2}));
     });
 }

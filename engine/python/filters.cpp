@@ -2,9 +2,11 @@
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <memory>
 #include <mutex>
 #include <stdexcept>
 
@@ -27,6 +29,7 @@ void require(bool holds, const char* message) {
 class SharedFilter {
    public:
     SharedFilter(const Numbers& poses, std::size_t threads, bool records) : filter_(first_poses(poses), threads, records) {}
+    explicit SharedFilter(const Filter& filter) : filter_(filter) {}
 
     template <class Work>
     auto with(const Work& work) {
@@ -65,8 +68,6 @@ nb::object view_of(std::shared_ptr<const Rows> rows) {
     return nb::cast(nb::ndarray<nb::numpy, const double>(r.row(0), {r.particles(), static_cast<std::size_t>(r.rows())}, owner,
                                                          {1, static_cast<std::int64_t>(r.stride())}));
 }
-
-std::vector<double> copy_of(std::span<const double> numbers) { return {numbers.begin(), numbers.end()}; }
 
 Out<double> triples(const std::vector<std::array<double, 3>>& rows) {
     std::vector<double> flat;
@@ -244,19 +245,21 @@ void bind_weighing(nb::class_<SharedFilter>& c) {
     c.def("weigh_identified", [](SharedFilter& s, Numbers64 ids, Numbers z, Numbers q, int version) {
         const std::vector<Sighting> sightings = sightings_of(z, q);
         require(ids.size() == sightings.size(), "as many ids as sightings");
+        const auto landmarks = copy_of(ids);
         return s.with([&](Filter& f) {
             require(identified(f).oriented() == (z.shape(1) == 3), "sightings with as many columns as the first ones");
-            return f.weigh_identified(span(ids), sightings, version_of(version));
+            return f.weigh_identified(landmarks, sightings, version_of(version));
         });
     });
     c.def("weigh_anonymous", [](SharedFilter& s, Numbers z, Numbers q, Numbers64 shown, int version) {
         const std::vector<Sighting> sightings = sightings_of(z, q);
         require(shown.size() == sightings.size() && !sightings.empty(), "as many classes as sightings");
+        const auto classes = copy_of(shown);
         s.with([&](Filter& f) {
             require(anonymous(f).oriented() == (z.shape(1) == 3), "sightings with as many columns as the first ones");
-            const auto classes = static_cast<std::int64_t>(anonymous(f).confusion().classes);
-            for (const std::int64_t k : span(shown)) require(k >= 0 && k <= classes, "classes from 0 to n");
-            f.weigh_anonymous(sightings, span(shown), version_of(version));
+            const auto count = static_cast<std::int64_t>(anonymous(f).confusion().classes);
+            for (const std::int64_t k : classes) require(k >= 0 && k <= count, "classes from 0 to n");
+            f.weigh_anonymous(sightings, classes, version_of(version));
         });
     });
     c.def("reweigh", [](SharedFilter& s) {
@@ -264,9 +267,8 @@ void bind_weighing(nb::class_<SharedFilter>& c) {
         return nb::make_tuple(possible, log_evidence, ess);
     });
     c.def("branch", [](SharedFilter& s, In<Index> ancestors) {
+        const auto a = copy_of(ancestors);
         s.with([&](Filter& f) {
-            // a copy, which nobody changes after the check
-            const std::vector<Index> a(ancestors.data(), ancestors.data() + ancestors.size());
             const auto count = static_cast<Index>(f.particles());
             require(a.size() == f.particles() && a.front() >= 0 && a.back() < count && std::is_sorted(a.begin(), a.end()),
                     "ancestors (N,) must ascend from 0 to N - 1 at most");
@@ -358,6 +360,12 @@ void bind_filters(nb::module_& m) {
     bind_maps(filter);
     bind_weighing(filter);
     bind_state(filter);
+    filter.def("__deepcopy__", [](SharedFilter& s, nb::handle) {
+        return s.with([](const Filter& f) { return std::make_unique<SharedFilter>(f); });
+    });
+    filter.def("__getstate__", [](SharedFilter&) {
+        throw nb::type_error("a particle filter cannot be pickled; pickle its result(), or copy it with copy.deepcopy");
+    });
     bind_random(m);
 }
 

@@ -172,7 +172,7 @@ class SharedBackward {
                    Number candidates)
         : poses_(std::move(poses)),
           log_weights_(std::move(log_weights)),
-          parents_(parents.data(), parents.data() + parents.size()),
+          parents_(copy_of(parents)),
           problem_(std::move(problem)),
           sampler_(sampler(recorded(), candidates)) {}
 

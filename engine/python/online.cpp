@@ -26,8 +26,8 @@ std::vector<NewEdge> new_edges(const In<Number>& ends, const In<signed char>& ki
     std::vector<NewEdge> added(count);
     for (std::size_t e = 0; e < added.size(); ++e) {
         const double *const z = measured.data() + 3 * e, *const W = information.data() + 6 * e;
-        added[e] = {ends.data()[2 * e],     ends.data()[2 * e + 1],    static_cast<Kind>(kinds.data()[e]), rows.data()[e] == 3,
-                    {z[0], z[1], z[2]}, {W[0], W[1], W[2], W[3], W[4], W[5]}};
+        added[e] = {ends.data()[2 * e],  ends.data()[2 * e + 1], static_cast<Kind>(kinds.data()[e]),
+                    rows.data()[e] == 3, {z[0], z[1], z[2]},     {W[0], W[1], W[2], W[3], W[4], W[5]}};
     }
     return added;
 }
@@ -51,23 +51,23 @@ Out<double> triples(const std::vector<Triple>& rows) {
 void bind_online(nb::module_& m) {
     nb::class_<OnlineSystem>(m, "OnlineSystem")
         .def(nb::init<double, int>())
-        .def("use_kernel", [](OnlineSystem& s, int kind, double width, double gain) {
-            s.use_kernel({static_cast<edges::Robust>(kind), width}, gain);
-        })
+        .def("use_kernel", [](OnlineSystem& s, int kind, double width,
+                              double gain) { s.use_kernel({static_cast<edges::Robust>(kind), width}, gain); })
         .def("add_node", &OnlineSystem::add_node)
-        .def("add_prior", [](OnlineSystem& s, const Numbers32& nodes, In<double> places, In<double> information, bool points) {
-            std::vector<Triple> at(nodes.size());
-            for (std::size_t k = 0; k < at.size(); ++k) std::copy_n(places.data() + 3 * k, 3, at[k].begin());
-            s.add_prior(nodes, at, {information.data(), information.data() + information.size()}, points);
-        })
-        .def("add", [](OnlineSystem& s, Number known, In<Number> ends, In<signed char> kinds, In<signed char> rows,
-                       In<double> measured, In<double> information, const Numbers32& newest) {
-            // other threads wait: they may read this solver while it grows
-            return s.add(known, new_edges(ends, kinds, rows, measured, information), newest);
-        })
-        .def("solve", [](OnlineSystem& s, const Numbers32& touched, const Numbers32& newest) {
-            return s.solve(touched, {}, newest);
-        })
+        .def("add_prior",
+             [](OnlineSystem& s, const Numbers32& nodes, In<double> places, In<double> information, bool points) {
+                 std::vector<Triple> at(nodes.size());
+                 for (std::size_t k = 0; k < at.size(); ++k) std::copy_n(places.data() + 3 * k, 3, at[k].begin());
+                 s.add_prior(nodes, at, {information.data(), information.data() + information.size()}, points);
+             })
+        .def("add",
+             [](OnlineSystem& s, Number known, In<Number> ends, In<signed char> kinds, In<signed char> rows,
+                In<double> measured, In<double> information, const Numbers32& newest) {
+                 // other threads wait: they may read this solver while it grows
+                 return s.add(known, new_edges(ends, kinds, rows, measured, information), newest);
+             })
+        .def("solve",
+             [](OnlineSystem& s, const Numbers32& touched, const Numbers32& newest) { return s.solve(touched, {}, newest); })
         .def("relinearize", [](OnlineSystem& s, const Numbers32& newest) { s.relinearize(newest); })
         .def("marginalize", [](OnlineSystem& s, Number node, const Numbers32& newest) { return s.marginalize(node, newest); })
         .def("crowded", &OnlineSystem::crowded)
@@ -75,17 +75,19 @@ void bind_online(nb::module_& m) {
         .def("complete", &OnlineSystem::complete)
         .def("values", [](OnlineSystem& s, const Numbers32& nodes) { return triples(s.values(checked(s, nodes))); })
         // the values of nodes as the last step left them
-        .def("places", [](const OnlineSystem& s, const Numbers32& nodes) {
-            std::vector<Triple> rows;
-            for (const Number node : checked(s, nodes)) rows.push_back(s.graph().nodes[node].x);
-            return triples(rows);
-        })
+        .def("places",
+             [](const OnlineSystem& s, const Numbers32& nodes) {
+                 std::vector<Triple> rows;
+                 for (const Number node : checked(s, nodes)) rows.push_back(s.graph().nodes[node].x);
+                 return triples(rows);
+             })
         .def("cost", &OnlineSystem::cost)
-        .def("covariance", [](OnlineSystem& s, const Numbers32& nodes, const Numbers32& newest) -> nb::object {
-            auto found = s.covariance(checked(s, nodes), checked(s, newest));
-            if (!found) return nb::none();
-            return nb::cast(array(std::move(*found), {3 * nodes.size(), 3 * nodes.size()}));
-        })
+        .def("covariance",
+             [](OnlineSystem& s, const Numbers32& nodes, const Numbers32& newest) -> nb::object {
+                 auto found = s.covariance(checked(s, nodes), checked(s, newest));
+                 if (!found) return nb::none();
+                 return nb::cast(array(std::move(*found), {3 * nodes.size(), 3 * nodes.size()}));
+             })
         .def_prop_ro("num_nodes", [](const OnlineSystem& s) { return s.graph().nodes.size(); })
         .def_prop_ro("num_edges", [](const OnlineSystem& s) { return s.graph().edges.size(); })
         .def_prop_ro("num_priors", &OnlineSystem::priors)
@@ -94,13 +96,15 @@ void bind_online(nb::module_& m) {
         .def_ro("converged", &OnlineSystem::converged)
         .def_ro("batch_solutions", &OnlineSystem::batch_solutions)
         // the smallest ratio of a pivot to its diagonal entry; tests make eliminations fail with it
-        .def_prop_rw("pivot_tolerance", [](OnlineSystem& s) { return s.tree().pivot_tolerance; },
-                     [](OnlineSystem& s, double value) { s.tree().pivot_tolerance = value; })
+        .def_prop_rw(
+            "pivot_tolerance", [](OnlineSystem& s) { return s.tree().pivot_tolerance; },
+            [](OnlineSystem& s, double value) { s.tree().pivot_tolerance = value; })
         .def("__deepcopy__", [](const OnlineSystem& s, nb::handle) { return OnlineSystem(s); })
-        .def("__getstate__", [](const OnlineSystem& s) {
-            const std::string bytes = s.save();
-            return nb::bytes(bytes.data(), bytes.size());
-        })
+        .def("__getstate__",
+             [](const OnlineSystem& s) {
+                 const std::string bytes = s.save();
+                 return nb::bytes(bytes.data(), bytes.size());
+             })
         .def("__setstate__", [](OnlineSystem& s, nb::bytes state) {
             new (&s) OnlineSystem(0.0, 0);
             if (!s.restore({state.c_str(), state.size()}))

@@ -41,7 +41,8 @@ class PythonFamily : public edges::Family {
 /// A graph whose families and arrays Python owns.
 class BoundGraph : public GraphObjective {
    public:
-    BoundGraph(std::vector<Member> families, edges::System system, Held held, double constant, Factor& factor, nb::object owned)
+    BoundGraph(std::vector<Member> families, edges::System system, Held held, double constant, Factor& factor,
+               nb::object owned)
         : GraphObjective(std::move(families), system, held, constant, factor), owned_(std::move(owned)) {}
 
    private:
@@ -109,10 +110,9 @@ void bind_objectives(nb::module_& m) {
             const auto values = nb::cast<InOut<double>>(system[2]), xi = nb::cast<InOut<double>>(system[3]);
             const auto workspace = nb::cast<InOut<Place>>(system[4]);
             const auto places = [](nb::handle h) { return span(nb::cast<In<Place>>(h)); };
-            new (at) BoundGraph(std::move(members),
-                                {places(system[0]), places(system[1]), values.data(), xi.data(), workspace.data()},
-                                {places(held[0]), places(held[1]), places(held[2])}, constant,
-                                *nb::cast<Factor*>(owned[4]), owned);
+            new (at) BoundGraph(
+                std::move(members), {places(system[0]), places(system[1]), values.data(), xi.data(), workspace.data()},
+                {places(held[0]), places(held[1]), places(held[2])}, constant, *nb::cast<Factor*>(owned[4]), owned);
         });
     nb::class_<PythonObjective, Objective>(m, "PythonObjective").def(nb::init<nb::object>());
 }
@@ -129,19 +129,24 @@ void bind_runs(nb::module_& m) {
         .value("singular", End::singular)
         .value("not_determined", End::not_determined);
     nb::class_<Run>(m, "Run")
-        .def("__init__", [](Run* at, In<double> state, double tolerance, int most_steps, double cost_tolerance, bool descend,
-                            double kept, nb::object callback) {
-            new (at) Run{{tolerance, most_steps, cost_tolerance, descend, kept}, {state.data(), state.data() + state.size()}};
-            if (callback.is_none()) return;
-            // number, state, the cost before the step, and its norm
-            at->observer = [callback](const Run& run) {
-                const nb::gil_scoped_acquire python;
-                callback(run.steps(), state_array(run.state.data(), run.state.size()), run.costs.back(), run.norms.back());
-            };
-        }, nb::arg("state"), nb::arg("tolerance"), nb::arg("most_steps"), nb::arg("cost_tolerance"), nb::arg("descend"),
-           nb::arg("kept"), nb::arg("callback").none())
-        .def_prop_ro("state", [](const Run& run) { return state_array(run.state.data(), run.state.size()); },
-                     nb::rv_policy::move)
+        .def(
+            "__init__",
+            [](Run* at, In<double> state, double tolerance, int most_steps, double cost_tolerance, bool descend, double kept,
+               nb::object callback) {
+                new (at)
+                    Run{{tolerance, most_steps, cost_tolerance, descend, kept}, {state.data(), state.data() + state.size()}};
+                if (callback.is_none()) return;
+                // number, state, the cost before the step, and its norm
+                at->observer = [callback](const Run& run) {
+                    const nb::gil_scoped_acquire python;
+                    callback(run.steps(), state_array(run.state.data(), run.state.size()), run.costs.back(),
+                             run.norms.back());
+                };
+            },
+            nb::arg("state"), nb::arg("tolerance"), nb::arg("most_steps"), nb::arg("cost_tolerance"), nb::arg("descend"),
+            nb::arg("kept"), nb::arg("callback").none())
+        .def_prop_ro(
+            "state", [](const Run& run) { return state_array(run.state.data(), run.state.size()); }, nb::rv_policy::move)
         .def_ro("costs", &Run::costs)
         .def_ro("norms", &Run::norms)
         .def_ro("predicted", &Run::predicted)

@@ -50,9 +50,8 @@ void bind_orders(nb::module_& m) {
     m.def("fill_reducing", [](In<Place> start, In<Node> rows, Node smallest, double worth) {
         return array(fill_reducing(pattern_of(start, rows), {smallest, worth}));
     });
-    m.def("flops_of", [](In<Place> start, In<Node> rows, In<Node> order) {
-        return flops_of(pattern_of(start, rows), span(order));
-    });
+    m.def("flops_of",
+          [](In<Place> start, In<Node> rows, In<Node> order) { return flops_of(pattern_of(start, rows), span(order)); });
     m.def("separator_depths", [](In<Place> start, In<Node> list, Node limit) {
         const Neighbours graph{{start.data(), start.data() + start.size()}, {list.data(), list.data() + list.size()}};
         return array(separator_depths(graph, limit));
@@ -72,19 +71,24 @@ void bind_orders(nb::module_& m) {
 
 void bind_symbolic(nb::module_& m) {
     nb::class_<Symbolic>(m, "Symbolic")
-        .def_prop_ro("order", [](const Symbolic& s) { return array(s.order); }, nb::rv_policy::move)
-        .def_prop_ro("row_length", [](const Symbolic& s) { return array(s.row_length); }, nb::rv_policy::move)
+        .def_prop_ro(
+            "order", [](const Symbolic& s) { return array(s.order); }, nb::rv_policy::move)
+        .def_prop_ro(
+            "row_length", [](const Symbolic& s) { return array(s.row_length); }, nb::rv_policy::move)
         .def_prop_ro("supernodes", &Symbolic::supernodes)
         .def_prop_ro("numbers", [](const Symbolic& s) { return s.panel_start.back(); })
         .def_ro("parts", &Symbolic::parts)
         .def_ro("blocks", &Symbolic::blocks)
         .def_ro("flops", &Symbolic::flops);
-    m.def("analyze", [](In<Place> start, In<Node> rows, std::optional<In<Node>> order, bool hermitian, int threads) {
-        const Pattern pattern = pattern_of(start, rows);
-        const nb::gil_scoped_release other_threads;
-        if (order) return std::make_shared<Symbolic>(analyze(pattern, span(*order), shape_of(hermitian), threads));
-        return std::make_shared<Symbolic>(analyze(pattern, fill_reducing(pattern), shape_of(hermitian), threads));
-    }, nb::arg("start"), nb::arg("rows"), nb::arg("order").none(), nb::arg("hermitian"), nb::arg("threads"));
+    m.def(
+        "analyze",
+        [](In<Place> start, In<Node> rows, std::optional<In<Node>> order, bool hermitian, int threads) {
+            const Pattern pattern = pattern_of(start, rows);
+            const nb::gil_scoped_release other_threads;
+            if (order) return std::make_shared<Symbolic>(analyze(pattern, span(*order), shape_of(hermitian), threads));
+            return std::make_shared<Symbolic>(analyze(pattern, fill_reducing(pattern), shape_of(hermitian), threads));
+        },
+        nb::arg("start"), nb::arg("rows"), nb::arg("order").none(), nb::arg("hermitian"), nb::arg("threads"));
 }
 
 template <class Block>
@@ -93,13 +97,16 @@ auto bind_factor(nb::module_& m, const char* name) {
     using F = Factor<Block>;
     return nb::class_<F>(m, name)
         .def("__init__", [](F* at, std::shared_ptr<Symbolic> s) { new (at) F(std::move(s)); })
-        .def("factorize", [](F& f, In<Value> values, double damping) { return f.factorize(span(values), damping); }, release())
-        .def("solve", [](F& f, In<Value> b, InOut<Value> x) { return f.solve(span(b), span(x)); }, release())
+        .def(
+            "factorize", [](F& f, In<Value> values, double damping) { return f.factorize(span(values), damping); }, release())
+        .def(
+            "solve", [](F& f, In<Value> b, InOut<Value> x) { return f.solve(span(b), span(x)); }, release())
         .def("forward_square", [](F& f, In<Value> b) { return f.forward_square(span(b)); })
-        .def("null_vector", [](const F& f, Place pivot) {
-            const std::size_t nodes = f.symbolic().order.size(), rows = Block::rows;
-            return array(f.null_vector(pivot), {nodes, rows});
-        })
+        .def("null_vector",
+             [](const F& f, Place pivot) {
+                 const std::size_t nodes = f.symbolic().order.size(), rows = Block::rows;
+                 return array(f.null_vector(pivot), {nodes, rows});
+             })
         .def("magnitude_square", [](const F& f, In<double> v) { return array(f.magnitude_square(span(v))); });
 }
 
@@ -108,15 +115,16 @@ void bind_inverse(nb::module_& m) {
         .def(nb::init<const Factor<Real3>&>(), release())
         .def("diagonal", [](const SelectedInverse& z) { return array(z.diagonal(), {z.diagonal().size() / 9, 3, 3}); })
         // blocks (E, 3, 3) in the rows and columns of pairs of nodes, or None where the pattern of L lacks one
-        .def("pairs", [](const SelectedInverse& z, In<Place> rows, In<Place> columns) -> std::optional<Out<double>> {
-            std::vector<double> out(9 * rows.size());
-            for (std::size_t e = 0; e < rows.size(); ++e) {
-                const auto block = z.block(static_cast<Node>(rows.data()[e]), static_cast<Node>(columns.data()[e]));
-                if (!block) return std::nullopt;
-                std::copy(block->begin(), block->end(), out.begin() + 9 * e);
-            }
-            return array(std::move(out), {rows.size(), 3, 3});
-        })
+        .def("pairs",
+             [](const SelectedInverse& z, In<Place> rows, In<Place> columns) -> std::optional<Out<double>> {
+                 std::vector<double> out(9 * rows.size());
+                 for (std::size_t e = 0; e < rows.size(); ++e) {
+                     const auto block = z.block(static_cast<Node>(rows.data()[e]), static_cast<Node>(columns.data()[e]));
+                     if (!block) return std::nullopt;
+                     std::copy(block->begin(), block->end(), out.begin() + 9 * e);
+                 }
+                 return array(std::move(out), {rows.size(), 3, 3});
+             })
         // blocks (k, 3, k, 3) between all pairs of nodes, or None where the pattern of L lacks one
         .def("blocks", [](const SelectedInverse& z, In<Place> nodes) -> std::optional<Out<double>> {
             const std::size_t k = nodes.size();

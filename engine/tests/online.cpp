@@ -40,16 +40,24 @@ class Drive {
         truth.push_back(moved(truth.back(), motion));
         const Number from = poses.back();
         poses.push_back(system.add_node());
-        std::vector<NewEdge> edges{{from, poses.back(), Kind::motion, true,
-                                    {motion[0] + noise() / 20, noise() / 20, motion[2] + noise() / 30}, stiff}};
+        std::vector<NewEdge> edges{{from,
+                                    poses.back(),
+                                    Kind::motion,
+                                    true,
+                                    {motion[0] + noise() / 20, noise() / 20, motion[2] + noise() / 30},
+                                    stiff}};
         const Triple& pose = truth.back();
         const Rotation axes(pose[2]);
         for (std::size_t k = 0; k < marks_.size(); ++k) {
             const double dx = marks_[k][0] - pose[0], dy = marks_[k][1] - pose[1];
             if (std::hypot(dx, dy) > 5.0) continue;
             if (numbers_[k] < 0) numbers_[k] = system.add_node();
-            edges.push_back({poses.back(), numbers_[k], Kind::sighting, false,
-                             {axes.c * dx + axes.s * dy + noise() / 10, axes.c * dy - axes.s * dx + noise() / 12, 0.0}, sighting});
+            edges.push_back({poses.back(),
+                             numbers_[k],
+                             Kind::sighting,
+                             false,
+                             {axes.c * dx + axes.s * dy + noise() / 10, axes.c * dy - axes.s * dx + noise() / 12, 0.0},
+                             sighting});
         }
         expect(system.add(known, edges, {&poses.back(), 1}), "a step is taken", 0);
     }
@@ -93,7 +101,8 @@ void steps_end_at_the_minimum(unsigned seed, vmslam::edges::Kernel kernel) {
     expect(drive.system.converged, "a noisy drive converges", seed);
     OnlineSystem other = drive.system, restored{0.0, 0};
     expect(restored.restore(drive.system.save()), "a saved system is restored", seed);
-    expect(!restored.restore("nonsense") && !restored.restore(drive.system.save().substr(0, 2000)), "other bytes are not", seed);
+    expect(!restored.restore("nonsense") && !restored.restore(drive.system.save().substr(0, 2000)), "other bytes are not",
+           seed);
     restored.restore(drive.system.save());
     expect(restored.save() == drive.system.save(), "with all its numbers", seed);
     const double cost = drive.system.cost();
@@ -191,7 +200,10 @@ void the_batch_solver_takes_a_large_correction(unsigned seed) {
         truth.push_back(moved(truth.back(), {1.0, 0.0, turn}));
         const Number from = drive.poses.back();
         drive.poses.push_back(system.add_node());
-        const NewEdge edge{from, drive.poses.back(), Kind::motion, true,
+        const NewEdge edge{from,
+                           drive.poses.back(),
+                           Kind::motion,
+                           true,
                            {1.0 + 0.14 * drive.normal(), 0.14 * drive.normal(), turn + 0.1 * drive.normal()},
                            {50.0, 0.0, 50.0, 0.0, 0.0, 100.0}};
         system.add(known, {&edge, 1}, {&drive.poses.back(), 1});

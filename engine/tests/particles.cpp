@@ -132,7 +132,7 @@ void test_merged(unsigned seed) {
     const bool oriented = seed % 2 == 0;
     const Gaussian a = gaussian(random, 0.1, 0.2, 3.1, 0.2), b = gaussian(random, 0.15, 0.1, -3.1, 0.2),
                    c = fused(a, b, oriented);
-    const auto inverse = [&](const Gaussian& g, double(&out)[3][3]) {
+    const auto inverse = [&](const Gaussian& g, double (&out)[3][3]) {
         const double S[3][3]{{g.xx[0], g.xy[0], oriented ? g.xh[0] : 0},
                              {g.xy[0], g.yy[0], oriented ? g.yh[0] : 0},
                              {oriented ? g.xh[0] : 0, oriented ? g.yh[0] : 0, oriented ? g.hh[0] : 1}};

@@ -100,8 +100,7 @@ Split split(const double* w, double share) {
     const double o00 = w[0], o01 = w[1], o11 = w[2], o02 = w[3], o12 = w[4], o22 = w[5];
     const double mean = (o00 + o11) / 2, half = (o00 - o11) / 2, largest = mean + std::sqrt(half * half + o01 * o01);
     // the determinant has an error of 3 units in o00 o11, and largest, of 4 units, is at least as large as both
-    const double smallest =
-        largest > 0 ? (o00 * o11 - o01 * o01) / largest - 16 * roundoff * std::min(o00, o11) : 0.0;
+    const double smallest = largest > 0 ? (o00 * o11 - o01 * o01) / largest - 16 * roundoff * std::min(o00, o11) : 0.0;
     if (o02 == 0 && o12 == 0) return {smallest > 0 ? smallest : -1.0, o22};
     if (!(smallest > 0)) return {-1.0, 0.0};
     const double beta = (1 - share) * smallest;

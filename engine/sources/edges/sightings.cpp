@@ -6,7 +6,10 @@
 namespace vmslam::edges {
 
 LandmarkSightings::LandmarkSightings(std::vector<Place> starts, std::vector<Place> nodes, Sightings sightings)
-    : starts_(std::move(starts)), nodes_(std::move(nodes)), groups_(nodes_.size()), seen_(std::move(sightings)),
+    : starts_(std::move(starts)),
+      nodes_(std::move(nodes)),
+      groups_(nodes_.size()),
+      seen_(std::move(sightings)),
       order_(nodes_.size()) {
     for (Place g = 0; g < landmarks(); ++g) std::fill(groups_.begin() + starts_[g], groups_.begin() + starts_[g + 1], g);
     std::iota(order_.begin(), order_.end(), 0);
@@ -43,14 +46,7 @@ std::vector<Placed> LandmarkSightings::placed(const State& state, Covariance mod
             if (mode == Covariance::rotating) p.gamma = x[2] - before;
             if (before != x[2] || noisy.bearing != z.bearing) along = Rotation(before + noisy.bearing);
         }
-        // R Q R' with R = [[c, -l s, 0], [s, l c, 0], [0, 1, -1]]
-        const double c = along.c, s = along.s, l = noisy.range, range = sensor.range(l), across = sensor.bearing * l * l;
-        p.C = {range * c * c + across * s * s, (range - across) * c * s, range * s * s + across * c * c, 0.0, 0.0, 0.0};
-        if (seen_.oriented) {
-            p.C.xt = -sensor.bearing * l * s;
-            p.C.yt = sensor.bearing * l * c;
-            p.C.tt = sensor.bearing + sensor.orientation;
-        }
+        p.C = landmark_covariance(sensor, noisy.range, along, seen_.oriented);
     }
     return out;
 }

@@ -20,7 +20,8 @@ struct ByPose {
         const double along = sign * (axes.c * pose.c + axes.s * pose.s), across = sign * (axes.s * pose.c - axes.c * pose.s);
         column[0] = {along, -across, 0.0};
         column[1] = {across, along, 0.0};
-        column[2] = {sign * (axes.c * s.lever.x + axes.s * s.lever.y), sign * (axes.c * s.lever.y - axes.s * s.lever.x), sign};
+        column[2] = {sign * (axes.c * s.lever.x + axes.s * s.lever.y), sign * (axes.c * s.lever.y - axes.s * s.lever.x),
+                     sign};
     }
 };
 
@@ -34,7 +35,8 @@ std::vector<PlacedSighting> LandmarkPairs::placed(std::span<const double> x) con
         const double vx = seen[0] * direction.c + robot.c * offset_x - robot.s * offset_y;
         const double vy = seen[0] * direction.s + robot.s * offset_x + robot.c * offset_y;
         const double facing = dimension == 3 ? pose[2] + seen[1] - seen[2] : 0.0;
-        out[k] = {nodes[k], {pose[0] + vx, pose[1] + vy, facing}, {-vy, vx}, turning ? Rotation(pose[2] + ahead[k]) : Rotation()};
+        out[k] = {
+            nodes[k], {pose[0] + vx, pose[1] + vy, facing}, {-vy, vx}, turning ? Rotation(pose[2] + ahead[k]) : Rotation()};
     }
     return out;
 }

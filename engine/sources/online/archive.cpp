@@ -13,8 +13,8 @@ constexpr char title[] = "vmslam online 2";
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Node>
 {
-    auto& [x, d, rhs, diagonal, axes, evaluated, passed, kept, far, turned, mark, changed, home, edges, owned, local, point, gone] =
-        value;
+    auto& [x, d, rhs, diagonal, axes, evaluated, passed, kept, far, turned, mark, changed, home, edges, owned, local, point,
+           gone] = value;
     return std::tie(x, d, rhs, diagonal, axes, evaluated, passed, kept, far, turned, mark, changed, home, edges, owned, local,
                     point, gone);
 }

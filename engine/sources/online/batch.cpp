@@ -123,7 +123,8 @@ bool OnlineSystem::solve_as_batch(std::span<const Number> newest) {
     BatchProblem problem(graph_, priors_);
     const std::vector<double> found = lower_state(problem);
     std::vector<Triple> start = places();
-    for (std::size_t k = 0; k < found.size() / 3; ++k) std::copy_n(found.begin() + 3 * k, 3, start[problem.nodes()[k]].begin());
+    for (std::size_t k = 0; k < found.size() / 3; ++k)
+        std::copy_n(found.begin() + 3 * k, 3, start[problem.nodes()[k]].begin());
     if (begin_at(start, newest) && iterate(newest)) return true;
     begin_at(start, newest);
     return false;

@@ -133,7 +133,8 @@ Evaluated evaluate(Graph& graph, Edge& edge, double limit, const Bent& bent) {
     const double size = graph.nodes[edge.ends[0]].turned;
     const Curvature next = curvature(edge, now, bent);
     const double away = std::abs(next.h.x - edge.linear.h.x) + std::abs(next.h.y - edge.linear.h.y);
-    const double moved = std::abs(next.gamma - edge.linear.gamma) * size + 2 * away / std::sqrt(edge.omega.xx + edge.omega.yy);
+    const double moved =
+        std::abs(next.gamma - edge.linear.gamma) * size + 2 * away / std::sqrt(edge.omega.xx + edge.omega.yy);
     return {change, size * moved * size * moved > limit};
 }
 
@@ -143,8 +144,13 @@ double relinearize(Graph& graph, Edge& edge, const Bent& bent) {
     const Curvature second = curvature(edge, now, bent);
     edge.weight = now.weight;
     const bool bent_kernel = edge.robust && bent.convex < infinity;
-    edge.linear = {edge.robust ? robust_information(graph, edge, now, bent_kernel) : edge.omega, bent_kernel,
-                   now.u, now.c, now.s, second.gamma, second.h};
+    edge.linear = {edge.robust ? robust_information(graph, edge, now, bent_kernel) : edge.omega,
+                   bent_kernel,
+                   now.u,
+                   now.c,
+                   now.s,
+                   second.gamma,
+                   second.h};
     add_diagonal(graph, edge, 1.0);
     return store(graph, edge, now);
 }

@@ -141,8 +141,7 @@ std::vector<Number> OnlineSystem::renumber() {
     }
     for (Node& k : kept.nodes) k.edges = new_number(edge, k.edges), k.owned = new_number(edge, k.owned);
     for (Edge& e : kept.edges) {
-        for (int side = 0; side < 2; ++side)
-            e.ends[side] = node[e.ends[side]], e.next[side] = new_number(edge, e.next[side]);
+        for (int side = 0; side < 2; ++side) e.ends[side] = node[e.ends[side]], e.next[side] = new_number(edge, e.next[side]);
         e.owner = new_number(node, e.owner);
         e.next_owned = new_number(edge, e.next_owned);
     }

@@ -76,16 +76,16 @@ Symbolic analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::
     const std::vector<Number> rows(wide.rows.begin(), wide.rows.end());
     const sparse::Pattern pattern{wide.start, rows};
     sparse::Order order = sparse::minimum_degree(pattern, n);
-    std::stable_partition(order.begin(), order.end(), [&](Number k) {
-        return std::find(newest.begin(), newest.end(), top.nodes[k]) == newest.end();
-    });
+    std::stable_partition(order.begin(), order.end(),
+                          [&](Number k) { return std::find(newest.begin(), newest.end(), top.nodes[k]) == newest.end(); });
     return sparse::analyze(pattern, order, {3, 3}, 1);
 }
 
 /// What an elimination changes in the graph and below the top, to put it back.
 class Kept {
    public:
-    Kept(const Graph& graph, const Tree& tree, const Top& top, double cost) : top_(top), cost_(cost), root_(tree.groups[0].child) {
+    Kept(const Graph& graph, const Tree& tree, const Top& top, double cost)
+        : top_(top), cost_(cost), root_(tree.groups[0].child) {
         for (const Number node : top.nodes) nodes_.push_back(graph.nodes[node]);
         for (const Number e : top.edges) edges_.push_back(graph.edges[e]);
         for (const Number s : top.below) {
@@ -152,8 +152,8 @@ std::vector<Number> link(Graph& graph, Tree& tree, const Top& top, const Symboli
     const auto place = [&](Number node) { return symbolic.position[graph.nodes[node].local]; };
     for (const Number s : top.below) {
         const auto separator = tree.groups[s].separator();
-        const auto lowest = std::min_element(separator.begin(), separator.end(),
-                                             [&](Number a, Number b) { return place(a) < place(b); });
+        const auto lowest =
+            std::min_element(separator.begin(), separator.end(), [&](Number a, Number b) { return place(a) < place(b); });
         tree.hang(s, lowest == separator.end() ? 0 : graph.nodes[*lowest].home);
     }
     for (const Number e : top.edges) {

@@ -192,7 +192,8 @@ std::optional<std::vector<double>> OnlineSystem::covariance(std::span<const Numb
         other.converged = true;
         return other.covariance(nodes, newest);
     }
-    if (!linearize_late(newest)) return std::nullopt;
+    const auto eliminated = [&](Number node) { return graph_.nodes[node].home > 0; };
+    if (!linearize_late(newest) || !std::all_of(nodes.begin(), nodes.end(), eliminated)) return std::nullopt;
     // the axes of the nodes are those of the solution
     values(nodes);
     return tree_.covariance(graph_, nodes);

@@ -114,8 +114,7 @@ void extend_in_any_order(Supernode& child, bool others, Number w, double* target
             const double* const from = update + 3 * j * front.update_height + 3 * i;
             const bool turned = child.relative[i] < child.relative[j];
             for (int c = 0; c < 3; ++c)
-                for (int r = 0; r < 3; ++r)
-                    t[turned ? r * height + c : c * height + r] += from[c * front.update_height + r];
+                for (int r = 0; r < 3; ++r) t[turned ? r * height + c : c * height + r] += from[c * front.update_height + r];
         }
 }
 
@@ -168,8 +167,8 @@ bool Tree::factorize(Graph& graph, Number s) {
         if (!child.ascending)
             extend_in_any_order(child, false, group.w, x, h, front.pad, 0);
         else
-            sparse::extend<Real3>(child.front(), child.relative.data(), child.run_end.data(), 0, child.split, child.update(), x, h,
-                                  front.pad, 0);
+            sparse::extend<Real3>(child.front(), child.relative.data(), child.run_end.data(), 0, child.split, child.update(),
+                                  x, h, front.pad, 0);
     }
     if (panel.factorize(limits) >= 0) return false;
     if (group.r == 0) return true;
@@ -181,8 +180,8 @@ bool Tree::factorize(Graph& graph, Number s) {
         if (!child.ascending)
             extend_in_any_order(child, true, group.w, update, front.update_height, front.update_pad, group.w);
         else
-            sparse::extend<Real3>(child.front(), child.relative.data(), child.run_end.data(), child.split, child.r, child.update(),
-                                  update, front.update_height, front.update_pad, group.w);
+            sparse::extend<Real3>(child.front(), child.relative.data(), child.run_end.data(), child.split, child.r,
+                                  child.update(), update, front.update_height, front.update_pad, group.w);
     }
     return true;
 }

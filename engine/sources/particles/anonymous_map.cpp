@@ -34,6 +34,21 @@ AnonymousMap::AnonymousMap(History& history, std::size_t particles, bool oriente
     enlarge(8);
 }
 
+AnonymousMap::AnonymousMap(const AnonymousMap& other, History& history)
+    : history_(history),
+      particles_(other.particles_),
+      oriented_(other.oriented_),
+      options_(other.options_),
+      confusion_(other.confusion_),
+      gate_(other.gate_),
+      blur_(other.blur_),
+      created_(other.created_),
+      steps_(other.steps_),
+      limits_(other.limits_) {
+    for (const Slice& slice : other.slices_)
+        slices_.push_back({std::make_unique<Blocks>(*slice.rows), slice.landmark, slice.level, slice.droppable, slice.box});
+}
+
 std::vector<std::int64_t> AnonymousMap::ids() const {
     std::vector<std::int64_t> out;
     for (const Slice& slice : slices_)

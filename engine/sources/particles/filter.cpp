@@ -24,6 +24,25 @@ Filter::Filter(Rows poses, std::size_t threads, bool records)
     if (records) record_ = std::make_shared<Record>(poses_, log_weights_);
 }
 
+// nobody writes into poses and weights that two filters share: `fresh` gives away only buffers without another owner
+Filter::Filter(const Filter& other)
+    : particles_(other.particles_),
+      ranges_(other.ranges_),
+      history_(other.history_),
+      poses_(other.poses_),
+      starts_(other.starts_),
+      log_weights_(other.log_weights_),
+      uniform_(other.uniform_),
+      log_likelihoods_(other.log_likelihoods_),
+      weights_(other.weights_),
+      best_(other.best_),
+      step_(other.step_),
+      motion_(other.motion_) {
+    if (other.identified_) identified_ = std::make_unique<IdentifiedMap>(*other.identified_, history_);
+    if (other.anonymous_) anonymous_ = std::make_unique<AnonymousMap>(*other.anonymous_, history_);
+    if (other.record_) record_ = std::make_shared<Record>(*other.record_);
+}
+
 std::shared_ptr<Rows> Filter::fresh(int rows) {
     for (const auto& buffer : buffers_) {
         if (buffer.use_count() != 1 || buffer->rows() != rows) continue;

@@ -1,5 +1,6 @@
 #include "vmslam/particles/history.hpp"
 
+#include <cstdlib>
 #include <limits>
 #include <numeric>
 #include <stdexcept>
@@ -15,6 +16,14 @@ constexpr std::size_t minimum_growth = 16;
 /// Rows are numbered with 32 bits.
 constexpr std::size_t most_rows = std::numeric_limits<Index>::max();
 
+[[noreturn]] void refuse() {
+#ifdef __cpp_exceptions
+    throw std::length_error("the histories of so many particles are too long to be stored; take fewer particles");
+#else
+    std::abort();  // WebAssembly has no exceptions
+#endif
+}
+
 }  // namespace
 
 History::History(std::size_t particles) : particles_(particles), line_(particles), limit_(minimum_growth * particles) {
@@ -29,8 +38,7 @@ void History::open_level(bool is_step) {
     if (stored_rows() + particles_ > limit_) prune();
     const std::size_t end = stored_rows() + particles_;
     if (end > x_.size()) {
-        if (end > most_rows)
-            throw std::length_error("the histories of so many particles are too long to be stored; take fewer particles");
+        if (end > most_rows) refuse();
         const std::size_t size = std::min(2 * end, most_rows);
         // all of them or none: without memory nothing has changed
         for (auto* const numbers : {&x_, &y_, &t_}) numbers->reserve(size);

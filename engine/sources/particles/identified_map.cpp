@@ -8,6 +8,13 @@ namespace vmslam::particles {
 
 using Task = IdentifiedMap::Task;
 
+IdentifiedMap::IdentifiedMap(const IdentifiedMap& other, History& history)
+    : IdentifiedMap(history, other.particles_, other.oriented_, other.jointly_, other.range_noise_) {
+    for (const auto& [id, column] : other.columns_)
+        columns_[id] = {column.level, std::make_shared<Blocks>(*column.numbers),
+                        column.sighted ? std::make_shared<Sighted>(*column.sighted) : nullptr};
+}
+
 std::vector<LandmarkId> IdentifiedMap::ids() const {
     std::vector<LandmarkId> out;
     for (const auto& [id, column] : columns_) out.push_back(id);
@@ -38,7 +45,7 @@ void IdentifiedMap::place(LandmarkId id, const Three& mean, const Six& covarianc
 }
 
 IdentifiedMap::Scan IdentifiedMap::scan(std::span<const LandmarkId> ids, std::span<const Sighting> sightings,
-                                        std::shared_ptr<const Rows> poses) {
+                                        const std::shared_ptr<const Rows>& poses) {
     std::vector<Task> tasks;
     std::vector<LandmarkId> led;
     for (std::size_t k = 0; k < ids.size(); ++k) {

@@ -28,7 +28,8 @@ class Step {
         if (kept_) {
             if (!solve()) return false;
             const double longest = shrinking * run_.norms.back() * run_.norms.back();
-            if (predicted > enough && (predicted > shrinking * run_.predicted || inner(delta, delta) > longest)) kept_ = false;
+            if (predicted > enough && (predicted > shrinking * run_.predicted || inner(delta, delta) > longest))
+                kept_ = false;
         }
         if (kept_) return true;
         ++run_.factorizations;

@@ -24,9 +24,16 @@ double cost(const BlockShape& shape, double w, double r) {
 class ColumnTree {
    public:
     ColumnTree(const EliminationTree& tree, const BlockShape& shape)
-        : shape_(shape), parent_(tree.parent), below_(tree.count), width_(tree.parent.size(), 1),
-          child_(tree.parent.size(), -1), sibling_(tree.parent.size(), -1), head_(tree.parent.size()),
-          next_(tree.parent.size(), -1), cost_(tree.parent.size()), alive_(tree.parent.size(), 1) {
+        : shape_(shape),
+          parent_(tree.parent),
+          below_(tree.count),
+          width_(tree.parent.size(), 1),
+          child_(tree.parent.size(), -1),
+          sibling_(tree.parent.size(), -1),
+          head_(tree.parent.size()),
+          next_(tree.parent.size(), -1),
+          cost_(tree.parent.size()),
+          alive_(tree.parent.size(), 1) {
         for (Node& b : below_) --b;
         std::iota(head_.begin(), head_.end(), 0);
     }
@@ -52,7 +59,8 @@ class ColumnTree {
         for (Node c = child_[p], following; c >= 0; c = following) {
             following = sibling_[c];
             const Node w = width_[c] + width_[p];
-            const bool merge = relaxed ? cost(shape_, w, below_[p]) < cost_[c] + cost_[p] : below_[c] == width_[p] + below_[p];
+            const bool merge =
+                relaxed ? cost(shape_, w, below_[p]) < cost_[c] + cost_[p] : below_[c] == width_[p] + below_[p];
             if (!merge) {
                 previous = c;
                 continue;

@@ -9,17 +9,20 @@ namespace vmslam::sparse {
 
 template <class Block>
 Factor<Block>::Factor(std::shared_ptr<const Symbolic> symbolic)
-    : symbolic_(std::move(symbolic)), members_(symbolic_->parts), panels_(symbolic_->panel_start.back()),
-      updates_(symbolic_->stack_size), limits_(Block::rows * symbolic_->nodes()),
-      rhs_(Block::planes * Block::rows * symbolic_->nodes()), work_(Block::planes * symbolic_->tallest) {
+    : symbolic_(std::move(symbolic)),
+      members_(symbolic_->parts),
+      panels_(symbolic_->panel_start.back()),
+      updates_(symbolic_->stack_size),
+      limits_(Block::rows * symbolic_->nodes()),
+      rhs_(Block::planes * Block::rows * symbolic_->nodes()),
+      work_(Block::planes * symbolic_->tallest) {
     for (Node s = 0; s < symbolic_->supernodes(); ++s) members_[symbolic_->part[s]].push_back(s);
     for (int part = 0; part < std::max(symbolic_->parts, symbolic_->threads); ++part)
         packed_.emplace_back(packing<Block>(symbolic_->widest, symbolic_->tallest));
 }
 
 template <class Block>
-Place Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, double damping,
-                                         std::span<Numbers> scratch) {
+Place Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, double damping, std::span<Numbers> scratch) {
     const Symbolic& t = *symbolic_;
     const Panel<Block> panel{panels_.data() + t.panel_start[s], t.front(s), scratch};
     const Step h = panel.front.height;

@@ -51,11 +51,27 @@ class QuotientGraph {
 };
 
 QuotientGraph::QuotientGraph(const Neighbours& graph, Node limit, std::span<const Node> turn)
-    : n_(graph.size()), last_(graph.size()), turn_(turn), graph_(graph.list.size() * 3 / 2 + graph.size() + 1),
-      start_(graph.start.begin(), graph.start.end() - 1), free_(static_cast<Place>(graph.list.size())), length_(n_),
-      elements_(n_, 0), weight_(n_, 1), degree_(n_, 0), alive_(n_, 1), mark_(n_, 0), head_(n_ + 1, -1), after_(n_, -1),
-      before_(n_, -1), chain_(n_, -1), tail_(n_), bucket_(std::bit_ceil(static_cast<unsigned>(std::max(n_, Node{1}))), -1),
-      sibling_(n_, -1), code_(n_, 0), order_(n_) {
+    : n_(graph.size()),
+      last_(graph.size()),
+      turn_(turn),
+      graph_(graph.list.size() * 3 / 2 + graph.size() + 1),
+      start_(graph.start.begin(), graph.start.end() - 1),
+      free_(static_cast<Place>(graph.list.size())),
+      length_(n_),
+      elements_(n_, 0),
+      weight_(n_, 1),
+      degree_(n_, 0),
+      alive_(n_, 1),
+      mark_(n_, 0),
+      head_(n_ + 1, -1),
+      after_(n_, -1),
+      before_(n_, -1),
+      chain_(n_, -1),
+      tail_(n_),
+      bucket_(std::bit_ceil(static_cast<unsigned>(std::max(n_, Node{1}))), -1),
+      sibling_(n_, -1),
+      code_(n_, 0),
+      order_(n_) {
     std::copy(graph.list.begin(), graph.list.end(), graph_.begin());
     std::iota(tail_.begin(), tail_.end(), 0);
     if (!turn.empty()) now_ = *std::min_element(turn.begin(), turn.end());

@@ -113,8 +113,7 @@ inline void add_rows(Columns t, ConstColumns s, Step n) {
 #else
     for (; n >= 4; t.at += 4, s.at += 4, n -= 4)
 #pragma GCC unroll 4
-        for (int k = 0; k < count; ++k)
-            store<4>(t.at + k * t.step, load<4>(t.at + k * t.step) + load<4>(s.at + k * s.step));
+        for (int k = 0; k < count; ++k) store<4>(t.at + k * t.step, load<4>(t.at + k * t.step) + load<4>(s.at + k * s.step));
     for (; n > 0; ++t.at, ++s.at, --n)
 #pragma GCC unroll 4
         for (int k = 0; k < count; ++k) t.at[k * t.step] += s.at[k * s.step];

@@ -63,7 +63,10 @@ void negative_product(Columns c, ConstColumns a, Right b, Step rows, Step column
 class FrontInverse {
    public:
     FrontInverse(Step tallest, int threads)
-        : z_(tallest * tallest), y_(3 * wide * tallest), product_(3 * wide * tallest), turned_(3 * wide * tallest),
+        : z_(tallest * tallest),
+          y_(3 * wide * tallest),
+          product_(3 * wide * tallest),
+          turned_(3 * wide * tallest),
           square_(3 * wide * 3 * wide) {
         const Step size = tallest * tallest > 2 * pack_rows * pack_depth ? pack_rows * pack_depth : 0;
         for (int k = 0; k < threads; ++k) packed_.emplace_back(size);
@@ -160,8 +163,7 @@ class FrontInverse {
                 negative_product({z + top + from, h}, {column(end) + top + from, h}, {y + end, 1, h}, height, k, deep,
                                  packed_[t].data());
         });
-        for (Step j = 0; j < k; ++j)
-            std::memcpy(column(row(first) + j) + end, z + j * h + end, deep * sizeof(double));
+        for (Step j = 0; j < k; ++j) std::memcpy(column(row(first) + j) + end, z + j * h + end, deep * sizeof(double));
         for (Step i = end; i < h; ++i) std::memset(turned_.data() + (i - end) * padded + k, 0, (padded - k) * sizeof(double));
         // by tiles, because the columns lie far apart
         constexpr Step tile = 8;
@@ -230,7 +232,8 @@ std::optional<std::array<double, 9>> SelectedInverse::block(Node i, Node j) cons
         if (found == high || *found != row) return std::nullopt;
         local = front.w + (found - low);
     }
-    const double* const z = panels_.data() + t.panel_start[s] + 3 * (column - t.first[s]) * front.height + front.pad + 3 * local;
+    const double* const z =
+        panels_.data() + t.panel_start[s] + 3 * (column - t.first[s]) * front.height + front.pad + 3 * local;
     std::array<double, 9> block;
     for (int a = 0; a < 3; ++a)
         for (int b = 0; b < 3; ++b) block[3 * (turned ? b : a) + (turned ? a : b)] = z[b * front.height + a];

@@ -15,9 +15,19 @@ constexpr Node far = Node{1} << 30;
 }  // namespace
 
 Separator::Separator(const Neighbours& graph)
-    : side(graph.size(), -1), graph_(graph), part_(graph.size()), before_(graph.size()), after_(graph.size()),
-      hops_(graph.size()), seen_(2 * graph.size(), 0), queue_(2 * graph.size() + 1), arc_(2 * graph.size() + 1),
-      turn_(2 * graph.size() + 1), ranks_(graph.size()), profile_(2 * graph.size() + 2), bins_(most_bins) {
+    : side(graph.size(), -1),
+      graph_(graph),
+      part_(graph.size()),
+      before_(graph.size()),
+      after_(graph.size()),
+      hops_(graph.size()),
+      seen_(2 * graph.size(), 0),
+      queue_(2 * graph.size() + 1),
+      arc_(2 * graph.size() + 1),
+      turn_(2 * graph.size() + 1),
+      ranks_(graph.size()),
+      profile_(2 * graph.size() + 2),
+      bins_(most_bins) {
     for (auto& axis : axes_) axis.resize(graph.size());
 }
 

@@ -87,8 +87,8 @@ struct Panel {
         const Step h = front.height, hu = front.update_height, depth = Block::columns * front.w;
         share(front.r, hu, depth, [&](Step from, Step to, double* packed) {
             const Step first = front.update_pad + Block::rows * from, top = group_of(first);
-            product<Block, false>({u + Block::columns * from * hu + top, hu}, {x + h - hu + top, h}, x + row(front.w + from), h,
-                                  hu - top, to - from, depth, first - top, packed);
+            product<Block, false>({u + Block::columns * from * hu + top, hu}, {x + h - hu + top, h}, x + row(front.w + from),
+                                  h, hu - top, to - from, depth, first - top, packed);
         });
     }
 };

@@ -57,9 +57,9 @@ struct Curvature {
 struct Minorant {
     std::vector<std::complex<double>> values;    ///< the 2 x 2 blocks of S on the pattern of the graph
     std::vector<std::complex<double>> gradient;  ///< (N, 2) half the gradient at the candidate
-    std::vector<double> scale;                   ///< (N, 2) the sums of what was added to each diagonal entry of S, or more
-    std::vector<double> error;                   ///< (N, 2) a bound on the rounding error of the gradient, in units
-    double touched = 0.0, slack = 0.0;           ///< the cost at the candidate, and a bound on its rounding errors
+    std::vector<double> scale;  ///< (N, 2) the sums of what was added to each diagonal entry of S, or more
+    std::vector<double> error;  ///< (N, 2) a bound on the rounding error of the gradient, in units
+    double touched = 0.0, slack = 0.0;  ///< the cost at the candidate, and a bound on its rounding errors
 };
 
 /// beta and kappa with Omega - diag(beta, beta, kappa) positive semidefinite, also after rounding; beta = -1 for none.

@@ -21,6 +21,18 @@ struct Sensor {
     double range(double l) const { return range_by_square * l * l + range_constant; }
 };
 
+/// C = R Q R' with R = [[c, -l s, 0], [s, l c, 0], [0, 1, -1]], for a landmark at range l in the direction (c, s).
+inline Symmetric landmark_covariance(const Sensor& sensor, double l, const Rotation& along, bool oriented) {
+    const double c = along.c, s = along.s, range = sensor.range(l), across = sensor.bearing * l * l;
+    Symmetric C{range * c * c + across * s * s, (range - across) * c * s, range * s * s + across * c * c, 0.0, 0.0, 0.0};
+    if (oriented) {
+        C.xt = -sensor.bearing * l * s;
+        C.yt = sensor.bearing * l * c;
+        C.tt = sensor.bearing + sensor.orientation;
+    }
+    return C;
+}
+
 /// z = (l, phi, psi); psi is 0 where it is not measured.
 struct Sighting {
     double range, bearing, orientation;

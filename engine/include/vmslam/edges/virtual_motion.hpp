@@ -18,7 +18,8 @@ class VirtualMotionEdges : public LandmarkSightings {
     /// `weights` are factors on the information of all edges of a landmark.
     VirtualMotionEdges(std::vector<Place> starts, std::vector<Place> nodes, Sightings sightings, std::vector<double> weights,
                        bool body)
-        : LandmarkSightings(std::move(starts), std::move(nodes), std::move(sightings)), weights_(std::move(weights)),
+        : LandmarkSightings(std::move(starts), std::move(nodes), std::move(sightings)),
+          weights_(std::move(weights)),
           body_(body) {}
 
     double accumulate(const State& state, System* system, std::span<const Place> pairs) const override;

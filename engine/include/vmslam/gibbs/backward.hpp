@@ -24,10 +24,10 @@ namespace vmslam::gibbs {
 
 /// The weighted particles of all steps of a run, those of a step before its resampling. A view.
 struct RecordedParticles {
-    std::span<const double> poses;          ///< (T + 1, N, 3) of the sensor
-    std::span<const double> log_weights;    ///< (T + 1, N)
+    std::span<const double> poses;  ///< (T + 1, N, 3) of the sensor
+    std::span<const double> log_weights;  ///< (T + 1, N)
     std::span<const std::int32_t> parents;  ///< (T + 1, N) indices among the particles of the step before
-    Number count;                           ///< N
+    Number count;  ///< N
 
     Number steps() const { return log_weights.size() / count; }
     Vector pose(Number t, Number i) const {
@@ -62,9 +62,9 @@ class BackwardSampler {
     const Problem& problem_;
     Number candidates_;
     std::vector<std::vector<Gaussian>> events_;  ///< of each step at which a landmark was seen: its Gaussians (N)
-    std::vector<std::int32_t> last_event_;       ///< (T + 1, J) the last event of each landmark, or -1
-    std::vector<std::int32_t> slots_;            ///< (T + 1, J, N) where in that event particle i has its Gaussian
-    std::vector<double> cumulative_;             ///< (T + 1, N) sums of the weights
+    std::vector<std::int32_t> last_event_;  ///< (T + 1, J) the last event of each landmark, or -1
+    std::vector<std::int32_t> slots_;  ///< (T + 1, J, N) where in that event particle i has its Gaussian
+    std::vector<double> cumulative_;  ///< (T + 1, N) sums of the weights
 };
 
 }  // namespace vmslam::gibbs

@@ -30,7 +30,7 @@ double cost(const Problem& problem, const Trajectory& x, const Map& m, bool exac
 struct Directions {
     Trajectory poses;
     Map marks;
-    std::span<const double> rows;        ///< (r, 3 T + n J), V'
+    std::span<const double> rows;  ///< (r, 3 T + n J), V'
     std::span<const double> deviations;  ///< (r) d
 };
 
@@ -54,7 +54,7 @@ class Bends {
     Trajectory& x_;
     Map& m_;
     std::vector<double> away_;  ///< the state less the mode
-    std::vector<double> a_;     ///< its coordinates
+    std::vector<double> a_;  ///< its coordinates
 };
 
 }  // namespace vmslam::gibbs

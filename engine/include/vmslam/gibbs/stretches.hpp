@@ -37,9 +37,9 @@ struct LocalMap {
 ///
 /// A landmark counts with what the rest of the log says of it; those that only the stretch sees are left out.
 struct Guide {
-    std::vector<Frame> middle;       ///< (n) the path about which sightings and motions are linearised
+    std::vector<Frame> middle;  ///< (n) the path about which sightings and motions are linearised
     std::vector<Information> ahead;  ///< (n) without the sightings of the pose itself
-    std::vector<Information> full;   ///< (n) with them
+    std::vector<Information> full;  ///< (n) with them
 
     /// Look back from the end: `following` is the first pose after the stretch, if there is one.
     void compute(const Problem& problem, std::span<const Sighting> sightings, const LocalMap& map, Number begin,

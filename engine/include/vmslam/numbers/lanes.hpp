@@ -10,6 +10,8 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "vmslam/processor.hpp"
+
 namespace vmslam::numbers {
 
 inline constexpr int lanes = 8;

@@ -35,7 +35,8 @@ class OnlineSystem {
     /// A new node, at the origin until an edge or a prior leads to it.
     Number add_node();
     /// Put nodes at places, with their joint information (3k, 3k) in world axes. `points` have no heading.
-    void add_prior(std::span<const Number> nodes, std::span<const Triple> places, std::vector<double> information, bool points);
+    void add_prior(std::span<const Number> nodes, std::span<const Triple> places, std::vector<double> information,
+                   bool points);
 
     /// Add edges to new nodes, those from number `known` on, or between others, and solve; `newest` are eliminated last.
     /// False where a node is not determined: the system is as before then, without the new nodes.
@@ -82,7 +83,8 @@ class OnlineSystem {
     /// the increments `before`.
     bool iterate(std::span<const Number> newest, std::span<const Number> fresh = {}, std::span<const Number> touched = {},
                  std::span<const Triple> before = {});
-    Outcome advance(int& done, std::span<const Number> fresh, std::span<const Number> touched, std::span<const Triple> before);
+    Outcome advance(int& done, std::span<const Number> fresh, std::span<const Number> touched,
+                    std::span<const Triple> before);
     /// Evaluate the edges and relative priors of nodes that moved: the supernodes of their ends, and the edges and priors that
     /// are to be linearised again.
     struct Evaluation {

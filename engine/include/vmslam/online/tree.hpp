@@ -22,11 +22,11 @@ using sparse::Numbers;
 struct Supernode {
     Number w = 0, r = 0;
     Number parent = 0, child = 0, sibling = 0;
-    Number split = 0;            ///< the first row of the separator that is not among the columns of the parent
-    bool marked = false;         ///< false between the calls
-    bool changed = false;        ///< whether y has changed since the last backward pass
-    bool ascending = true;       ///< whether `relative` ascends
-    std::vector<Number> nodes;   ///< w nodes, then r nodes, both in the order of elimination
+    Number split = 0;  ///< the first row of the separator that is not among the columns of the parent
+    bool marked = false;  ///< false between the calls
+    bool changed = false;  ///< whether y has changed since the last backward pass
+    bool ascending = true;  ///< whether `relative` ascends
+    std::vector<Number> nodes;  ///< w nodes, then r nodes, both in the order of elimination
     std::vector<Number> relative, run_end;  ///< where the separator stands in the front of the parent; ends of its runs
     Numbers numbers;
 
@@ -107,8 +107,8 @@ bool refactor(Graph& graph, Tree& tree, std::span<const Number> late, std::span<
 /// A part of the graph that is eliminated anew.
 struct Changes {
     std::span<const Number> touched, fresh;  ///< nodes and edges that are new or get other numbers
-    std::span<const Number> newest;          ///< nodes that are eliminated last
-    std::span<const Number> gone;            ///< supernodes that are taken out
+    std::span<const Number> newest;  ///< nodes that are eliminated last
+    std::span<const Number> gone;  ///< supernodes that are taken out
 };
 
 /// Eliminate the top of the tree again: all supernodes from changed nodes up to the roots, in a new order. What hangs below

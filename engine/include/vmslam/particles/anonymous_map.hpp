@@ -37,6 +37,8 @@ class AnonymousMap {
    public:
     AnonymousMap(History& history, std::size_t particles, bool oriented, const AnonymousOptions& options,
                  Confusion confusion);
+    /// A map with slices of its own, for a copy of the history.
+    AnonymousMap(const AnonymousMap& other, History& history);
 
     bool oriented() const { return oriented_; }
     const Confusion& confusion() const { return confusion_; }

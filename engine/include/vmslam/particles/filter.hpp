@@ -30,6 +30,9 @@ class Filter {
    public:
     /// `poses`: the first poses; `records`: whether all particles of all steps are kept, for backward simulation.
     Filter(Rows poses, std::size_t threads, bool records);
+    /// A filter of its own, which continues with the same numbers.
+    Filter(const Filter& other);
+    Filter& operator=(const Filter&) = delete;
 
     std::size_t particles() const { return particles_; }
     const Ranges& ranges() const { return ranges_; }

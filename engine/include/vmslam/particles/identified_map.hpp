@@ -34,6 +34,8 @@ class IdentifiedMap {
     IdentifiedMap(History& history, std::size_t particles, bool oriented, std::size_t jointly,
                   std::optional<RangeNoise> range_noise)
         : history_(history), particles_(particles), oriented_(oriented), jointly_(jointly), range_noise_(range_noise) {}
+    /// A map with columns of its own, for a copy of the history; not while a scan is being processed.
+    IdentifiedMap(const IdentifiedMap& other, History& history);
 
     bool oriented() const { return oriented_; }
     bool has(LandmarkId id) const { return columns_.contains(id); }
@@ -45,7 +47,7 @@ class IdentifiedMap {
     struct Task;
     /// The tasks of a scan, in its order; `poses` is where the poses will be from which it was seen.
     class Scan;
-    Scan scan(std::span<const LandmarkId> ids, std::span<const Sighting> sightings, std::shared_ptr<const Rows> poses);
+    Scan scan(std::span<const LandmarkId> ids, std::span<const Sighting> sightings, const std::shared_ptr<const Rows>& poses);
     /// Columns that a scan has replaced can be reused.
     void end_scan();
 

@@ -17,7 +17,7 @@ namespace vmslam::sparse {
 struct Real3 {
     using Value = double;
     static constexpr int rows = 3, columns = 3, planes = 1;
-    static constexpr int size = 9;          ///< values of a block, by rows
+    static constexpr int size = 9;  ///< values of a block, by rows
     static constexpr double tolerance = 1e-12;  ///< smallest ratio of a pivot to its diagonal entry, see factor.hpp
 
     /// L of a diagonal block, with inverse pivots.

@@ -55,8 +55,7 @@ template <int J, bool add>
 inline void product_columns(Columns c, ConstColumns a, Right b, Step rows, Step depth) {
     constexpr int tall = 2 * lanes;
     Step i = 0;
-    for (; i + tall <= rows; i += tall)
-        product_tile<lanes, 2, J, add>({c.at + i, c.step}, {a.at + i, a.step}, b, depth);
+    for (; i + tall <= rows; i += tall) product_tile<lanes, 2, J, add>({c.at + i, c.step}, {a.at + i, a.step}, b, depth);
     if (i < rows) product_tile<lanes, 1, J, add>({c.at + i, c.step}, {a.at + i, a.step}, b, depth);
 }
 

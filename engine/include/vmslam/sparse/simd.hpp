@@ -7,15 +7,11 @@
 #include <span>
 #include <utility>
 
+#include "vmslam/processor.hpp"
+
 namespace vmslam::sparse {
 
-#if defined(__AVX512F__)
-inline constexpr int lanes = 8;
-#elif defined(__AVX__)
-inline constexpr int lanes = 4;
-#else
-inline constexpr int lanes = 2;
-#endif
+inline constexpr int lanes = VMSLAM_REGISTER;
 
 /// `N` numbers in a register, and the same numbers anywhere in memory.
 template <int N>

@@ -1,0 +1,63 @@
+// What a robot has recorded: controls, and sightings of landmarks. Programs without Python begin with it.
+//
+// The noise models are those of the book (Ueda, LNPR, chapters 5 to 9), and so are the defaults. `solve/graph.hpp` makes a
+// graph of a log; steps of the online solver and of the particle filters take the same numbers one by one.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "vmslam/edges/sightings.hpp"
+#include "vmslam/particles/motion.hpp"
+
+namespace vmslam {
+
+/// u = (nu, omega) [m/s, rad/s], held for dt [s].
+struct Control {
+    double nu, omega, dt;
+};
+
+/// A landmark seen from the pose of a step: range [m], bearing [rad] and, where the sensor measures it, orientation [rad].
+struct LandmarkSighting {
+    std::size_t step;
+    std::int64_t landmark;
+    edges::Sighting z;
+};
+
+struct Log {
+    std::array<double, 3> start{};      ///< the first pose [m, m, rad]
+    std::vector<Control> controls;      ///< control t leads from pose t to pose t + 1
+    std::vector<LandmarkSighting> sightings;
+    bool oriented = true;               ///< whether orientations are measured
+
+    std::size_t poses() const { return controls.size() + 1; }
+};
+
+/// Standard deviations of the speed per root of distance driven and of angle turned (nn, no), those of the turn rate (on,
+/// oo), and the variance that is added to every pose.
+struct MotionNoise {
+    double nn = 0.19, no = 0.001, on = 0.13, oo = 0.2, epsilon = 1e-4;
+
+    /// M = diag(nn² |nu|/dt + no² |omega|/dt, on² |nu|/dt + oo² |omega|/dt), as the particle filters take it.
+    particles::ControlMotion of(const Control& u) const;
+};
+
+/// A sensor at the centre of the robot whose range error grows with the range.
+inline constexpr edges::Sensor book_sensor{0.14 * 0.14, 0.0, 0.05 * 0.05, 0.05 * 0.05, 0.0, 0.0};
+
+/// What a motion or a sighting measures in the axes of the pose from which it starts, with its information.
+struct Measured {
+    edges::Vector z;
+    edges::Symmetric omega;
+};
+
+/// The relative pose f(0, u), Omega^-1 = A M A' + epsilon I.
+Measured measured(const Control& u, const MotionNoise& noise = {});
+/// The landmark h^-1(0, z) = (l cos phi, l sin phi, phi - psi), Omega^-1 = R Q R'; without a heading unless `oriented`.
+Measured measured(const edges::Sighting& z, bool oriented, const edges::Sensor& sensor = book_sensor);
+
+/// The poses (x, y, heading) that follow from the controls alone, which is where solvers start.
+std::vector<double> dead_reckoning(const Log& log);
+
+}  // namespace vmslam

@@ -1,0 +1,46 @@
+// A graph that owns its edges, its linear system and the factor, for programs without Python.
+#pragma once
+
+#include <memory>
+
+#include "vmslam/edges/relative.hpp"
+#include "vmslam/log.hpp"
+#include "vmslam/solve/run.hpp"
+
+namespace vmslam::solve {
+
+class Graph {
+   public:
+    explicit Graph(Place nodes) : nodes_(nodes) {}
+
+    /// Hold a node near a value: the gauge of a graph without a map.
+    void add_anchor(Place node, const edges::Vector& value, double information = 1e6);
+    /// Measured relative poses, such as motions and loop closures.
+    void add_relative(std::vector<edges::RelativeEdge> edges, const edges::Kernel& kernel = {});
+    /// Edges of any family that tie groups of nodes: those of group g are nodes[starts[g]] to nodes[starts[g + 1] - 1], not
+    /// decreasing.
+    void add_groups(std::unique_ptr<const edges::Family> family, std::span<const Place> starts, std::span<const Place> nodes);
+
+    /// The families have information that depends on the state, or a robust kernel; see `Objective`.
+    bool state_dependent = false, reweighted = false;
+
+    /// Minimise J from run.state by `gauss_newton`.
+    void solve(Run& run, int threads = 1) const;
+
+   private:
+    struct Member {
+        std::unique_ptr<const edges::Family> family;
+        std::vector<Place> first, second;  ///< the ends of pairs, for the families that list their edges
+    };
+    Place nodes_;
+    std::vector<Member> members_;
+    /// the groups of nodes of all families, one after another
+    std::vector<Place> sizes_, grouped_;
+};
+
+/// The graph of a log: an anchor on its first pose, a motion edge for each control, and the sightings of each landmark as one
+/// marginal edge (`edges/marginal.hpp`) with a robust kernel, all in the body frame.
+Graph graph_of(const Log& log, const MotionNoise& noise = {}, const edges::Sensor& sensor = book_sensor,
+               const edges::Kernel& kernel = {});
+
+}  // namespace vmslam::solve

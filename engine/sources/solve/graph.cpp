@@ -1,0 +1,93 @@
+#include "vmslam/solve/graph.hpp"
+
+#include <algorithm>
+#include <numeric>
+
+#include "vmslam/edges/marginal.hpp"
+#include "vmslam/sparse/ordering.hpp"
+#include "vmslam/sparse/pattern.hpp"
+
+namespace vmslam::solve {
+
+void Graph::add_anchor(Place node, const edges::Vector& value, double information) {
+    const edges::Symmetric omega{information, 0.0, information, 0.0, 0.0, information};
+    members_.push_back(
+        {std::make_unique<edges::AnchorEdges>(std::vector{edges::RelativeEdge{node, node, value, omega}}), {}, {}});
+}
+
+void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Kernel& kernel) {
+    Member member;
+    for (const edges::RelativeEdge& edge : edges) {
+        member.first.push_back(edge.i);
+        member.second.push_back(edge.j);
+        sizes_.push_back(2);
+        grouped_.insert(grouped_.end(), {std::min(edge.i, edge.j), std::max(edge.i, edge.j)});
+    }
+    member.family = std::make_unique<edges::RelativeEdges>(std::move(edges), true, false, kernel);
+    members_.push_back(std::move(member));
+}
+
+void Graph::add_groups(std::unique_ptr<const edges::Family> family, std::span<const Place> starts,
+                       std::span<const Place> nodes) {
+    for (std::size_t g = 0; g + 1 < starts.size(); ++g) sizes_.push_back(starts[g + 1] - starts[g]);
+    grouped_.insert(grouped_.end(), nodes.begin(), nodes.end());
+    members_.push_back({std::move(family), {}, {}});
+}
+
+void Graph::solve(Run& run, int threads) const {
+    const sparse::WidePattern pattern = sparse::pattern_of_groups(nodes_, sizes_, grouped_);
+    const std::vector<sparse::Node> rows(pattern.rows.begin(), pattern.rows.end());
+    const sparse::Pattern narrow{pattern.start, rows};
+    sparse::Factor<sparse::Real3> factor(std::make_shared<const sparse::Symbolic>(
+        analyze(narrow, fill_reducing(narrow), {sparse::Real3::rows, sparse::Real3::columns}, threads)));
+
+    std::vector<std::vector<Place>> pairs;
+    for (const Member& m : members_) {
+        pairs.emplace_back(m.first.size());
+        for (std::size_t e = 0; e < m.first.size(); ++e)
+            pairs.back()[e] = sparse::block_between(pattern.start, pattern.rows, m.first[e], m.second[e]);
+    }
+    std::vector<GraphObjective::Member> families;
+    for (std::size_t k = 0; k < members_.size(); ++k) families.push_back({members_[k].family.get(), pairs[k]});
+
+    std::vector<double> values(9 * rows.size()), xi(3 * nodes_);
+    std::vector<Place> workspace(nodes_);
+    GraphObjective objective(std::move(families), {pattern.start, pattern.rows, values.data(), xi.data(), workspace.data()},
+                             {}, 0.0, factor);
+    objective.state_dependent = state_dependent;
+    objective.reweighted = reweighted;
+    gauss_newton(objective, run);
+}
+
+Graph graph_of(const Log& log, const MotionNoise& noise, const edges::Sensor& sensor, const edges::Kernel& kernel) {
+    Graph graph(static_cast<Place>(log.poses()));
+    graph.add_anchor(0, {log.start[0], log.start[1], log.start[2]});
+    std::vector<edges::RelativeEdge> motions;
+    for (const Control& u : log.controls) {
+        const auto [z, omega] = measured(u, noise);
+        const auto t = static_cast<Place>(motions.size());
+        motions.push_back({t, t + 1, z, omega});
+    }
+    graph.add_relative(std::move(motions));
+
+    std::vector<LandmarkSighting> seen = log.sightings;
+    std::stable_sort(seen.begin(), seen.end(), [](const LandmarkSighting& a, const LandmarkSighting& b) {
+        return a.landmark != b.landmark ? a.landmark < b.landmark : a.step < b.step;
+    });
+    std::vector<Place> starts, nodes;
+    edges::Sightings sightings{{}, {}, std::vector<double>(seen.size(), 1.0), sensor, kernel, log.oriented};
+    for (std::size_t k = 0; k < seen.size(); ++k) {
+        if (k == 0 || seen[k].landmark != seen[k - 1].landmark) starts.push_back(static_cast<Place>(k));
+        nodes.push_back(static_cast<Place>(seen[k].step));
+        sightings.z.push_back(seen[k].z);
+    }
+    starts.push_back(static_cast<Place>(seen.size()));
+    sightings.noisy = sightings.z;
+    graph.add_groups(std::make_unique<edges::MarginalEdges>(starts, nodes, std::move(sightings), true), starts, nodes);
+    // only with orientations do the sightings alone give their information
+    graph.state_dependent = !log.oriented;
+    graph.reweighted = static_cast<bool>(kernel);
+    return graph;
+}
+
+}  // namespace vmslam::solve

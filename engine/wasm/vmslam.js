@@ -1,0 +1,124 @@
+// The engine in a web page or in Node: graph SLAM of a log, step by step, and FastSLAM.
+//
+//   const engine = await load(await (await fetch("vmslam.wasm")).arrayBuffer());
+//   const { poses } = engine.solve({ start: [0, 0, 0], controls: [[1, 0, 1]], sightings: [[0, 7, 2.5, 0.1], [1, 7, 1.5, 0.2]] });
+//
+// controls: [nu, omega, dt]; sightings: [landmark, range, bearing, orientation], in logs with the step in front. Without
+// orientations, give `oriented: false` and leave the last number out.
+
+/** The noise models of the book; see `Log` in include/vmslam/log.hpp. */
+export const BOOK = { nn: 0.19, no: 0.001, on: 0.13, oo: 0.2, epsilon: 1e-4, range_rate: 0.14, bearing_std: 0.05, orientation_std: 0.05 };
+
+/** Instantiate the module. A reactor of WASI asks for an output, which has no place here. */
+export async function load(bytes) {
+  const module = await WebAssembly.compile(bytes);
+  const imports = {};
+  for (const { module: from, name } of WebAssembly.Module.imports(module)) {
+    (imports[from] ??= {})[name] = name === "proc_exit" ? () => { throw new Error("the engine has ended"); } : () => 0;
+  }
+  const { exports } = await WebAssembly.instantiate(module, imports);
+  exports._initialize();
+  return new Engine(exports);
+}
+
+class Engine {
+  constructor(exports) { this.exports = exports; }
+
+  /** Call work with places of arrays of numbers in the memory of the module, which are freed afterwards. */
+  with(arrays, work) {
+    const places = arrays.map((numbers) => this.exports.vm_allocate(Math.max(1, numbers.length)));
+    try {
+      arrays.forEach((numbers, k) => this.view(places[k], numbers.length).set(numbers));
+      return work(...places);
+    } finally {
+      places.forEach((place) => this.exports.vm_free(place));
+    }
+  }
+  /** The numbers at a place, until the module next takes memory. */
+  view(place, length) { return new Float64Array(this.exports.memory.buffer, place, length); }
+
+  /** The poses [x, y, heading] of the graph of a log, J, the number of steps, and whether they converged. */
+  solve({ start, controls, sightings, oriented = true, noise = {} }) {
+    const poses = new Array(3 * (controls.length + 1)).fill(0), summary = [0, 0];
+    const rows = [start, controls.flat(), flat(sightings, 5), numbersOf(noise), poses, summary];
+    return this.with(rows, (x, u, z, n, out, last) => {
+      const converged = this.exports.vm_solve(x, u, controls.length, z, sightings.length, n, +oriented, out, last) === 1;
+      const [cost, steps] = this.view(last, 2);
+      return { poses: triples(this.view(out, poses.length)), cost, steps, converged };
+    });
+  }
+  online(options) { return new Online(this, options); }
+  fastslam(options) { return new FastSlam(this, options); }
+}
+
+/** Graph SLAM while the robot drives. */
+class Online {
+  constructor(engine, { start = [0, 0, 0], oriented = true, noise = {} } = {}) {
+    this.engine = engine;
+    this.own = engine.with([start, numbersOf(noise)], (x, n) => engine.exports.vm_online(x, n, +oriented));
+  }
+  /** A motion (null: none), then sightings from the new pose; returns that pose. */
+  step(control, sightings = []) {
+    const { exports } = this.engine;
+    return this.engine.with([control ?? [], flat(sightings, 4), [0, 0, 0]], (u, z, out) => {
+      if (!exports.vm_online_step(this.own, control ? u : 0, z, sightings.length)) {
+        throw new Error("the step leaves a pose or landmark undetermined, so that it was not taken");
+      }
+      exports.vm_online_pose(this.own, out);
+      return [...this.engine.view(out, 3)];
+    });
+  }
+  /** A landmark [x, y, heading], or null. Without orientations the heading means nothing. */
+  landmark(name) {
+    return this.engine.with([[0, 0, 0]], (out) =>
+      this.engine.exports.vm_online_landmark(this.own, name, out) ? [...this.engine.view(out, 3)] : null);
+  }
+  free() { this.engine.exports.vm_online_free(this.own); }
+}
+
+/** FastSLAM 1.0 and 2.0 with known ids. */
+class FastSlam {
+  constructor(engine, { start = [0, 0, 0], particles = 100, oriented = true, noise = {}, version = 1 } = {}) {
+    this.engine = engine;
+    this.count = particles;
+    this.version = version - 1;
+    this.own = engine.with([start, numbersOf(noise)], (x, n) => engine.exports.vm_fastslam(x, particles, n, +oriented));
+  }
+  /** Move all particles; `key` is a BigInt from which their random numbers follow. */
+  move(control, key) { this.engine.with([control], (u) => this.engine.exports.vm_fastslam_move(this.own, u, key)); }
+  /** Weigh by sightings; returns the effective sample size, or -1 if nothing was weighed. */
+  weigh(sightings) {
+    return this.engine.with([flat(sightings, 4)], (z) =>
+      this.engine.exports.vm_fastslam_weigh(this.own, z, sightings.length, this.version));
+  }
+  /** Systematic resampling from an offset in [0, 1). */
+  resample(offset) { this.engine.exports.vm_fastslam_resample(this.own, offset); }
+  /** The number of the particle of the largest weight. */
+  get best() { return this.engine.exports.vm_fastslam_best(this.own); }
+  /** Poses [x, y, heading] and log weights of all particles. */
+  particles() {
+    const N = this.count;
+    return this.engine.with([new Float64Array(3 * N), new Float64Array(N)], (poses, weights) => {
+      this.engine.exports.vm_fastslam_particles(this.own, poses, weights);
+      const [x, y, heading] = [0, 1, 2].map((k) => this.engine.view(poses + 8 * N * k, N));
+      return { poses: Array.from(x, (_, i) => [x[i], y[i], heading[i]]), logWeights: [...this.engine.view(weights, N)] };
+    });
+  }
+  /** The place [x, y] of a landmark in the map of a particle, or null. */
+  landmark(name, particle = this.best) {
+    return this.engine.with([[0, 0]], (out) =>
+      this.engine.exports.vm_fastslam_landmark(this.own, particle, name, out) ? [...this.engine.view(out, 2)] : null);
+  }
+  free() { this.engine.exports.vm_fastslam_free(this.own); }
+}
+
+/** Rows of a fixed length, one after another; a missing orientation is 0. */
+const flat = (rows, length) => rows.flatMap((row) => [...row, 0].slice(0, length));
+const triples = (numbers) => Array.from({ length: numbers.length / 3 }, (_, k) => [...numbers.subarray(3 * k, 3 * k + 3)]);
+
+function numbersOf(noise) {
+  for (const name of Object.keys(noise)) {
+    if (!(name in BOOK)) throw new Error(`there is no noise "${name}"; its names are ${Object.keys(BOOK).join(", ")}`);
+  }
+  return Object.keys(BOOK).map((name) => noise[name] ?? BOOK[name]);
+}
