@@ -19,6 +19,7 @@ from graphslam.checks import suggestion
 from graphslam.defaults import edges_for_map, suitable_edges, suitable_for_isam2, suitable_kernel
 from graphslam.errors import quoted
 from graphslam.log import UNIDENTIFIED
+from graphslam.online import replay
 from graphslam.se2 import wrap
 
 from .association import identified
@@ -180,13 +181,13 @@ def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 
 def online(log: Log, options: RunOptions) -> EstimatorResult:
     """The hand-written solver step by step through the log, at the optimum of the graph with landmark nodes after each."""
-    solution = graphslam.solve_by_steps(_online_graph(log, options), lag=options.lag)
+    solution = graphslam.solve_online(_online_graph(log, options), lag=options.lag)
     return replace(_of_solution("online", log, options, solution), converged=None)
 
 
-def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineEstimate]:
-    """The estimates of `online` after every step."""
-    return graphslam.steps_of(_online_graph(log, options), lag=options.lag)
+def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineSolver]:
+    """The solver of `online` after every step."""
+    return replay(_online_graph(log, options), lag=options.lag)
 
 
 def _no_map(name: str, options: RunOptions) -> None:
@@ -204,12 +205,12 @@ def isam2(log: Log, options: RunOptions) -> EstimatorResult:
     _no_map("isam2", options)
     options = isam2_options(log, options)
     keywords = online_keywords(options)
-    result = _of_solution("isam2", log, options, graphslam.solve_online(log, **keywords))
+    result = _of_solution("isam2", log, options, graphslam.solve_online(log, backend="isam2", **keywords))
     return replace(result, converged=None)
 
 
 def isam2_options(log: Log, options: RunOptions) -> RunOptions:
-    """The options with the edges and the kernel that `graphslam.solve_online` takes where they name none."""
+    """The options with the edges and the kernel that `graphslam.solve_online` takes for ISAM2 where they name none."""
     edges, kernel = suitable_for_isam2(log, options.edges, options.kernel)
     assert isinstance(kernel, str)
     return replace(options, edges=edges, kernel=kernel)

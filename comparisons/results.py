@@ -124,7 +124,8 @@ class EstimatorResult:
         """
         samples = self.origin.smoothed if isinstance(self.origin, FilterResult) else self.origin
         if isinstance(samples, Samples):
-            return samples.pose_covariances
+            covariances: Array = samples.covariance()
+            return covariances
         if self.log is not None and self.log.controls is not None:
             return dead_reckoning_covariances(self.log, self.motion)
         if self.graph is None or self.state is None:
@@ -170,7 +171,8 @@ class EstimatorResult:
         covariances = np.full((len(self.poses), 3, 3), np.nan)
         try:
             if isinstance(self.origin, Solution):
-                return self.origin.covariances()
+                found: Array = self.origin.covariance()
+                return found
             covariances[self.graph.steps] = Uncertainty(self.graph, self.state).diagonal[: len(self.graph.steps)]
         except Exception as error:
             return f"the covariances are not known: {sentence(error)}"

@@ -174,6 +174,10 @@ class FastSLAM1(ParticleFilter):
         for j in self._engine.landmarks().tolist():
             yield j, *self._engine.landmark(j, first, count)
 
+    def _gaussians_of(self, id: int) -> tuple[Array, Array, np.ndarray]:
+        means, covariances, evidence = self._engine.landmark(id, 0, self.particles)
+        return means, covariances, evidence > 0
+
     @property
     def _confirmed(self) -> float:
         """The evidence from which on a landmark is part of the map."""

@@ -21,21 +21,19 @@ if TYPE_CHECKING:
     from .formats import load, save
     from .graph import Graph
     from .identification.robot import RobotEstimate, estimate_robot
-    from .incremental.solver import OnlineSolver
-    from .incremental.stream import OnlineEstimate, online, solve_by_steps, steps_of
     from .keyframes import with_poses_every
     from .landmark_map import LandmarkMap
     from .localization import Fix, first_fix
     from .log import Log
     from .mapping import estimate_map
     from .models import MotionModel, SensorModel
+    from .online import OnlineSolver, solve_online
     from .parameters import PARAMETERS, Parameter, ParameterEstimate
     from .parameters.corrections import without_biases
     from .solution import Solution
     from .solvers.gnc import solve_gnc
     from .solvers.gtsam_solver import solve_with_gtsam
     from .solvers.many import solve_many
-    from .solvers.online import IncrementalSmoother, isam2_parameters, solve_online
     from .solvers.solve import Iteration, solve
     from .sources.drives import Drive, DriveTruth
     from .sources.simulator import MotionFaults, SensorFaults, simulate
@@ -57,21 +55,19 @@ _PUBLIC = {
     "formats": "load save",
     "graph": "Graph",
     "identification.robot": "RobotEstimate estimate_robot",
-    "incremental.solver": "OnlineSolver",
-    "incremental.stream": "OnlineEstimate online solve_by_steps steps_of",
     "keyframes": "with_poses_every",
     "localization": "Fix first_fix",
     "log": "Log",
     "landmark_map": "LandmarkMap",
     "mapping": "estimate_map",
     "models": "MotionModel SensorModel",
+    "online": "OnlineSolver solve_online",
     "parameters": "PARAMETERS Parameter ParameterEstimate",
     "parameters.corrections": "without_biases",
     "solution": "Solution",
     "solvers.gnc": "solve_gnc",
     "solvers.gtsam_solver": "solve_with_gtsam",
     "solvers.many": "solve_many",
-    "solvers.online": "IncrementalSmoother isam2_parameters solve_online",
     "solvers.solve": "Iteration solve",
     "sources.drives": "Drive DriveTruth",
     "sources.simulator": "MotionFaults SensorFaults simulate",

@@ -76,7 +76,7 @@ def wrong_with(solution: Solution, *, initialize: str) -> list[str]:
     if solution.converged and (lower := descended(graph, solution.state)) is not None:
         problems.append(f"converged at J = {cost:.9g}, but a descent leads to {lower:.9g}: {solution.reason}")
     try:
-        covariances = solution.covariances()[solution.estimated]
+        covariances = solution.covariance()[solution.estimated]
         if not np.isfinite(covariances).all():
             problems.append("a covariance is not finite")
         elif np.any(np.diagonal(covariances, axis1=1, axis2=2) < 0):

@@ -27,17 +27,17 @@ def pictures(
     """
     steps, drawn, begin = online_steps(log, options), -np.inf, time.perf_counter()
     spent: list[float] = []
-    for estimate in steps:
+    for solver in steps:
         now = time.perf_counter()
         spent.append(now - begin)
-        if now - drawn >= every or estimate.step == log.num_poses - 1:
-            marks = np.array([mark[:2] for mark in estimate.landmarks.values()]).reshape(-1, 2)
-            lines = plan(estimate.poses[:, :2], marks, width, height, ("estimated path", "landmark"))
+        if now - drawn >= every or solver.step == log.num_poses - 1:
+            marks = np.array([mark[:2] for mark in solver.landmarks.values()]).reshape(-1, 2)
+            lines = plan(solver.poses[:, :2], marks, width, height, ("estimated path", "landmark"))
             # the first steps of a process load compiled code
             pace = 1e3 * float(np.median(spent))
             yield [
                 *lines,
-                f"step {estimate.step} of {log.num_poses - 1}, {len(marks)} landmarks, {pace:.2f} ms per step (median)",
+                f"step {solver.step} of {log.num_poses - 1}, {len(marks)} landmarks, {pace:.2f} ms per step (median)",
             ]
             drawn = now
         begin = time.perf_counter()

@@ -63,7 +63,7 @@ def assert_same(found: Solution | SlamError, expected: Solution) -> None:
     assert found.landmarks.keys() == expected.landmarks.keys()
     for landmark, mark in expected.landmarks.items():
         np.testing.assert_array_equal(found.landmarks[landmark], mark)
-    np.testing.assert_array_equal(found.covariances(), expected.covariances())
+    np.testing.assert_array_equal(found.covariance(), expected.covariance())
 
 
 def test_results_are_those_of_solve_and_a_failure_stays_alone(graph: Graph) -> None:
