@@ -5,7 +5,7 @@ Trajectories are in the text format of the TUM RGB-D benchmark, one pose per lin
     timestamp x y z qx qy qz qw        [s, m, quaternion]; here z = qx = qy = 0, qz = sin(theta / 2), qw = cos(theta / 2)
 
 An estimated trajectory has the poses of the log, and between them the ends of the recorded controls, at most ten a second
-(`graphslam.dense`). Maps are tables with commas. Reading a file gives exactly the same numbers.
+(`graphslam.continuous_time`). Maps are tables with commas. Reading a file gives exactly the same numbers.
 """
 
 from __future__ import annotations

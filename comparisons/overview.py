@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from graphslam import Log, SensorModel
-from graphslam.plausibility import Finding, plausibility
-from graphslam.plausibility.readings import comparable
+from graphslam.log_checks import Finding, check_log
+from graphslam.log_checks.readings import comparable
 from graphslam.se2 import Array
 
 from .display import Displayed
@@ -70,7 +70,7 @@ class Overview(Displayed):
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
         """What is probably wrong."""
-        return plausibility(self.log)
+        return check_log(self.log)
 
     @cached_property
     def compared(self) -> bool:

@@ -85,6 +85,6 @@ def association_document(log: Log, result: EstimatorResult, scores: AssociationS
         classes=None if log.classes is None else classes,
         unconfirmed=None if result.unconfirmed is None else int(np.sum(result.unconfirmed & given)),
         evidence=None if found is None else found.evidence,
-        doubts=None if found is None else [document(DoubtDocument, each) for each in found.doubts],
+        doubts=None if found is None else [document(DoubtDocument, each) for each in found.ambiguities],
         verdict=None if found is None else document(VerdictDocument, found.verdict),
     )

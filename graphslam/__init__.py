@@ -11,11 +11,11 @@ from .lazy import lazy_names
 
 if TYPE_CHECKING:
     from . import edges, factors, formats, metrics, se2, textbook
-    from .association import Association, AssociationOptions, AssociationScore, Doubt, associate
+    from .association import Ambiguity, Association, AssociationOptions, AssociationScore, associate
     from .calibration import Calibration, calibrate
     from .certificate import Certificate
     from .certify import certify
-    from .dense import ControlPath, control_path
+    from .continuous_time import ControlPath, control_path
     from .edges.robust import Cauchy, GemanMcClure, Huber
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
     from .formats import load, save
@@ -45,11 +45,11 @@ if TYPE_CHECKING:
 #: the public names, by the module that defines them; "" lists modules
 _PUBLIC = {
     "": "edges factors formats metrics se2 textbook",
-    "association": "Association AssociationOptions AssociationScore Doubt associate",
+    "association": "Association AssociationOptions AssociationScore Ambiguity associate",
     "calibration": "Calibration calibrate",
     "certificate": "Certificate",
     "certify": "certify",
-    "dense": "ControlPath control_path",
+    "continuous_time": "ControlPath control_path",
     "edges.robust": "Cauchy GemanMcClure Huber",
     "errors": "FactorError FormatError GraphError LogError OptionError SlamError",
     "formats": "load save",

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .checks import array_of, check_positive, check_type, checked_deviations, checked_offset, first
 from .errors import LogError, OptionError, printable, quoted
-from .log_checks import (
+from .log_arrays import (
     checked_classes,
     checked_landmarks,
     checked_starts,
@@ -66,7 +66,7 @@ class Log:
         simulated: whether `simulate` made the log. All other logs count as real data, whose sightings may be wrong.
         name: the name of the log in messages and tables.
         notes: remarks of the reader about the data, one sentence each.
-        doubts: what the reader found that is probably a mistake, (name of the check, sentence) each; `plausibility` tells it.
+        doubts: what the reader found that is probably a mistake, (name of the check, sentence) each; `check_log` tells it.
 
     Raises:
         LogError: an argument has the wrong shape, is not finite, or is impossible (a range not above zero, ...).

@@ -12,7 +12,7 @@ from graphslam.se2 import Array, wrap
 
 from ..options import GibbsOptions
 from ..samples import Samples
-from .mixing import Mixing, judge
+from .r_hat import Mixing, judge
 
 
 @dataclass(frozen=True, eq=False, repr=False)

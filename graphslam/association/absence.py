@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from .densities import Densities, Field
+from .map_solution import Backbone
 from .options import AssociationOptions
-from .solved import Backbone
 
 #: a drive is blind if it leaves landmarks less certain than this part of their distance from each other
 CERTAIN = 1 / 6

@@ -27,9 +27,9 @@ from ..solvers.solve import solve
 from ..uncertainty import Uncertainty
 from .classes import Classes
 from .densities import Field
+from .map_solution import Backbone, MapSolution
 from .options import AssociationOptions
 from .refining import Refined, refine
-from .solved import Backbone, Solved
 
 #: slip is looked for over windows of one part in so many of the log, where such a window has at least so many motions
 WINDOWS, SHORTEST = 30, 10
@@ -38,7 +38,7 @@ LOOSE = 0.1
 #: the noise model stays unless the slip has more than so many times its variance
 CLEAR = 10.0
 #: windows of which the sightings tell less are left out
-TOLD = 0.5
+MIN_INFORMATION = 0.5
 #: parameters that change by less than this part of their standard deviations have settled
 FINE = 0.3
 #: the most times that parameters are estimated from the ids, and ids found in the corrected log
@@ -81,7 +81,7 @@ def slipping(robot: Robot, labels: np.ndarray, poses: Array) -> Robot:
     if loose**2 <= robot.motion.epsilon:
         return robot
     free = replace(robot, motion=replace(robot.motion, epsilon=loose**2))
-    solved = Solved.of(free.backbone, labels, poses)
+    solved = MapSolution.of(free.backbone, labels, poses)
     motions = solved.graph.families[-1]
     ends = motions.linearize(solved.state, solved.state)
     count = T // N
@@ -93,10 +93,10 @@ def slipping(robot: Robot, labels: np.ndarray, poses: Array) -> Robot:
         rows[nodes[: count * N], :, window] += B[: count * N, 1]
     V = np.einsum("nic,nic->c", rows, Uncertainty(solved.graph, solved.state).solve(rows))
     k = 1 - V / (N * loose**2)
-    told = k > TOLD
-    if np.count_nonzero(told) < count / 2:
+    informed = k > MIN_INFORMATION
+    if np.count_nonzero(informed) < count / 2:
         return robot
-    variance = float(np.mean(sums[told] ** 2 / k[told] ** 2 - V[told] / k[told])) / N
+    variance = float(np.mean(sums[informed] ** 2 / k[informed] ** 2 - V[informed] / k[informed])) / N
     allowed = float(np.mean(np.linalg.inv(usual.information)[:, 1, 1]))
     if variance <= CLEAR * allowed:
         return robot

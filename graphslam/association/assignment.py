@@ -20,14 +20,14 @@ from .options import AssociationOptions
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class PlacedSightings:
     """Where every sighting puts its landmark in the world, (M, d), and with what covariance (M, d, d), poses known."""
 
     means: Array
     covariances: Array
 
     @classmethod
-    def of(cls, places: Places, at: Array) -> World:
+    def of(cls, places: Places, at: Array) -> PlacedSightings:
         """From the pose (M, 3) that each sighting was made from."""
         y = places.means
         d = y.shape[1]
@@ -39,7 +39,7 @@ class World:
 
 
 def assign(
-    world: World, steps: np.ndarray, landmarks: Array, own: Array, gate: float,
+    world: PlacedSightings, steps: np.ndarray, landmarks: Array, own: Array, gate: float,
     weights: Callable[[np.ndarray, np.ndarray], Array],
 ) -> tuple[np.ndarray, Array]:  # fmt: skip
     """The landmark (M,) of each sighting, -1 for none, and its margin: the assignment of every scan with most evidence.
@@ -104,7 +104,7 @@ def ids_by_map(
         return np.full(len(log.steps), UNIDENTIFIED)
     options, names = AssociationOptions(), np.array(list(means))
     densities = Densities.of(log, Field.of(log, sensor), options.clutter)
-    world = World.of(Places.of(log, sensor), np.asarray(poses)[log.steps])
+    world = PlacedSightings.of(Places.of(log, sensor), np.asarray(poses)[log.steps])
     own = np.array([covariances[j] for j in means])
 
     def weights(item: np.ndarray, landmark: np.ndarray) -> Array:

@@ -1,6 +1,6 @@
 """Several starts of an association compete by evidence, until two of them end alike.
 
-One start may end in a wrong account of the drive that no single change improves. Another one, with other random numbers or by
+One start may end in a wrong association that no single change improves. Another one, with other random numbers or by
 another method, then ends elsewhere. Starts that end alike are the cheapest sign that the search did not fail.
 """
 
@@ -16,12 +16,12 @@ from ..se2 import Array
 from ..uncertainty import Uncertainty
 from .adapting import Robot, adapted, again
 from .classes import Classes
-from .climbing import PROMISING, Climbed, climb
 from .densities import Densities, Field
 from .evidence import evidence
+from .map_solution import MapSolution
 from .options import AssociationOptions
 from .refining import Refined, refine
-from .solved import Solved
+from .search import PROMISING, SearchResult, search
 
 #: a trajectory is another one if, aligned, it is this much of its standard deviation away, root mean square, but at least
 #: this part of the greatest range
@@ -41,12 +41,12 @@ class Competition:
 
     Attributes:
         robot: with the slip and the parameters that the best first association showed.
-        ends, values: of each start that was used; starts that were alike before other accounts were tried share an end.
+        ends, values: of each start that was used; starts that were alike before alternatives were tried share an end.
         skipped: how many starts were not used, because others ended alike.
     """
 
     robot: Robot
-    ends: list[Climbed]
+    ends: list[SearchResult]
     values: list[float]
     skipped: int
 
@@ -56,7 +56,7 @@ class Competition:
         return int(np.argmax(self.values))
 
 
-def spread(solved: Solved) -> float:
+def spread(solved: MapSolution) -> float:
     """The standard deviation of the positions of a solved graph beside moves of the whole, root mean square [m].
 
     With C the joint covariance of the positions of some poses, and P the projection that takes rigid motions out, it is the
@@ -75,7 +75,7 @@ def spread(solved: Solved) -> float:
     return float(np.sqrt(max(np.trace(C) - np.trace(rigid.T @ C @ rigid), 0.0) / K))
 
 
-def tolerance(solved: Solved, field: Field) -> float:
+def tolerance(solved: MapSolution, field: Field) -> float:
     """How far another trajectory may be away to be called the same [m]."""
     return max(APART * spread(solved), LEAST * field.farthest)
 
@@ -123,13 +123,13 @@ def compete(
     if robot is not given:
         backbone, field = robot.backbone, Field.of(log, robot.sensor)
         firsts = [end for each in firsts if (end := again(robot, each, classes, options)) is not None] or firsts
-    ends: list[Climbed] = []
+    ends: list[SearchResult] = []
     begun: list[Refined] = []
     while True:
         for each in firsts:
             # the same labels lead to the same end
             same = [k for k, other in enumerate(begun) if np.array_equal(other.labels, each.labels)]
-            ends.append(ends[same[0]] if same else climb(log, backbone, each, field, classes, options))
+            ends.append(ends[same[0]] if same else search(log, backbone, each, field, classes, options))
             begun.append(each)
         shared = Densities.mean([end.refined.densities for end in ends])
         values = [evidence(log, backbone, end.refined.solved, field, shared) for end in ends]

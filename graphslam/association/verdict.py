@@ -13,9 +13,9 @@ import numpy as np
 
 from ..metrics import ate
 from ..se2 import Array
+from .ambiguity import readable
 from .competing import Competition, spread, tolerance
 from .densities import Field
-from .doubts import readable
 
 #: the evidence for a reliable map over that for any other one [nats]; with 30, one of 42 maps called good was bad
 CLEAR = 40.0

@@ -22,11 +22,11 @@ from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array
 from .gauss_newton import gauss_newton
-from .growing import steps_of
+from .initialize import AUTO, GROWING, starting_state
 from .iteration import Run, factorized
 from .levenberg_marquardt import levenberg_marquardt
-from .starting import AUTO, GROWING, starting_state
-from .turns import turned
+from .restarts import lower_by_turns
+from .sequential_start import most_steps
 
 DAMPED = "levenberg-marquardt"
 #: graphs of at most so many nodes are always run from a second start: that takes milliseconds
@@ -131,9 +131,9 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
     """The lowest end among the starts of `AUTO`.
 
     The search ends when the lowest end is accepted (`enough`) and no longer `open`, or after `FURTHER` more starts. Before
-    another start, other turns are tried from the end of the last one (`turned`). If the lowest end is not accepted or still
-    open then, the search goes on along the negative direction that its failed proof shows. The whole search after the first
-    end is bounded by a multiple of the steps that led to it.
+    another start, other turns are tried from the end of the last one (`lower_by_turns`). If the lowest end is not
+    accepted or still open then, the search goes on along the negative direction that its failed proof shows. The whole
+    search after the first end is bounded by a multiple of the steps that led to it.
     An end with a higher cost than the given values never counts. If no run converges to a lower one,
     Levenberg-Marquardt runs from the given values and accepts only steps that lower J itself. (With state-dependent
     information a fixed point of the iteration may have a higher J.)
@@ -234,7 +234,7 @@ def _turned(
     if any(abs(other.cost - end.cost) <= SAME * end.cost for other in ends[:tried] if other.run.converged):
         return []
     effort.allow(ends[0].steps)
-    state, steps = turned(graph, end.run.state, effort.left)
+    state, steps = lower_by_turns(graph, end.run.state, effort.left)
     effort.spent += steps
     if state is None:
         return []
@@ -284,7 +284,7 @@ def _starts(graph: Graph, ends: list[End], effort: _Effort) -> Iterator[tuple[st
         names, growing = names + growing, []
     while names:
         name = names.pop(0)
-        forecast = steps_of(len(graph.steps), GROWING[name]) if name in GROWING else 0.0
+        forecast = most_steps(len(graph.steps), GROWING[name]) if name in GROWING else 0.0
         if ends and forecast > effort.left:
             continue
         try:

@@ -31,10 +31,10 @@ from ..parameters.corrected import corrected, sighted_edges
 from ..se2 import Array
 from ..solution import Solution
 from ..transform import poses_only, with_landmark_nodes
+from .initial_values import place_landmarks
 from .iteration import Run
 from .levenberg_marquardt import levenberg_marquardt
 from .solve import solve
-from .start import place_landmarks
 from .with_parameters import without_parameters
 
 #: mu grows by this factor from one graph to the next

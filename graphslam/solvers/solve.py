@@ -15,9 +15,9 @@ from ..se2 import Array
 from ..solution import Solution, make_solution
 from .auto import best_end
 from .gauss_newton import gauss_newton
+from .initialize import INITIALIZE, starting_state
 from .iteration import Iteration, Run
 from .levenberg_marquardt import levenberg_marquardt
-from .starting import INITIALIZE, starting_state
 from .with_parameters import FIRST, best_of_starts, solve_jointly
 
 METHODS: dict[str, Callable[[Any, Run], Any]] = {

@@ -9,8 +9,8 @@ from importance_sampling import Moments, importance
 
 import comparisons
 from fastslam import GibbsOptions, GibbsResult, ParticleGibbs
-from fastslam.gibbs.bends import Target, mode
-from fastslam.gibbs.mixing import judge
+from fastslam.gibbs.low_rank import Target, mode
+from fastslam.gibbs.r_hat import judge
 from fastslam.gibbs.sightings import Problem
 from graphslam import Graph, Log, LogError, MotionModel, OptionError, SensorModel, simulate, solve
 from graphslam.log import UNIDENTIFIED

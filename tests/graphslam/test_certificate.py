@@ -78,7 +78,7 @@ def test_the_function_stays_below_the_cost_and_touches_it(sample):
         problem = _Problem.of(graph, state)
         n = graph.num_nodes
         for share in (0.3, 0.1):
-            f = problem.minorant(problem.curvature(share))
+            f = problem.quadratic_bound(problem.curvature(share))
             cost = problem.forces.cost.sum()
             S = hermitian(problem, f.values)
             assert cost == pytest.approx(graph.cost(state), rel=1e-12)

@@ -67,7 +67,7 @@ class Target:
         return self.in_engine.cost(poses, marks, False)
 
 
-class Bends:
+class LowRank:
     """The Gaussian at the mode of a target, and its widest directions.
 
     A state is a vector of 3 T + n J numbers: the poses after the first, and the n numbers of each landmark. Without psi n is

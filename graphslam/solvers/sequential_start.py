@@ -1,4 +1,4 @@
-"""A start that grows the graph along the trajectory: solve the first poses, add the next ones, solve again, and so on.
+"""Initial values by solving a growing part of the trajectory: solve the first poses, add the next ones, solve again.
 
 Each added pose begins where its motion edge leads from the corrected pose before it, so that no error of dead reckoning
 accumulates, and each new landmark where its first sighting puts it. This finds the optimum where noise is so large that
@@ -16,8 +16,8 @@ from ..graph import Graph
 from ..se2 import Array, compose
 from ..transform import first_poses
 from .gauss_newton import gauss_newton
+from .initial_values import odometry
 from .iteration import Run
-from .start import odometry
 
 #: beyond this number of poses, more are added at a time in proportion, so that the time grows little faster than them
 MANY = 300
@@ -33,8 +33,8 @@ class _Tree:
     offsets: Array
 
 
-def steps_of(total: int, poses: int) -> float:
-    """The most steps that `grown` takes for ``total`` poses, each counted as the part of the poses that it moves."""
+def most_steps(total: int, poses: int) -> float:
+    """The most steps of `sequential_start` for ``total`` poses, each counted as the part of the poses that it moves."""
     steps, count = 0.0, 1
     while count < total:
         count = _next(count, poses, total)
@@ -47,7 +47,7 @@ def _next(count: int, poses: int, total: int) -> int:
     return min(count + poses * max(count, MANY) // MANY, total)
 
 
-def grown(graph: Graph, poses: int) -> Array:
+def sequential_start(graph: Graph, poses: int) -> Array:
     """A state (n, 3) from solving the first poses, then ``poses`` more, until all are there.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The choice of the state that a solver starts from; the starts themselves are in `start`."""
+"""The option ``initialize``: the choice of the state that a solver starts from."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from ..localization import registered
 from ..se2 import Array
 from ..transform import coarse, filled, with_cartesian_sightings, without_landmarks
 from .gauss_newton import gauss_newton
-from .growing import grown
+from .initial_values import dead_reckoning, place_landmarks, rotation_first
 from .iteration import Run
-from .start import dead_reckoning, place_landmarks, rotation_first
+from .sequential_start import sequential_start
 
 #: the choices of the option ``initialize``
 INITIALIZE = ("given", "dead-reckoning", "rotation-first", "grow", "auto")
@@ -108,5 +108,5 @@ _STARTS: dict[str, Callable[[Graph], Array]] = {
     "auto": _first_of_auto,
     "cartesian": cartesian_first,
     "virtual-motion": virtual_motion_first,
-    **{name: partial(grown, poses=poses) for name, poses in GROWING.items()},
+    **{name: partial(sequential_start, poses=poses) for name, poses in GROWING.items()},
 }

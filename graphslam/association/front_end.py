@@ -14,11 +14,11 @@ from ..se2 import Array, between, compose
 from ..solvers.solve import solve
 from .classes import Classes
 from .densities import Densities
-from .known import id_of_each, may_be_one
+from .given_ids import id_of_each, may_be_one
 from .local_map import LocalMap
+from .map_solution import Backbone, MapSolution
 from .merging import merges
 from .options import AssociationOptions
-from .solved import Backbone, Solved
 
 #: the most solutions of the graph along a drive
 MOST_WINDOWS = 150
@@ -27,7 +27,7 @@ OPEN = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Driven:
+class FrontEndResult:
     """The label (M,) of each sighting after the drive, -1 where it was left out, and the poses (T+1, 3)."""
 
     labels: np.ndarray
@@ -35,10 +35,10 @@ class Driven:
     deferred: int
 
 
-def drive(
+def run_front_end(
     log: Log, motion: MotionModel, sensor: SensorModel, backbone: Backbone, densities: Densities, classes: Classes,
     options: AssociationOptions,
-) -> Driven:  # fmt: skip
+) -> FrontEndResult:  # fmt: skip
     """Drive along the log once.
 
     Where some sightings have ids, the robot moves as the graph of these alone says: after a long way, where it is decides
@@ -82,7 +82,7 @@ def drive(
             if not np.any(labels >= 0):
                 break
             try:
-                solved = Solved.of(backbone, labels, poses)
+                solved = MapSolution.of(backbone, labels, poses)
             except GraphError:
                 # the labels contradict the motions so much that solving diverges; `refine` finds it, too
                 break
@@ -96,7 +96,7 @@ def drive(
             doubled = [k for k in range(len(active)) if active[k] in active[k + 1 :]]
             local.remove(local.tracks[doubled])
     labels = np.where(tracks >= 0, root[tracks], -1) if len(tracks) else tracks
-    return Driven(labels, poses if done == log.num_poses else filtered, deferred)
+    return FrontEndResult(labels, poses if done == log.num_poses else filtered, deferred)
 
 
 def _alone(labels: np.ndarray, steps: np.ndarray, since: int) -> np.ndarray:
@@ -114,7 +114,7 @@ def _join_by_ids(root: np.ndarray, tracks: np.ndarray, known: np.ndarray) -> Non
 
 
 def _join(
-    log: Log, solved: Solved, since: int, known: np.ndarray, densities: Densities, classes: Classes,
+    log: Log, solved: MapSolution, since: int, known: np.ndarray, densities: Densities, classes: Classes,
     options: AssociationOptions,
 ) -> tuple[dict[int, int], int]:  # fmt: skip
     """{new: old} labels of landmarks that are one, and how many decisions are left for later because they are ambiguous."""

@@ -32,7 +32,7 @@ _ENOUGH = 20_000
 _COARSE = 0.15
 
 
-def renamed(log: Log, distances: Distances, *, trusted: bool, wrong: np.ndarray) -> Iterator[Finding]:
+def changed_ids(log: Log, distances: Distances, *, trusted: bool, wrong: np.ndarray) -> Iterator[Finding]:
     """The time from which on ids are other ones: where landmarks are, by the true poses if ``trusted``, by distances.
 
     ``wrong`` (M,) sightings have misread ids, and ``distances`` are those without them.

@@ -1,4 +1,4 @@
-"""Places that may have been taken for others: for every return to a place, how much more likely it is than any other account.
+"""Places that may have been taken for others: for every return to a place, how much more likely it is than any alternative.
 
 What the criterion takes for chance it cannot doubt: in it landmarks are distributed at random, so two places that look
 alike are taken for one wherever odometry allows it, unless the drive itself has shown that there are two.
@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .accounts import Account
+from .alternatives import Alternative
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Ambiguity:
     """A place that may be another one.
 
     Attributes:
@@ -23,7 +23,7 @@ class Doubt:
         landmarks: their ids.
         others: ids of the landmarks that they may be instead; empty where they may never have been seen before.
         new: whether they were taken for landmarks that had never been seen before.
-        log_factor: the logarithm of the evidence for ``landmarks`` over that for the other account.
+        log_factor: the logarithm of the evidence for ``landmarks`` over that for the alternative.
     """
 
     step: int
@@ -35,7 +35,7 @@ class Doubt:
 
     @property
     def factor(self) -> float:
-        """The evidence for ``landmarks`` over that for the other account."""
+        """The evidence for ``landmarks`` over that for the alternative."""
         return float(np.exp(np.clip(self.log_factor, -700, 700)))
 
     def __str__(self) -> str:
@@ -58,10 +58,10 @@ class Doubt:
         return f"{begin}: taken by itself, {more}; for the drive as a whole no higher evidence was found"
 
 
-def doubts(accounts: list[Account], factor: float) -> tuple[Doubt, ...]:
-    """The places for which the evidence is less than a factor times that for the best of other accounts, the worst first."""
-    best: dict[int, Account] = {}
-    for each in accounts:
+def ambiguities(alternatives: list[Alternative], factor: float) -> tuple[Ambiguity, ...]:
+    """The places for which the evidence is less than a factor times that for the best alternative, the worst first."""
+    best: dict[int, Alternative] = {}
+    for each in alternatives:
         if each.log_factor < np.log(factor) and (
             each.back.step not in best or each.log_factor < best[each.back.step].log_factor
         ):
@@ -69,7 +69,7 @@ def doubts(accounts: list[Account], factor: float) -> tuple[Doubt, ...]:
     found = []
     for step, each in best.items():
         mine, others = tuple(each.back.landmarks.tolist()), tuple(each.others.tolist())
-        found.append(Doubt(step, each.back.last, mine, others, each.back.new, each.log_factor))
+        found.append(Ambiguity(step, each.back.last, mine, others, each.back.new, each.log_factor))
     return tuple(sorted(found, key=lambda doubt: doubt.log_factor))
 
 

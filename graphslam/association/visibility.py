@@ -10,11 +10,11 @@ from ..engine import engine
 from ..log import Log
 from ..se2 import Array
 from .densities import INSIDE, Densities, Field
-from .solved import Backbone, Solved
+from .map_solution import Backbone, MapSolution
 
 
 @dataclass(frozen=True, eq=False)
-class Views:
+class Visibility:
     """Of each landmark (L,): in how many scans it was well within the field of view, and in how many of these it was seen.
 
     ``whole`` and ``anywhere`` count the same for the whole field, at whose border noise decides whether a landmark is in it.
@@ -26,7 +26,7 @@ class Views:
     anywhere: np.ndarray
 
     @classmethod
-    def of(cls, log: Log, backbone: Backbone, solved: Solved, field: Field) -> Views:
+    def of(cls, log: Log, backbone: Backbone, solved: MapSolution, field: Field) -> Visibility:
         """Those of the landmarks of a solved graph."""
         scans = np.unique(log.steps)
         limits = np.array(

@@ -1,13 +1,12 @@
 """Checks of a log before it is solved: units, signs, clocks and ids that cannot be right, each with its likely cause.
 
-`plausibility` runs them all; no graph is solved. Beside it:
+`check_log` runs them all; no graph is solved. Beside it:
 
-sizes     numbers that are too large or zero
-ids       single ids that are misread, and landmarks that are seen once, or twice at one time
-renamed   landmarks that have other ids from some time on
-readings  whether the odometry predicts the next sighting of a landmark, and better if the numbers are read another way
-truth     the odometry against true poses
-map       the sightings against a true map
+readings     sizes; whether the odometry predicts the next sighting of a landmark, and better if numbers are read another way
+ids          single ids that are misread, and landmarks that are seen once, or twice at one time
+changed_ids  landmarks that have other ids from some time on
+truth        the odometry against true poses
+map          the sightings against a true map
 """
 
 from __future__ import annotations
@@ -18,19 +17,18 @@ from itertools import chain
 import numpy as np
 
 from ..log import Log
+from .changed_ids import changed_ids
 from .distances import distances_of
 from .finding import Finding
 from .ids import ids_of, misread, misread_ids
 from .map import against_map
-from .readings import readings_of
-from .renamed import renamed
-from .sizes import sizes
+from .readings import readings_of, sizes
 from .truth import against_truth
 
-__all__ = ["Finding", "plausibility"]
+__all__ = ["Finding", "check_log"]
 
 
-def plausibility(log: Log) -> tuple[Finding, ...]:
+def check_log(log: Log) -> tuple[Finding, ...]:
     """What is probably wrong with a log; empty where nothing is.
 
     Args:
@@ -48,7 +46,7 @@ def plausibility(log: Log) -> tuple[Finding, ...]:
     if not readings:
         distances, trusted = distances_of(right), not truth
         checks += [
-            renamed(log, distances, trusted=trusted, wrong=wrong),
+            changed_ids(log, distances, trusted=trusted, wrong=wrong),
             against_map(right, distances, trusted=trusted),
         ]
     for finding in chain.from_iterable(checks):

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from graphslam import MotionModel, Stream, load, sample_log_path, simulate, synchronize
-from graphslam.plausibility import plausibility
-from graphslam.plausibility.readings import pairs_of
+from graphslam.log_checks import check_log
+from graphslam.log_checks.readings import pairs_of
 from graphslam.reading import UNIDENTIFIED
 from graphslam.se2 import wrap
 
 
 def checks(log):
-    return [finding.check for finding in plausibility(log)]
+    return [finding.check for finding in check_log(log)]
 
 
 @pytest.fixture(scope="module")
@@ -59,14 +59,14 @@ MISTAKES = {
 
 @pytest.mark.parametrize("name", MISTAKES)
 def test_mistakes_are_found(sample, name):
-    findings = plausibility(MISTAKES[name](sample))
+    findings = check_log(MISTAKES[name](sample))
     assert name.partition(" (")[0] in [finding.check for finding in findings]
     for finding in findings:
         assert "\n" not in finding.message and finding.message[-1] not in ".?"
 
 
 def test_the_message_names_the_cause_and_the_option(sample):
-    (finding,) = plausibility(bearings(sample, lambda b: -b))
+    (finding,) = check_log(bearings(sample, lambda b: -b))
     assert finding.message.startswith(
         "the bearings, or else the turn rates, have the wrong sign (--bearings clockwise): read like this, they fit the "
         "odometry "
@@ -113,18 +113,18 @@ def precise(late=0.0):
 
 def test_a_clock_that_is_late_is_found():
     assert not checks(precise())
-    (finding,) = plausibility(precise(1.2))
+    (finding,) = check_log(precise(1.2))
     assert finding.check == "clock"
     assert "the clock of the sightings is about 1.2 s fast (--clocks sightings=-1.2)" in finding.message
 
 
 def test_other_units_and_directions_are_found():
     log = precise()
-    (finding,) = plausibility(log.replace(sightings=log.sightings / [0.3048, 1]))
+    (finding,) = check_log(log.replace(sightings=log.sightings / [0.3048, 1]))
     assert finding.message.startswith("the ranges are in feet, against the other lengths")
-    (finding,) = plausibility(bearings(log, lambda b: b - np.pi / 3))
+    (finding,) = check_log(bearings(log, lambda b: b - np.pi / 3))
     assert finding.message.startswith("the sensor looks about 60 degrees to the left (--sensor-yaw 1.0472)")
-    (finding,) = plausibility(bearings(log, lambda b: np.pi / 2 - b))
+    (finding,) = check_log(bearings(log, lambda b: np.pi / 2 - b))
     assert finding.check == "axes swapped"
 
 
@@ -150,7 +150,7 @@ def test_duplicate_ids(sample):
 
 
 def message(log, check):
-    (finding,) = (finding for finding in plausibility(log) if finding.check == check)
+    (finding,) = (finding for finding in check_log(log) if finding.check == check)
     return finding.message
 
 
@@ -253,7 +253,7 @@ def test_turn_rates_in_degrees_of_a_robot_that_turns_slowly():
 def test_a_range_that_means_nothing_measured_is_told(sample):
     sightings = sample.sightings.copy()
     sightings[[3, 40, 77], 0] = 65.535
-    findings = {finding.check: finding.message for finding in plausibility(sample.replace(sightings=sightings))}
+    findings = {finding.check: finding.message for finding in check_log(sample.replace(sightings=sightings))}
     assert "3 sightings have the same range of 65.535 m" in findings["range without measurement"]
     # a single far sighting, or a range that repeats among others, is none
     sightings[[40, 77], 0] = sample.sightings[[40, 77], 0]
@@ -269,7 +269,7 @@ def test_single_misread_ids_are_counted(share):
     ids, names = log.landmarks.copy(), log.landmark_ids
     wrong = np.flatnonzero(rng.random(len(ids)) < share)
     ids[wrong] = names[(np.searchsorted(names, ids[wrong]) + rng.integers(1, len(names), len(wrong))) % len(names)]
-    findings = {finding.check: finding.message for finding in plausibility(log.replace(landmarks=ids))}
+    findings = {finding.check: finding.message for finding in check_log(log.replace(landmarks=ids))}
     assert set(findings) == {"misread ids"}
     count, total = map(int, re.match(r"at least (\d+) of (\d+) sighting", findings["misread ids"]).groups())
     assert total == len(ids) and 0.6 * len(wrong) <= count <= len(wrong) + 1

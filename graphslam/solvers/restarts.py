@@ -1,4 +1,4 @@
-"""Does the robot turn another way on some stretch? A search for a lower minimum near the end of a solver.
+"""Restarts with one stretch of the trajectory turned by 2 pi: a search for a lower minimum near a local one.
 
 Sightings hold headings up to full turns. Where they are few or noisy, mainly the motion edges say how far the robot turns
 over a stretch of poses, and one full turn more or less, spread over the stretch, leads to another minimum. If the headings
@@ -16,8 +16,8 @@ from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array, rotation, wrap
 from .gauss_newton import gauss_newton
+from .initial_values import odometry
 from .iteration import Run
-from .start import odometry
 
 #: a turn is tried where it raises the cost of the motion edges by at most this: a factor of exp(-5) in likelihood
 MOST_RISE = 10.0
@@ -29,7 +29,7 @@ LOWER = 1e-6
 TURNS, POSES_PER_TURN, STEPS = 40, 4, 30
 
 
-def turned(graph: Graph, state: Array, limit: float = np.inf) -> tuple[Array | None, int]:
+def lower_by_turns(graph: Graph, state: Array, limit: float = np.inf) -> tuple[Array | None, int]:
     """The state (n, 3) that other turns lead to, one after the other, each kept if it lowers J; None if none does.
 
     Returns:

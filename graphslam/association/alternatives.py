@@ -1,8 +1,8 @@
-"""Other accounts of a drive: which landmarks the robot may have returned to instead, and with what evidence.
+"""Alternative associations of a drive: which landmarks the robot may have returned to instead, and with what evidence.
 
 A return begins where landmarks are seen again that were out of sight for long, an arrival where new ones are seen after a
 blind drive. All sightings from there on are taken for new landmarks (those in sight all along excepted), the graph is
-solved, and the joint evidence for the association that was found is compared with that of the best accounts in which
+solved, and the joint evidence for the association that was found is compared with that of the best alternatives in which
 every landmark of the return is another one, or new.
 """
 
@@ -18,11 +18,11 @@ from .absence import clock, moment_of
 from .classes import Classes
 from .densities import Densities, Field
 from .geometry import differences
+from .given_ids import agree, id_of_each
 from .hypotheses import log_density
-from .known import agree, id_of_each
+from .k_best import CandidatePairs, Hypothesis
+from .map_solution import Backbone, MapSolution
 from .options import AssociationOptions
-from .several import Hypothesis, Pairs
-from .solved import Backbone, Solved
 
 #: the most landmarks of what follows a return that are weighed
 MOST_ITEMS = 40
@@ -74,13 +74,13 @@ def returns(steps: np.ndarray, times: np.ndarray, labels: np.ndarray, moment: in
 
 
 @dataclass(frozen=True, eq=False)
-class Account:
-    """Another account of what a robot saw from a return on.
+class Alternative:
+    """An alternative to what a robot saw from a return on.
 
     Attributes:
         back: the return.
         others: the labels of the landmarks that those of the return are instead; none where they are new.
-        log_factor: the logarithm of the evidence for the association that was found over that for this account.
+        log_factor: the logarithm of the evidence for the association that was found over that for this alternative.
         labels: (M,) of all sightings.
         poses: (T+1, 3) with what follows the return taken for another place, whichever.
     """
@@ -92,11 +92,11 @@ class Account:
     poses: Array
 
 
-def all_accounts(
-    log: Log, backbone: Backbone, solved: Solved, field: Field, densities: Densities, classes: Classes,
+def all_alternatives(
+    log: Log, backbone: Backbone, solved: MapSolution, field: Field, densities: Densities, classes: Classes,
     options: AssociationOptions, *, most: int, events: int | None = None,
-) -> list[Account]:  # fmt: skip
-    """The best other accounts, at most so many each, of the returns and arrivals after the longest absence."""
+) -> list[Alternative]:  # fmt: skip
+    """The best alternatives, at most so many each, of the returns and arrivals after the longest absence."""
     labels = np.full(len(log.steps), -1)
     labels[solved.rows] = solved.labels[solved.which]
     moment = moment_of(backbone, options)
@@ -105,18 +105,18 @@ def all_accounts(
     found = []
     for back in sorted(at, key=lambda each: times[each.last] - times[each.step])[:events]:
         near = np.abs(times - times[back.step])[log.steps] <= moment
-        found += accounts(log, backbone, solved, labels, back, near, most, densities, classes)
+        found += alternatives(log, backbone, solved, labels, back, near, most, densities, classes)
     return found
 
 
-def accounts(
-    log: Log, backbone: Backbone, solved: Solved, labels: np.ndarray, back: Return, near: np.ndarray, most: int,
+def alternatives(
+    log: Log, backbone: Backbone, solved: MapSolution, labels: np.ndarray, back: Return, near: np.ndarray, most: int,
     densities: Densities, classes: Classes,
-) -> list[Account]:  # fmt: skip
-    """The best other accounts of a return, at most so many, the best first; ``near`` (M,) sightings are of its moment."""
+) -> list[Alternative]:  # fmt: skip
+    """The best alternatives of a return, at most so many, the best first; ``near`` (M,) sightings are of its moment."""
     after = log.steps >= back.step
     before_it = np.unique(labels[~after & (labels >= 0)])
-    # landmarks that stay in sight tie both parts of the drive together in any account
+    # landmarks that stay in sight tie both parts of the drive together in any alternative
     staying = np.setdiff1d(np.intersect1d(labels[near & after], labels[near & ~after]), back.landmarks)
     again = np.setdiff1d(np.unique(labels[after & (labels >= 0)]), staying)
     again = again[np.isin(again, before_it) | np.isin(again, back.landmarks)]
@@ -126,7 +126,7 @@ def accounts(
     again = np.array(sorted(again, key=lambda j: first[int(j)])[:MOST_ITEMS])
     fresh = int(labels.max()) + 1
     split = np.where(after & np.isin(labels, again), labels + fresh, labels)
-    apart = Solved.of(backbone, split, solved.poses) if np.isin(again, before_it).any() else solved
+    apart = MapSolution.of(backbone, split, solved.poses) if np.isin(again, before_it).any() else solved
     if apart is solved:
         split, fresh = labels, 0
     place = {int(label): k for k, label in enumerate(apart.labels)}
@@ -162,13 +162,18 @@ def accounts(
         if not agree(relabelled, backbone.known):
             continue
         instead = np.unique(apart.labels[other[each.pairs[of_group[each.pairs]]]])
-        result.append(Account(back, instead, evidence - each.evidence, relabelled, apart.poses))
+        result.append(Alternative(back, instead, evidence - each.evidence, relabelled, apart.poses))
     return result[:most]
 
 
 def _pairs(
-    apart: Solved, items: np.ndarray, older: np.ndarray, ours: dict[int, int], densities: Densities, classes: Classes
-) -> tuple[Pairs, np.ndarray, np.ndarray]:
+    apart: MapSolution,
+    items: np.ndarray,
+    older: np.ndarray,
+    ours: dict[int, int],
+    densities: Densities,
+    classes: Classes,
+) -> tuple[CandidatePairs, np.ndarray, np.ndarray]:
     """All pairs of an item and an older landmark within the gate, and those that were found in any case."""
     S = apart.covariances + apart.slack
     item, other = (each.ravel() for each in np.meshgrid(items, older, indexing="ij"))
@@ -188,4 +193,4 @@ def _pairs(
     shown = classes.sums(apart.which, apart.rows, len(apart.labels))
     weights = -densities.new + classes.together(shown[item], shown[other])
     nu = differences(apart.landmarks[item], apart.landmarks[other])
-    return Pairs(item, other, nu, covariance, weights, GATE), item, other
+    return CandidatePairs(item, other, nu, covariance, weights, GATE), item, other

@@ -20,7 +20,7 @@ from ..solvers.gauss_newton import gauss_newton
 from ..solvers.iteration import Run
 from ..uncertainty import Uncertainty
 from .geometry import Places
-from .known import numbered
+from .given_ids import numbered
 
 #: the most steps of Gauss-Newton; the values it starts from are nearly right
 STEPS = 8
@@ -52,7 +52,7 @@ class Backbone:
 
     @cached_property
     def known(self) -> np.ndarray:
-        """The ids (M,) of the sightings, numbered from 0, -1 for none; see `association.known`."""
+        """The ids (M,) of the sightings, numbered from 0, -1 for none; see `association.given_ids`."""
         return numbered(self.log.landmarks)
 
     def graph(self, labels: np.ndarray, poses: Array) -> tuple[Graph, np.ndarray]:
@@ -83,7 +83,7 @@ class Backbone:
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class MapSolution:
     """A graph with landmark nodes and motion edges at its minimum.
 
     Attributes:
@@ -98,7 +98,7 @@ class Solved:
     which: np.ndarray
 
     @classmethod
-    def of(cls, backbone: Backbone, labels: np.ndarray, poses: Array) -> Solved:
+    def of(cls, backbone: Backbone, labels: np.ndarray, poses: Array) -> MapSolution:
         """The graph of `Backbone.graph`, solved from poses (t, 3)."""
         graph, rows = backbone.graph(labels, poses)
         run = Run(graph.initial.copy(), tolerance=1e-3 * len(poses) ** 0.5, max_iterations=STEPS)

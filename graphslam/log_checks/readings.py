@@ -1,4 +1,4 @@
-"""Whether the odometry predicts the next sighting of a landmark, and does so better where the numbers are read another way.
+"""Units and signs of the numbers of a log: sizes, and whether the odometry predicts the next sighting of a landmark.
 
 Pairs of sightings of one landmark are compared with the odometry between them. From the first sighting the odometry
 predicts the second. If another reading of the numbers (bearings with the other sign, turn rates in degrees, ...)
@@ -15,12 +15,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..errors import decimals
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..reading import UNIDENTIFIED
 from ..se2 import Array, between
 from .finding import Finding
 
+#: beyond these values numbers are probably in another unit: range [m], speed [m/s], turn rate [rad/s], time of a control [s]
+FARTHEST, FASTEST, QUICKEST, SLOWEST = 1000.0, 100.0, 2 * np.pi, 5.0
+#: a sensor that reports one range where it measures nothing: of how many sightings, how often, how far beyond other ranges
+ENOUGH, REPEATED, BEYOND = 20, 3, 1.2
 #: way between the two sightings of a pair, [rad] turned plus [ranges] driven: at least, at most
 _LEAST, _MOST = 0.4, 1.5
 #: pairs with a larger turn [rad] show the sign of bearings
@@ -80,7 +85,7 @@ def readings_of(log: Log) -> Iterator[Finding]:
 
 
 @dataclass(frozen=True)
-class Pairs:
+class SightingPairs:
     """Pairs of sightings of one landmark, over short ways.
 
     Attributes:
@@ -190,7 +195,7 @@ def _direction(sign: int, degrees: int) -> tuple[str, str]:
     return "sensor direction", f"the sensor looks {about}{abs(degrees)} degrees to the {side} ({yaw})"
 
 
-def comparable(log: Log) -> Pairs | None:
+def comparable(log: Log) -> SightingPairs | None:
     """The pairs of a log as it stands, or else read with other units; None where nothing can be compared."""
     # at a thousandth of the speed, or with turn rates in degrees, there may be short ways
     for slower, degrees in ((1.0, False), (1000.0, False), (1.0, True), (1000.0, True)):
@@ -199,7 +204,7 @@ def comparable(log: Log) -> Pairs | None:
     return None
 
 
-def pairs_of(log: Log, *, slower: float = 1.0, degrees: bool = False) -> Pairs | None:
+def pairs_of(log: Log, *, slower: float = 1.0, degrees: bool = False) -> SightingPairs | None:
     """Pairs of sightings of one landmark over short ways; None where there are too few, or no controls.
 
     Args:
@@ -230,4 +235,35 @@ def pairs_of(log: Log, *, slower: float = 1.0, degrees: bool = False) -> Pairs |
     if len(first) < _FEWEST:
         return None
     every = max(1, len(first) // _ENOUGH)
-    return Pairs(log, first[::every], second[::every])
+    return SightingPairs(log, first[::every], second[::every])
+
+
+def sizes(log: Log) -> Iterator[Finding]:
+    """Ranges, speeds, turn rates and times that no robot has."""
+    if len(log.sightings) and (far := float(np.median(log.sightings[:, 0]))) > FARTHEST:
+        yield Finding("range unit", f"half of the ranges are above {decimals(far, 0)} m; they may be in millimetres")
+    yield from nothing_measured(log.sightings[:, 0])
+    if log.controls is None or log.dt is None or len(log.controls) == 0:
+        return
+    speed, turn = np.quantile(np.abs(log.controls), 0.95, axis=0)
+    if speed > FASTEST:
+        yield Finding("speed unit", f"the speed reaches {decimals(speed, 0)} m/s; it may be in mm/s")
+    within = float(np.median(np.abs(log.controls[:, 1]) * log.dt))
+    if turn > QUICKEST or within > np.pi:
+        yield Finding("turn rate unit", f"the turn rate reaches {turn:.1f} rad/s; it may be in degrees per second")
+    if (lasting := float(np.median(log.dt))) > SLOWEST:
+        yield Finding("time unit", f"controls last {lasting:g} s (median); the times may be in milliseconds")
+    if not np.any(log.controls):
+        yield Finding("no motion", "all controls are zero; the odometry may be another column or topic")
+
+
+def nothing_measured(ranges: Array) -> Iterator[Finding]:
+    """The largest range (of N), where it repeats exactly and no other range is near: 9999 or 65.535, for example."""
+    values, counts = np.unique(ranges, return_counts=True)
+    enough = len(ranges) >= ENOUGH and len(values) > 1 and counts[-1] >= REPEATED
+    if enough and values[-1] > BEYOND * values[-2]:
+        yield Finding(
+            "range without measurement",
+            f"{counts[-1]} sightings have the same range of {values[-1]:g} m, and all others are below {values[-2]:.3g} m; "
+            "the sensor may report it where it measures nothing. Remove these rows",
+        )

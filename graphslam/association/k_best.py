@@ -29,8 +29,8 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
-    """Pairs (C,) of an item and an older landmark, with what is needed to weigh them jointly.
+class CandidatePairs:
+    """CandidatePairs (C,) of an item and an older landmark, with what is needed to weigh them jointly.
 
     Attributes:
         item, landmark: (C,) numbers from 0.
