@@ -94,7 +94,7 @@ def _associated(log: Log, options: RunOptions) -> Association:
 
 
 def unused_ids(log: Log) -> str | None:
-    """Why filters do not use the ids that some sightings have, or None where all of them have one, or none."""
+    """The reason why filters ignore the ids of some sightings; None where all sightings have one, or none has."""
     without = int(np.count_nonzero(log.landmarks == UNIDENTIFIED))
     if not 0 < without < len(log.steps):
         return None

@@ -1,4 +1,4 @@
-"""One estimator of a comparison: whatever goes wrong in it becomes a `Skipped`, and the other estimators go on.
+"""One estimator of a comparison: an error becomes a `Skipped`, and the other estimators run.
 
 With a time limit it runs in a process of the `pool`. Neither a compiled kernel nor GTSAM can be interrupted in this process.
 """

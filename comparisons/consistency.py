@@ -1,4 +1,4 @@
-"""Are the covariances of the estimators consistent with their errors? ANEES over many simulated logs.
+"""A consistency test of the covariances of estimators: ANEES over many simulated logs.
 
 The normalised estimation error squared (NEES) of an estimate x̂ with covariance P is (x̂ - x)' P^-1 (x̂ - x). If P is
 consistent, its average over n independent logs (ANEES), divided by the degrees of freedom d, is 1, and lies in 95 of 100
@@ -116,7 +116,7 @@ class Consistency:
 
 @dataclass(frozen=True, eq=False)
 class ConsistencyStudy(Displayed):
-    """What was simulated, and every estimator's NEES."""
+    """The simulated logs and the NEES of every estimator."""
 
     logs: int
     noise: float

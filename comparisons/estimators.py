@@ -54,11 +54,11 @@ class Estimator:
     on_request: bool = False
 
     def reason_to_omit(self, log: Log, options: RunOptions) -> str | None:
-        """Why the estimator should be left out unless asked for by name, or None."""
+        """The reason to leave the estimator out unless it is asked for by name, or None."""
         return self.too_slow(log, options) or self.repeats(log, options)
 
     def too_slow(self, log: Log, options: RunOptions) -> str | None:
-        """Why the estimator would take too long on a log, or None."""
+        """The reason why the estimator would take too long on a log, or None."""
         if self.seconds_per_iteration is None:
             return None
         try:
@@ -82,9 +82,9 @@ def make_graph(log: Log, options: RunOptions) -> Graph:
 
 
 def graph_keywords(options: RunOptions) -> dict[str, Any]:
-    """The keywords of `Graph.from_log` that the options ask for; it chooses what they leave open."""
+    """The keywords of `Graph.from_log` that the options name; it chooses the others."""
     given = {name: getattr(options, name) for name in _GRAPH if name != "initialize"}
-    # graduated non-convexity determines which sightings are wrong by itself
+    # graduated non-convexity needs no robust kernel
     kernel = "none" if options.kernel == "gnc" else options.kernel
     models = {"motion": options.motion, "sensor": options.sensor}
     return given | models | {"kernel": kernel}
@@ -155,7 +155,7 @@ def graph_marginal(log: Log, options: RunOptions) -> EstimatorResult:
 
 
 def _counted_once(log: Log, options: RunOptions) -> str | None:
-    """Why the graph counts each sighting once in any case, or None."""
+    """The reason why the graph counts each sighting once in any case, or None."""
     if str(chosen(log, options).edges).startswith("landmark"):
         return "the landmarks of graph are nodes, which already counts each sighting once"
     return "graph has marginal weights already" if options.weight == "marginal" else None
@@ -292,7 +292,7 @@ def _factor_seconds(log: Log, options: RunOptions, known: Callable[[], Log]) -> 
     seconds = 3e-5 * log.num_poses + 4e-8 * log.num_poses**2
     options = chosen(log, options)
     if options.estimate:
-        # a factor for each edge, made anew at every step
+        # a factor for each edge, which every step makes again
         paired = options.weight != "marginal" and not str(options.edges).startswith("landmark")
         count = log.num_poses + (pair_count(known()) if paired else len(log.steps))
         return count * (5e-4 + 8e-8 * log.num_poses)
@@ -310,7 +310,7 @@ def _factor_seconds(log: Log, options: RunOptions, known: Callable[[], Log]) -> 
 def _isam2_seconds(log: Log, options: RunOptions) -> float:
     if not log.identified:  # it refuses them at once
         return 0.0
-    # some ten milliseconds a step, and the landmarks' factors made anew as they grow; "per iteration" is per step here.
+    # some ten milliseconds a step, and the landmarks' factors are made again as they grow; "per iteration" is per step here.
     # It estimates no parameters, and uses the ids of the log
     options = replace(isam2_options(log, options), estimate=None)
     return 1e-3 * log.num_poses + _factor_seconds(log, options, lambda: log)

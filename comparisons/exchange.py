@@ -121,7 +121,7 @@ def write_pose_graph(comparison: Comparison, path: Path) -> str | None:
 
 
 def reason_without_graph(comparison: Comparison) -> str | None:
-    """Why the graph of ``graph`` cannot be written as g2o; None where it can."""
+    """The reason why the graph of ``graph`` cannot be written as g2o; None where it can."""
     if "graph" not in comparison:
         return "the estimator graph did not run"
     result = comparison["graph"]

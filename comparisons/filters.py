@@ -19,7 +19,7 @@ from .results import EstimatorResult
 from .seeds import of_several_seeds
 
 FILTER = tuple(name for name in options_of(fastslam.FilterOptions) if name not in ("seed", "threads"))
-#: localisation knows its map: it has no association, no landmarks to update and no corrected proposal
+#: options that localisation in a given map does not use: those of association, of landmark updates and of the proposal
 LOCALISATION = ("particles", "resampling", "ess_threshold", "stage")
 
 

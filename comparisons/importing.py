@@ -1,4 +1,4 @@
-"""Import of your own tables and bags: what was found, which choice was made, and the log that it makes."""
+"""Import of your own tables and bags: their contents, the choice among them, and the log."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class FoundTopic:
 
 @dataclass(frozen=True)
 class Import(Displayed):
-    """What `import_log` found in tables or a bag, and the log that it makes.
+    """The result of `import_log`: the contents of tables or a bag, and the log.
 
     Attributes:
         source: the folder or bag; None where each table was named.
@@ -91,7 +91,7 @@ class Import(Displayed):
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """What is probably wrong with the log, see `graphslam.log_checks`."""
+        """Probable mistakes in the log, see `graphslam.log_checks`."""
         return () if self.log is None else check_log(self.log)
 
     def to_json(self, file: Path | None = None) -> dict[str, Any]:

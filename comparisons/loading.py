@@ -1,4 +1,4 @@
-"""Let estimators load what they need before their time is measured."""
+"""Loading of estimators before their time is measured."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ NOISE, FILTER, GIBBS = "Noise models", "Particle filters", "Particle smoother"
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingOptions(Options):
-    """How a log is read, and which part of it is kept."""
+    """Options of reading a log, and of the part of it that is kept."""
 
     panel = "Reading the log"
     format: str | None = option(None, "Format of the log: npz, lnpr, mrclam, huang, ...", default_text="by its content")
@@ -120,7 +120,7 @@ class NoiseOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class LogOptions(NoiseOptions, ReadingOptions):
-    """What `reading.prepare` needs to know of a log."""
+    """Options of `reading.prepare`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +185,7 @@ class OnlineOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class FrontEndOptions(Options):
-    """What finds the ids of sightings for estimators that solve graphs, where the log has none or they are ignored."""
+    """Options of the association for estimators that solve graphs, where the log has no ids or they are ignored."""
 
     panel = "Graph"
     front_end: str = option(
@@ -233,7 +233,7 @@ class RunOptions(MapOptions, OnlineOptions, FrontEndOptions, GraphOptions, LogOp
 
 @dataclass(frozen=True, kw_only=True)
 class LimitOptions(Options):
-    """How long one piece of work may take."""
+    """Time limits."""
 
     time_limit: float | None = option(
         None, "Stop an estimator, backend, solver variant or filter that takes longer, and go on without it. The work is "
@@ -255,7 +255,7 @@ class EstimatorOptions(LimitOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class OutputOptions(Options):
-    """Where the results of a run go."""
+    """Output files of a run."""
 
     panel = OUTPUT
     out: Path | None = option(None, "Folder for the results.", metavar="DIR", default_text="results/<time>")
@@ -289,7 +289,7 @@ class FigureOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class JobsOptions(Options):
-    """How much runs at a time."""
+    """Parallelism."""
 
     jobs: int | None = option(
         None, "Local processes; 0 runs everything in this process.", minimum=0, default_text="one for each core"
@@ -315,7 +315,7 @@ class SolverCheckOptions(LimitOptions, JobsOptions, LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class BackendOptions(LimitOptions):
-    """How `backends.compare_backends` times pose-graph solvers."""
+    """Options of `backends.compare_backends`, which times pose-graph solvers."""
 
     backends: tuple[str, ...] | None = option(
         None, "Solvers to time.", choices=("graphslam", "gtsam-lm", "gtsam-gn", "g2o-gn", "g2o-lm"), metavar="NAME,...",
@@ -334,7 +334,7 @@ class BackendOptions(LimitOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ParticleStudyOptions(LimitOptions, JobsOptions, LogOptions):
-    """How `particles.study_particles` varies the number of particles."""
+    """Options of `particles.study_particles`, which varies the number of particles."""
 
     components = LogOptions.components | {"filter": (FilterOptions, FILTER)}
     hidden = ("seed",)
@@ -349,7 +349,7 @@ class ParticleStudyOptions(LimitOptions, JobsOptions, LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ConsistencyOptions(JobsOptions, SmootherOptions):
-    """What `consistency.study_consistency` simulates and tests."""
+    """Options of `consistency.study_consistency`."""
 
     logs: int = option(200, "Number of simulated logs.", minimum=1)
     noise: float = option(0.1, "Factor on all standard deviations of the book's models.", minimum=1e-3, maximum=10.0)
@@ -387,7 +387,7 @@ class AnimationOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationOptions(ReadingOptions):
-    """How `graphslam.calibrate` estimates noise; of the sensor only its place is given."""
+    """Options of `graphslam.calibrate`; of the sensor only its place is given."""
 
     components = {"sensor": (SensorModel, NOISE)}
     hidden = tuple(f.name for f in fields(SensorModel) if f.name != "offset")
@@ -443,7 +443,7 @@ class SimulationOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class SweepOptions(JobsOptions):
-    """How `studies.sweep` executes a study."""
+    """Options of `studies.sweep`."""
 
     dask: str | None = option(
         None, "Run on the cluster of this Dask scheduler instead, tcp://host:8786.", metavar="ADDRESS"
@@ -453,7 +453,7 @@ class SweepOptions(JobsOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class SummaryOptions(FigureOptions):
-    """What `studies.summarise` compares."""
+    """Options of `studies.summarise`."""
 
     baseline: str | None = option(
         None, "Method that the others are compared with.", metavar="METHOD", default_text="graph, or the first"

@@ -1,4 +1,4 @@
-"""From the reading and noise options to the log that the estimators work on."""
+"""The log that the estimators work on, made from the reading and noise options."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ OF_FILES = ("format", "robot", "strict")
 
 
 def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log, Path | None, Given]:
-    """The log as the options want it, its file or folder, and the options with the noise models filled in.
+    """The log with the changes that the options ask for, its file or folder, and the options with the noise models filled in.
 
     Args:
         log: a log, a file or folder, or None for the sample log of the package.

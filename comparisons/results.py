@@ -47,7 +47,7 @@ class EstimatorResult:
         weighed_down: the number of sightings that a robust kernel gives less than half of their weight; None without one.
         parameters: of robot and sensor, where they were estimated.
         seed_errors: the ATE [m] of each random seed of which this is the run with the median one; None for a single run.
-        knows: what the estimator was given that the others do not have, such as "true map".
+        knows: input that only this estimator has, such as "true map".
         options: the options that it used, for the record.
         reason: why it ended, one sentence.
         notes: what the user should know.
@@ -159,7 +159,7 @@ class EstimatorResult:
 
     @property
     def covariance_failure(self) -> str | None:
-        """Why the covariances of the graph's poses cannot be computed, one sentence; None where they can."""
+        """The reason why the covariances of the graph's poses cannot be computed; None where they can."""
         if self.graph is None or self.state is None:
             return None
         return self._of_graph if isinstance(self._of_graph, str) else None

@@ -1,4 +1,4 @@
-"""What was matched to what: the sightings of each landmark, as an estimator has given them ids."""
+"""The matches of an estimator: the sightings of each landmark by the ids that it gave them."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ class VariantResult:
 
     @property
     def problem(self) -> str | None:
-        """What is wrong, one sentence, or None where both converged to the same answer."""
+        """The difference between both solvers in a sentence, or None where both converged to the same answer."""
         if self.failure is not None:
             return self.failure
         if not (self.converged and self.gtsam_converged):
@@ -205,7 +205,7 @@ def _graph(variant: Variant, log: Log, models: dict[str, Any]) -> Graph:
 
 @cache
 def _warm_up(variant: Variant) -> None:
-    """Let both solvers load what a variant needs, on a tiny log, outside of the measured time."""
+    """Solve a variant on a tiny log with both solvers, so that loading is outside of the measured time."""
     with suppress(GraphError, LogError):
         graph = _graph(variant, simulate(steps=20), {})
         for solver in (solve, solve_with_gtsam):

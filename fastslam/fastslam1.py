@@ -120,7 +120,7 @@ class FastSLAM1(ParticleFilter):
 
     @property
     def _poses_drawn(self) -> int:
-        """How the engine draws the poses of a step with sightings: here, by their motion only."""
+        """The engine's proposal of poses at a step with sightings: here, their motion only."""
         return 0
 
     def _begin_maps(self, n: int) -> None:

@@ -1,4 +1,4 @@
-"""What Monte Carlo localisation and FastSLAM have in common: particles that move, are weighed and are resampled.
+"""`ParticleFilter`, the base of Monte Carlo localisation and FastSLAM: particles move, are weighed and are resampled.
 
 Sources: Ueda, *LNPR*, chapters 5 and 8; Thrun, Burgard and Fox, *Probabilistic Robotics*, sections 4.3 and 8.3.
 """
@@ -212,7 +212,7 @@ class ParticleFilter(ABC):
 
     @property
     def state(self) -> ParticleState:
-        """The particles as they are now."""
+        """The present particles."""
         particles, ess = self._engine, self._ess_history[-1]
         poses = robot_poses(self.sensor, particles.poses)
         return ParticleState(

@@ -1,4 +1,4 @@
-"""What a particle filter knows after a step, and what it estimated from a log."""
+"""`ParticleState`, the particles after a step, and `FilterResult`, the estimate from a log."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class ParticleState:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FilterResult:
-    """What a particle filter estimated from a log of T motions, and from what.
+    """The estimate of a particle filter from a log of T motions, with its options and models.
 
     Attributes:
         estimator: the name of the filter's class; ``log``: the name of the log, "" for a filter without one.

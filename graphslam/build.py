@@ -218,7 +218,7 @@ def file_of_parts(
     landmark_ids: np.ndarray,
     fixed: np.ndarray,
 ) -> PoseGraphFile:
-    """What a g2o file holds of a graph whose nodes have the values ``state`` (n, 3); see `Graph.save_g2o`.
+    """The contents of the g2o file of a graph whose nodes have the values ``state`` (n, 3); see `Graph.save_g2o`.
 
     Raises:
         GraphError: the graph has edges that g2o has no line for.

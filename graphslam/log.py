@@ -66,7 +66,7 @@ class Log:
         simulated: whether `simulate` made the log. All other logs count as real data, whose sightings may be wrong.
         name: the name of the log in messages and tables.
         notes: remarks of the reader about the data, one sentence each.
-        doubts: what the reader found that is probably a mistake, (name of the check, sentence) each; `check_log` tells it.
+        doubts: probable mistakes that the reader found, (name of the check, sentence) each; `check_log` returns them.
 
     Raises:
         LogError: an argument has the wrong shape, is not finite, or is impossible (a range not above zero, ...).
@@ -264,7 +264,7 @@ class Log:
 
     @property
     def seen(self) -> str:
-        """In words, how many sightings of how many landmarks there are."""
+        """The numbers of sightings and landmarks, in words."""
         total, without = len(self.steps), int(np.count_nonzero(self.landmarks == UNIDENTIFIED))
         if 0 < without == total:
             return f"{total} sightings of unidentified landmarks"

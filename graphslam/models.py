@@ -248,7 +248,7 @@ class MotionModel(NoiseModel):
 
 
 def _arc(heading: Array, control: Array, dt: Array) -> tuple[Array, Array, Array]:
-    """How far a control moves a pose of this heading in x and y, and how far it turns it; each (...)."""
+    """The motion in x, in y and in the heading that a control causes at this heading; each (...)."""
     a = control[..., 1] * dt / 2
     chord, along = control[..., 0] * dt * sinc(a), heading + a
     return chord * np.cos(along), chord * np.sin(along), 2 * a

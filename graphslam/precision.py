@@ -1,4 +1,4 @@
-"""What double precision can hold: limits of lengths and noise, and the inverses of covariances.
+"""Limits of double precision: of lengths and noise, and the inverses of covariances.
 
 Graphs multiply up to six lengths and standard deviations with one another, and a determinant multiplies three of these
 products. Between 1e-20 and 1e20 none of that leaves the range of floating point.
@@ -140,7 +140,7 @@ def small_inverse(matrix: Sequence[Sequence[float]], least: float = PART) -> Arr
 
 
 def _smallest_pivots(unit: Array) -> Array:
-    """What elimination leaves, at least, of the diagonal of ones of matrices (E, d, d)."""
+    """The smallest pivot (E,) of elimination for matrices (E, d, d) with ones on the diagonal."""
     try:
         return np.diagonal(np.linalg.cholesky(unit), axis1=1, axis2=2).min(axis=1) ** 2
     except np.linalg.LinAlgError:

@@ -85,9 +85,9 @@ class Solution:
     def certificate(self) -> Certificate:
         """Whether the solution is proven to be the global minimum of J, and how far below J any state may lie at most.
 
-        Computed at the first use. Estimated parameters are held at their values, and the status says so: a lower J with other
-        values is not excluded. The status of a run that has not converged
-        is "not proven", also where the bound is tight.
+        Computed at the first use. Estimated parameters are held at their values, which the status states: a lower J with
+        other values is not excluded. The status of a run that has not converged is "not proven", also where the bound is
+        tight.
         """
         return prove(self._solved_graph, self.state).of_run(self.converged, self.reason)
 

@@ -1,4 +1,4 @@
-"""How estimates are aligned to the ground truth wherever they are drawn."""
+"""The alignment of estimates to the ground truth, the same for all drawings."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def true_line(log: Log) -> Array | None:
 
 
 def aligned_to(log: Log) -> str:
-    """What estimates are aligned to: "the ground truth", "the true landmarks", or "" where neither is known."""
+    """The reference of the alignment: "the ground truth", "the true landmarks", or "" where neither is known."""
     if np.count_nonzero(log.covered) >= 2:
         return "the ground truth"
     return "the true landmarks" if len(true_landmarks(log)) >= 2 and log.identified else ""

@@ -149,7 +149,7 @@ def study_figure(summary: Summary, metric: str = "ate_m") -> Figure:
 
 
 def _decades(medians: Collection[Median | None]) -> float:
-    """How many decades lie between the smallest and the largest median; 0 where a logarithmic axis cannot show one."""
+    """The number of decades between the smallest and the largest median; 0 where a logarithmic axis cannot show one."""
     values = [median.median for median in medians if median is not None]
     ends = [end for m in medians if m is not None for end in (m.low, m.high) if end is not None]
     if not values or min([*values, *ends]) <= 0:

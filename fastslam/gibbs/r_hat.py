@@ -21,7 +21,7 @@ APART = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Mixing:
-    """How well chains have mixed, by coordinate.
+    """R-hat and effective sample size of chains, by coordinate.
 
     Attributes:
         names: of the coordinates.

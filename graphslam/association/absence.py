@@ -1,4 +1,4 @@
-"""How long landmarks were out of sight: a clock in steps that leaps where the robot drove blindly for long.
+"""The time that landmarks were out of sight, in steps; long stretches without useful sightings count as more steps.
 
 Within a moment of this clock, odometry says well enough where landmarks that were just seen must be.
 """
@@ -11,7 +11,7 @@ from .densities import Densities, Field
 from .map_solution import Backbone
 from .options import AssociationOptions
 
-#: a drive is blind if it leaves landmarks less certain than this part of their distance from each other
+#: a stretch is blind if it leaves landmarks a standard deviation above this part of their distance from each other
 CERTAIN = 1 / 6
 #: at most so many moments in a drive
 MOST_MOMENTS = 150
@@ -23,7 +23,7 @@ def moment_of(backbone: Backbone, options: AssociationOptions) -> int:
 
 
 def clock(backbone: Backbone, field: Field, densities: Densities, moment: int) -> np.ndarray:
-    """The time (T+1,) of each pose: its step, and two moments more for each blind drive before it."""
+    """The time (T+1,) of each pose: its step, plus two moments for each blind stretch before it."""
     log = backbone.log
     noise = np.linalg.inv(backbone.motions.information)
     variance = np.linalg.norm(noise[:, :2, :2], 2, axis=(1, 2)) + noise[:, 2, 2] * (field.farthest / 2) ** 2

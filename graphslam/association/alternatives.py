@@ -34,7 +34,7 @@ GATE = 100.0
 
 @dataclass(frozen=True, eq=False)
 class Return:
-    """Where landmarks (their labels) come into sight again, or ``new`` ones: the step, and the last one before."""
+    """A step at which landmarks (their labels) come into sight again, or ``new`` ones, and their last step before."""
 
     step: int
     last: int
@@ -43,7 +43,7 @@ class Return:
 
 
 def arrivals(steps: np.ndarray, times: np.ndarray, labels: np.ndarray, moment: int) -> list[Return]:
-    """Where, after a blind drive, landmarks are seen that had not been seen before."""
+    """Where, after a blind stretch, landmarks are seen that had not been seen before."""
     first = {}
     for row in np.flatnonzero(labels >= 0)[::-1]:
         first[int(labels[row])] = int(steps[row])

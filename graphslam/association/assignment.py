@@ -21,14 +21,14 @@ from .options import AssociationOptions
 
 @dataclass(frozen=True, eq=False)
 class PlacedSightings:
-    """Where every sighting puts its landmark in the world, (M, d), and with what covariance (M, d, d), poses known."""
+    """Sightings from given poses: the position (M, d) of the landmark in world axes, with its covariance (M, d, d)."""
 
     means: Array
     covariances: Array
 
     @classmethod
     def of(cls, places: Places, at: Array) -> PlacedSightings:
-        """From the pose (M, 3) that each sighting was made from."""
+        """Sightings placed from the pose (M, 3) of each."""
         y = places.means
         d = y.shape[1]
         means = transform(at, y[:, :2])

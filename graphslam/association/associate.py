@@ -45,7 +45,7 @@ class Association:
         margins: (M,) the logarithm of the evidence for the landmark over that for the best other one, or for clutter;
             infinite for clutter, and where an id of the log was kept.
         poses: (T+1, 3) the trajectory of the graph in which the ids were found.
-        rounds, settled: how often sightings were assigned anew, and whether the last time changed nothing.
+        rounds, settled: how often sightings were assigned again, and whether the last time changed nothing.
         cost_per_dof: J of that graph per degree of freedom: about 1 where noise models and ids are right, far above it
             where one of them is wrong.
         motion: the noise model of the graph, with the slip that the log shows, where it does (`association.adapting`).

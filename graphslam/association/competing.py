@@ -76,7 +76,7 @@ def spread(solved: MapSolution) -> float:
 
 
 def tolerance(solved: MapSolution, field: Field) -> float:
-    """How far another trajectory may be away to be called the same [m]."""
+    """The distance [m] up to which two trajectories count as the same."""
     return max(APART * spread(solved), LEAST * field.farthest)
 
 
@@ -84,7 +84,7 @@ def compete(
     robot: Robot, starts: Iterable[Start | Callable[[], Start]], names: dict[str, float | None], densities: Densities,
     classes: Classes, options: AssociationOptions,
 ) -> Competition | None:  # fmt: skip
-    """Let starts compete, the first two in any case; None where all may be clutter.
+    """Compare starts by evidence, the first two in any case; None where all sightings may be clutter.
 
     Args:
         robot: the log and its noise models.
@@ -94,7 +94,7 @@ def compete(
         options: the options; once ``options.agreeing`` starts end alike the others are skipped.
 
     Raises:
-        GraphError: the log does not tell the parameters.
+        GraphError: the log does not determine the parameters.
     """
     waiting = list(starts)
     backbone, field = robot.backbone, Field.of(robot.log, robot.sensor)
@@ -114,7 +114,7 @@ def compete(
     # where a start finds no landmark, another one may find a few by chance
     if len(firsts) < tried and all(np.mean(end.labels < 0) > 0.5 for end in firsts):
         return None
-    # what the best of them says about the robot counts for all
+    # the robot's parameters from the best of them are used for all
     shared = Densities.mean([end.densities for end in firsts])
     likely = int(np.argmax([evidence(robot.log, backbone, end.solved, field, shared) for end in firsts]))
     given, robot = robot, adapted(robot, firsts[likely], names, classes, options)

@@ -122,7 +122,7 @@ def _join(
     items = np.flatnonzero([steps[0] >= since for steps in seen])
     shown = classes.sums(solved.which, solved.rows, len(seen))
     found = merges(solved, items, seen, shown, densities, classes, options)
-    # one landmark may lie near an old one by chance; a place that is seen again has several
+    # one landmark may be near an old one by chance; a place that is seen again has several
     least = np.log(options.factor)
     ids = id_of_each(solved.which, known[solved.rows], len(seen))
     sure = [m for m in found if m.margin >= least and m.evidence >= 2 * least and may_be_one(ids[m.item], ids[m.into])]

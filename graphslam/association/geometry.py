@@ -20,7 +20,7 @@ class Places:
 
     @classmethod
     def of(cls, log: Log, sensor: SensorModel) -> Places:
-        """Those of the sightings of a log."""
+        """The places of the sightings of a log."""
         origin = np.zeros((len(log.steps), 3))
         covariances = sensor.landmark_covariance(origin, log.sightings)
         return cls(sensor.h_inverse(origin, log.sightings), covariances)

@@ -29,7 +29,7 @@ def id_of_each(labels: np.ndarray, known: np.ndarray, count: int) -> np.ndarray:
 def held(labels: np.ndarray, known: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """The labels (M,) changed to agree with the ids ``known`` (M,), -1 for none.
 
-    A landmark of which some sightings have ids goes on as that with the id that most of them have. Other sightings of
+    A landmark of which some sightings have ids gets the id that most of them have. Other sightings of
     the scan, by their ``steps`` (M,), are then not of it.
     """
     fixed = known >= 0

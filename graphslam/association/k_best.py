@@ -1,7 +1,7 @@
-"""The best few joint hypotheses where the prior covariance is so large that single pairs tell nothing.
+"""The k best joint hypotheses where the prior covariance is so large that no single pair is significant.
 
 After a long drive without sightings no pair of a new and an old landmark is likely by itself, but the second pair
-is, given the first, because both move together. So hypotheses are grown from seeds: a first pair, whatever its own
+is, given the first, because both move together. So a hypothesis begins with a seed: a first pair, whatever its own
 evidence, then one of the pairs with the most evidence given the first, and so on while the evidence rises. Given the pairs
 so far, residuals and covariance of all others are conditioned on them (Schur complements), so that the sum of the steps is
 the joint evidence E of `hypotheses`.
@@ -51,7 +51,7 @@ class CandidatePairs:
         return float(self._grown(np.atleast_2d(chosen), 1e300, grow=False)[1][0]) if len(chosen) else 0.0
 
     def several(self, seeds: np.ndarray, most: int, allowed: np.ndarray | None = None) -> list[Hypothesis]:
-        """At most so many of the best hypotheses, grown from the pairs (n,), the best first; each has another set of pairs.
+        """The best hypotheses, at most ``most``, begun from the pairs (n,), the best first; each has another set of pairs.
 
         Args:
             allowed: (C,) which pairs may be used; default: all.
@@ -67,7 +67,7 @@ class CandidatePairs:
         return _best(*self._grown(begin, self.gate, allowed=allowed)[:2], most)
 
     def completed(self, chosen: np.ndarray, allowed: np.ndarray | None = None) -> Hypothesis:
-        """The hypothesis that begins with the pairs (n,) and grows while the evidence rises."""
+        """The hypothesis that begins with the pairs (n,), to which pairs are added while the evidence rises."""
         members, evidence, _ = self._grown(np.atleast_2d(chosen), 1e300, allowed=allowed)
         return Hypothesis(np.flatnonzero(members[0]), float(evidence[0]))
 

@@ -40,7 +40,7 @@ class Backbone:
 
     @classmethod
     def of(cls, log: Log, sensor: SensorModel, motion: MotionModel) -> Backbone:
-        """Those of a log."""
+        """The backbone of a log."""
         assert log.controls is not None and log.dt is not None
         places = Places.of(log, sensor)
         information = np.linalg.inv(places.covariances)

@@ -53,7 +53,7 @@ def merges(
     Args:
         seen: the steps (sorted) in which each landmark was seen.
         shown: (L, n) sums of log P(class shown given true), see `Classes`.
-        views: (L,) in how many scans each landmark was in the field of view, if poses are known well enough to tell.
+        views: (L,) in how many scans each landmark was in the field of view, if poses are known well enough for that.
     """
     d, probability = solved.landmarks.shape[1], options.gate if views is None else SHARED
     gate = float(gates(probability, d, 1)[1])

@@ -1,4 +1,4 @@
-"""Association and solving in turn: with the whole drive solved, every sighting is assigned anew.
+"""Association and solving in turn: with the whole drive solved, every sighting is assigned again.
 
 Each round merges landmarks that are one, assigns the sightings of every scan to the landmarks of the solved graph, makes
 landmarks of sightings that no landmark explains but that agree with each other, and drops landmarks whose sightings are
@@ -97,7 +97,7 @@ def unrefined(
     log: Log, backbone: Backbone, labels: np.ndarray, poses: Array, densities: Densities, classes: Classes,
     options: AssociationOptions,
 ) -> Refined:  # fmt: skip
-    """The graph of labels (M,) as they are; a sighting that another landmark explains better has no margin."""
+    """The graph of given labels (M,); a sighting that another landmark explains better has no margin."""
     labels = _compact(held(labels, backbone.known, log.steps))
     solved = MapSolution.of(backbone, labels, poses)
     world = PlacedSightings.of(backbone.places, solved.poses[log.steps])
@@ -197,7 +197,7 @@ def _kept(
     log: Log, backbone: Backbone, solved: MapSolution, field: Field, labels: np.ndarray, densities: Densities,
     options: AssociationOptions,
 ) -> tuple[np.ndarray, Densities]:  # fmt: skip
-    """The labels of landmarks with enough evidence, -1 for the others; and the densities counted anew."""
+    """The labels of landmarks with enough evidence, -1 for the others; and the densities counted again."""
     solved = MapSolution.of(backbone, labels, solved.poses)
     seen = Visibility.of(log, backbone, solved, field)
     densities = densities.counted(int(seen.within.sum()), int(seen.views.sum()), float(np.mean(labels < 0)))

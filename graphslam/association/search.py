@@ -1,4 +1,4 @@
-"""Hill climbing: alternatives are tried, refined, and kept where the evidence as a whole is surely higher."""
+"""Hill climbing: alternatives are tried, refined, and kept where the total evidence is significantly higher."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Whether an association can be relied on: a statement that separates good maps from bad ones, calibrated on simulated logs.
 
-A map is good where the ATE is at most 1.5 times that of the same graph with the true ids. What tells is how much more
+A map is good where the ATE is at most 1.5 times that of the same graph with the true ids. The criterion is how much more
 likely the map is than any other one with another trajectory that the search has met, and whether several starts found it.
 `docs/association.md` has the shares of errors.
 """

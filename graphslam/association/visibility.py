@@ -1,4 +1,4 @@
-"""How often each landmark was in the field of view, and how often it was then seen."""
+"""Counts of how often each landmark was in the field of view, and was then seen."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .map_solution import Backbone, MapSolution
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """Of each landmark (L,): in how many scans it was well within the field of view, and in how many of these it was seen.
+    """Counts (L,) for each landmark: the scans in which it was well within the field of view, and in which it was seen.
 
     ``whole`` and ``anywhere`` count the same for the whole field, at whose border noise decides whether a landmark is in it.
     """
@@ -27,7 +27,7 @@ class Visibility:
 
     @classmethod
     def of(cls, log: Log, backbone: Backbone, solved: MapSolution, field: Field) -> Visibility:
-        """Those of the landmarks of a solved graph."""
+        """The counts for the landmarks of a solved graph."""
         scans = np.unique(log.steps)
         limits = np.array(
             [[field.nearest / s, field.farthest * s, np.cos(min(field.bearing * s, np.pi))] for s in (INSIDE, 1.0)]

@@ -1,4 +1,4 @@
-"""Where to search on from an end that is not proven: along the negative direction of S."""
+"""States to search from after an end that is not proven: along the negative direction of S."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class Curvature(NamedTuple):
     Attributes:
         beta, A: (E,); beta = -1 leaves the edge out.
         error: (E,) a bound on the rounding error of A, in units.
-        slack: (E,) what the parts of beta and kappa leave of the rounding errors that they absorb.
+        slack: (E,) the rounding errors that the parts of beta and kappa do not absorb.
     """
 
     beta: Array
@@ -100,7 +100,7 @@ def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bo
         graph: with the edges whose cost is minimised.
         state: the candidate.
         cost: J at the state, where it is known; not used with a kernel.
-        thorough: whether to go on where the first attempt fails, with better splits of the information and a lower bound on
+        thorough: whether to try again after a failure, with better splits of the information and a lower bound on
             the cost. That takes some 50 factorisations instead of one.
     """
     begin = time.perf_counter()

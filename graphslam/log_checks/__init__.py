@@ -1,6 +1,6 @@
 """Checks of a log before it is solved: units, signs, clocks and ids that cannot be right, each with its likely cause.
 
-`check_log` runs them all; no graph is solved. Beside it:
+`check_log` runs them all; no graph is solved. The checks:
 
 readings     sizes; whether the odometry predicts the next sighting of a landmark, and better if numbers are read another way
 ids          single ids that are misread, and landmarks that are seen once, or twice at one time
@@ -29,7 +29,7 @@ __all__ = ["Finding", "check_log"]
 
 
 def check_log(log: Log) -> tuple[Finding, ...]:
-    """What is probably wrong with a log; empty where nothing is.
+    """Probable mistakes in a log; empty where there are none.
 
     Args:
         log: with or without controls and truth.
@@ -40,7 +40,7 @@ def check_log(log: Log) -> tuple[Finding, ...]:
     checks: list[Iterable[Finding]] = [doubts, sizes(log), readings, truth]
     # where another reading fits better, ids and map may be right, and the sightings wrong
     wrong = np.zeros(len(log.steps), dtype=bool) if readings else misread(log)
-    # what single misread ids look like is told once
+    # single misread ids are reported once
     right = log.with_sightings(~wrong)
     checks += [misread_ids(log, wrong), ids_of(right)]
     if not readings:

@@ -1,4 +1,4 @@
-"""Where the odometry puts sightings, and distances between landmarks that are seen shortly after one another.
+"""Positions of sightings by the odometry, and distances between landmarks that are seen shortly after one another.
 
 Over a short way both hardly depend on the drift of the odometry.
 """

@@ -12,7 +12,7 @@ from ..reading import UNIDENTIFIED
 from .distances import ways
 from .finding import Finding
 
-#: fewer sightings tell nothing about their ids
+#: fewer sightings are not checked
 _FEWEST = 20
 #: a sighting is compared with those within this way before and after it, [rad] turned plus [ranges] driven, so many each
 _WAY, _AROUND = 2.0, 40
@@ -21,7 +21,7 @@ _WAY, _AROUND = 2.0, 40
 _NEAR, _CLOSE, _TIMES = 0.1, 0.03, 3.0
 #: so many sightings of the place have to show other ids, which are seen again there
 _OTHERS = 2
-#: misread ids are told from so many on, and from this share of the sightings; above the second share something else is wrong
+#: misread ids are reported from so many on, and from this share of the sightings; above the second share the cause is another
 _LEAST, _FEW, _MOST = 3, 0.004, 1 / 3
 
 
@@ -29,7 +29,7 @@ def misread(log: Log) -> np.ndarray:
     """Which sightings (M,) have an id that the sightings of the same place contradict, shortly before and after them.
 
     The odometry carries every sighting to its place over the short way. An id is misread where no other sighting shows it at
-    its place, and some show other ids there that are seen again. Where a detector counts landmarks anew, the new id is seen
+    its place, and some show other ids there that are seen again. Where a detector starts to count again, the new id is seen
     again at the place, and so it is not misread.
     """
     found = np.zeros(len(log.steps), dtype=bool)
@@ -63,7 +63,7 @@ def misread(log: Log) -> np.ndarray:
 
 
 def misread_ids(log: Log, wrong: np.ndarray) -> Iterator[Finding]:
-    """How many ids are misread; ``wrong`` (M,) is what `misread` found."""
+    """The finding of misread ids; ``wrong`` (M,) is the result of `misread`."""
     if (count := int(np.sum(wrong))) == 0:
         return
     total, k = int(np.sum(log.landmarks != UNIDENTIFIED)), int(np.argmax(wrong))

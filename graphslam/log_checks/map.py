@@ -12,7 +12,7 @@ from ..reading import UNIDENTIFIED
 from .distances import Distances
 from .finding import Finding
 
-#: fewer distances or triangles tell nothing
+#: fewer distances or triangles are not significant
 _FEWEST = 10
 #: distances, sightings and triangles that are compared at most
 _ENOUGH = 5000
@@ -66,7 +66,7 @@ def against_map(log: Log, found: Distances, *, trusted: bool) -> Iterator[Findin
 
 
 def _seen_from_truth(log: Log) -> float:
-    """How far from the map the sightings place their landmarks, seen from the true poses [ranges, median]; 0 if unknown."""
+    """The median distance [ranges] between the map and the landmarks of the sightings from true poses; 0 if unknown."""
     assert log.true_landmarks is not None
     if log.robot_truth is None:
         return 0.0

@@ -108,7 +108,7 @@ class SightingPairs:
         return self.log.steps[np.stack([self.first, self.second])]
 
     def errors(self, poses: Array, sightings: Array) -> Array:
-        """How far a landmark moves from the first sighting to the second, in parts of its range (K,), see `moves`."""
+        """The distance (K,) [ranges] of a landmark between its first and second sighting, see `moves`."""
         return moves(self.log.sensor or SensorModel(), poses, sightings)
 
     def readings(self) -> list[Reading]:
@@ -167,7 +167,7 @@ class SightingPairs:
 
 
 def moves(sensor: SensorModel, poses: Array, sightings: Array) -> Array:
-    """How far two sightings (2, K, 2) from poses (2, K, 3) place one landmark apart, in parts of its range (K,)."""
+    """The distance (K,) [ranges] between the landmarks of two sightings (2, K, 2) from poses (2, K, 3)."""
     one, two = sightings
     motion = between(*sensor.mount(poses))
     c, s = np.cos(motion[:, 2]), np.sin(motion[:, 2])

@@ -1,4 +1,4 @@
-"""What `OnlineSolver` needs of the solver behind it, and the checks of numbers that both use."""
+"""`Backend`, the interface of the solvers behind `OnlineSolver`, and the checks of numbers that they share."""
 
 from __future__ import annotations
 

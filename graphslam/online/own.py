@@ -31,7 +31,7 @@ EXACT = 1e-5
 class OwnBackend(Backend):
     """The nodes and edges of an `OnlineSolver` in the engine; see `engine/include/vmslam/online`.
 
-    The estimate follows the nearest minimum from one update to the next, and `converged` tells whether it was reached.
+    The estimate follows the nearest minimum from one update to the next, and `converged` says whether it was reached.
     Only those nodes that a change concerns are eliminated again.
 
     Args:
@@ -189,7 +189,7 @@ class OwnBackend(Backend):
 
     @property
     def passes(self) -> int:
-        """How often the last update solved the tree again because edges had to be evaluated again."""
+        """The number of passes of the last update: solutions of the tree after edges were evaluated again."""
         return int(self.system.passes)
 
     @property

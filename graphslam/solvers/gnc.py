@@ -43,7 +43,7 @@ GROWTH = 1.4
 STEPS = 5
 #: a second sequence is computed where there are at most so many pairs of sightings
 PAIRS = 5_000
-#: the most rounds in which the trust is computed anew after a sequence on other edges
+#: the most rounds in which the trust is computed again after a sequence on other edges
 LAST_ROUNDS = 20
 #: a sighting with less trust than this counts as rejected
 REJECTED = 0.5
@@ -140,7 +140,7 @@ class _Sightings:
 
     @classmethod
     def of(cls, graph: Graph, probability: float) -> _Sightings:
-        """Those of a graph with landmark nodes."""
+        """The squares of a graph with landmark nodes."""
         edges = next(family for family in graph.families if isinstance(family, ObservationEdges))
         order = np.lexsort((edges.first, edges.second))
         _, starts = np.unique(edges.second[order], return_index=True)
@@ -186,7 +186,7 @@ def _best_sequence(graph: Graph, probability: float, max_rounds: int, initialize
 
 
 def _sequence(graph: Graph, order: np.ndarray, sightings: _Sightings, max_rounds: int, initialize: str) -> _Sequence:
-    """From plain squares to squares truncated at c², on a graph whose edges have the sightings in an order (M,)."""
+    """The sequence from plain squares to squares truncated at c²; the edges have the sightings in an order (M,)."""
     limit, trust = sightings.limit, np.ones(len(order))
     state = solve(graph, tolerance=_rough(graph), initialize=initialize).state
     squares = sightings.squares(state, trust)
@@ -224,7 +224,7 @@ def _damped(graph: Graph, trust: Array, state: Array) -> Array:
 
 
 def _rough(graph: Graph) -> float:
-    """A step norm that is short enough to tell correct sightings from wrong ones."""
+    """The step norm below which the trust in sightings is determined."""
     return 1e-3 * len(graph.steps) ** 0.5
 
 

@@ -120,7 +120,7 @@ def _many(group: _Group, state: Array, _: int) -> Iterable[ConstantEdges]:
 
 
 def _measured(description: FactorDescription) -> tuple[Array, Array]:
-    """What a factor of two keys measures in the axes of the first, and its information."""
+    """The measurement of a factor of two keys in the axes of the first, and its information."""
     a, origin = description.arguments, np.zeros(3)
     if description.kind == "MotionFactor":
         covariance = a["motion"].covariance(origin, a["control"], a["dt"])

@@ -1,4 +1,4 @@
-"""Where the iteration starts: given values, dead reckoning, or headings first and then positions.
+"""Initial values of the iteration: given values, dead reckoning, or headings first and then positions.
 
 Gauss-Newton reaches the optimum only from near it, mostly because of the headings. They can be computed first, by linear
 least squares on unit vectors: with r_i = (cos theta_i, sin theta_i), every edge that measures a relative heading d asks

@@ -80,7 +80,7 @@ def _turns(graph: Graph, state: Array) -> Iterator[tuple[tuple[int, int, float],
 
 
 def _stretches(E: Array, V: Array) -> list[tuple[int, int]]:
-    """The first and last poses of the stretches whose other turn is cheap, the cheapest first."""
+    """The first and last poses of the stretches whose other turn raises the cost little, the least first."""
     found = list[tuple[float, int, int]]()
     for shortest, longest in LENGTHS:
         group = list[tuple[float, int, int]]()

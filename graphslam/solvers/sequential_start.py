@@ -27,7 +27,7 @@ STEPS = 4
 
 @dataclass(frozen=True, eq=False)
 class _Tree:
-    """From where each node is reached: its parent (n,), a pose with a lower number, and its pose (n, 3) seen from there."""
+    """The parent (n,) of each node, a pose with a lower number, and the pose (n, 3) of the node in the axes of its parent."""
 
     parents: np.ndarray
     offsets: Array

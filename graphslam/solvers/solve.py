@@ -47,7 +47,7 @@ def solve(
             fixed, so that J itself may rise.
         tolerance: the iteration has converged when the Euclidean norm of the correction of all nodes is below this, and
             the correction is predicted to lower J by a negligible part only.
-        max_iterations: the most steps of a run; with "auto", the lowest run that has not converged goes on once.
+        max_iterations: the most steps of a run; with "auto", the lowest run that has not converged is continued once.
         initialize: "given", the graph's own initial values; "dead-reckoning" along the motion edges; "rotation-first",
             headings by linear least squares and then positions; "grow", solve the first poses, add ten more, solve again,
             and so on; or "auto". "auto" starts landmark nodes from virtual-motion edges, and other graphs rotation-first

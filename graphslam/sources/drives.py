@@ -1,9 +1,9 @@
-"""`Drive`: a recording of a robot that nobody has calibrated, as a `Log` like one from tables, with the truth beside it.
+"""`Drive`: a simulated recording of an uncalibrated robot, as a `Log` like one from tables, and its truth.
 
 `graphslam.simulate` is the simulator of the book: one step per control, and noise as the lectures have it. Here odometry
 and sensor have their own rates, the robot works in a warehouse, an orchard or a field, and its recording has what real ones
 have: scale errors and biases, a late sensor that is not where it should be, misread ids, clutter, errors that are correlated
-in time, missed sightings and gaps. The log does not tell the noise.
+in time, missed sightings and gaps. The log has no noise models.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ NONEXISTENT = 0.03
 WANDER = 0.15
 
 #: how widely `Drive.random` draws each bias: prior standard deviations for whoever knows that much and no more. The scale of
-#: ranges is always right: a log does not tell a common factor on all distances, so that no estimate could be better.
+#: ranges is always right: a log does not determine a common factor on all distances.
 SPREADS = {
     "wheel_scale": 0.025, "turn_scale": 0.02, "turn_rate_bias": 0.005, "curvature_bias": 0.005, "range_bias": 0.03,
     "bearing_bias": 0.02, "sensor_ahead": 0.1, "sensor_left": 0.05, "sensor_delay": 0.04,
@@ -59,7 +59,7 @@ WHEELS = MotionModel(nn=0.015, no=0.0015, on=0.008, oo=0.015, slip=0.005, epsilo
 
 @dataclass(frozen=True)
 class DriveTruth:
-    """What nobody knows who has only the log of a drive; M sightings.
+    """The truth behind the log of a drive; M sightings.
 
     Attributes:
         motion, sensor: the noise. That of the sensor is the whole variance of single sightings, correlated parts included;
@@ -176,7 +176,7 @@ class Drive:
         )  # fmt: skip
 
     def simulate(self) -> tuple[Log, DriveTruth]:
-        """The log as it would have been recorded, without noise models, and what it does not tell.
+        """The log without noise models, as it would have been recorded, and its truth.
 
         Raises:
             LogError: nothing is seen.
@@ -206,7 +206,7 @@ class Drive:
         )  # fmt: skip
 
     def _odometry(self, path: Path, rng: np.random.Generator) -> Stream:
-        """What wheels and gyroscope record of the path."""
+        """The record of the path by wheels and gyroscope."""
         times = np.arange(int(path.duration * self.odometry_rate) + 1) / self.odometry_rate
         controls, p = path.odometry(times), self.parameters
         variances = np.diagonal(self.motion.M(controls, 1 / self.odometry_rate), axis1=1, axis2=2)
@@ -253,7 +253,7 @@ class Drive:
         return scans[at[order]], seen[order], np.concatenate([z, places])[order], clutter[order]
 
     def _read(self, seen: np.ndarray, clutter: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """The ids (M,) as they are read, and whether they are misread."""
+        """The ids (M,) that the detector reports, and whether they are misread."""
         misread = (rng.random(len(seen)) < self.misread) & ~clutter
         # another one: any step but a whole round
         read = np.where(misread, (seen + rng.integers(1, self.landmarks, len(seen))) % self.landmarks, seen)
@@ -306,7 +306,7 @@ def _noise_of_wheels(rate: float, rng: np.random.Generator) -> tuple[MotionModel
     along = _between(rng, 1e-4, 3e-4) if best else _between(rng, 0.002, 0.06)
     slip = along * _between(rng, 0.1, 0.6)
     if rng.random() < 0.6:
-        # a gyroscope: its angle walks with the time, in rad per square root of the second
+        # a gyroscope: the error of its angle is a random walk, in rad per square root of the second
         walk = _between(rng, 5e-5, 1e-4) if best else _between(rng, 2e-4, 5e-3)
         return MotionModel(
             nn=along, no=along / 10, on=0.0, oo=0.0, slip=slip, epsilon=EPSILON, sigma_omega=walk * rate**0.5

@@ -1,4 +1,4 @@
-"""Places where robots work: their landmarks, what hides these, and the way of a robot through them.
+"""Places where robots work: their landmarks, walls that occlude them, and the way of a robot through them.
 
 warehouse   aisles between racks with tags, joined by cross aisles at both ends; aisles in random order
 orchard     rows of trunks; along a few lanes between them in random order
@@ -32,7 +32,7 @@ class Place:
     Attributes:
         landmarks: (L, 3) positions and headings.
         facing: whether landmarks are seen from the front only, where their heading points.
-        walls: (W, 4) the ends x_1, y_1, x_2, y_2 of what hides landmarks [m].
+        walls: (W, 4) the ends x_1, y_1, x_2, y_2 of the walls that occlude landmarks [m].
         route: way points (x, y, pause) without end [m, m, s].
     """
 
@@ -42,7 +42,7 @@ class Place:
     route: Iterator[WayPoint]
 
     def in_sight(self, eyes: Array, landmarks: np.ndarray) -> np.ndarray:
-        """Whether nothing hides landmarks (N,), given by their rows, from positions (N, 2 or more); (N,) bool."""
+        """Whether landmarks (N,), given by their rows, are not occluded, from positions (N, 2 or more); (N,) bool."""
         targets = self.landmarks[landmarks]
         to = targets[:, :2] - eyes[:, :2]
         seen = np.ones(len(eyes), dtype=bool)

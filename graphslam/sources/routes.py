@@ -73,7 +73,7 @@ def follow(
         speed, turn_rate: the highest ones [m/s, rad/s].
         duration: of the drive [s].
         slip: noise sideways per distance driven [m/√m].
-        wander: standard deviation of the robot's distance from the lines, drawn anew for each line [m].
+        wander: standard deviation of the robot's distance from the lines, drawn for each line [m].
         rng: of slip and wander.
     """
     steps = int(np.ceil(duration / INTERVAL))

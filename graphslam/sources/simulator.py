@@ -154,7 +154,7 @@ def simulate(
 
 
 def _note(biases: dict[str, float]) -> tuple[str, ...]:
-    """What the log's notes say of biases {what: factor, or angle [rad]}; those without effect are left out."""
+    """The notes of a log on biases {name: factor, or angle [rad]}; those without effect are left out."""
     factors = [f"{what} x {value:.3f}" for what, value in biases.items() if what in _FACTORS and value != 1]
     angles = [f"{what} {value:+.3f} rad" for what, value in biases.items() if what not in _FACTORS and value]
     if not factors and not angles:

@@ -27,7 +27,7 @@ _MOST = 10_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """What `simulate` simulates; arrays and lists are accepted for tuples.
+    """The settings of `simulate`; arrays and lists are accepted for tuples.
 
     Raises:
         OptionError: an option has an impossible value.

@@ -28,7 +28,7 @@ class Ids:
 
     Attributes:
         numbers: (N,) of the landmarks; `UNIDENTIFIED` where the cell is empty.
-        names: {name: number} where landmarks have names that do not tell their number.
+        names: {name: number} where the names of landmarks contain no number.
         notes: one sentence each.
     """
 
@@ -109,7 +109,7 @@ def _whole(table: Table, column: int, values: Array) -> np.ndarray:
 
 
 def _of_names(words: np.ndarray, known: Mapping[str, int]) -> tuple[np.ndarray, dict[str, int]]:
-    """Numbers (N,) of landmarks that have names, and what they stand for where the names do not tell them.
+    """Numbers (N,) of landmarks that have names, and their names where these contain no number.
 
     They are the number at the end of each name where these differ, and else count the names. Names that are known keep
     their number, and others get the next ones.

@@ -1,4 +1,4 @@
-"""The film of ISAM2: the graph grows with every step, and each step corrects the path so far."""
+"""The film of ISAM2: the estimate of the path after every step, coloured by the correction since the last frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a click on a landmark of the report shows: its sightings, and the true landmark that they are of."""
+"""The details of a landmark in the report: its sightings, and the true landmark that they are of."""
 
 from __future__ import annotations
 

@@ -151,7 +151,7 @@ def embedded(value: Any) -> str:
 
 
 def _facts(view: View) -> dict[str, Any]:
-    """What the slider shows: the steps, their times, and what is seen from them in the axes of the robot."""
+    """The data of the slider: the steps, their times, and what is seen from them in the axes of the robot."""
     return {
         "columns": COLUMNS,
         "steps": view.steps,

@@ -1,4 +1,4 @@
-"""What the report shows of a comparison: all estimates aligned, with errors and covariances, thinned to fit."""
+"""The data of the report of a comparison: all estimates aligned, with errors and covariances, thinned to fit."""
 
 from __future__ import annotations
 
