@@ -11,7 +11,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 import fastslam
-from graphslam import Association, Log, MotionModel, SlamError, associate
+from graphslam import Log, MotionModel, SlamError, associate
+from graphslam.association import Association
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import Array
 

@@ -17,7 +17,7 @@ from pebble import ProcessExpired, ProcessPool
 
 from graphslam import Certificate, Graph, GraphError, OptionError, certify, solve
 from graphslam.processes import how_it_ended, processes
-from graphslam.solvers.solve import starting_state
+from graphslam.solvers.initialize import starting_state
 
 from .display import Displayed
 from .documents import certificate_document

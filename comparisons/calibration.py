@@ -7,7 +7,8 @@ from os import PathLike
 from typing import Any
 
 import graphslam
-from graphslam import Calibration, Log, OptionError, SensorModel
+from graphslam import Log, OptionError, SensorModel
+from graphslam.calibration import Calibration
 
 from .options import CalibrationOptions
 from .reading import read_log

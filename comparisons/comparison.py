@@ -11,8 +11,8 @@ from typing import Any, overload
 
 import numpy as np
 
-from graphslam import AssociationScore, Certificate, GraphError, Log, MotionModel, SensorModel, SlamError, Solution
-from graphslam.association import score
+from graphslam import Certificate, GraphError, Log, MotionModel, SensorModel, SlamError, Solution
+from graphslam.association import AssociationScore, score
 from graphslam.log import UNIDENTIFIED
 from graphslam.log_checks import Finding, check_log
 from graphslam.metrics import Metrics, evaluate

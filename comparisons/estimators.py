@@ -168,8 +168,8 @@ def graph_no_kernel(log: Log, options: RunOptions) -> EstimatorResult:
 
 def _by_hand(name: str, log: Log, options: RunOptions) -> EstimatorResult:
     graph = make_graph(log, options)
-    solver = graphslam.solve_gnc if options.kernel == "gnc" else graphslam.solve
-    return _of_solution(name, log, options, solver(graph, initialize=options.initialize))
+    method = "gnc" if options.kernel == "gnc" else "gauss-newton"
+    return _of_solution(name, log, options, graphslam.solve(graph, method=method, initialize=options.initialize))
 
 
 def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:

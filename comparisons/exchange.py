@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphslam import ControlPath, GraphError, Log, control_path
+from graphslam import GraphError, Log, control_path
+from graphslam.continuous_time import ControlPath
 from graphslam.map_files import map_text
 from graphslam.relative import relative_graph
 from graphslam.se2 import Array, wrap

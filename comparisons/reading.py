@@ -11,17 +11,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from graphslam import (
-    Calibration,
-    FormatError,
-    GraphError,
-    Log,
-    LogError,
-    OptionError,
-    SensorModel,
-    load,
-    sample_log_path,
-)
+from graphslam import FormatError, GraphError, Log, LogError, OptionError, SensorModel, load, sample_log_path
+from graphslam.calibration import Calibration
 from graphslam.calibration.unidentified import robot_of
 from graphslam.errors import quoted
 from graphslam.files import check_file

@@ -13,7 +13,8 @@ from scipy.special import chdtri
 from fastslam.gibbs.result import GibbsResult
 from fastslam.samples import Samples
 from fastslam.state import FilterResult
-from graphslam import Association, Certificate, Graph, Log, MotionModel, Solution, certify
+from graphslam import Certificate, Graph, Log, MotionModel, Solution, certify
+from graphslam.association import Association
 from graphslam.localization import drifted
 from graphslam.parameters import ParameterEstimate
 from graphslam.parameters.corrected import motion_edges, sighted_edges

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from graphslam import AssociationScore, Log
+from graphslam import Log
+from graphslam.association import AssociationScore
 from graphslam.log import UNIDENTIFIED
 
 from .documents import AssociationDocument, DoubtDocument, VerdictDocument, document

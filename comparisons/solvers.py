@@ -15,7 +15,7 @@ import numpy as np
 from graphslam import Certificate, Graph, GraphError, Log, LogError, Solution, simulate, solve, solve_with_gtsam
 from graphslam.graph import FRAMES, WEIGHTS
 from graphslam.se2 import wrap
-from graphslam.solvers.solve import starting_state
+from graphslam.solvers.initialize import starting_state
 
 from .display import Displayed
 from .documents import certificate_document

@@ -73,7 +73,7 @@ class ParticleFilter(ABC):
         options: the options; ``keywords`` replace single options and are the fields of `FilterOptions`.
         motion, sensor: the models; default: those of the log, else the book's.
         start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose. A
-            `graphslam.Fix` in a map: poses are drawn with `SPREAD` times its standard deviations, because the sightings from
+            `Fix` in a map: poses are drawn with `SPREAD` times its standard deviations, because the sightings from
             which it comes weigh the particles again.
 
     Raises:

@@ -134,7 +134,7 @@ class Graph:
             kernel: against wrong sightings: `Huber`, `Cauchy`, `GemanMcClure` or their names, or "none". Default: what suits
                 the log, "none" where `simulate` made it and "cauchy" otherwise. It acts on every pair of "pairs" and
                 "tempered", and on every sighting otherwise. The default width has 95 % of the efficiency of least squares.
-                See also `solve_gnc`.
+                See also `solve` with the method "gnc".
             dimensions: 3: require orientation psi; 2: ignore it; default: use psi where the log has it.
             residual: of landmark nodes: "cartesian" (the sighting as a position in the robot's axes, the landmark's heading
                 with it) or "polar" (range and bearing, h(x, m) - z, whose cost has false minima).

@@ -61,7 +61,7 @@ class Log:
         start_time: the time of step 0 [s].
         motion, sensor: the noise models published with the data, the default of all estimators; None where there are
             none.
-        uncertain: {name of a bias of `graphslam.PARAMETERS`: standard deviation of its prior} of the biases that were
+        uncertain: {name of a bias of `PARAMETERS`: standard deviation of its prior} of the biases that were
             estimated and taken out of this log. Covariances of graphs then contain what is still unknown of them.
         simulated: whether `simulate` made the log. All other logs count as real data, whose sightings may be wrong.
         name: the name of the log in messages and tables.

@@ -47,7 +47,7 @@ class Solution:
         solver: the name of the solver.
         state: (n, 3) the values of the graph's nodes.
         notes: remarks on the graph and the solver, one sentence each.
-        trust: (M,) the trust in each sighting of the log, from 0 to 1, where `solve_gnc` determined it; NaN for
+        trust: (M,) the trust in each sighting of the log, from 0 to 1, where the method "gnc" determined it; NaN for
             sightings that the graph does not use. None for other solvers.
         graph: the graph that was solved, with the final trust in its sightings.
     """

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator, default_rng
 
-from graphslam import Graph, Log, MotionModel, SensorModel, SlamError, Solution, solve, solve_gnc, textbook
+from graphslam import Graph, Log, MotionModel, SensorModel, SlamError, Solution, solve, textbook
 from graphslam.se2 import between, inverse, transform
 
 from .attempt import Case
@@ -55,7 +55,7 @@ def graph_case(seed: int, number: int) -> Case:
             return [] if np.isfinite(result.poses).all() else ["poses are not finite"]
         graph = Graph.from_log(log, motion=motion, sensor=sensor, **options)
         if solver == "gnc":
-            return wrong_with(solve_gnc(graph), initialize="gnc")
+            return wrong_with(solve(graph, method="gnc"), initialize="gnc")
         return wrong_with(solve(graph, method=solver, initialize=initialize), initialize=initialize)
 
     return name, check

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphslam import ControlPath, Log, MotionModel, SensorModel, control_path
+from graphslam import Log, MotionModel, SensorModel, control_path
+from graphslam.continuous_time import ControlPath
 from graphslam.metrics import alignment_of
 from graphslam.se2 import Array, compose, rotation, transform
 

@@ -164,7 +164,7 @@ def survey_tables(survey: Survey) -> Tables:
 
 def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
     """The numbers of the noise models with their standard errors or upper bounds, a row each."""
-    from graphslam import PARAMETERS
+    from graphslam.parameters import PARAMETERS
 
     from ..option import options_of
     from ..options import NoiseOptions

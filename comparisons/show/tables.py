@@ -28,7 +28,7 @@ from .cells import NOTHING, LeanTable, number, optimum, seconds, word, yes_no
 from .placement import placement_of_result
 
 if TYPE_CHECKING:
-    from graphslam import AssociationScore
+    from graphslam.association import AssociationScore
 
     from ..backends import BackendComparison
     from ..comparison import Comparison, ResultTable

@@ -25,8 +25,8 @@ from scipy.special import gammaincinv
 
 from ..edges import EdgeFamily, MarginalEdges, ObservationEdges, VirtualMotionEdges
 from ..edges.robust import Cauchy
-from ..errors import GraphError, OptionError, quoted
-from ..graph import Graph, check_graph
+from ..errors import GraphError, OptionError
+from ..graph import Graph
 from ..parameters.corrected import corrected, sighted_edges
 from ..se2 import Array
 from ..solution import Solution
@@ -34,7 +34,7 @@ from ..transform import poses_only, with_landmark_nodes
 from .initial_values import place_landmarks
 from .iteration import Run
 from .levenberg_marquardt import levenberg_marquardt
-from .solve import solve
+from .minimize import minimize
 from .with_parameters import without_parameters
 
 #: mu grows by this factor from one graph to the next
@@ -49,50 +49,29 @@ LAST_ROUNDS = 20
 REJECTED = 0.5
 
 
-def solve_gnc(
-    graph: Graph,
-    *,
-    probability: float = 0.99,
-    tolerance: float = 1e-9,
-    max_rounds: int = 100,
-    initialize: str = "auto",
-) -> Solution:
-    """Minimise the truncated squares of a graph's sightings by graduated non-convexity.
+def solve_gnc(graph: Graph, tolerance: float, max_rounds: int, initialize: str, probability: float) -> Solution:
+    """`solve` with the method "gnc": c² is the quantile of ``probability``, and ``max_rounds`` the most values of mu.
 
-    Args:
-        graph: with edges from sightings; motion edges and anchors are always trusted.
-        probability: the fraction of correct sightings that should be accepted: c² is this quantile of the chi-square
-            distribution with as many degrees of freedom as a sighting has numbers.
-        tolerance: of the last solve, as in `solve`.
-        max_rounds: the most values of mu to try.
-        initialize: the start of the first solve, as in `solve`.
-
-    Returns:
-        The solution of the graph with the final trust, which is in `Solution.trust`. It is ``converged`` only if every
-        sighting is fully trusted or rejected.
+    Motion edges and anchors are always trusted.
 
     Raises:
         GraphError: the graph has no edges from sightings, or does not determine its nodes.
-        OptionError: an option has an impossible value.
     """
-    check_graph(graph)
-    if not 0 < probability < 1:
-        raise OptionError(f"probability must lie between 0 and 1, not {quoted(probability)}")
     if max_rounds < 1:
-        raise OptionError(f"max_rounds must be at least 1, not {max_rounds}")
+        raise OptionError(f"max_iterations must be at least 1 for the method gnc, not {max_rounds}")
     begin = time.perf_counter()
     if graph.parameters is not None:
         graph = _at_robust_parameters(graph, initialize)
     best = _best_sequence(without_parameters(graph), probability, max_rounds, initialize)
     trust, weighted = best.trust, graph.with_trust(best.trust)
     start = weighted.with_initial(place_landmarks(weighted, best.state[: len(graph.steps)]))
-    solution = solve(start, tolerance=tolerance, initialize="given")
+    solution = minimize(start, tolerance=tolerance, initialize="given")
     rejected = int(np.count_nonzero(trust < REJECTED))
     note = f"graduated non-convexity rejected {rejected} of {len(trust)} sightings in {best.rounds} rounds"
     if graph.log is not None:
         of_edges, trust = trust, np.full(len(graph.log.steps), np.nan)
         trust[graph.sighting_rows] = of_edges
-    partly = f"after max_rounds = {best.rounds} some sightings are trusted in part"
+    partly = f"after max_iterations = {best.rounds} some sightings are trusted in part"
     return replace(
         solution,
         converged=solution.converged and best.settled,
@@ -108,7 +87,7 @@ def _at_robust_parameters(graph: Graph, initialize: str) -> Graph:
     seen = sighted_edges(graph)
     robust = replace(seen, kernel=Cauchy())  # type: ignore[type-var]
     families = tuple(robust if family is seen else family for family in graph.families)
-    found = solve(replace(graph, families=families), tolerance=_rough(graph), initialize=initialize)
+    found = minimize(replace(graph, families=families), tolerance=_rough(graph), initialize=initialize)
     assert found.graph is not None and found.graph.parameters is not None
     return corrected(graph, found.graph.parameters.values, found.state).with_initial(found.state)
 
@@ -188,7 +167,7 @@ def _best_sequence(graph: Graph, probability: float, max_rounds: int, initialize
 def _sequence(graph: Graph, order: np.ndarray, sightings: _Sightings, max_rounds: int, initialize: str) -> _Sequence:
     """The sequence from plain squares to squares truncated at c²; the edges have the sightings in an order (M,)."""
     limit, trust = sightings.limit, np.ones(len(order))
-    state = solve(graph, tolerance=_rough(graph), initialize=initialize).state
+    state = minimize(graph, tolerance=_rough(graph), initialize=initialize).state
     squares = sightings.squares(state, trust)
     largest = float(squares.max(initial=0.0))
     mu = limit / (2 * largest - limit) if 2 * largest > limit else np.inf

@@ -64,7 +64,7 @@ class DriveTruth:
     Attributes:
         motion, sensor: the noise. That of the sensor is the whole variance of single sightings, correlated parts included;
             its ``offset`` is where the sensor is believed to be.
-        parameters: {name of `graphslam.PARAMETERS`: value}, all of them.
+        parameters: {name of `PARAMETERS`: value}, all of them.
         landmarks: (M,) the true ids; `UNIDENTIFIED` for clutter.
         misread: (M,) whether the log has another id of a landmark that was seen.
         clutter: (M,) whether no landmark was there.
@@ -94,7 +94,7 @@ class Drive:
     Attributes:
         motion: the true noise of the odometry.
         sensor: the true noise of single sightings, and the limits of the sensor; ``offset`` is where it is believed to be.
-        parameters: true values of `graphslam.PARAMETERS` by their names; the others have their ideal values, and the
+        parameters: true values of `PARAMETERS` by their names; the others have their ideal values, and the
             place of the sensor counts from ``offset``.
 
     The other settings say themselves what they are, in the metadata of `dataclasses.fields`.

@@ -17,7 +17,6 @@ from graphslam import (
     LogError,
     MotionModel,
     OptionError,
-    RobotEstimate,
     SensorModel,
     associate,
     calibrate,
@@ -25,13 +24,14 @@ from graphslam import (
     load,
     sample_log_path,
     simulate,
-    without_biases,
 )
 from graphslam.association import score
 from graphslam.calibration import Calibration
 from graphslam.calibration.variances import fit_variances, standard_errors
 from graphslam.identification.parts import motion_parts, sensor_parts
+from graphslam.identification.robot import RobotEstimate
 from graphslam.log import UNIDENTIFIED
+from graphslam.parameters.corrections import without_biases
 from graphslam.parameters.declared import CORRECTIONS
 from graphslam.sources.drives import DriveTruth
 

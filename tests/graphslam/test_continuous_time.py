@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from graphslam import Log, LogError, MotionModel, load, save, simulate, with_poses_every
+from graphslam import Log, LogError, MotionModel, load, save, simulate
 from graphslam.continuous_time import control_path
+from graphslam.keyframes import with_poses_every
 from graphslam.se2 import between, compose, wrap
 
 MODEL = MotionModel(epsilon=1e-6)

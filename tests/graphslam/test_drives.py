@@ -10,7 +10,8 @@ import pytest
 from error_rates import ERROR_RATE, bound, chi_square_bounds
 from scipy import stats
 
-from graphslam import PARAMETERS, Drive, Graph, Log, MotionModel, OptionError, solve
+from graphslam import Drive, Graph, Log, MotionModel, OptionError, solve
+from graphslam.parameters import PARAMETERS
 from graphslam.reading import UNIDENTIFIED
 from graphslam.se2 import between, wrap
 from graphslam.sources.drives import SENSORS, SPREADS, correlated_errors

@@ -16,7 +16,6 @@ from graphslam import (
     first_fix,
     simulate,
     solve,
-    solve_gnc,
     solve_many,
     solve_online,
     solve_with_gtsam,
@@ -200,7 +199,7 @@ def test_misread_ids_are_no_part_of_the_solution():
     clean = solve(Graph.from_log(log, map=log.true_landmarks))
     for solved in (
         solve(Graph.from_log(log.replace(landmarks=ids), map=log.true_landmarks, kernel="geman-mcclure")),
-        solve_gnc(Graph.from_log(log.replace(landmarks=ids), map=log.true_landmarks)),
+        solve(Graph.from_log(log.replace(landmarks=ids), map=log.true_landmarks), method="gnc"),
     ):
         deviations = np.sqrt(np.diagonal(clean.covariance(), axis1=1, axis2=2))
         error = solved.poses - clean.poses

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from graphslam import (
-    WORLDS,
     Graph,
     GraphError,
     MotionModel,
@@ -19,6 +18,7 @@ from graphslam import (
 from graphslam.se2 import wrap
 from graphslam.solvers import gtsam_solver
 from graphslam.solvers.gtsam_solver import starting_state, to_gtsam, to_values
+from graphslam.sources.worlds import WORLDS
 
 #: a fifth of the book's motion noise, so that both solvers end in the same minimum of the landmark graphs
 GENTLE = MotionModel(nn=0.04, no=0.0002, on=0.026, oo=0.04)

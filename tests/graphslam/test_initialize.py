@@ -5,13 +5,10 @@ import numpy as np
 import pytest
 
 from graphslam import (
-    WORLDS,
     Graph,
     GraphError,
     Log,
-    MotionFaults,
     MotionModel,
-    SensorFaults,
     SensorModel,
     load,
     sample_log_path,
@@ -22,9 +19,11 @@ from graphslam import (
 from graphslam.se2 import wrap
 from graphslam.solvers import auto
 from graphslam.solvers.initial_values import _followed, _held, _solve_headings, dead_reckoning, rotation_first
+from graphslam.solvers.initialize import starting_state
 from graphslam.solvers.restarts import lower_by_turns
 from graphslam.solvers.sequential_start import sequential_start
-from graphslam.solvers.solve import starting_state
+from graphslam.sources.simulator import MotionFaults, SensorFaults
+from graphslam.sources.worlds import WORLDS
 from graphslam.transform import first_poses
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "hard_logs.py"

@@ -17,10 +17,8 @@ from graphslam import (
     sample_log_path,
     simulate,
     solve,
-    solve_gnc,
     solve_online,
     solve_with_gtsam,
-    without_biases,
 )
 from graphslam.parameters import PARAMETERS
 from graphslam.parameters.corrections import (
@@ -29,6 +27,7 @@ from graphslam.parameters.corrections import (
     corrected_sightings,
     motion_slopes,
     moves,
+    without_biases,
 )
 from graphslam.parameters.declared import parsed
 from graphslam.parameters.joint import JointGraph
@@ -297,7 +296,7 @@ def test_wrong_sightings_are_rejected_at_the_estimated_parameters(biased: Log) -
     z = biased.sightings.copy()
     z[wrong, 0] *= 2
     options = {"edges": "landmark+motion", "estimate": list(BIASES)}
-    robust = solve_gnc(Graph.from_log(biased.replace(sightings=z), **options))
+    robust = solve(Graph.from_log(biased.replace(sightings=z), **options), method="gnc")
     assert robust.trust is not None
     assert robust.trust[wrong].max() < 0.5 and np.mean(robust.trust[~wrong]) > 0.95
     clean = solve(Graph.from_log(biased.with_sightings(~wrong), **options)).parameters

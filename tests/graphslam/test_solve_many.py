@@ -19,7 +19,6 @@ from graphslam import (
     load,
     sample_log_path,
     solve,
-    solve_gnc,
     solve_many,
     solve_with_gtsam,
 )  # fmt: skip
@@ -171,7 +170,7 @@ def test_what_is_no_graph_is_refused_in_its_turn(graph: Graph) -> None:
         with pytest.raises(OptionError, match=r"graphs\[1\] must be a Graph, not a Log"):
             next(results)
     assert list(solve_many([])) == []
-    for one in (solve, solve_gnc, solve_with_gtsam):
+    for one in (solve, solve_with_gtsam):
         with pytest.raises(OptionError, match=r"graph must be a Graph, not a Log; Graph.from_log"):
             one(load(sample_log_path()))
 

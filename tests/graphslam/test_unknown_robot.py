@@ -13,7 +13,6 @@ from scipy import stats
 
 from fastslam import FastSLAM2
 from graphslam import (
-    Calibration,
     Drive,
     Graph,
     GraphError,
@@ -21,20 +20,20 @@ from graphslam import (
     LogError,
     MotionModel,
     OptionError,
-    RobotEstimate,
     SensorModel,
     estimate_robot,
     load,
     save,
     solve,
     solve_online,
-    without_biases,
 )
+from graphslam.calibration import Calibration
 from graphslam.identification import restricted_likelihood, robot, sighting_errors
 from graphslam.identification import unknowns as unknowns_module
 from graphslam.identification.odometry import Odometry
 from graphslam.identification.parts import motion_parts
 from graphslam.identification.restricted_likelihood import improve_variances, log_likelihood
+from graphslam.identification.robot import RobotEstimate
 from graphslam.identification.sighting_errors import LAGS, _unlikely, inflation, smoothed
 from graphslam.identification.unknowns import (
     DEGREES_MOTIONS,
@@ -46,7 +45,7 @@ from graphslam.identification.unknowns import (
 )
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import evaluate
-from graphslam.parameters.corrections import corrected_controls, motion_slopes
+from graphslam.parameters.corrections import corrected_controls, motion_slopes, without_biases
 from graphslam.se2 import between, wrap
 from graphslam.sources.drives import DriveTruth
 from graphslam.uncertainty import Uncertainty

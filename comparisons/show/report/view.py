@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphslam import ControlPath, Log
+from graphslam import Log
+from graphslam.continuous_time import ControlPath
 from graphslam.metrics import position_errors
 from graphslam.se2 import Array, perpendicular, turn_matrix
 
