@@ -1,4 +1,4 @@
-"""The log that the estimators work on, made from the reading and noise options."""
+"""The log that the estimators work on, made from the reading and noise options; `calibrate` estimates the noise of logs."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+import graphslam
 from graphslam import FormatError, GraphError, Log, LogError, OptionError, SensorModel, load, sample_log_path
 from graphslam.calibration import Calibration
 from graphslam.calibration.unidentified import robot_of
@@ -25,7 +26,7 @@ from graphslam.parameters.declared import CORRECTIONS, of_sensor_alone
 
 from .noise_files import read_noise
 from .option import options_of
-from .options import AUTO, BOOK, LogOptions, MapOptions, NoiseOptions, ReadingOptions
+from .options import AUTO, BOOK, CalibrationOptions, LogOptions, MapOptions, NoiseOptions, ReadingOptions
 
 Given = TypeVar("Given", bound=LogOptions)
 
@@ -175,3 +176,28 @@ def sha256_of(path: Path) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise FormatError(path, None, f"cannot be read: {error.strerror}") from None
+
+
+def calibrate(
+    log: Log | str | PathLike[str] | None = None, *others: Log | str | PathLike[str], **options: Any
+) -> Calibration:
+    """Estimate the noise of motion and sensor, and what is wrong with all sightings and controls.
+
+    Args:
+        log, others: logs, or files or folders of such; all of one kind of robot. None stands for the sample log.
+        options: the fields of `options.CalibrationOptions`: source, gaussian, robots, sensor_offset, and
+            those that read a log.
+
+    Raises:
+        FormatError: a file cannot be read.
+        LogError: the logs do not determine the noise.
+        OptionError: an option is unknown or impossible.
+    """
+    given = CalibrationOptions.of(**options)
+    if given.robots is not None and given.robot is not None:
+        raise OptionError("robot and robots exclude each other: name all of them in robots")
+    readings = [given] if given.robots is None else [replace(given, robot=robot) for robot in given.robots]
+    logs = [read_log(each, reading)[0] for each in (log, *others) for reading in readings]
+    sensor = (logs[0].sensor or SensorModel()).changed(**given.of_component("sensor"))
+    degrees = float("inf") if given.gaussian else None
+    return graphslam.calibrate(*logs, source=given.source, sensor=sensor, degrees=degrees)

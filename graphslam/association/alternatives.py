@@ -1,9 +1,12 @@
 """Alternative associations of a drive: which landmarks the robot may have returned to instead, and with what evidence.
 
 A return begins where landmarks are seen again that were out of sight for long, an arrival where new ones are seen after a
-blind drive. All sightings from there on are taken for new landmarks (those in sight all along excepted), the graph is
+blind stretch. All sightings from there on are taken for new landmarks (those in sight all along excepted), the graph is
 solved, and the joint evidence for the association that was found is compared with that of the best alternatives in which
 every landmark of the return is another one, or new.
+
+The time out of sight is measured by a clock in steps that counts blind stretches as more steps. Within a moment of this
+clock, odometry determines well enough where landmarks that were just seen must be.
 """
 
 from __future__ import annotations
@@ -14,7 +17,6 @@ import numpy as np
 
 from ..log import Log
 from ..se2 import Array
-from .absence import clock, moment_of
 from .classes import Classes
 from .densities import Densities, Field
 from .geometry import differences
@@ -194,3 +196,28 @@ def _pairs(
     weights = -densities.new + classes.together(shown[item], shown[other])
     nu = differences(apart.landmarks[item], apart.landmarks[other])
     return CandidatePairs(item, other, nu, covariance, weights, GATE), item, other
+
+
+#: a stretch is blind if it leaves landmarks a standard deviation above this part of their distance from each other
+CERTAIN = 1 / 6
+#: at most so many moments in a drive
+MOST_MOMENTS = 150
+
+
+def moment_of(backbone: Backbone, options: AssociationOptions) -> int:
+    """The length of a moment [steps]."""
+    return max(options.window, -(-backbone.log.num_poses // MOST_MOMENTS))
+
+
+def clock(backbone: Backbone, field: Field, densities: Densities, moment: int) -> np.ndarray:
+    """The time (T+1,) of each pose: its step, plus two moments for each blind stretch before it."""
+    log = backbone.log
+    noise = np.linalg.inv(backbone.motions.information)
+    variance = np.linalg.norm(noise[:, :2, :2], 2, axis=(1, 2)) + noise[:, 2, 2] * (field.farthest / 2) ** 2
+    total = np.concatenate([[0.0], np.cumsum(variance)])
+    scans = np.unique(log.steps)
+    per_area = densities.new + (np.log(2 * np.pi) if log.has_orientation else 0.0)
+    blind = np.sqrt(np.diff(total[scans])) > CERTAIN * np.exp(-0.5 * per_area)
+    leaps = np.zeros(log.num_poses, dtype=np.int64)
+    leaps[scans[1:][blind]] = 2 * moment
+    return np.arange(log.num_poses) + np.cumsum(leaps)

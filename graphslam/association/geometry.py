@@ -1,4 +1,4 @@
-"""Sightings and landmarks as places in the robot's axes, with derivatives: the Cartesian residual of `edges.cartesian`."""
+"""Sightings and landmarks as places in the robot's axes, with derivatives: the Cartesian residual of `edges.observation`."""
 
 from __future__ import annotations
 

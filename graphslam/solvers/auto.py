@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..certificate import GLOBAL, Certificate, descents, prove
+from ..certificate import GLOBAL, Certificate, prove
 from ..edges import SightingEdges
 from ..errors import GraphError
 from ..graph import Graph
@@ -25,7 +25,7 @@ from .gauss_newton import gauss_newton
 from .initialize import AUTO, GROWING, starting_state
 from .iteration import Run, factorized
 from .levenberg_marquardt import levenberg_marquardt
-from .restarts import lower_by_turns
+from .restarts import descents, lower_by_turns
 from .sequential_start import most_steps
 
 DAMPED = "levenberg-marquardt"

@@ -4,6 +4,8 @@ Sightings hold headings up to full turns. Where they are few or noisy, mainly th
 over a stretch of poses, and one full turn more or less, spread over the stretch, leads to another minimum. If the headings
 of an end deviate from those of the odometry by E over a stretch whose odometry has the variance V, the motion edges
 cost about E² / V there, and (2 pi - abs(E))² / V after the other turn.
+
+`descents` has the restarts from an end that is not proven, along the negative direction of its certificate.
 """
 
 from __future__ import annotations
@@ -95,3 +97,33 @@ def _stretches(E: Array, V: Array) -> list[tuple[int, int]]:
                 taken[first:last] = True
                 found.append((rise, first, last))
     return [(first, last) for _, first, last in sorted(found)]
+
+
+#: the lengths that are tried, as changes of the heading [rad] that turns most
+CHANGES = (4.0, 2.0, 1.0)
+
+
+def descents(graph: Graph, state: Array, direction: Array) -> Iterator[Array]:
+    """States (n, 3) along a direction of `Certificate`, from which the cost may fall below that of the state.
+
+    The function below J falls along the direction, and along the direction turned by any angle; it is turned so that the
+    headings change most. J itself need not fall at once, so that long steps come first: on simulated logs, most lower ends
+    were reached from changes of two to four radians.
+    """
+    poses = len(graph.steps)
+    z, t = np.exp(1j * state[:poses, 2]), state[:, 0] + 1j * state[:, 1]
+    turned = direction[:poses, 0] * np.conj(z)
+    largest = np.abs(turned).max(initial=0.0)
+    if largest == 0:
+        return
+    # exp(i phase) makes the squares of the turns as negative as possible: the changes are imaginary, along the circle
+    phase = (np.pi - np.angle(np.sum(turned**2))) / 2
+    step = direction * np.exp(1j * phase) / largest
+    for length in CHANGES:
+        for sign in (1.0, -1.0):
+            moved = state.copy()
+            place = t + sign * length * step[:, 1]
+            moved[:, 0], moved[:, 1] = place.real, place.imag
+            moved[:poses, 2] = np.angle(z + sign * length * step[:poses, 0])
+            moved[graph.fixed] = state[graph.fixed]
+            yield moved

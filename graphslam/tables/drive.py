@@ -16,9 +16,8 @@ from ..checks import first
 from ..errors import LogError, named, quoted
 from ..reading import UNIDENTIFIED, Fault, finite_fault, range_faults, sound_rows
 from ..se2 import Array
-from .classes import classes_of
 from .columns import MEASURES, NAMES, Chosen, find, unit_of
-from .ids import Ids, id_fault, ids_of
+from .ids import Ids, classes_of, id_fault, ids_of
 from .options import ANGLES, LENGTHS, TableOptions
 from .poses import checked_heading, controls_between
 from .repeats import Doubt, repeated_sightings, repeated_times

@@ -17,9 +17,10 @@ from comparisons.cli import app
 from comparisons.comparison import Comparison
 from comparisons.estimators import make_graph
 from comparisons.results import EstimatorResult, dead_reckoning_covariances
-from comparisons.show.report import matrix, page, page_of, paths, write_report
+from comparisons.show.report import matrix, page, paths
 from comparisons.show.report.convergence import iterations, plain_steps
 from comparisons.show.report.curves import convergence_figure, costs_figure, errors_figure
+from comparisons.show.report.page import page_of, write_report
 from comparisons.show.report.traces import dash_of
 from comparisons.show.report.view import view_of
 from graphslam import Graph, Log, MotionModel, OptionError, SlamError, save, simulate, solve, textbook
