@@ -286,8 +286,7 @@ def _seen(poses: Array, sightings: Array, sensor: SensorModel) -> tuple[Array, A
     """The landmarks (M, 3) of sightings with covariances (M, 3, 3), and their levers (M, 2) about the poses."""
     d = sightings.shape[1]
     y, C = np.full((len(poses), 3), np.nan), np.zeros((len(poses), 3, 3))
-    y[:, :d] = sensor.h_inverse(poses, sightings)
-    C[:, :d, :d] = sensor.landmark_covariance(poses, sightings)
+    y[:, :d], C[:, :d, :d] = sensor.places(sightings, poses)
     lever = y[:, :2] - poses[:, :2]
     return y, C, np.column_stack([-lever[:, 1], lever[:, 0]])
 

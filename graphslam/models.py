@@ -427,6 +427,20 @@ class SensorModel(NoiseModel):
             covariance[..., 2, 2] = self.orientation_std**2
         return covariance
 
+    def places(
+        self, sightings: ArrayLike, poses: ArrayLike | None = None, noisy: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """The landmarks of sightings with their covariances: h^-1(x, z) (..., n) and R Q R' (..., n, n).
+
+        Args:
+            sightings: z (..., n).
+            poses: x (..., 3); default: the origin, so that landmarks are in the robot's axes.
+            noisy: the sightings (..., n) at which R and Q are evaluated; default: z.
+        """
+        z = np.asarray(sightings, dtype=float)
+        x = np.zeros((*z.shape[:-1], 3)) if poses is None else poses
+        return self.h_inverse(x, z), self.landmark_covariance(x, z if noisy is None else noisy)
+
     def landmark_covariance(self, pose: ArrayLike, sighting: ArrayLike) -> Array:
         """The covariance of h^-1(x, z) for a known pose, R Q R'; (..., n, n)."""
         R = self.R(pose, sighting)

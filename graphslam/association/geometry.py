@@ -21,9 +21,7 @@ class Places:
     @classmethod
     def of(cls, log: Log, sensor: SensorModel) -> Places:
         """The places of the sightings of a log."""
-        origin = np.zeros((len(log.steps), 3))
-        covariances = sensor.landmark_covariance(origin, log.sightings)
-        return cls(sensor.h_inverse(origin, log.sightings), covariances)
+        return cls(*sensor.places(log.sightings))
 
 
 def seen_from(pose: Array, landmarks: Array) -> tuple[Array, Array, Array]:

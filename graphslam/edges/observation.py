@@ -82,9 +82,8 @@ class CartesianObservationEdges(ObservationEdges, EngineEdges):
     @cached_property
     def relative(self) -> RobustPointEdges | RobustPoseEdges:
         """The same edges as landmarks measured in the robot's axes, the trust in their information."""
-        at_origin = np.zeros((self.count, 3))
-        measured = self.sensor.h_inverse(at_origin, self.sightings)
-        information = np.linalg.inv(self.sensor.landmark_covariance(at_origin, self.noisy))
+        measured, covariance = self.sensor.places(self.sightings, noisy=self.noisy)
+        information = np.linalg.inv(covariance)
         information = (information + np.swapaxes(information, 1, 2)) / 2 * self.trusted[:, None, None]
         edges = RobustPoseEdges if self.oriented else RobustPointEdges
         return edges(self.first, self.second, measured, information, frame=self.frame, kernel=self.kernel)

@@ -104,11 +104,9 @@ class OwnBackend(Backend):
         self.update(relation)
 
     def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
-        at_origin = np.zeros((len(sightings), 3))
         # a range beyond floating point has no inverse covariance, and is refused for that
         with np.errstate(over="ignore", invalid="ignore"):
-            measured = self._sensor.h_inverse(at_origin, sightings)
-            covariances = self._sensor.landmark_covariance(at_origin, sightings)
+            measured, covariances = self._sensor.places(sightings)
         self.update(None, pose, ids, measured, inverses(covariances, "sighting", "check the noise of the sensor"))
 
     def update(

@@ -128,9 +128,8 @@ def _measured(description: FactorDescription) -> tuple[Array, Array]:
     if "z" in a:
         if a.get("residual") == "polar":
             raise GraphError(f"the residual h(x, m) - z of {description} has no such form; use residual='cartesian'")
-        return a["sensor"].h_inverse(origin, a["z"]), _inverse(a["sensor"].landmark_covariance(origin, a["z"])) * a[
-            "scale"
-        ]
+        measured, covariance = a["sensor"].places(a["z"])
+        return measured, _inverse(covariance) * a["scale"]
     return a["measured"], a["information"]
 
 
