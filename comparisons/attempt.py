@@ -16,9 +16,8 @@ from pebble import ProcessExpired, ProcessPool
 
 from graphslam import Log, OptionError, SlamError
 
-from .estimators import ESTIMATORS
+from .estimators import ESTIMATORS, warm_up
 from .failures import sentence
-from .loading import warm_up
 from .options import RunOptions
 from .pool import how_it_ended, processes, too_long
 from .results import EstimatorResult

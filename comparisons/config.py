@@ -17,7 +17,7 @@ from urllib.parse import unquote_to_bytes
 
 from graphslam import OptionError
 from graphslam.files import check_file
-from graphslam.sources.worlds import sample_log_path
+from graphslam.simulation.worlds import sample_log_path
 
 from .estimators import check_estimators
 from .option import options_of

@@ -6,15 +6,18 @@ Add one by writing its function and naming it in `ESTIMATORS`; tables, figures a
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 import fastslam
 import graphslam
-from graphslam import Graph, GraphError, Log, OptionError, SensorModel, SlamError, Solution
+from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorModel, SlamError, Solution, simulate
 from graphslam.checks import suggestion
 from graphslam.defaults import edges_for_map, suitable_edges, suitable_for_isam2, suitable_kernel
 from graphslam.errors import quoted
@@ -423,3 +426,16 @@ def _with_map(source: Log, sensor: SensorModel | None, poses: Any, **rest: Any) 
         landmarks = graphslam.estimate_map(source, poses, sensor=sensor)
         rest |= {"landmarks": dict(landmarks), "landmark_covariances": landmarks.covariances}
     return EstimatorResult(poses=poses, notes=tuple(notes), **rest)
+
+
+@cache
+def warm_up(estimator: str) -> None:
+    """Run an estimator on a tiny log, so that loading its modules is no part of its time.
+
+    What goes wrong here shows again, with its message, when the estimator runs on the user's log.
+    """
+    for orientation in (True, False):
+        log = simulate(steps=6, orientation=orientation)
+        with suppress(Exception), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            ESTIMATORS[estimator].run(log, RunOptions.of(particles=2, motion=MotionModel(), sensor=SensorModel()))

@@ -4,7 +4,7 @@ An option is a field of a dataclass: its name, type and default are those of the
 choices and limits are the field's metadata (see `comparisons.option`). The command line, configuration files, study files,
 the printed next commands and the keywords of the Python functions all derive from these fields. Options of
 the particle filters are fields of `fastslam.options`, the numbers of the noise models fields of `graphslam.models`, and those
-of the simulator are in `graphslam.sources`. All others are declared here.
+of the simulator are in `graphslam.simulation`. All others are declared here.
 
 To add an option, add a field and use it where it takes effect.
 """
@@ -21,8 +21,8 @@ from graphslam.errors import OptionError
 from graphslam.landmark_map import USES, LandmarkMap
 from graphslam.models import RESIDUALS, MotionModel, SensorModel
 from graphslam.parameters.declared import PARAMETERS, parsed
-from graphslam.sources.simulator import MotionFaults, SensorFaults
-from graphslam.sources.worlds import WORLDS, World
+from graphslam.simulation.simulator import MotionFaults, SensorFaults
+from graphslam.simulation.worlds import WORLDS, World
 
 from .option import OUTPUT as OUTPUT
 from .option import Options

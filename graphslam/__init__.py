@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .edges.robust import Cauchy, GemanMcClure, Huber
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
     from .formats import load, save
+    from .formats.synchronize import synchronize
     from .graph import Graph
     from .identification.robot import estimate_robot
     from .landmark_map import LandmarkMap
@@ -27,15 +28,14 @@ if TYPE_CHECKING:
     from .mapping import estimate_map
     from .models import MotionModel, SensorModel
     from .online import OnlineSolver, solve_online
+    from .simulation.drives import Drive
+    from .simulation.simulator import simulate
+    from .simulation.worlds import World, sample_log_path
     from .solution import Solution
     from .solvers.gtsam_solver import solve_with_gtsam
     from .solvers.many import solve_many
     from .solvers.solve import solve
-    from .sources.drives import Drive
-    from .sources.simulator import simulate
     from .sources.streams import Stream
-    from .sources.synchronize import synchronize
-    from .sources.worlds import World, sample_log_path
 
 #: the public names, by the module that defines them; "" lists modules
 _PUBLIC = {
@@ -60,10 +60,10 @@ _PUBLIC = {
     "solvers.gtsam_solver": "solve_with_gtsam",
     "solvers.many": "solve_many",
     "solvers.solve": "solve",
-    "sources.drives": "Drive",
-    "sources.simulator": "simulate",
+    "simulation.drives": "Drive",
+    "simulation.simulator": "simulate",
     "sources.streams": "Stream",
-    "sources.synchronize": "synchronize",
-    "sources.worlds": "World sample_log_path",
+    "formats.synchronize": "synchronize",
+    "simulation.worlds": "World sample_log_path",
 }
 __getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)

@@ -20,9 +20,9 @@ from .tables import PYTHON_FACTORS
 
 if TYPE_CHECKING:
     from ..backends import BackendComparison, BackendRow
+    from ..bootstrap import Median
     from ..consistency import ConsistencyStudy
     from ..particles import ParticleStudy
-    from ..studies.bootstrap import Median
     from ..studies.summary import Summary
 
 #: with more logs than this only the group of all logs is drawn

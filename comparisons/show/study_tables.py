@@ -15,10 +15,10 @@ from .cells import NOTHING, LeanTable, number, seconds, yes_no
 if TYPE_CHECKING:
     from graphslam.calibration import Calibration
 
+    from ..bootstrap import Median
     from ..consistency import Consistency, ConsistencyStudy
     from ..datasets import Survey
     from ..particles import ParticleStudy
-    from ..studies.bootstrap import Median
     from ..studies.summary import Summary
     from .tables import Tables
 

@@ -18,8 +18,8 @@ from graphslam import OptionError
 from graphslam.checks import suggestion
 from graphslam.errors import quoted
 
+from ..bootstrap import Median, median_of
 from ..display import Displayed
-from .bootstrap import Median, median_of
 from .database import StudyDatabase
 from .outcome import DONE, TIMEOUT
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from graphslam import Graph, MotionModel, SensorModel, calibrate, load, simulate, solve
 from graphslam.metrics import ate
-from graphslam.sources.simulator import MotionFaults, SensorFaults
+from graphslam.simulation.simulator import MotionFaults, SensorFaults
 
 # %% times
 log = load("examples/own_robot")

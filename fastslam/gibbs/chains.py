@@ -19,9 +19,9 @@ from ..fastslam2 import FastSLAM2
 from ..memory import GIGABYTE, available_memory, forecast
 from ..motions import robot_poses
 from ..options import FilterOptions, GibbsOptions
+from ..sightings import Problem
 from .low_rank import MOVES, LowRank, Target
 from .result import GibbsResult
-from .sightings import Problem
 
 
 class ParticleGibbs:

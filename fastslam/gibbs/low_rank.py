@@ -18,7 +18,7 @@ from graphslam.linear.information import BlockSystem
 from graphslam.se2 import Array, wrap
 
 from ..options import GibbsOptions
-from .sightings import Problem
+from ..sightings import Problem
 
 #: the most directions, and the share of all dimensions
 DIRECTIONS, SHARE = 150, 0.5

@@ -15,7 +15,7 @@ from ..errors import GraphError, LogError, OptionError, quoted
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from ..parameters.declared import ParameterEstimate
-from ..precision import check_log
+from ..precision import check_magnitudes
 from ..se2 import Array
 from .adapting import Robot, wanted
 from .ambiguity import Ambiguity, ambiguities
@@ -175,7 +175,7 @@ def associate(
         raise LogError(f"{log.name} has no controls, so nothing tells where sightings without ids were made")
     if len(log.steps) == 0:
         raise GraphError(f"{log.name} has no sightings at all, so there is nothing to associate")
-    check_log(log, motion, sensor)
+    check_magnitudes(log, motion, sensor)
     recorded = log
     if log.identified or not options.keep_ids:
         log = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))

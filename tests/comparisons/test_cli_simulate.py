@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 import graphslam
 from comparisons.cli import app
 from graphslam import MotionModel, SensorModel, World, load, simulate
-from graphslam.sources.simulator import MotionFaults, SensorFaults
+from graphslam.simulation.simulator import MotionFaults, SensorFaults
 
 Invoke = Callable[..., Result]
 

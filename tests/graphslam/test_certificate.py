@@ -14,7 +14,7 @@ from graphslam.certificate import prove, prove_edges
 from graphslam.certificate.proof import _Problem
 from graphslam.edges import AnchorEdges, ConstantEdges, RelativePointEdges, RelativePoseEdges
 from graphslam.se2 import between, compose, wrap
-from graphslam.sources.simulator import SensorFaults
+from graphslam.simulation.simulator import SensorFaults
 
 
 @pytest.fixture(scope="module")

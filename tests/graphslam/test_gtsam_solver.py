@@ -16,9 +16,9 @@ from graphslam import (
     solve_with_gtsam,
 )
 from graphslam.se2 import wrap
+from graphslam.simulation.worlds import WORLDS
 from graphslam.solvers import gtsam_solver
 from graphslam.solvers.gtsam_solver import starting_state, to_gtsam, to_values
-from graphslam.sources.worlds import WORLDS
 
 #: a fifth of the book's motion noise, so that both solvers end in the same minimum of the landmark graphs
 GENTLE = MotionModel(nn=0.04, no=0.0002, on=0.026, oo=0.04)

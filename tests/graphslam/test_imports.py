@@ -8,7 +8,7 @@ import pytest
 
 import graphslam
 from graphslam import MotionModel, SensorModel, World
-from graphslam.sources.simulator import MotionFaults, SensorFaults
+from graphslam.simulation.simulator import MotionFaults, SensorFaults
 
 HEAVY = ("gtsam", "scipy.stats", "scipy.io", "scipy.optimize", "scipy.sparse")
 

@@ -15,7 +15,7 @@ from graphslam import (
 )
 from graphslam.edges.robust import Cauchy
 from graphslam.se2 import wrap
-from graphslam.sources.simulator import MotionFaults, SensorFaults
+from graphslam.simulation.simulator import MotionFaults, SensorFaults
 
 
 def test_three_dimensional_map_is_the_textbooks(book_log):

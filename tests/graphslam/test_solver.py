@@ -6,9 +6,9 @@ import pytest
 from graphslam import Graph, OptionError, simulate, solve, solve_with_gtsam, textbook
 from graphslam.edges import AnchorEdges
 from graphslam.se2 import wrap
+from graphslam.simulation.worlds import WORLDS
 from graphslam.solvers import gauss_newton
 from graphslam.solvers.iteration import Run
-from graphslam.sources.worlds import WORLDS
 
 
 def difference(a, b):
@@ -119,7 +119,7 @@ def test_renaming_landmarks_changes_nothing(book_log):
 
 
 def test_a_noise_free_log_is_solved_exactly():
-    from graphslam.sources.simulator import MotionFaults, SensorFaults
+    from graphslam.simulation.simulator import MotionFaults, SensorFaults
 
     none = {"range_noise_rate": 0, "bearing_noise": 0, "orientation_noise": 0, "oversight": 0}
     no_bias = {"range_bias_rate_std": 0, "bearing_bias_std": 0, "orientation_bias_std": 0}

@@ -47,7 +47,7 @@ from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import evaluate
 from graphslam.parameters.corrections import corrected_controls, motion_slopes, without_biases
 from graphslam.se2 import between, wrap
-from graphslam.sources.drives import DriveTruth
+from graphslam.simulation.drives import DriveTruth
 from graphslam.uncertainty import Uncertainty
 
 

@@ -12,7 +12,7 @@ from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
 
-from ..motions import sensor_motions
+from .motions import sensor_motions
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..log import Log
 from ..reading import ReadOptions
-from .streams import Stream, parts_of_streams
+from ..sources.streams import Stream, parts_of_streams
 
 
 def synchronize(
