@@ -83,6 +83,12 @@ class OnlineSolver:
         """An independent solver, as `copy.deepcopy` makes one. ISAM2 has no copies."""
         return deepcopy(self)
 
+    def __repr__(self) -> str:
+        """One line: backend and sizes."""
+        backend = self._backend
+        kind = type(backend).__name__.removesuffix("Backend").lower()
+        return f"<OnlineSolver by {kind}: {backend.num_poses} poses, {len(backend.landmark_ids)} landmarks>"
+
     # -- measurements ------------------------------------------------------------------------------------------------
 
     def move(

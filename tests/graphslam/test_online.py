@@ -262,6 +262,7 @@ def test_both_backends_take_the_same_calls(backend):
     solver.relinearize()
     assert solver.converged and solver.step == 9
     assert list(solver.landmarks) == [-7, 4]
+    assert repr(solver) == f"<OnlineSolver by {backend}: 10 poses, 2 landmarks>"
     found = [solver.poses, np.array(list(solver.landmarks.values())), solver.cost]
     found.append(solver.covariance(poses=[3, 9], landmarks=[4, -7], joint=True))
     blocks, points = solver.covariance(poses=[3, 9], landmarks=[4, -7])
