@@ -134,7 +134,7 @@ def real(name: str, front_end: str, particles: int) -> None:
     seconds = time.process_time() - begin
     unaligned = np.sqrt(np.nanmean(np.sum((poses - log.true_poses)[:, :2] ** 2, axis=1)))
     line = f"{name}: {a.landmarks} landmarks, {a.clutter} of {len(a.ids)} clutter, {a.ambiguous} ambiguous, "
-    line += f"{len(a.doubts)} doubts, J/dof {a.cost_per_dof:.2f}, ATE {ate(log.true_poses, poses):.3f} m (unaligned "
+    line += f"{len(a.ambiguities)} ambiguous, J/dof {a.cost_per_dof:.2f}, ATE {ate(log.true_poses, poses):.3f} m (unaligned "
     line += f"{unaligned:.3f} m), {seconds:.1f} s"
     if log.identified:
         s = score(a.ids, log.landmarks)

@@ -26,9 +26,7 @@ from graphslam import (
     Graph,
     GraphError,
     Log,
-    MotionFaults,
     MotionModel,
-    SensorFaults,
     SlamError,
     load,
     sample_log_path,
@@ -38,6 +36,7 @@ from graphslam import (
 from graphslam.certificate import prove
 from graphslam.edges import AnchorEdges, RelativePointEdges, RelativePoseEdges
 from graphslam.se2 import Array, between, wrap
+from graphslam.simulation.simulator import MotionFaults, SensorFaults
 
 PUBLIC = (
     "input_INTEL_g2o.g2o", "input_M3500_g2o.g2o", "CSAIL.g2o", "city10000.g2o", "dlr.g2o", "simulation-pose-landmark.g2o",

@@ -116,7 +116,7 @@ def worlds(logs: int) -> Iterator[str]:
             reference = importance(
                 log, SensorModel(), MotionModel(), about, size=60_000, draws=8, degrees=degrees, exact=exact
             )
-            poses = np.diagonal(result.pose_covariances[1:], axis1=1, axis2=2)
+            poses = np.diagonal(result.covariance()[1:], axis1=1, axis2=2)
             marks = [np.diag(C)[:2] for C in result.landmark_covariances.values()]
             ratios = np.sqrt(np.concatenate([poses.ravel(), *marks])) / reference.std
             pose_errors = batch_errors(result.deviations[..., :9])[1]
@@ -138,14 +138,14 @@ def _ratio(ratios: Array) -> float:
 def _of_gibbs(result: GibbsResult) -> tuple[Array, Array]:
     found = np.concatenate([result.poses[-1], *(m[:2] for m in result.landmarks.values())])
     variances = [np.diag(C)[:2] for C in result.landmark_covariances.values()]
-    return found, np.sqrt(np.concatenate([np.diag(result.pose_covariances[-1]), *variances]))
+    return found, np.sqrt(np.concatenate([np.diag(result.covariance()[-1]), *variances]))
 
 
 def _of_filter(slam: FastSLAM1) -> tuple[Array, Array]:
     """Means and standard deviations of the last pose and the landmarks' positions."""
     slam.run()
     state, mixture = slam.state, slam.state.mixture_map()
-    variances = [np.diag(state.pose_covariance), *(np.diag(mixture[j].covariance)[:2] for j in sorted(mixture))]
+    variances = [np.diag(state.covariance()), *(np.diag(mixture[j].covariance)[:2] for j in sorted(mixture))]
     means = [state.mean_pose, *(mixture[j].mean[:2] for j in sorted(mixture))]
     return np.concatenate(means), np.sqrt(np.concatenate(variances))
 
@@ -164,7 +164,7 @@ def long(logs: int) -> Iterator[str]:
         for result in (run, reference):
             maps = np.array(list(result.landmarks.values()))
             variances = np.array([np.diag(C) for C in result.landmark_covariances.values()])
-            poses = np.diagonal(result.pose_covariances[1:], axis1=1, axis2=2)
+            poses = np.diagonal(result.covariance()[1:], axis1=1, axis2=2)
             means.append((result.poses[1:], maps))
             spreads.append((np.sqrt(poses), np.sqrt(variances)))
         off = means[0][0] - means[1][0]
@@ -196,7 +196,7 @@ def smoothing(logs: int) -> Iterator[str]:
                 off = np.stack([result.mean_poses, result.smoothed.poses])[:, 1:] - exact.poses[1:]
                 off[..., 2] = wrap(off[..., 2])
                 errors.append(np.sqrt(np.mean((off / std) ** 2, axis=(1, 2))))
-                found = np.sqrt(np.diagonal(result.smoothed.pose_covariances[1:], axis1=1, axis2=2))
+                found = np.sqrt(np.diagonal(result.smoothed.covariance()[1:], axis1=1, axis2=2))
                 ratios.append(np.median(found / std))
             histories, drawn = np.mean(errors, axis=0)
             yield (

@@ -1,4 +1,4 @@
-"""Random drives of the online solver with bad steps and bad questions in between: each is refused with a sentence, and leaves
+"""Random drives of the online solver with bad calls and bad questions in between: each is refused with a sentence, and leaves
 the solver as one that never saw it.
 
 python benchmarks/fuzz_online.py                      # 1,000 drives
@@ -26,8 +26,8 @@ from fuzzing.attempt import attempt
 
 from graphslam import GraphError, MotionModel, OnlineSolver, SensorModel, SlamError
 
-#: arguments of a step
-Step = dict[str, Any]
+#: the name of a method and its arguments
+Call = tuple[str, dict[str, Any]]
 
 
 def online_case(seed: int, number: int) -> tuple[str, Callable[[], list[str]]]:
@@ -49,10 +49,10 @@ def wrong_with(rng: Generator, columns: int, lag: int | None, kernel: str | None
     problems: list[str] = []
     for number in range(steps):
         for _ in range(rng.integers(0, 3)):
-            bad, before = bad_step(rng, columns, tried), state_of(tried)
+            bad, before = bad_call(rng, columns, tried), state_of(tried)
             if not refused(tried, bad):
                 # it was possible after all
-                clean.step(**bad)
+                call(clean, bad)
             elif state_of(tried) != before:
                 problems.append(f"step {number}: changed by the refused {bad}")
         for question in QUESTIONS:
@@ -63,18 +63,19 @@ def wrong_with(rng: Generator, columns: int, lag: int | None, kernel: str | None
                 pass
             except Exception as error:
                 problems.append(f"{type(error).__name__} after covariance({question}): {error}")
-        step, pose = good_step(rng, columns, pose, marks, motion, sensor)
+        calls, pose = good_step(rng, columns, pose, marks, motion, sensor)
         branch, before = copy(tried), state_of(tried)
-        outcomes = [refused(solver, step) for solver in (tried, clean)]
-        if outcomes[0] != outcomes[1]:
-            return [*problems, f"step {number}: refused {outcomes[0]}, without the bad steps {outcomes[1]}: {step}"]
+        for good in calls:
+            outcomes = [refused(solver, good) for solver in (tried, clean)]
+            if outcomes[0] != outcomes[1]:
+                return [*problems, f"step {number}: refused {outcomes[0]}, without the bad calls {outcomes[1]}: {good}"]
         if state_of(branch) != before:
             problems.append(f"step {number}: a copy changed with its original")
     for what, values in zip(PARTS, zip(*map(parts_of, (tried, clean)), strict=True), strict=True):
         if not np.isfinite(values[0]).all():
             problems.append(f"{what} not finite")
         if not np.array_equal(*values):
-            problems.append(f"{what} differ from those of a solver that never saw the bad steps")
+            problems.append(f"{what} differ from those of a solver that never saw the bad calls")
     return problems
 
 
@@ -82,21 +83,21 @@ def wrong_with(rng: Generator, columns: int, lag: int | None, kernel: str | None
 PARTS = ("ids", "landmarks", "poses", "cost", "covariance of the newest pose")
 #: what no solver can answer
 QUESTIONS: tuple[dict[str, Any], ...] = (
-    {"pose": -1}, {"pose": 10**9}, {"pose": 2**70}, {"pose": 0.5}, {"pose": "0"}, {"pose": float("nan")}, {"pose": True},
-    {"landmarks": [10**6]}, {"landmarks": [[1]]}, {"landmarks": ["1"]}, {"landmarks": [None]}, {"landmarks": 3},
+    {"poses": -1}, {"poses": 10**9}, {"poses": 2**70}, {"poses": 0.5}, {"poses": "0"}, {"poses": float("nan")},
+    {"poses": True},
+    {"landmarks": [10**6]}, {"landmarks": [[1]]}, {"landmarks": ["1"]}, {"landmarks": [None]}, {"landmarks": {3}},
 )  # fmt: skip
 
 
 def state_of(solver: OnlineSolver) -> tuple[Any, ...]:
-    """What a refused step must not change, without a solution of the tree."""
+    """What a refused call must not change, without a solution of the tree."""
     return (
-        solver._system.__getstate__(),
-        solver.num_poses,
+        solver._backend.system.__getstate__(),
+        solver.step,
         solver.num_final,
         solver.converged,
-        solver.passes,
         solver._time,
-        solver._columns,
+        solver._backend.columns,
     )
 
 
@@ -111,42 +112,51 @@ def parts_of(solver: OnlineSolver) -> list[np.ndarray]:
     return [np.array(list(landmarks)), places, solver.poses, np.array(solver.cost), covariance]
 
 
-def refused(solver: OnlineSolver, step: Step) -> bool:
-    """Whether a solver refuses a step; anything but a refusal with one sentence is raised."""
+def call(solver: OnlineSolver, made: Call) -> None:
+    """Make a call."""
+    name, arguments = made
+    getattr(solver, name)(**arguments)
+
+
+def refused(solver: OnlineSolver, made: Call) -> bool:
+    """Whether a solver refuses a call; anything but a refusal with one sentence is raised."""
     try:
-        solver.step(**step)
+        call(solver, made)
     except SlamError as error:
         if "\n" in str(error) or not str(error):
             raise AssertionError(f"an error of several lines: {error}") from error
         return True
     except Exception as error:
-        error.add_note(f"the step was {step!r:.200}")
+        error.add_note(f"the call was {made!r:.200}")
         raise
     return False
 
 
 def good_step(
     rng: Generator, columns: int, pose: np.ndarray, marks: np.ndarray, motion: MotionModel, sensor: SensorModel
-) -> tuple[Step, np.ndarray]:
-    """A step with noise, and the true pose after it."""
+) -> tuple[list[Call], np.ndarray]:
+    """The calls of a step with noise, and the true pose after it."""
     control = np.array([rng.uniform(-0.5, 1.0), rng.uniform(-1, 1)])
     pose = motion.f(pose, control, 1.0)
-    step: Step = {"control": control + 0.01 * rng.standard_normal(2), "dt": 1.0}
+    move: dict[str, Any] = {"control": control + 0.01 * rng.standard_normal(2), "dt": 1.0}
     if rng.random() < 0.2:
         measured = np.array([control[0], 0.0, control[1]])
-        step = {"motion": measured, "covariance": np.diag([0.3, 0.3, 0.3]) ** 2}
+        move = {"motion": measured, "covariance": np.diag([0.3, 0.3, 0.3]) ** 2}
     ids = np.flatnonzero(rng.random(len(marks)) < 0.5)
     z = np.array([sensor.h(pose, marks[j, :columns]) for j in ids]).reshape(-1, columns)
     z += 0.3 * sensor.bearing_std * rng.standard_normal(z.shape)
     z[:, 0] = np.maximum(z[:, 0], 0.05)
-    return step | {"ids": ids, "sightings": z}, pose
+    return [("move", move), ("observe", {"ids": ids, "sightings": z})], pose
 
 
-def bad_step(rng: Generator, columns: int, solver: OnlineSolver) -> Step:
-    """A step with one thing that cannot be, or hardly."""
-    good: Step = {"control": (0.5, 0.1), "dt": 1.0, "ids": [1, 2], "sightings": np.full((2, columns), 0.5)}
-    last = solver.num_poses - 1
-    edge, eye = np.array([0.1, 0.0, 0.1]), 1e-2 * np.eye(3)
+def bad_call(rng: Generator, columns: int, solver: OnlineSolver) -> Call:
+    """A call with one thing that cannot be, or hardly."""
+    last, edge, eye = solver.step, np.array([0.1, 0.0, 0.1]), 1e-2 * np.eye(3)
+    good: dict[str, dict[str, Any]] = {
+        "move": {"control": (0.5, 0.1), "dt": 1.0},
+        "observe": {"ids": [1, 2], "sightings": np.full((2, columns), 0.5)},
+        "relate": {"first": 0, "second": last + 1, "motion": edge, "covariance": eye},
+    }
     other = [
         np.full((3, 3), np.nan),
         -eye,
@@ -156,32 +166,46 @@ def bad_step(rng: Generator, columns: int, solver: OnlineSolver) -> Step:
         1e-300 * eye,
         "eye",
     ]
-    changes: list[Step] = [
-        {name: value} for name in ("control", "dt", "ids", "sightings", "pose", "motion", "time", "relations")
-        for value in ODD
+    changes: list[Call] = [
+        (method, {name: value})
+        for method, names in (
+            ("move", ("control", "dt", "motion", "time")), ("observe", ("ids", "sightings", "pose", "time")),
+            ("relate", ("first", "second", "motion", "covariance")),
+        )
+        for name in names for value in ODD
     ]  # fmt: skip
-    changes += [{"control": None, "dt": None, "motion": edge, "covariance": P} for P in other]
+    changes += [("move", {"control": None, "dt": None, "motion": edge, "covariance": P}) for P in other]
     changes += [
-        {"control": None, "dt": None, "motion": 10**k * edge, "covariance": 10.0**-k * eye} for k in (9, 100, 200)
+        ("move", {"control": None, "dt": None, "motion": 10**k * edge, "covariance": 10.0**-k * eye})
+        for k in (9, 100, 200)
     ]
-    changes += [{"relations": [(0, last + 1, edge, P)]} for P in other]
+    changes += [("relate", {"covariance": P}) for P in other]
     changes += [
-        {"relations": [pair]}
-        for pair in (
-            (last, last, edge, eye), (-1, last, edge, eye), (last + 2, 0, edge, eye), (0, last, np.full(3, np.inf), eye),
-            (0.5, last, edge, eye), (0, 2**70, edge, eye), (0, last), ("a", "b", edge, eye), None,
+        ("relate", {"first": a, "second": b})
+        for a, b in ((last, last), (-1, last), (last + 2, 0), (0.5, last), (0, 2**70), ("a", "b"), (0, None))
+    ]
+    changes += [("relate", {"second": last, "motion": np.full(3, np.inf)})]
+    changes += [
+        ("observe", {"sightings": np.full((2, columns), value)})
+        for value in (np.nan, -1.0, 0.0, 1e300, 1e-300, np.inf, -np.inf)
+    ]
+    changes += [
+        ("observe", more)
+        for more in (
+            {"sightings": np.ones((2, 5 - columns))}, {"sightings": np.ones((3, columns))}, {"ids": [1, 2, 3]},
+            {"ids": [-1, 2]},
+            *({"pose": p} for p in (-1, last + 1, last + 5, 0 if solver.num_final else -2)),
         )
     ]  # fmt: skip
     changes += [
-        {"sightings": np.full((2, columns), value)} for value in (np.nan, -1.0, 0.0, 1e300, 1e-300, np.inf, -np.inf)
-    ]
-    changes += [{"sightings": np.ones((2, 5 - columns))}, {"sightings": np.ones((3, columns))}, {"ids": [1, 2, 3]}]
-    changes += [{"control": None}, {"dt": None}, {"pose": last}, {"covariance": eye}, {"dt": 1e300}, {"dt": 1e-300}]
-    changes += [{"control": (1e200, 0.1)}, {"control": (0.1, 1e300)}, {"time": -1e300}, {"ids": [-1, 2]}]
-    changes += [
-        {"control": None, "dt": None, "pose": p} for p in (-1, last + 1, last + 5, 0 if solver.num_final else -2)
-    ]
-    return good | changes[rng.integers(len(changes))]
+        ("move", more)
+        for more in (
+            {"control": None}, {"dt": None}, {"covariance": eye}, {"dt": 1e300}, {"dt": 1e-300}, {"control": (1e200, 0.1)},
+            {"control": (0.1, 1e300)}, {"time": -1e300},
+        )
+    ]  # fmt: skip
+    method, change = changes[rng.integers(len(changes))]
+    return method, good[method] | change
 
 
 class Odd:

@@ -31,7 +31,7 @@ from graphslam.errors import SlamError
 from graphslam.metrics import ate
 from graphslam.models import RESIDUALS
 from graphslam.se2 import Array
-from graphslam.sources.worlds import World
+from graphslam.simulation.worlds import World
 
 #: factor on the book's noise, or the models themselves; and the numbers of a sighting
 CASES = (

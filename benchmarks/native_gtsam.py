@@ -18,7 +18,7 @@ from comparisons.results import EstimatorResult
 from graphslam import Log, SensorModel
 from graphslam.edges.robust import KERNELS
 from graphslam.se2 import Array, compose, inverse, rotation
-from graphslam.solvers.solve import starting_state
+from graphslam.solvers.initialize import starting_state
 
 #: GTSAM's Levenberg-Marquardt stops when a step changes its error by less than this part of it
 TOLERANCE = 1e-10

@@ -20,7 +20,7 @@ import numpy as np
 
 from graphslam import Graph, GraphError, Log, MotionModel, OnlineSolver, SensorModel, load, simulate, solve
 from graphslam.edges import AnchorEdges, CartesianObservationEdges, RelativePoseEdges
-from graphslam.incremental.stream import OnlineEstimate, steps_of
+from graphslam.online import replay
 from graphslam.se2 import compose, wrap
 from graphslam.transform import first_poses
 
@@ -40,8 +40,8 @@ def logs(data: Path) -> dict[str, Callable[[], tuple[Log, dict]]]:
     }
 
 
-def excess(graph: Graph, estimate: OnlineEstimate) -> float:
-    """By how much J of an estimate is above the batch optimum next to it, as a part of that."""
+def excess(graph: Graph, estimate: OnlineSolver) -> float:
+    """By how much J of an online solver is above the batch optimum next to it, as a part of that."""
     piece, nodes = first_poses(graph, estimate.step + 1)
     state = np.zeros((graph.num_nodes, 3))
     state[: estimate.step + 1] = estimate.poses
@@ -63,22 +63,22 @@ def report(name: str, seconds: list[float], gaps: list[float]) -> None:
 
 def ours(name: str, graph: Graph, steps: int, sampled: set[int]) -> None:
     """Go through a graph with the online solver."""
-    seconds, gaps, passes, iterator = [], [], [], steps_of(graph)
+    seconds, gaps, passes, iterator = [], [], [], replay(graph)
     for _ in range(steps):
         begin = time.process_time()
         estimate = next(iterator)
         seconds.append(time.process_time() - begin)
-        passes.append(estimate.solver.passes)
+        passes.append(estimate._backend.passes)
         if estimate.step in sampled:
             gaps.append(excess(graph, estimate))
     three = list(estimate.landmarks)[:3]
-    estimate.solver.covariance(landmarks=three)
+    estimate.covariance(estimate.step, three, joint=True)
     begin = time.process_time()
     for _ in range(20):
-        estimate.solver.covariance(landmarks=three)
+        estimate.covariance(estimate.step, three, joint=True)
     covariance = (time.process_time() - begin) / 20
     report(name, seconds[1:], gaps)
-    system = estimate.solver._system
+    system = estimate._backend.system
     print(f"{'':28} {np.mean(passes):.2f} passes, {system.batch_solutions} batch solutions", end=", ")
     print(f"{system.bytes / 2**20:.0f} MiB", end=", ")
     print(f"covariance of the pose and three landmarks {1e3 * covariance:.3f} ms")
@@ -178,10 +178,11 @@ def endless(steps: int, lag: int | None) -> None:
         z[:, 1] += rng.normal(0, 0.05, len(ids))
         z[:, 0] = np.maximum(z[:, 0], 0.1)
         begin = time.process_time()
-        solver.step(motion=move + rng.normal(0, std), covariance=np.diag(std**2), ids=ids, sightings=z)
+        solver.move(motion=move + rng.normal(0, std), covariance=np.diag(std**2))
+        solver.observe(ids, z)
         seconds.append(time.process_time() - begin)
         if step in (1000, 10_000, 30_000, steps):
-            system, recent = solver._system, 1e3 * np.array(seconds[-1000:])
+            system, recent = solver._backend.system, 1e3 * np.array(seconds[-1000:])
             size = system.bytes / 2**20
             print(
                 f"lag {lag}: step {step:6}, {np.median(recent):.2f} ms median, {np.quantile(recent, 0.99):.1f} ms 99 %",
@@ -194,7 +195,7 @@ def lags(name: str, graph: Graph, steps: int) -> None:
     """The last pose with a lag, against the one without."""
     poses = {}
     for lag in (None, 200, 50):
-        seconds, iterator = [], steps_of(graph, lag=lag)
+        seconds, iterator = [], replay(graph, lag=lag)
         newest = []
         for _ in range(steps):
             begin = time.process_time()
@@ -231,16 +232,16 @@ def deviations(graph: Graph, steps: int, samples: int) -> tuple[list[np.ndarray]
     the first call after it, for the pose and three landmarks, and of a second one."""
     asked = {steps * (k + 1) // samples - 1 for k in range(samples)}
     ratios, times = [], []
-    for estimate in itertools.islice(steps_of(graph), steps):
+    for estimate in itertools.islice(replay(graph), steps):
         if estimate.step not in asked:
             continue
-        solver, ids = estimate.solver, list(estimate.landmarks)
+        solver, ids = estimate, list(estimate.landmarks)
         clock = [time.process_time()]
         for _ in range(2):
-            solver.covariance(landmarks=ids[:3])
+            solver.covariance(solver.step, ids[:3], joint=True)
             clock.append(time.process_time())
         times.append(np.diff(clock))
-        online = np.diag(solver.covariance(landmarks=ids))
+        online = np.diag(solver.covariance(solver.step, ids, joint=True))
         piece, nodes = first_poses(graph, estimate.step + 1)
         state = np.zeros((graph.num_nodes, 3))
         state[: estimate.step + 1] = estimate.poses

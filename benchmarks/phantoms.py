@@ -14,7 +14,7 @@ from collections import defaultdict
 
 import numpy as np
 
-from graphslam import Graph, GraphError, Log, simulate, solve, solve_gnc
+from graphslam import Graph, GraphError, Log, simulate, solve
 from graphslam.metrics import ate
 
 VARIANTS = [{"weight": weight} for weight in ("pairs", "tempered", "marginal")] + [{"edges": "landmark+motion"}]
@@ -54,7 +54,7 @@ def main() -> None:
                     errors[name, kernel].append(ate(log.true_poses, poses))
                 except GraphError:
                     errors[name, kernel].append(np.inf)
-            robust = solve_gnc(Graph.from_log(bad, **variant))
+            robust = solve(Graph.from_log(bad, **variant), method="gnc")
             errors[name, "gnc"].append(ate(log.true_poses, robust.poses))
             assert robust.trust is not None
             right = np.delete(robust.trust, wrong)

@@ -32,8 +32,8 @@ from comparisons.datasets import data_folder
 from comparisons.options import RunOptions
 from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, load, solve
 from graphslam.formats.mrclam import robots
-from graphslam.solvers.start import place_landmarks
-from graphslam.solvers.starting import AUTO, starting_state
+from graphslam.solvers.initial_values import place_landmarks
+from graphslam.solvers.initialize import AUTO, starting_state
 
 #: docs/results.md
 BY_HAND = {

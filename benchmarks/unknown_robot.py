@@ -38,13 +38,13 @@ from typing import Any
 import numpy as np
 
 import comparisons
-from comparisons.loading import warm_up
+from comparisons.estimators import warm_up
 from comparisons.results import EstimatorResult
 from graphslam import Graph, GraphError, Log, SensorModel, SlamError, Solution, solve
 from graphslam.metrics import ate
 from graphslam.models import MotionModel
 from graphslam.se2 import Array
-from graphslam.sources.drives import SENSORS, SPREADS, Drive, DriveTruth
+from graphslam.simulation.drives import SENSORS, SPREADS, Drive, DriveTruth
 
 #: never tune on these
 REPORTING = range(200)

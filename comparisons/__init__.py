@@ -25,7 +25,6 @@ from . import display
 
 if TYPE_CHECKING:
     from .backends import compare_backends
-    from .calibration import calibrate
     from .comparison import Comparison, run
     from .consistency import study_consistency
     from .datasets import survey
@@ -34,8 +33,9 @@ if TYPE_CHECKING:
     from .options import RunOptions
     from .overview import inspect_log
     from .particles import study_particles
+    from .reading import calibrate
     from .show.films import animate
-    from .show.report import write_report
+    from .show.report.page import write_report
     from .solvers import compare_solvers
     from .studies.plan import read_study
     from .studies.summary import summarise
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 #: the public names, by the module that defines them
 _PUBLIC = {
     "backends": "compare_backends",
-    "calibration": "calibrate",
     "comparison": "Comparison run",
     "consistency": "study_consistency",
     "datasets": "survey",
@@ -53,8 +52,9 @@ _PUBLIC = {
     "overview": "inspect_log",
     "options": "RunOptions",
     "particles": "study_particles",
+    "reading": "calibrate",
     "show.films": "animate",
-    "show.report": "write_report",
+    "show.report.page": "write_report",
     "solvers": "compare_solvers",
     "studies.plan": "read_study",
     "studies.summary": "summarise",

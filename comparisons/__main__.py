@@ -44,7 +44,7 @@ def _leave(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
 
 
 def _flush(status: object) -> None:
-    """Write what is left; where that fails, end here, because Python would print a traceback when it tries again."""
+    """Write the buffered output; where that fails, end here, because Python would try again and print a traceback."""
     try:
         for stream in (sys.stdout, sys.stderr):
             if stream is not None:
@@ -55,7 +55,7 @@ def _flush(status: object) -> None:
 
 def _cannot_write(error: OSError, status: object) -> NoReturn:
     if isinstance(error, BrokenPipeError):
-        # whoever read the output has seen enough
+        # the reader of the output has closed the pipe
         os._exit(status if isinstance(status, int) else 1)
     with suppress(OSError):
         os.write(2, f"error: the output cannot be written: {error.strerror}\n".encode())

@@ -11,7 +11,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 import fastslam
-from graphslam import Association, Log, MotionModel, SlamError, associate
+from graphslam import Log, MotionModel, SlamError, associate
+from graphslam.association import Association
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import Array
 
@@ -94,7 +95,7 @@ def _associated(log: Log, options: RunOptions) -> Association:
 
 
 def unused_ids(log: Log) -> str | None:
-    """Why filters do not use the ids that some sightings have, or None where all of them have one, or none."""
+    """The reason why filters ignore the ids of some sightings; None where all sightings have one, or none has."""
     without = int(np.count_nonzero(log.landmarks == UNIDENTIFIED))
     if not 0 < without < len(log.steps):
         return None

@@ -1,4 +1,4 @@
-"""One estimator of a comparison: whatever goes wrong in it becomes a `Skipped`, and the other estimators go on.
+"""One estimator of a comparison: an error becomes a `Skipped`, and the other estimators run.
 
 With a time limit it runs in a process of the `pool`. Neither a compiled kernel nor GTSAM can be interrupted in this process.
 """
@@ -16,9 +16,8 @@ from pebble import ProcessExpired, ProcessPool
 
 from graphslam import Log, OptionError, SlamError
 
-from .estimators import ESTIMATORS
+from .estimators import ESTIMATORS, warm_up
 from .failures import sentence
-from .loading import warm_up
 from .options import RunOptions
 from .pool import how_it_ended, processes, too_long
 from .results import EstimatorResult

@@ -17,7 +17,7 @@ from pebble import ProcessExpired, ProcessPool
 
 from graphslam import Certificate, Graph, GraphError, OptionError, certify, solve
 from graphslam.processes import how_it_ended, processes
-from graphslam.solvers.solve import starting_state
+from graphslam.solvers.initialize import starting_state
 
 from .display import Displayed
 from .documents import certificate_document
@@ -186,7 +186,7 @@ def _warm_up_all(names: Sequence[str]) -> None:
 
 
 def _backend(name: str, graph: Graph, initialize: str, max_iterations: int) -> Callable[[], PeerRun]:
-    """A function that optimises the graph anew each time it is called."""
+    """A function that optimises the graph from the start at every call."""
     if name != "graphslam":
         return PEERS[name](graph, COST_TOLERANCE, max_iterations)
 
@@ -207,7 +207,7 @@ def _backend(name: str, graph: Graph, initialize: str, max_iterations: int) -> C
 
 @cache
 def _warm_up(name: str) -> None:
-    """Let a backend compile or load its code on a tiny graph, a square with a landmark."""
+    """Solve a square with a landmark, so that a backend compiles or loads its code before the measurement."""
     lines = [f"VERTEX_SE2 {k} {k % 2} {k // 2} 0\nEDGE_SE2 {k} {(k + 1) % 4} 1 0 1.57 1 0 0 1 0 1" for k in range(4)]
     lines += ["VERTEX_XY 4 2 2", "EDGE_SE2_XY 0 4 2 2 1 0 1", "EDGE_SE2_XY 1 4 2 -1 1 0 1"]
     with TemporaryDirectory() as folder:

@@ -11,11 +11,11 @@ from typing import Any, overload
 
 import numpy as np
 
-from graphslam import AssociationScore, Certificate, GraphError, Log, MotionModel, SensorModel, SlamError, Solution
-from graphslam.association import score
+from graphslam import Certificate, GraphError, Log, MotionModel, SensorModel, SlamError, Solution
+from graphslam.association import AssociationScore, score
 from graphslam.log import UNIDENTIFIED
+from graphslam.log_checks import Finding, check_log
 from graphslam.metrics import Metrics, evaluate
-from graphslam.plausibility import Finding, plausibility
 from graphslam.se2 import wrap
 
 from .attempt import Skipped, attempts
@@ -238,10 +238,10 @@ class Comparison(Displayed):
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """What is probably wrong with the log, see `graphslam.plausibility`, or with its noise."""
+        """What is probably wrong with the log, see `graphslam.log_checks`, or with its noise."""
         estimated = self.options.calibration
         doubts = () if estimated is None else tuple(Finding("doubtful noise", each) for each in estimated.doubts)
-        return (*plausibility(self.log), *doubts, *self._noise_findings())
+        return (*check_log(self.log), *doubts, *self._noise_findings())
 
     def _noise_findings(self) -> Iterator[Finding]:
         """Noise that was given, such as that of another robot, and is less than this log shows.

@@ -17,7 +17,7 @@ from urllib.parse import unquote_to_bytes
 
 from graphslam import OptionError
 from graphslam.files import check_file
-from graphslam.sources.worlds import sample_log_path
+from graphslam.simulation.worlds import sample_log_path
 
 from .estimators import check_estimators
 from .option import options_of
@@ -29,7 +29,7 @@ from .toml_files import TomlFile, to_toml
 def config_text(
     source: Path | None, estimators: Sequence[str] | None, options: RunOptions, *, time_limit: float | None = None
 ) -> str:
-    """The configuration of a run as TOML; what was chosen to suit the log is left out."""
+    """The configuration of a run as TOML; options that were chosen by the log are left out."""
     table: dict[str, Any] = {
         "log": None if source in (None, sample_log_path()) else _path_text(Path(source).absolute()),
         "log_sha256": None if source is None else sha256_of(source),

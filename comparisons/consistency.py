@@ -1,4 +1,4 @@
-"""Are the covariances of the estimators consistent with their errors? ANEES over many simulated logs.
+"""A consistency test of the covariances of estimators: ANEES over many simulated logs.
 
 The normalised estimation error squared (NEES) of an estimate x̂ with covariance P is (x̂ - x)' P^-1 (x̂ - x). If P is
 consistent, its average over n independent logs (ANEES), divided by the degrees of freedom d, is 1, and lies in 95 of 100
@@ -116,7 +116,7 @@ class Consistency:
 
 @dataclass(frozen=True, eq=False)
 class ConsistencyStudy(Displayed):
-    """What was simulated, and every estimator's NEES."""
+    """The simulated logs and the NEES of every estimator."""
 
     logs: int
     noise: float
@@ -211,7 +211,7 @@ def _graph_nees(log: Log, keywords: dict[str, Any]) -> tuple[Array, float] | Non
     try:
         graph = Graph.from_log(log, **keywords)
         solution = solve(graph, initialize="auto", max_iterations=500)
-        covariances = solution.covariances()
+        covariances = solution.covariance()
     except GraphError:
         return None
     if not solution.converged:
@@ -231,7 +231,7 @@ def _smoother_nees(log: Log, seed: int, options: GibbsOptions, noise: dict[str, 
         return np.full(log.num_poses - 1, np.nan)
     error = result.poses - log.robot_truth
     error[:, 2] = wrap(error[:, 2])
-    return pose_nees(error[1:], result.pose_covariances[1:])
+    return pose_nees(error[1:], result.covariance()[1:])
 
 
 def _filter_nees(name: str, log: Log, seed: int, noise: dict[str, Any]) -> Array:

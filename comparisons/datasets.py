@@ -85,7 +85,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Survey(Displayed):
-    """What `survey` found below a folder, by the name of the data set."""
+    """The result of `survey`: the logs below a folder, by the name of the data set."""
 
     folder: Path
     found: dict[str, tuple[Found, ...]] = field(default_factory=dict)

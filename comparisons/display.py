@@ -1,4 +1,4 @@
-"""How result objects show themselves without knowing the presentation layer.
+"""The link from result objects to their presentation, which they do not import.
 
 A result class derives from `Displayed`. The presentation layer (`comparisons.show`) registers a `Renderer` for the class;
 the package `comparisons`, which stands above both, says how that layer is loaded.
@@ -14,7 +14,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Renderer:
-    """How one class of results is shown.
+    """The presentation of one class of results.
 
     Attributes:
         text: the tables and the sentences below them, as plain text.
@@ -36,7 +36,7 @@ figure_writers: list[Callable[[Any, Sequence[str | PathLike[str]]], None]] = []
 
 
 def register(kind: str, renderer: Renderer) -> None:
-    """Let a renderer show the results of the class of this name."""
+    """Register a renderer for the results of the class of this name."""
     _RENDERERS[kind] = renderer
 
 

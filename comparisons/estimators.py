@@ -6,19 +6,23 @@ Add one by writing its function and naming it in `ESTIMATORS`; tables, figures a
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 import fastslam
 import graphslam
-from graphslam import Graph, GraphError, Log, OptionError, SensorModel, SlamError, Solution
+from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorModel, SlamError, Solution, simulate
 from graphslam.checks import suggestion
 from graphslam.defaults import edges_for_map, suitable_edges, suitable_for_isam2, suitable_kernel
 from graphslam.errors import quoted
 from graphslam.log import UNIDENTIFIED
+from graphslam.online import replay
 from graphslam.se2 import wrap
 
 from .association import identified
@@ -53,11 +57,11 @@ class Estimator:
     on_request: bool = False
 
     def reason_to_omit(self, log: Log, options: RunOptions) -> str | None:
-        """Why the estimator should be left out unless asked for by name, or None."""
+        """The reason to leave the estimator out unless it is asked for by name, or None."""
         return self.too_slow(log, options) or self.repeats(log, options)
 
     def too_slow(self, log: Log, options: RunOptions) -> str | None:
-        """Why the estimator would take too long on a log, or None."""
+        """The reason why the estimator would take too long on a log, or None."""
         if self.seconds_per_iteration is None:
             return None
         try:
@@ -81,9 +85,9 @@ def make_graph(log: Log, options: RunOptions) -> Graph:
 
 
 def graph_keywords(options: RunOptions) -> dict[str, Any]:
-    """The keywords of `Graph.from_log` that the options ask for; it chooses what they leave open."""
+    """The keywords of `Graph.from_log` that the options name; it chooses the others."""
     given = {name: getattr(options, name) for name in _GRAPH if name != "initialize"}
-    # graduated non-convexity determines which sightings are wrong by itself
+    # graduated non-convexity needs no robust kernel
     kernel = "none" if options.kernel == "gnc" else options.kernel
     models = {"motion": options.motion, "sensor": options.sensor}
     return given | models | {"kernel": kernel}
@@ -154,7 +158,7 @@ def graph_marginal(log: Log, options: RunOptions) -> EstimatorResult:
 
 
 def _counted_once(log: Log, options: RunOptions) -> str | None:
-    """Why the graph counts each sighting once in any case, or None."""
+    """The reason why the graph counts each sighting once in any case, or None."""
     if str(chosen(log, options).edges).startswith("landmark"):
         return "the landmarks of graph are nodes, which already counts each sighting once"
     return "graph has marginal weights already" if options.weight == "marginal" else None
@@ -167,8 +171,8 @@ def graph_no_kernel(log: Log, options: RunOptions) -> EstimatorResult:
 
 def _by_hand(name: str, log: Log, options: RunOptions) -> EstimatorResult:
     graph = make_graph(log, options)
-    solver = graphslam.solve_gnc if options.kernel == "gnc" else graphslam.solve
-    return _of_solution(name, log, options, solver(graph, initialize=options.initialize))
+    method = "gnc" if options.kernel == "gnc" else "gauss-newton"
+    return _of_solution(name, log, options, graphslam.solve(graph, method=method, initialize=options.initialize))
 
 
 def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
@@ -180,13 +184,13 @@ def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 
 def online(log: Log, options: RunOptions) -> EstimatorResult:
     """The hand-written solver step by step through the log, at the optimum of the graph with landmark nodes after each."""
-    solution = graphslam.solve_by_steps(_online_graph(log, options), lag=options.lag)
+    solution = graphslam.solve_online(_online_graph(log, options), lag=options.lag)
     return replace(_of_solution("online", log, options, solution), converged=None)
 
 
-def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineEstimate]:
-    """The estimates of `online` after every step."""
-    return graphslam.steps_of(_online_graph(log, options), lag=options.lag)
+def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineSolver]:
+    """The solver of `online` after every step."""
+    return replay(_online_graph(log, options), lag=options.lag)
 
 
 def _no_map(name: str, options: RunOptions) -> None:
@@ -204,12 +208,12 @@ def isam2(log: Log, options: RunOptions) -> EstimatorResult:
     _no_map("isam2", options)
     options = isam2_options(log, options)
     keywords = online_keywords(options)
-    result = _of_solution("isam2", log, options, graphslam.solve_online(log, **keywords))
+    result = _of_solution("isam2", log, options, graphslam.solve_online(log, backend="isam2", **keywords))
     return replace(result, converged=None)
 
 
 def isam2_options(log: Log, options: RunOptions) -> RunOptions:
-    """The options with the edges and the kernel that `graphslam.solve_online` takes where they name none."""
+    """The options with the edges and the kernel that `graphslam.solve_online` takes for ISAM2 where they name none."""
     edges, kernel = suitable_for_isam2(log, options.edges, options.kernel)
     assert isinstance(kernel, str)
     return replace(options, edges=edges, kernel=kernel)
@@ -291,7 +295,7 @@ def _factor_seconds(log: Log, options: RunOptions, known: Callable[[], Log]) -> 
     seconds = 3e-5 * log.num_poses + 4e-8 * log.num_poses**2
     options = chosen(log, options)
     if options.estimate:
-        # a factor for each edge, made anew at every step
+        # a factor for each edge, which every step makes again
         paired = options.weight != "marginal" and not str(options.edges).startswith("landmark")
         count = log.num_poses + (pair_count(known()) if paired else len(log.steps))
         return count * (5e-4 + 8e-8 * log.num_poses)
@@ -309,7 +313,7 @@ def _factor_seconds(log: Log, options: RunOptions, known: Callable[[], Log]) -> 
 def _isam2_seconds(log: Log, options: RunOptions) -> float:
     if not log.identified:  # it refuses them at once
         return 0.0
-    # some ten milliseconds a step, and the landmarks' factors made anew as they grow; "per iteration" is per step here.
+    # some ten milliseconds a step, and the landmarks' factors are made again as they grow; "per iteration" is per step here.
     # It estimates no parameters, and uses the ids of the log
     options = replace(isam2_options(log, options), estimate=None)
     return 1e-3 * log.num_poses + _factor_seconds(log, options, lambda: log)
@@ -422,3 +426,16 @@ def _with_map(source: Log, sensor: SensorModel | None, poses: Any, **rest: Any) 
         landmarks = graphslam.estimate_map(source, poses, sensor=sensor)
         rest |= {"landmarks": dict(landmarks), "landmark_covariances": landmarks.covariances}
     return EstimatorResult(poses=poses, notes=tuple(notes), **rest)
+
+
+@cache
+def warm_up(estimator: str) -> None:
+    """Run an estimator on a tiny log, so that loading its modules is no part of its time.
+
+    What goes wrong here shows again, with its message, when the estimator runs on the user's log.
+    """
+    for orientation in (True, False):
+        log = simulate(steps=6, orientation=orientation)
+        with suppress(Exception), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            ESTIMATORS[estimator].run(log, RunOptions.of(particles=2, motion=MotionModel(), sensor=SensorModel()))

@@ -82,7 +82,7 @@ class Evaluated:
         times, errors: (N,) [s] since the first true pose, and position errors [m].
         aligned: (N, 3) the aligned poses.
         aligned_map: {id: place}.
-        notes: what the reader of the files has to say.
+        notes: those of the reader of the files.
     """
 
     name: str
@@ -117,7 +117,7 @@ class Evaluation(Displayed):
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
-        """What the readers of all files have to say."""
+        """The notes of the readers of all files."""
         return (*self.truth.notes, *(note for each in self.estimates for note in each.notes))
 
     def to_json(self) -> dict[str, Any]:
@@ -219,7 +219,7 @@ def _truth(path: Path, options: TableOptions) -> tuple[Trajectory, Mapping[int, 
 
 
 def _table_options(options: EvaluationOptions, table: str) -> TableOptions:
-    """How a trajectory is read: the options for all tables and for this one, which the reader knows as "truth"."""
+    """The options of a trajectory: those for all tables and those for this one, which the reader calls "truth"."""
     found: dict[str, Any] = {}
     for name, value in options.of_component("tables").items():
         entries = [each.strip() for each in value.split(",")] if isinstance(value, str) else []

@@ -5,7 +5,7 @@ Trajectories are in the text format of the TUM RGB-D benchmark, one pose per lin
     timestamp x y z qx qy qz qw        [s, m, quaternion]; here z = qx = qy = 0, qz = sin(theta / 2), qw = cos(theta / 2)
 
 An estimated trajectory has the poses of the log, and between them the ends of the recorded controls, at most ten a second
-(`graphslam.dense`). Maps are tables with commas. Reading a file gives exactly the same numbers.
+(`graphslam.continuous_time`). Maps are tables with commas. Reading a file gives exactly the same numbers.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphslam import ControlPath, GraphError, Log, control_path
+from graphslam import GraphError, Log, control_path
+from graphslam.continuous_time import ControlPath
 from graphslam.map_files import map_text
 from graphslam.relative import relative_graph
 from graphslam.se2 import Array, wrap
@@ -121,7 +122,7 @@ def write_pose_graph(comparison: Comparison, path: Path) -> str | None:
 
 
 def reason_without_graph(comparison: Comparison) -> str | None:
-    """Why the graph of ``graph`` cannot be written as g2o; None where it can."""
+    """The reason why the graph of ``graph`` cannot be written as g2o; None where it can."""
     if "graph" not in comparison:
         return "the estimator graph did not run"
     result = comparison["graph"]

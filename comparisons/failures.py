@@ -1,4 +1,4 @@
-"""A part of a result that fails becomes a sentence, and the other parts go on."""
+"""Errors of single parts of a result, as sentences; the other parts are still made."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def sentence(error: BaseException) -> str:
 
 @contextmanager
 def noted(notes: list[str], failed: str) -> Iterator[None]:
-    """Let the block fail, and add "FAILED: the error in one sentence" to the notes.
+    """Catch an error of the block, and add "FAILED: the error in one sentence" to the notes.
 
     A file or folder that cannot be written is no failure of a part: it ends the work.
 

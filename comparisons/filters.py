@@ -1,8 +1,12 @@
-"""The estimators that are particle filters."""
+"""The estimators that are particle filters; on small logs they run with several random seeds.
+
+One run is one draw, whose error says little about the filter.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -11,15 +15,15 @@ import numpy as np
 import fastslam
 from fastslam.samples import Samples
 from graphslam import Log, OptionError, first_fix
+from graphslam.metrics import evaluate
 
 from .association import unused_ids
 from .option import options_of
 from .options import RunOptions
 from .results import EstimatorResult
-from .seeds import of_several_seeds
 
 FILTER = tuple(name for name in options_of(fastslam.FilterOptions) if name not in ("seed", "threads"))
-#: localisation knows its map: it has no association, no landmarks to update and no corrected proposal
+#: options that localisation in a given map does not use: those of association, of landmark updates and of the proposal
 LOCALISATION = ("particles", "resampling", "ess_threshold", "stage")
 
 
@@ -112,3 +116,33 @@ def _one_run(name: str, log: Log, options: RunOptions) -> EstimatorResult:
         reason=reason,
         origin=result,
     )
+
+
+#: the runs of a filter, with the seeds from 0 on, unless the options name a seed
+SEEDS = 5
+#: particles times motions and sightings, beyond which a filter runs once: about half a second
+LARGEST = 1_000_000
+
+
+def of_several_seeds(run: Callable[[RunOptions], EstimatorResult], log: Log, options: RunOptions) -> EstimatorResult:
+    """The run with the median ATE of `SEEDS` runs, with the others' errors as ``seed_errors`` and their range as a note.
+
+    It is one run where the options name a seed, the log has no true poses to measure an error with, or it is too large.
+    """
+    small = options.filter.particles * (log.num_poses + len(log.steps)) <= LARGEST
+    if options.numbers.get("seed") is not None or log.true_poses is None or not small:
+        return run(options)
+    results = {seed: run(options.with_numbers(seed=seed)) for seed in range(SEEDS)}
+    errors = {}
+    for seed, result in results.items():
+        metrics = evaluate(log.true_poses, log.true_landmarks, log.at_truth(result.poses), result.landmarks,
+                           mask=result.estimated, named=result.named)  # fmt: skip
+        if metrics.ate_m is None:
+            return results[0]
+        errors[seed] = metrics.ate_m
+    median = sorted(errors, key=lambda seed: errors[seed])[SEEDS // 2]
+    note = (
+        f"{SEEDS} random seeds have an ATE of {min(errors.values()):.3f} to {max(errors.values()):.3f} m, and its row is the "
+        f"median, --seed {median}"
+    )
+    return replace(results[median], notes=(*results[median].notes, note), seed_errors=errors)

@@ -1,4 +1,4 @@
-"""Import of your own tables and bags: what was found, which choice was made, and the log that it makes."""
+"""Import of your own tables and bags: their contents, the choice among them, and the log."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from graphslam.bags.read import drive_of_bag, topics_of
 from graphslam.files import check_file, check_path, check_unpacked
 from graphslam.formats.bag import recipe_beside
 from graphslam.formats.tables import drive_of, recipe_of
-from graphslam.plausibility import Finding, plausibility
+from graphslam.log_checks import Finding, check_log
 from graphslam.reading import ReadOptions
 from graphslam.tables.drive import Timed
 from graphslam.tables.join import Drive, read_drive
@@ -71,7 +71,7 @@ class FoundTopic:
 
 @dataclass(frozen=True)
 class Import(Displayed):
-    """What `import_log` found in tables or a bag, and the log that it makes.
+    """The result of `import_log`: the contents of tables or a bag, and the log.
 
     Attributes:
         source: the folder or bag; None where each table was named.
@@ -91,8 +91,8 @@ class Import(Displayed):
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """What is probably wrong with the log, see `graphslam.plausibility`."""
-        return () if self.log is None else plausibility(self.log)
+        """Probable mistakes in the log, see `graphslam.log_checks`."""
+        return () if self.log is None else check_log(self.log)
 
     def to_json(self, file: Path | None = None) -> dict[str, Any]:
         """The import as plain data, and the file that was written."""

@@ -1,4 +1,4 @@
-"""What an option is: its declaration as a field of a dataclass, the check of its values, and the list of all options.
+"""Options: the declaration as a field of a dataclass, the check of its values, and the list of all options.
 
 `comparisons.options` declares the options; the command line, TOML files and Python functions read them from `options_of`.
 """

@@ -4,7 +4,7 @@ An option is a field of a dataclass: its name, type and default are those of the
 choices and limits are the field's metadata (see `comparisons.option`). The command line, configuration files, study files,
 the printed next commands and the keywords of the Python functions all derive from these fields. Options of
 the particle filters are fields of `fastslam.options`, the numbers of the noise models fields of `graphslam.models`, and those
-of the simulator are in `graphslam.sources`. All others are declared here.
+of the simulator are in `graphslam.simulation`. All others are declared here.
 
 To add an option, add a field and use it where it takes effect.
 """
@@ -21,8 +21,8 @@ from graphslam.errors import OptionError
 from graphslam.landmark_map import USES, LandmarkMap
 from graphslam.models import RESIDUALS, MotionModel, SensorModel
 from graphslam.parameters.declared import PARAMETERS, parsed
-from graphslam.sources.simulator import MotionFaults, SensorFaults
-from graphslam.sources.worlds import WORLDS, World
+from graphslam.simulation.simulator import MotionFaults, SensorFaults
+from graphslam.simulation.worlds import WORLDS, World
 
 from .option import OUTPUT as OUTPUT
 from .option import Options
@@ -38,7 +38,7 @@ NOISE, FILTER, GIBBS = "Noise models", "Particle filters", "Particle smoother"
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingOptions(Options):
-    """How a log is read, and which part of it is kept."""
+    """Options of reading a log, and of the part of it that is kept."""
 
     panel = "Reading the log"
     format: str | None = option(None, "Format of the log: npz, lnpr, mrclam, huang, ...", default_text="by its content")
@@ -69,7 +69,7 @@ DOUBTFUL = 2.0
 
 
 def _correction(name: str) -> Any:
-    """The option that takes one of `graphslam.PARAMETERS` out of a log."""
+    """The option that takes one of `graphslam.parameters.PARAMETERS` out of a log."""
     known = PARAMETERS[name]
     return option(
         None, f"{known.help}; corrected before anything else.", unit=known.unit, default_text=f"{known.ideal:g}",
@@ -125,7 +125,7 @@ class NoiseOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class LogOptions(NoiseOptions, ReadingOptions):
-    """What `reading.prepare` needs to know of a log."""
+    """Options of `reading.prepare`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,7 +190,7 @@ class OnlineOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class FrontEndOptions(Options):
-    """What finds the ids of sightings for estimators that solve graphs, where the log has none or they are ignored."""
+    """Options of the association for estimators that solve graphs, where the log has no ids or they are ignored."""
 
     panel = "Graph"
     front_end: str = option(
@@ -238,7 +238,7 @@ class RunOptions(MapOptions, OnlineOptions, FrontEndOptions, GraphOptions, LogOp
 
 @dataclass(frozen=True, kw_only=True)
 class LimitOptions(Options):
-    """How long one piece of work may take."""
+    """Time limits."""
 
     time_limit: float | None = option(
         None, "Stop an estimator, backend, solver variant or filter that takes longer, and go on without it. The work is "
@@ -260,7 +260,7 @@ class EstimatorOptions(LimitOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class OutputOptions(Options):
-    """Where the results of a run go."""
+    """Output files of a run."""
 
     panel = OUTPUT
     out: Path | None = option(None, "Folder for the results.", metavar="DIR", default_text="results/<time>")
@@ -294,7 +294,7 @@ class FigureOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class JobsOptions(Options):
-    """How much runs at a time."""
+    """Parallelism."""
 
     jobs: int | None = option(
         None, "Local processes; 0 runs everything in this process.", minimum=0, default_text="one for each core"
@@ -320,7 +320,7 @@ class SolverCheckOptions(LimitOptions, JobsOptions, LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class BackendOptions(LimitOptions):
-    """How `backends.compare_backends` times pose-graph solvers."""
+    """Options of `backends.compare_backends`, which times pose-graph solvers."""
 
     backends: tuple[str, ...] | None = option(
         None, "Solvers to time.", choices=("graphslam", "gtsam-lm", "gtsam-gn", "g2o-gn", "g2o-lm"), metavar="NAME,...",
@@ -339,7 +339,7 @@ class BackendOptions(LimitOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ParticleStudyOptions(LimitOptions, JobsOptions, LogOptions):
-    """How `particles.study_particles` varies the number of particles."""
+    """Options of `particles.study_particles`, which varies the number of particles."""
 
     components = LogOptions.components | {"filter": (FilterOptions, FILTER)}
     hidden = ("seed",)
@@ -354,7 +354,7 @@ class ParticleStudyOptions(LimitOptions, JobsOptions, LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ConsistencyOptions(JobsOptions, SmootherOptions):
-    """What `consistency.study_consistency` simulates and tests."""
+    """Options of `consistency.study_consistency`."""
 
     logs: int = option(200, "Number of simulated logs.", minimum=1)
     noise: float = option(0.1, "Factor on all standard deviations of the book's models.", minimum=1e-3, maximum=10.0)
@@ -392,7 +392,7 @@ class AnimationOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationOptions(ReadingOptions):
-    """How `graphslam.calibrate` estimates noise; of the sensor only its place is given."""
+    """Options of `graphslam.calibrate`; of the sensor only its place is given."""
 
     components = {"sensor": (SensorModel, NOISE)}
     hidden = tuple(f.name for f in fields(SensorModel) if f.name != "offset")
@@ -448,7 +448,7 @@ class SimulationOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class SweepOptions(JobsOptions):
-    """How `studies.sweep` executes a study."""
+    """Options of `studies.sweep`."""
 
     dask: str | None = option(
         None, "Run on the cluster of this Dask scheduler instead, tcp://host:8786.", metavar="ADDRESS"
@@ -458,7 +458,7 @@ class SweepOptions(JobsOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class SummaryOptions(FigureOptions):
-    """What `studies.summarise` compares."""
+    """Options of `studies.summarise`."""
 
     baseline: str | None = option(
         None, "Method that the others are compared with.", metavar="METHOD", default_text="graph, or the first"

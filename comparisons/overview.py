@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from graphslam import Log, SensorModel
-from graphslam.plausibility import Finding, plausibility
-from graphslam.plausibility.readings import comparable
+from graphslam.log_checks import Finding, check_log
+from graphslam.log_checks.readings import comparable
 from graphslam.se2 import Array
 
 from .display import Displayed
@@ -49,7 +49,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Histogram:
-    """How often values lie in each interval: edges (n+1,), counts (n,)."""
+    """A histogram: edges (n+1,) and counts (n,) of its intervals."""
 
     edges: Array
     counts: np.ndarray
@@ -69,8 +69,8 @@ class Overview(Displayed):
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """What is probably wrong."""
-        return plausibility(self.log)
+        """Probable mistakes in the log."""
+        return check_log(self.log)
 
     @cached_property
     def compared(self) -> bool:
@@ -84,13 +84,13 @@ class Overview(Displayed):
 
     @cached_property
     def seen_at(self) -> Array:
-        """Where each sighting places its landmark, seen from dead reckoning (M, 2)."""
+        """The landmark of each sighting, seen from dead reckoning (M, 2)."""
         log = self.log
         return (log.sensor or SensorModel()).h_inverse(self.path[log.steps], log.sightings)[:, :2]
 
     @property
     def seconds(self) -> float | None:
-        """From the first pose to the last [s]; None without controls."""
+        """The time from the first pose to the last [s]; None without controls."""
         return None if self.log.dt is None else float(np.sum(self.log.dt))
 
     @property
@@ -110,7 +110,7 @@ class Overview(Displayed):
 
     @cached_property
     def rates(self) -> tuple[Rate, ...]:
-        """Of poses, controls and sightings."""
+        """The numbers of poses, controls and sightings."""
         log = self.log
         rates = [_rate("poses", self.times, log.num_poses)]
         if log.dt is not None:
@@ -135,13 +135,13 @@ class Overview(Displayed):
 
     @cached_property
     def ranges(self) -> Histogram:
-        """Of the ranges [m]."""
+        """The histogram of the ranges [m]."""
         ranges = self.log.sightings[:, 0]
         return _histogram(ranges, 0.0, float(np.max(ranges, initial=1.0)))
 
     @cached_property
     def bearings(self) -> Histogram:
-        """Of the bearings [rad]."""
+        """The histogram of the bearings [rad]."""
         return _histogram(self.log.sightings[:, 1], -np.pi, np.pi)
 
     def to_json(self) -> dict[str, Any]:

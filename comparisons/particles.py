@@ -15,13 +15,13 @@ from graphslam import Log, SlamError
 from graphslam.metrics import ate, evaluate
 from graphslam.se2 import Array
 
+from .bootstrap import quartiles
 from .display import Displayed
 from .estimators import ESTIMATORS
 from .memory import Announce, announce_memory
 from .options import ParticleStudyOptions, RunOptions
 from .pool import default_jobs, results
 from .reading import prepare
-from .studies.bootstrap import quartiles
 
 #: the figures of a run: field of `ParticleRun` -> label of its axis
 FIGURES = {

@@ -39,7 +39,7 @@ class PeerRun:
     native: bool = True
 
 
-#: a peer prepares a graph, before the time is measured, and returns a function that optimises it anew at each call
+#: a peer prepares a graph, before the time is measured, and returns a function that optimises it from the start at each call
 Peer = Callable[[Graph, float, int], Callable[[], PeerRun]]
 
 

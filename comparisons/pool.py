@@ -18,9 +18,8 @@ from graphslam import OptionError, SlamError
 from graphslam import processes as local
 from graphslam.processes import default_jobs, how_it_ended
 
-from .estimators import BUILT_IN, ESTIMATORS
+from .estimators import BUILT_IN, ESTIMATORS, warm_up
 from .failures import sentence
-from .loading import warm_up
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

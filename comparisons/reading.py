@@ -1,4 +1,4 @@
-"""From the reading and noise options to the log that the estimators work on."""
+"""The log that the estimators work on, made from the reading and noise options; `calibrate` estimates the noise of logs."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+import graphslam
 from graphslam import (
-    Calibration,
     FormatError,
     GraphError,
     Log,
@@ -23,6 +23,7 @@ from graphslam import (
     load,
     sample_log_path,
 )
+from graphslam.calibration import Calibration
 from graphslam.calibration.unidentified import robot_of
 from graphslam.errors import quoted
 from graphslam.files import check_file
@@ -35,7 +36,7 @@ from graphslam.parameters.declared import CORRECTIONS, of_sensor_alone
 
 from .noise_files import read_noise
 from .option import options_of
-from .options import AUTO, BOOK, LogOptions, MapOptions, NoiseOptions, ReadingOptions
+from .options import AUTO, BOOK, CalibrationOptions, LogOptions, MapOptions, NoiseOptions, ReadingOptions
 
 Given = TypeVar("Given", bound=LogOptions)
 
@@ -44,7 +45,7 @@ OF_FILES = ("format", "robot", "strict")
 
 
 def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log, Path | None, Given]:
-    """The log as the options want it, its file or folder, and the options with the noise models filled in.
+    """The log with the changes that the options ask for, its file or folder, and the options with the noise models filled in.
 
     Args:
         log: a log, a file or folder, or None for the sample log of the package.
@@ -198,3 +199,28 @@ def sha256_of(path: Path) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise FormatError(path, None, f"cannot be read: {error.strerror}") from None
+
+
+def calibrate(
+    log: Log | str | PathLike[str] | None = None, *others: Log | str | PathLike[str], **options: Any
+) -> Calibration:
+    """Estimate the noise of motion and sensor, and what is wrong with all sightings and controls.
+
+    Args:
+        log, others: logs, or files or folders of such; all of one kind of robot. None stands for the sample log.
+        options: the fields of `options.CalibrationOptions`: source, gaussian, robots, sensor_offset, and
+            those that read a log.
+
+    Raises:
+        FormatError: a file cannot be read.
+        LogError: the logs do not determine the noise.
+        OptionError: an option is unknown or impossible.
+    """
+    given = CalibrationOptions.of(**options)
+    if given.robots is not None and given.robot is not None:
+        raise OptionError("robot and robots exclude each other: name all of them in robots")
+    readings = [given] if given.robots is None else [replace(given, robot=robot) for robot in given.robots]
+    logs = [read_log(each, reading)[0] for each in (log, *others) for reading in readings]
+    sensor = (logs[0].sensor or SensorModel()).changed(**given.of_component("sensor"))
+    degrees = float("inf") if given.gaussian else None
+    return graphslam.calibrate(*logs, source=given.source, sensor=sensor, degrees=degrees)

@@ -13,7 +13,8 @@ from scipy.special import chdtri
 from fastslam.gibbs.result import GibbsResult
 from fastslam.samples import Samples
 from fastslam.state import FilterResult
-from graphslam import Association, Certificate, Graph, Log, MotionModel, Solution, certify
+from graphslam import Certificate, Graph, Log, MotionModel, Solution, certify
+from graphslam.association import Association
 from graphslam.localization import drifted
 from graphslam.parameters import ParameterEstimate
 from graphslam.parameters.corrected import motion_edges, sighted_edges
@@ -47,7 +48,7 @@ class EstimatorResult:
         weighed_down: the number of sightings that a robust kernel gives less than half of their weight; None without one.
         parameters: of robot and sensor, where they were estimated.
         seed_errors: the ATE [m] of each random seed of which this is the run with the median one; None for a single run.
-        knows: what the estimator was given that the others do not have, such as "true map".
+        knows: input that only this estimator has, such as "true map".
         options: the options that it used, for the record.
         reason: why it ended, one sentence.
         notes: what the user should know.
@@ -124,7 +125,8 @@ class EstimatorResult:
         """
         samples = self.origin.smoothed if isinstance(self.origin, FilterResult) else self.origin
         if isinstance(samples, Samples):
-            return samples.pose_covariances
+            covariances: Array = samples.covariance()
+            return covariances
         if self.log is not None and self.log.controls is not None:
             return dead_reckoning_covariances(self.log, self.motion)
         if self.graph is None or self.state is None:
@@ -158,7 +160,7 @@ class EstimatorResult:
 
     @property
     def covariance_failure(self) -> str | None:
-        """Why the covariances of the graph's poses cannot be computed, one sentence; None where they can."""
+        """The reason why the covariances of the graph's poses cannot be computed; None where they can."""
         if self.graph is None or self.state is None:
             return None
         return self._of_graph if isinstance(self._of_graph, str) else None
@@ -170,7 +172,8 @@ class EstimatorResult:
         covariances = np.full((len(self.poses), 3, 3), np.nan)
         try:
             if isinstance(self.origin, Solution):
-                return self.origin.covariances()
+                found: Array = self.origin.covariance()
+                return found
             covariances[self.graph.steps] = Uncertainty(self.graph, self.state).diagonal[: len(self.graph.steps)]
         except Exception as error:
             return f"the covariances are not known: {sentence(error)}"

@@ -1,4 +1,4 @@
-"""Where results go: folders that are filled whole or not at all, and JSON without NaN."""
+"""Folders of results, written completely or not at all, and JSON without NaN."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def new_directory(root: Path = RESULTS, now: datetime | None = None) -> Path:
 
 
 def point_latest(directory: Path) -> None:
-    """Let ``latest`` beside a results folder point to it, where links are possible and the name is free for it."""
+    """Link ``latest``, next to a results folder, to it, where links are possible and the name is free."""
     link = directory.parent / "latest"
     if os.path.lexists(link) and not link.is_symlink():
         return
@@ -194,7 +194,7 @@ def fill_results(directory: Path, *, new: bool) -> Iterator[Path]:
         yield folder
         former -= {path.name for path in folder.iterdir()}
     for name in former:
-        # beside the new results they would look like theirs
+        # readers would take them for a part of the new results
         (directory / name).unlink(missing_ok=True)
     if new:
         point_latest(directory)

@@ -1,4 +1,4 @@
-"""What was matched to what: the sightings of each landmark, as an estimator has given them ids."""
+"""The matches of an estimator: the sightings of each landmark by the ids that it gave them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from graphslam import AssociationScore, Log
+from graphslam import Log
+from graphslam.association import AssociationScore
 from graphslam.log import UNIDENTIFIED
 
 from .documents import AssociationDocument, DoubtDocument, VerdictDocument, document
@@ -85,6 +86,6 @@ def association_document(log: Log, result: EstimatorResult, scores: AssociationS
         classes=None if log.classes is None else classes,
         unconfirmed=None if result.unconfirmed is None else int(np.sum(result.unconfirmed & given)),
         evidence=None if found is None else found.evidence,
-        doubts=None if found is None else [document(DoubtDocument, each) for each in found.doubts],
+        doubts=None if found is None else [document(DoubtDocument, each) for each in found.ambiguities],
         verdict=None if found is None else document(VerdictDocument, found.verdict),
     )

@@ -15,7 +15,7 @@ import numpy as np
 from graphslam import Certificate, Graph, GraphError, Log, LogError, Solution, simulate, solve, solve_with_gtsam
 from graphslam.graph import FRAMES, WEIGHTS
 from graphslam.se2 import wrap
-from graphslam.solvers.solve import starting_state
+from graphslam.solvers.initialize import starting_state
 
 from .display import Displayed
 from .documents import certificate_document
@@ -88,7 +88,7 @@ class VariantResult:
 
     @property
     def problem(self) -> str | None:
-        """What is wrong, one sentence, or None where both converged to the same answer."""
+        """The difference between both solvers in a sentence, or None where both converged to the same answer."""
         if self.failure is not None:
             return self.failure
         if not (self.converged and self.gtsam_converged):
@@ -205,7 +205,7 @@ def _graph(variant: Variant, log: Log, models: dict[str, Any]) -> Graph:
 
 @cache
 def _warm_up(variant: Variant) -> None:
-    """Let both solvers load what a variant needs, on a tiny log, outside of the measured time."""
+    """Solve a variant on a tiny log with both solvers, so that loading is outside of the measured time."""
     with suppress(GraphError, LogError):
         graph = _graph(variant, simulate(steps=20), {})
         for solver in (solve, solve_with_gtsam):

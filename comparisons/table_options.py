@@ -13,7 +13,7 @@ from .option import OUTPUT, Options
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions(Options):
-    """Where the tables or topics of a drive are, and how `importing.import_log` reads them."""
+    """Options of `importing.import_log`: the tables or topics of a drive, and how they are read."""
 
     panel = "Tables and topics"
     components = {"tables": (TableOptions, "Units, clocks, columns and axes")}

@@ -9,36 +9,43 @@ After each motion with its sightings, it prints x, y, theta and their standard d
 """
 
 import sys
+from copy import copy
 
 import numpy as np
 
-from graphslam import OnlineSolver, SlamError
+from graphslam import OnlineSolver, OptionError, SlamError
 
 
 def main() -> None:
     """Read lines until the end; what is refused is reported with its line, and the run goes on."""
-    solver, began, seen = OnlineSolver(), 1, []
-    # what is seen before the first motion is seen from the first pose
-    moved: dict = {"pose": 0}
+    solver = OnlineSolver()
+    # a motion, and what is seen after it; before the first motion, landmarks are seen from the first pose
+    began, control, readable, seen = 1, (), True, []
 
     def take() -> None:
-        if "control" not in moved and not seen:
+        nonlocal solver
+        if not control and not seen:
             return
-        ids, sightings = [landmark for landmark, _ in seen], [z for _, z in seen]
+        branch = copy(solver)
         try:
-            pose = solver.step(**moved, ids=ids, sightings=sightings)
+            if not readable:
+                raise OptionError("the motion before it is unknown")
+            if control:
+                branch.move(*control)
+            branch.observe([landmark for landmark, _ in seen], [z for _, z in seen])
         except SlamError as error:
             print(f"line {began}: the step from here on is left out: {error}", file=sys.stderr)
             return
+        solver = branch
         std = np.sqrt(np.diag(solver.covariance()))
-        print(*(f"{value:.4f}" for value in (*pose, *std)), flush=True)
+        print(*(f"{value:.4f}" for value in (*solver.pose, *std)), flush=True)
 
     for number, line in enumerate(sys.stdin, start=1):
         match line.split():
             case ["u", *words] if len(words) == 3 and all(map(is_number, words)):
                 take()
                 nu, omega, dt = map(float, words)
-                began, moved, seen = number, {"control": (nu, omega), "dt": dt}, []
+                began, control, readable, seen = number, ((nu, omega), dt), True, []
             case ["z", landmark, *words] if (
                 landmark.removeprefix("-").isdecimal() and len(words) in (2, 3) and all(map(is_number, words))
             ):
@@ -51,7 +58,7 @@ def main() -> None:
                 if kind == "u":
                     # what is seen after an unknown motion is not seen from the pose before it, and is refused, too
                     take()
-                    began, moved, seen = number, {}, []
+                    began, control, readable, seen = number, (), False, []
     take()
     for landmark, mark in solver.landmarks.items():
         print("landmark", landmark, *(f"{value:.4f}" for value in mark))

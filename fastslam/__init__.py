@@ -1,7 +1,7 @@
 """Particle filters on the framework's logs and models: Monte Carlo localisation and FastSLAM.
 
 `fastslam.textbook` is the lectures' pseudocode, particle by particle; the classes here do the same with arrays.
-Names are imported at their first use. The engine (`engine/include/vmslam/particles`) does the work.
+Names are imported at their first use. The engine (`engine/include/vmslam/particles`) has the algorithms.
 """
 # ruff: noqa: F401
 

@@ -23,10 +23,10 @@ from graphslam.models import SensorModel
 from graphslam.se2 import Array
 from graphslam.threads import available_threads
 
-from .gibbs.sightings import Sightings
 from .memory import GIGABYTE, available_memory, smoothing_memory
 from .motions import robot_poses
 from .samples import Samples
+from .sightings import Sightings
 
 #: the most particles considered at each step
 CANDIDATES = 200

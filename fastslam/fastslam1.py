@@ -120,7 +120,7 @@ class FastSLAM1(ParticleFilter):
 
     @property
     def _poses_drawn(self) -> int:
-        """How the engine draws the poses of a step with sightings: here, by their motion only."""
+        """The engine's proposal of poses at a step with sightings: here, their motion only."""
         return 0
 
     def _begin_maps(self, n: int) -> None:
@@ -173,6 +173,10 @@ class FastSLAM1(ParticleFilter):
         """
         for j in self._engine.landmarks().tolist():
             yield j, *self._engine.landmark(j, first, count)
+
+    def _gaussians_of(self, id: int) -> tuple[Array, Array, np.ndarray]:
+        means, covariances, evidence = self._engine.landmark(id, 0, self.particles)
+        return means, covariances, evidence > 0
 
     @property
     def _confirmed(self) -> float:

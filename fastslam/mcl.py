@@ -83,5 +83,9 @@ class MonteCarloLocalization(ParticleFilter):
     def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:  # noqa: ARG002
         return {j: LandmarkEstimate(m.copy(), np.zeros((len(m), len(m)))) for j, m in self._landmarks.items()}
 
+    def _gaussians_of(self, id: int) -> tuple[Array, Array, np.ndarray]:
+        m, N = self._landmarks[id], self.particles
+        return np.tile(m, (N, 1)), np.zeros((N, len(m), len(m))), np.ones(N, dtype=bool)
+
     def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]:  # noqa: ARG002
         return self._map(0, provisional)

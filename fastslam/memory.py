@@ -1,4 +1,4 @@
-"""How much memory a particle filter will need, and how much there is.
+"""The memory that a particle filter needs, and the memory that there is.
 
 The numbers per particle are those of the arrays: 32 bytes for each stored pose of the genealogy, 8 bytes for each number of
 a landmark, and about 100 bytes for poses, weights and buffers. How many poses are stored depends on the resampling, so the
@@ -83,7 +83,7 @@ def check_memory(log: Log, options: FilterOptions, *, maps: bool) -> None:
 
 
 def available_memory() -> float | None:
-    """The memory [bytes] that a process may take without swapping; None where the system does not tell."""
+    """The memory [bytes] that a process may take without swapping; None where the system does not report it."""
     limits = []
     for line in _lines("/proc/meminfo"):
         name, _, size = line.partition(":")

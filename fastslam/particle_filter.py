@@ -1,4 +1,4 @@
-"""What Monte Carlo localisation and FastSLAM have in common: particles that move, are weighed and are resampled.
+"""`ParticleFilter`, the base of Monte Carlo localisation and FastSLAM: particles move, are weighed and are resampled.
 
 Sources: Ueda, *LNPR*, chapters 5 and 8; Thrun, Burgard and Fox, *Probabilistic Robotics*, sections 4.3 and 8.3.
 """
@@ -73,7 +73,7 @@ class ParticleFilter(ABC):
         options: the options; ``keywords`` replace single options and are the fields of `FilterOptions`.
         motion, sensor: the models; default: those of the log, else the book's.
         start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose. A
-            `graphslam.Fix` in a map: poses are drawn with `SPREAD` times its standard deviations, because the sightings from
+            `Fix` in a map: poses are drawn with `SPREAD` times its standard deviations, because the sightings from
             which it comes weigh the particles again.
 
     Raises:
@@ -148,15 +148,36 @@ class ParticleFilter(ABC):
 
     # -- step by step ------------------------------------------------------------------------------------------------
 
-    def move(self, control: ArrayLike, dt: float) -> None:
-        """Go to the next step: every particle draws its own motion under the control (nu, omega) [m/s, rad/s].
+    def move(
+        self,
+        control: ArrayLike | None = None,
+        dt: float | None = None,
+        *,
+        motion: ArrayLike | None = None,
+        covariance: ArrayLike | None = None,
+    ) -> None:
+        """Go to the next step: every particle draws its own motion.
 
-        dt = 0 [s] is a step in which nothing moves: no noise is added, although the random numbers are drawn.
+        Args:
+            control, dt: (nu, omega) [m/s, rad/s] for dt [s]. dt = 0 is a step in which nothing moves: no noise is added,
+                although the random numbers are drawn.
+            motion, covariance: instead of a control, the new pose (3,) of the robot measured from the one before, with
+                (3, 3).
 
         Raises:
-            OptionError: the control is not two finite numbers, dt is negative or not finite, or the robot would, by the
-                control or a standard deviation of its noise, go farther than 1e9 m or turn by more than 1e5 rad.
+            OptionError: the numbers are not finite, dt is negative, the covariance is not positive semidefinite, or the
+                robot would, by its motion or a standard deviation of its noise, go farther than 1e9 m or turn by more
+                than 1e5 rad.
         """
+        if (control is None) == (motion is None):
+            raise OptionError("move takes a control and dt, or a motion and its covariance")
+        if motion is not None:
+            z = finite("motion", motion, "a finite pose (3,)", [(3,)])
+            P = finite("covariance", covariance, "a finite matrix (3, 3)", [(3, 3)])
+            if not np.allclose(P, P.T) or np.linalg.eigvalsh(P)[0] < -1e-12 * np.abs(P).max():
+                raise OptionError(f"covariance must be symmetric positive semidefinite, not {quoted(covariance)}")
+            self._move_by_gaussian(*sensor_motions(self.sensor, z[None], P[None]))
+            return
         u = finite("control", control, "two finite numbers (nu, omega)", [(2,)])
         dt = float(finite("dt", dt, "a finite number of seconds", [()]))
         if dt < 0:
@@ -195,12 +216,26 @@ class ParticleFilter(ABC):
 
     @property
     def state(self) -> ParticleState:
-        """The particles as they are now."""
+        """The present particles."""
         particles, ess = self._engine, self._ess_history[-1]
         poses = robot_poses(self.sensor, particles.poses)
         return ParticleState(
             self._step, poses, particles.log_weights, ess, self._resampled, particles.best, self, self._version
         )
+
+    @property
+    def pose(self) -> Array:
+        """The weighted mean of the particles' poses, (3,)."""
+        return self.state.mean_pose
+
+    @property
+    def landmarks(self) -> dict[int, Array]:
+        """{id: (x, y) or (x, y, heading)}: the means of the mixture of all maps, by increasing id."""
+        return {j: estimate.mean for j, estimate in sorted(self.state.mixture_map().items())}
+
+    def covariance(self, poses: Any = None, landmarks: Any = None, *, joint: bool = False) -> Any:
+        """Covariances of the present pose and of landmarks; see `ParticleState.covariance`."""
+        return self.state.covariance(poses, landmarks, joint=joint)
 
     def trajectory(self, particle: int | None = None) -> Array:
         """Return the history of one particle, by default the best, (steps so far + 1, 3).
@@ -327,6 +362,10 @@ class ParticleFilter(ABC):
     @abstractmethod
     def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]:
         """Return the mixture of all maps under weights (N,), as `ParticleState.mixture_map`."""
+
+    @abstractmethod
+    def _gaussians_of(self, id: int) -> tuple[Array, Array, np.ndarray]:
+        """Return means (N, n), covariances (N, n, n) of a landmark in all particles, and whether they have it (N,)."""
 
     @property
     def _gaussian_motions(self) -> bool:

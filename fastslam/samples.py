@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from graphslam.errors import OptionError
+from graphslam.marginals import ids_of, split
 from graphslam.se2 import Array, wrap
 
 
@@ -32,10 +35,38 @@ class Samples:
         """The mean trajectory, (T + 1, 3); headings are directions of the mean of (cos, sin)."""
         return _mean(self.trajectories.reshape(-1, *self.trajectories.shape[2:]))
 
-    @cached_property
-    def pose_covariances(self) -> Array:
-        """The covariances of the poses about their means, (T + 1, 3, 3)."""
-        return _covariances(self.trajectories, self.poses)
+    def covariance(self, poses: Any = None, landmarks: Any = None, *, joint: bool = False) -> Any:
+        """Covariances of the samples about their means: of all poses, (T + 1, 3, 3), or of what the arguments name.
+
+        Shapes and arguments are those of `Solution.covariance`.
+
+        Raises:
+            OptionError: there is no such pose or landmark.
+        """
+        steps, ids = ids_of("poses", poses), ids_of("landmarks", landmarks)
+        rows = {j: k for k, j in enumerate(self.ids.tolist())}
+        for what, unknown in (
+            ("pose", [t for t in steps if not 0 <= t < len(self.poses)]),
+            ("landmark", [j for j in ids if j not in rows]),
+        ):
+            if unknown:
+                raise OptionError(f"there is no {what} {unknown[0]} among the samples")
+        if poses is None and landmarks is None:
+            if not joint:
+                return _covariances(self.trajectories, self.poses)
+            steps = list(range(len(self.poses)))
+        marks = np.array(list(self.landmarks.values()))
+        away = [
+            _deviations(samples[:, :, chosen], means[chosen]).reshape(-1, len(chosen) * means.shape[1])
+            for samples, means, chosen in (
+                (self.trajectories, self.poses, steps),
+                (self.maps, marks, [rows[j] for j in ids]),
+            )
+            if chosen
+        ]
+        together = np.hstack(away)
+        matrix = together.T @ together / len(together)
+        return matrix if joint else split(matrix, poses, landmarks)
 
     @cached_property
     def landmarks(self) -> dict[int, Array]:
@@ -58,7 +89,12 @@ def _mean(samples: Array) -> Array:
 
 
 def _covariances(samples: Array, mean: Array) -> Array:
-    d = samples.reshape(-1, *mean.shape) - mean
+    d = _deviations(samples, mean).reshape(-1, *mean.shape)
+    return np.einsum("sti,stj->tij", d, d) / len(d)
+
+
+def _deviations(samples: Array, mean: Array) -> Array:
+    d = samples - mean
     if mean.shape[1] == 3:
         d[..., 2] = wrap(d[..., 2])
-    return np.einsum("sti,stj->tij", d, d) / len(d)
+    return d

@@ -1,15 +1,17 @@
-"""What a particle filter knows after a step, and what it estimated from a log."""
+"""`ParticleState`, the particles after a step, and `FilterResult`, the estimate from a log."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from graphslam.errors import OptionError
 from graphslam.landmark_map import LandmarkMap
+from graphslam.marginals import ids_of, shaped
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
 
@@ -65,10 +67,34 @@ class ParticleState:
         """The weighted mean, (3,); the heading is the direction of the weighted mean of (cos, sin)."""
         return weighted_mean(self.poses, np.exp(self.log_weights))
 
-    @property
-    def pose_covariance(self) -> Array:
-        """The weighted covariance about the mean pose, (3, 3); differences of headings are wrapped."""
-        return weighted_covariance(self.poses, self.mean_pose, np.exp(self.log_weights))
+    def covariance(self, poses: Any = None, landmarks: Any = None, *, joint: bool = False) -> Any:
+        """Weighted covariances about the means: of the pose (3, 3), or of what the arguments name.
+
+        Shapes and arguments are those of `OnlineSolver.covariance`. Particles have the present pose only, which has the
+        number of the step. Landmarks are those of `mixture_map`; with ``joint``, particles count that have all of them.
+
+        Raises:
+            OptionError: a past pose or an unknown landmark is asked for, or the filter has taken another step.
+        """
+        if poses is None and landmarks is None:
+            poses = self.step
+        if past := [step for step in ids_of("poses", poses) if step != self.step]:
+            raise OptionError(f"particles have no pose {past[0]}: they have the present one, {self.step}")
+        ids, weights = ids_of("landmarks", landmarks), np.exp(self.log_weights)
+        mixture = self.mixture_map(provisional=True) if ids else {}
+        if unknown := [id for id in ids if id not in mixture]:
+            raise OptionError(f"there is no landmark {unknown[0]} on the map")
+        times = len(ids_of("poses", poses))
+        if not joint:
+            own = weighted_covariance(self.poses, self.mean_pose, weights)
+            return shaped(poses, landmarks, [own] * times, [mixture[id].covariance for id in ids])
+        gaussians = [self._current_filter()._gaussians_of(id) for id in ids]
+        among = weights * np.all([owned for _, _, owned in gaussians], axis=0) if ids else weights
+        among /= among.sum()
+        samples = [self.poses] * times + [means for means, _, _ in gaussians]
+        away = np.hstack([_deviations(points, weighted_mean(points, among)) for points in samples])
+        within = [np.zeros((3, 3))] * times + [np.tensordot(among, inside, 1) for _, inside, _ in gaussians]
+        return away.T @ (among[:, None] * away) + block_diag(*within)
 
     def map(self, particle: int | None = None, *, provisional: bool = False) -> dict[int, LandmarkEstimate]:
         """Return the map of one particle, by default the best, {id: estimate}; on request with unconfirmed landmarks.
@@ -100,7 +126,7 @@ class ParticleState:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FilterResult:
-    """What a particle filter estimated from a log of T motions, and from what.
+    """The estimate of a particle filter from a log of T motions, with its options and models.
 
     Attributes:
         estimator: the name of the filter's class; ``log``: the name of the log, "" for a filter without one.
@@ -165,7 +191,13 @@ def weighted_mean(points: Array, weights: Array) -> Array:
 
 def weighted_covariance(points: Array, mean: Array, weights: Array) -> Array:
     """Return the covariance of (k, n) points about a mean under weights that sum to 1; a third coordinate is an angle."""
+    difference = _deviations(points, mean)
+    return difference.T @ (weights[:, None] * difference)
+
+
+def _deviations(points: Array, mean: Array) -> Array:
+    """The differences of (k, n) points to a mean; a third coordinate is an angle."""
     difference = points - mean
     if points.shape[1] == 3:
         difference[:, 2] = wrap(difference[:, 2])
-    return difference.T @ (weights[:, None] * difference)
+    return difference

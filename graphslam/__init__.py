@@ -11,75 +11,59 @@ from .lazy import lazy_names
 
 if TYPE_CHECKING:
     from . import edges, factors, formats, metrics, se2, textbook
-    from .association import Association, AssociationOptions, AssociationScore, Doubt, associate
-    from .calibration import Calibration, calibrate
+    from .association import associate
+    from .calibration import calibrate
     from .certificate import Certificate
     from .certify import certify
-    from .dense import ControlPath, control_path
+    from .continuous_time import control_path
     from .edges.robust import Cauchy, GemanMcClure, Huber
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
     from .formats import load, save
+    from .formats.synchronize import synchronize
     from .graph import Graph
-    from .identification.result import RobotEstimate
     from .identification.robot import estimate_robot
-    from .incremental.solver import OnlineSolver
-    from .incremental.stream import OnlineEstimate, online, solve_by_steps, steps_of
-    from .keyframes import with_poses_every
     from .landmark_map import LandmarkMap
-    from .localization import Fix, first_fix
+    from .localization import first_fix
     from .log import Log
     from .mapping import estimate_map
     from .models import MotionModel, SensorModel
-    from .parameters import PARAMETERS, Parameter, ParameterEstimate
-    from .parameters.corrections import without_biases
+    from .online import OnlineSolver, solve_online
+    from .simulation.drives import Drive
+    from .simulation.simulator import simulate
+    from .simulation.worlds import World, sample_log_path
     from .solution import Solution
-    from .solvers.gnc import solve_gnc
     from .solvers.gtsam_solver import solve_with_gtsam
     from .solvers.many import solve_many
-    from .solvers.online import IncrementalSmoother, isam2_parameters, solve_online
-    from .solvers.solve import Iteration, solve
-    from .sources.drives import Drive, DriveTruth
-    from .sources.simulator import MotionFaults, SensorFaults, simulate
+    from .solvers.solve import solve
     from .sources.streams import Stream
-    from .sources.synchronize import synchronize
-    from .sources.worlds import WORLDS, World, sample_log_path
-    from .tables import TableOptions
 
 #: the public names, by the module that defines them; "" lists modules
 _PUBLIC = {
     "": "edges factors formats metrics se2 textbook",
-    "association": "Association AssociationOptions AssociationScore Doubt associate",
-    "calibration": "Calibration calibrate",
+    "association": "associate",
+    "calibration": "calibrate",
     "certificate": "Certificate",
     "certify": "certify",
-    "dense": "ControlPath control_path",
+    "continuous_time": "control_path",
     "edges.robust": "Cauchy GemanMcClure Huber",
     "errors": "FactorError FormatError GraphError LogError OptionError SlamError",
     "formats": "load save",
     "graph": "Graph",
-    "identification.result": "RobotEstimate",
     "identification.robot": "estimate_robot",
-    "incremental.solver": "OnlineSolver",
-    "incremental.stream": "OnlineEstimate online solve_by_steps steps_of",
-    "keyframes": "with_poses_every",
-    "localization": "Fix first_fix",
+    "localization": "first_fix",
     "log": "Log",
     "landmark_map": "LandmarkMap",
     "mapping": "estimate_map",
     "models": "MotionModel SensorModel",
-    "parameters": "PARAMETERS Parameter ParameterEstimate",
-    "parameters.corrections": "without_biases",
+    "online": "OnlineSolver solve_online",
     "solution": "Solution",
-    "solvers.gnc": "solve_gnc",
     "solvers.gtsam_solver": "solve_with_gtsam",
     "solvers.many": "solve_many",
-    "solvers.online": "IncrementalSmoother isam2_parameters solve_online",
-    "solvers.solve": "Iteration solve",
-    "sources.drives": "Drive DriveTruth",
-    "sources.simulator": "MotionFaults SensorFaults simulate",
+    "solvers.solve": "solve",
+    "simulation.drives": "Drive",
+    "simulation.simulator": "simulate",
     "sources.streams": "Stream",
-    "sources.synchronize": "synchronize",
-    "sources.worlds": "WORLDS World sample_log_path",
-    "tables": "TableOptions",
+    "formats.synchronize": "synchronize",
+    "simulation.worlds": "World sample_log_path",
 }
 __getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)

@@ -33,7 +33,7 @@ from .landmark_map import LandmarkMap
 from .log import Log
 from .mapping import estimate_map
 from .models import MotionModel, SensorModel
-from .precision import LARGEST, check_log, check_size
+from .precision import LARGEST, check_magnitudes, check_size
 from .se2 import Array
 
 
@@ -56,7 +56,7 @@ def parts_of_log(
     """
     with_motion = edges.endswith("+motion")
     _check_log(log, with_motion)
-    check_log(log, motion, sensor)
+    check_magnitudes(log, motion, sensor)
     sighted: EdgeFamily
     parts: dict[str, Any] = {"trajectory": log.initial_poses, "log": log, "sensor": sensor}
     if edges.startswith("landmark"):
@@ -218,7 +218,7 @@ def file_of_parts(
     landmark_ids: np.ndarray,
     fixed: np.ndarray,
 ) -> PoseGraphFile:
-    """What a g2o file holds of a graph whose nodes have the values ``state`` (n, 3); see `Graph.save_g2o`.
+    """The contents of the g2o file of a graph whose nodes have the values ``state`` (n, 3); see `Graph.save_g2o`.
 
     Raises:
         GraphError: the graph has edges that g2o has no line for.

@@ -1,4 +1,4 @@
-"""What suits a log where options of its graph are not named: one choice for Python and the command line."""
+"""Default options of the graph of a log, the same for Python and the command line."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def edges_for_map(log: Log, edges: str | None) -> str:
 def suitable_kernel(log: Log) -> str:
     """The name of the robust kernel that suits a log, "none" where `simulate` made it.
 
-    All other logs count as real data, which have wrong sightings. A kernel costs next to nothing there (docs/decisions.md).
+    All other logs count as real data, which have wrong sightings. A kernel loses little accuracy there (docs/decisions.md).
     """
     return "none" if log.simulated else "cauchy"
 
@@ -61,7 +61,7 @@ def suitable_for_isam2(
 
 
 def pairs_overweight(log: Log) -> str | None:
-    """What weight="pairs" does to the covariances, or None where it does nothing: no landmark is seen more than twice."""
+    """A sentence on covariances with weight="pairs"; None where no landmark is seen more than twice, which is exact."""
     ids, counts = np.unique(log.landmarks, return_counts=True)
     most = int(np.argmax(counts))
     if counts[most] <= 2:

@@ -36,7 +36,7 @@ def undetermined(graph: Graph, state: Array, error: FactorizationError) -> Graph
 
 
 def _remedy(graph: Graph) -> str:
-    """What whoever made the graph can do: of a log, they have rows and options, and not edges."""
+    """Advice for the user: for the graph of a log it names rows and options, else edges."""
     if graph.log is None:
         return "Add edges (a relative pose, a sighting, a loop closure) or an anchor there"
     if graph.log.controls is None:

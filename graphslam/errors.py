@@ -27,7 +27,7 @@ def shortened(text: str, most: int = QUOTED) -> str:
 
 
 def reason_of(error: Exception) -> str:
-    """What an error says. Messages of other packages may repeat a whole input, and are shortened."""
+    """The message of an error. Messages of other packages may repeat a whole input, and are shortened."""
     return str(error) if isinstance(error, SlamError) else shortened(" ".join(str(error).split()))
 
 
@@ -37,7 +37,7 @@ def decimals(value: float, digits: int = 3) -> str:
 
 
 def quoted(value: object, most: int = QUOTED) -> str:
-    """How messages repeat what the user gave: its ``repr``, of at most ``most`` characters.
+    """An input as messages quote it: its ``repr``, of at most ``most`` characters.
 
     A cell of a table may have 200,000 letters, and whole numbers of more than 4,300 digits have no ``repr`` at all.
     """

@@ -64,7 +64,7 @@ class Graph:
         log, sensor: what the graph was made from, where it was made from a log.
         notes: what the user should know, one sentence each.
         sighting_rows: (M,) the row of the log's sightings that each sighting of the edges comes from.
-        parameters: what is unknown about vehicle and sensor beside the nodes, or None; the edges are those at its values.
+        parameters: unknown parameters of vehicle and sensor, or None; the edges are those at its values.
         held: parameters that were estimated before and are not solved for; covariances contain their uncertainty.
         map: the map whose landmarks are fixed or have priors, in the place of an anchor; None where there is none.
     """
@@ -134,7 +134,7 @@ class Graph:
             kernel: against wrong sightings: `Huber`, `Cauchy`, `GemanMcClure` or their names, or "none". Default: what suits
                 the log, "none" where `simulate` made it and "cauchy" otherwise. It acts on every pair of "pairs" and
                 "tempered", and on every sighting otherwise. The default width has 95 % of the efficiency of least squares.
-                See also `solve_gnc`.
+                See also `solve` with the method "gnc".
             dimensions: 3: require orientation psi; 2: ignore it; default: use psi where the log has it.
             residual: of landmark nodes: "cartesian" (the sighting as a position in the robot's axes, the landmark's heading
                 with it) or "polar" (range and bearing, h(x, m) - z, whose cost has false minima).
@@ -144,7 +144,7 @@ class Graph:
 
             noise: "auto": estimate noise and biases of the robot and misread ids from the log, and take them out of it
                 (`graphslam.estimate_robot`); "book": the values of the lectures. Default: the models of the log, the book's
-                for logs of `simulate`, and else "auto" where the log can tell them. Not used where models are given.
+                for logs of `simulate`, and else "auto" where the log determines them. Not used where models are given.
             map: a `LandmarkMap`, {id: (x, y)}, the path of its file, or a solution of another log. Its landmarks are nodes:
                 without a covariance they are fixed, otherwise they have priors, together where the map has a joint
                 covariance. Landmarks that it does not have are added. psi is not used where a fixed landmark that is seen
@@ -311,7 +311,7 @@ class Graph:
 
     @property
     def prior_cost(self) -> float:
-        """What the priors of the parameters contribute to J at the values of the parameters; 0 without parameters."""
+        """The part of J from the priors of the parameters at their values; 0 without parameters."""
         return 0.0 if self.parameters is None else self.parameters.prior_cost
 
     @property

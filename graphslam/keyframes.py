@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .checks import check_positive
-from .dense import control_path
+from .continuous_time import control_path
 from .errors import LogError
 from .log import Log
 from .se2 import Array

@@ -125,7 +125,7 @@ class LandmarkMap(dict[int, Array]):
         """The map with less said about its errors.
 
         Args:
-            use: "joint", as it is; "own", the covariance of each landmark without correlations; "fixed", all exact.
+            use: "joint", the joint covariance; "own", that of each landmark without correlations; "fixed", all exact.
 
         Raises:
             OptionError: there is no such use.

@@ -34,7 +34,7 @@ GROWTH = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Fix:
-    """Where the robot was at the first pose of a log, in the frame of a map.
+    """The first pose of a log in the frame of a map.
 
     Attributes:
         pose: (3,) of step 0 [m, m, rad].
@@ -63,7 +63,7 @@ class Fix:
 
     @property
     def sentence(self) -> str:
-        """What it comes from, in words."""
+        """The source of the fix, in words."""
         wrong = f", {len(self.disagree)} contradict it" if len(self.disagree) else ""
         sightings = "sighting agrees" if len(self.agree) == 1 else "sightings agree"
         return f"{len(self.agree)} {sightings} up to step {self.step}{wrong}"
@@ -283,11 +283,10 @@ def _by_pose(lever: Array) -> Array:
 
 
 def _seen(poses: Array, sightings: Array, sensor: SensorModel) -> tuple[Array, Array, Array]:
-    """Where sightings put landmarks (M, 3), with covariances (M, 3, 3), and their levers (M, 2) about the poses."""
+    """The landmarks (M, 3) of sightings with covariances (M, 3, 3), and their levers (M, 2) about the poses."""
     d = sightings.shape[1]
     y, C = np.full((len(poses), 3), np.nan), np.zeros((len(poses), 3, 3))
-    y[:, :d] = sensor.h_inverse(poses, sightings)
-    C[:, :d, :d] = sensor.landmark_covariance(poses, sightings)
+    y[:, :d], C[:, :d, :d] = sensor.places(sightings, poses)
     lever = y[:, :2] - poses[:, :2]
     return y, C, np.column_stack([-lever[:, 1], lever[:, 0]])
 
@@ -310,7 +309,7 @@ def _of(seen: tuple[Array, Array, Array], drift: Array, ids: np.ndarray, landmar
 
 
 def _flat(points: Points, match: Match) -> bool:
-    """Whether no heading tells the map from a mirrored one."""
+    """Whether no heading distinguishes the map from a mirrored one."""
     return not points.oriented[match.agree].any()
 
 
@@ -330,7 +329,7 @@ def _odds(matches: list[Match]) -> float:
 
 
 def _no_fix(log: Log, points: Points, matches: list[Match]) -> GraphError:
-    """Why no place in the map fits, with the likely cause."""
+    """The reason why no place in the map fits, with the likely cause."""
     count = len(np.unique(points.ids))
     if count == 1 and not points.oriented.any():
         which = listed("landmark", [int(points.ids[0])])
@@ -357,7 +356,7 @@ def _no_fix(log: Log, points: Points, matches: list[Match]) -> GraphError:
 
 
 def _cause(points: Points) -> str:
-    """What would make many more measurements agree: a mirrored map, or another unit; "" where it is neither."""
+    """The change with which many more measurements agree: a mirrored map or another unit; "" where there is none."""
 
     def fits(changed: Points) -> bool:
         matches = register(changed)

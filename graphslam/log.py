@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .checks import array_of, check_positive, check_type, checked_deviations, checked_offset, first
 from .errors import LogError, OptionError, printable, quoted
-from .log_checks import (
+from .log_arrays import (
     checked_classes,
     checked_landmarks,
     checked_starts,
@@ -62,12 +62,12 @@ class Log:
         start_time: the time of step 0 [s].
         motion, sensor: the noise models published with the data, the default of all estimators; None where there are
             none.
-        uncertain: {name of a bias of `graphslam.PARAMETERS`: standard deviation of its prior} of the biases that were
+        uncertain: {name of a bias of `PARAMETERS`: standard deviation of its prior} of the biases that were
             estimated and taken out of this log. Covariances of graphs then contain what is still unknown of them.
         simulated: whether `simulate` made the log. All other logs count as real data, whose sightings may be wrong.
         name: the name of the log in messages and tables.
         notes: remarks of the reader about the data, one sentence each.
-        doubts: what the reader found that is probably a mistake, (name of the check, sentence) each; `plausibility` tells it.
+        doubts: probable mistakes that the reader found, (name of the check, sentence) each; `check_log` returns them.
 
     Raises:
         LogError: an argument has the wrong shape, is not finite, or is impossible (a range not above zero, ...).
@@ -266,7 +266,7 @@ class Log:
 
     @property
     def seen(self) -> str:
-        """In words, how many sightings of how many landmarks there are."""
+        """The numbers of sightings and landmarks, in words."""
         total, without = len(self.steps), int(np.count_nonzero(self.landmarks == UNIDENTIFIED))
         if 0 < without == total:
             return f"{total} sightings of unidentified landmarks"

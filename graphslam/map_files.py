@@ -128,7 +128,7 @@ def _table(path: Path) -> Parts:
 
 
 def _check_errors(table: Table) -> None:
-    """Refuse columns that seem to tell errors and cannot be used, because landmarks without a covariance count as exact."""
+    """Refuse columns that seem to be errors and cannot be used, because landmarks without a covariance count as exact."""
     names = [plain(name)[0] for name in table.names]
     for name in COVARIANCE:
         if names.count(name) > 1:

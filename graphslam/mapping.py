@@ -12,7 +12,7 @@ from .errors import OptionError
 from .landmark_map import LandmarkMap
 from .log import UNIDENTIFIED, Log
 from .models import SensorModel
-from .precision import check_log
+from .precision import check_magnitudes
 
 
 def estimate_map(
@@ -61,7 +61,7 @@ def estimate_map(
     known = np.flatnonzero(log.landmarks != UNIDENTIFIED)
     if len(known) == 0:
         return LandmarkMap({}, {})
-    check_log(log, None, sensor)
+    check_magnitudes(log, None, sensor)
     rows = known[np.argsort(log.landmarks[known], kind="stable")]
     ids, starts = np.unique(log.landmarks[rows], return_index=True)
     edges = MarginalEdges(

@@ -261,7 +261,7 @@ def additional_variances(control_variances: ArrayLike | None, count: int) -> Arr
 
 
 def _arc(heading: Array, control: Array, dt: Array) -> tuple[Array, Array, Array]:
-    """How far a control moves a pose of this heading in x and y, and how far it turns it; each (...)."""
+    """The motion in x, in y and in the heading that a control causes at this heading; each (...)."""
     a = control[..., 1] * dt / 2
     chord, along = control[..., 0] * dt * sinc(a), heading + a
     return chord * np.cos(along), chord * np.sin(along), 2 * a
@@ -439,6 +439,20 @@ class SensorModel(NoiseModel):
         if n == 3:
             covariance[..., 2, 2] = self.orientation_std**2
         return covariance
+
+    def places(
+        self, sightings: ArrayLike, poses: ArrayLike | None = None, noisy: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """The landmarks of sightings with their covariances: h^-1(x, z) (..., n) and R Q R' (..., n, n).
+
+        Args:
+            sightings: z (..., n).
+            poses: x (..., 3); default: the origin, so that landmarks are in the robot's axes.
+            noisy: the sightings (..., n) at which R and Q are evaluated; default: z.
+        """
+        z = np.asarray(sightings, dtype=float)
+        x = np.zeros((*z.shape[:-1], 3)) if poses is None else poses
+        return self.h_inverse(x, z), self.landmark_covariance(x, z if noisy is None else noisy)
 
     def landmark_covariance(self, pose: ArrayLike, sighting: ArrayLike) -> Array:
         """The covariance of h^-1(x, z) for a known pose, R Q R'; (..., n, n)."""

@@ -1,4 +1,4 @@
-"""What double precision can hold: limits of lengths and noise, and the inverses of covariances.
+"""Limits of double precision: of lengths and noise, and the inverses of covariances.
 
 Graphs multiply up to six lengths and standard deviations with one another, and a determinant multiplies three of these
 products. Between 1e-20 and 1e20 none of that leaves the range of floating point.
@@ -9,22 +9,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import fields
 from math import inf, sqrt
+from typing import TYPE_CHECKING
 from weakref import WeakSet
 
 import numpy as np
 
 from .checks import first
 from .errors import GraphError
-from .log import Log
 from .models import MotionModel, SensorModel
 from .se2 import Array
+
+if TYPE_CHECKING:
+    from .log import Log
 
 SMALLEST, LARGEST = 1e-20, 1e20
 #: a matrix is singular to double precision where elimination leaves less than this part of a diagonal entry
 PART = 1e-13
 
 
-def check_log(log: Log, motion: MotionModel | None, sensor: SensorModel) -> None:
+def check_magnitudes(log: Log, motion: MotionModel | None, sensor: SensorModel) -> None:
     """Raise `GraphError` where numbers of a log and its noise models are too large, too small or too far apart.
 
     The variances of a sighting along the line of sight and across it must not differ by more than 1 / `PART`, nor may
@@ -140,7 +143,7 @@ def small_inverse(matrix: Sequence[Sequence[float]], least: float = PART) -> Arr
 
 
 def _smallest_pivots(unit: Array) -> Array:
-    """What elimination leaves, at least, of the diagonal of ones of matrices (E, d, d)."""
+    """The smallest pivot (E,) of elimination for matrices (E, d, d) with ones on the diagonal."""
     try:
         return np.diagonal(np.linalg.cholesky(unit), axis1=1, axis2=2).min(axis=1) ** 2
     except np.linalg.LinAlgError:

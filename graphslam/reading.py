@@ -1,4 +1,4 @@
-"""How a log is read: the options of `graphslam.load` that depend on the kind of data set."""
+"""The options of `graphslam.load` that depend on the kind of data set."""
 
 from __future__ import annotations
 

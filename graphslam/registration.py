@@ -1,4 +1,4 @@
-"""Where a set of landmarks lies in a map: the pose T = (t, theta) with R(theta) y_k + t = m_k, robust to wrong ids.
+"""Registration of a set of landmarks in a map: the pose T = (t, theta) with R(theta) y_k + t = m_k, robust to wrong ids.
 
 Two landmarks, or one whose heading is measured, give T in closed form: with positions as complex numbers,
 

@@ -49,7 +49,7 @@ def relative_graph(graph: Graph, *, state: Array | None = None) -> Graph:
     kernels, so a kernel becomes a factor on the information of each edge: its weight at the state.
 
     Args:
-        graph: made by `Graph.from_log`, or a pose graph, which comes back as it is.
+        graph: made by `Graph.from_log`, or a pose graph, which is returned unchanged.
         state: (n, 3) the initial values of the result, at which kernels are evaluated: give the solution's state for a
             graph with a kernel. Default: the initial values of the graph.
 

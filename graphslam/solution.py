@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Integral
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +15,7 @@ from .checks import make_read_only
 from .errors import OptionError, quoted
 from .graph import Graph
 from .landmark_map import LandmarkMap
+from .marginals import ids_of, shaped
 from .metrics import pose_nees
 from .parameters.declared import ParameterEstimate
 from .parameters.doubt import doubts
@@ -45,7 +47,7 @@ class Solution:
         solver: the name of the solver.
         state: (n, 3) the values of the graph's nodes.
         notes: remarks on the graph and the solver, one sentence each.
-        trust: (M,) the trust in each sighting of the log, from 0 to 1, where `solve_gnc` determined it; NaN for
+        trust: (M,) the trust in each sighting of the log, from 0 to 1, where the method "gnc" determined it; NaN for
             sightings that the graph does not use. None for other solvers.
         graph: the graph that was solved, with the final trust in its sightings.
     """
@@ -83,56 +85,52 @@ class Solution:
     def certificate(self) -> Certificate:
         """Whether the solution is proven to be the global minimum of J, and how far below J any state may lie at most.
 
-        Computed at the first use. Estimated parameters are held at their values, and the status says so: a lower J with other
-        values is not excluded. The status of a run that has not converged
-        is "not proven", also where the bound is tight.
+        Computed at the first use. Estimated parameters are held at their values, which the status states: a lower J with
+        other values is not excluded. The status of a run that has not converged is "not proven", also where the bound is
+        tight.
         """
         return prove(self._solved_graph, self.state).of_run(self.converged, self.reason)
 
-    def covariance(self, id: int) -> Array:
-        """The covariance (3, 3) of a pose in world axes (x, y, theta): a diagonal block of Omega^-1.
+    def covariance(self, poses: Any = None, landmarks: Any = None, *, joint: bool = False) -> Any:
+        """Covariances in world axes (x, y, theta): blocks of Omega^-1.
 
-        With a robust kernel it is the covariance of the robust estimate; see `Graph.information`.
+        With a robust kernel they are those of the robust estimate; see `Graph.information`.
 
         Args:
-            id: of the pose: its step for the graph of a log, its number in the file for a pose graph.
+            poses: the id of a pose, which gives (3, 3), or a list of P ids, which gives (P, 3, 3). An id is the step for
+                the graph of a log, the number in the file for a pose graph.
+            landmarks: the id of a landmark, which gives (d, d), d = 2 or 3, or a list of L ids, which gives (L, d, d). For
+                a map made from the poses they are those given the poses.
+            joint: return one matrix (3 P + d L, 3 P + d L) of poses and landmark nodes, poses first, instead of a block
+                for each. Without it, poses and landmarks together give a pair (blocks of poses, blocks of landmarks).
+
+        Without arguments, the covariances of all rows of ``poses``, (T+1, 3, 3); NaN where a pose is not estimated.
 
         Raises:
-            OptionError: there is no such pose, or the graph does not estimate it.
+            OptionError: there is no such pose or landmark, or the graph does not estimate it.
             GraphError: the edges do not determine the poses.
         """
-        return self._uncertainty.diagonal[self._node(id)].copy()
-
-    def covariances(self) -> Array:
-        """The covariances of all rows of ``poses`` at once, (T+1, 3, 3); NaN where a pose is not estimated."""
-        blocks = np.full((len(self.poses), 3, 3), np.nan)
-        blocks[self.estimated] = self._uncertainty.diagonal[: int(self.estimated.sum())]
-        return blocks
-
-    def cross_covariance(self, id: int, other: int | None = None, *, landmark: int | None = None) -> Array:
-        """The covariance between a pose and another pose (3, 3), or a landmark node (3, d), in world axes.
-
-        Args:
-            id: of the pose, as for `covariance`.
-            other: the id of the other pose.
-            landmark: the id of the landmark, instead of another pose.
-
-        Raises:
-            OptionError: there is no such pose or landmark in the graph, or not exactly one of the two is given.
-        """
-        if (other is None) == (landmark is None):
-            raise OptionError("cross_covariance takes the id of another pose, or landmark=ID, and not both")
-        node = self._node(id)
-        if other is not None:
-            return self._uncertainty.block(node, self._node(other))
+        if poses is None and landmarks is None and not joint:
+            blocks = np.full((len(self.poses), 3, 3), np.nan)
+            blocks[self.estimated] = self._uncertainty.diagonal[: int(self.estimated.sum())]
+            return blocks
         graph = self._solved_graph
-        matches = np.flatnonzero(graph.landmark_ids == landmark)
-        if len(matches) == 0:
+        if poses is None and landmarks is None:
+            poses = graph.pose_ids
+        nodes = [self._node(id) for id in ids_of("poses", poses)]
+        ids, first, d = ids_of("landmarks", landmarks), len(graph.steps), graph.landmark_dimension
+        if unknown := [id for id in ids if id not in self.landmarks]:
+            raise OptionError(f"there is no landmark {unknown[0]} in the solution")
+        if not joint:
+            of_landmarks = [self.landmark_covariances[id] for id in ids]
+            return shaped(poses, landmarks, [self._uncertainty.diagonal[node] for node in nodes], of_landmarks)
+        if ids and not len(graph.landmark_ids):
             raise OptionError(
-                f"landmark {landmark} is no node of this graph; edges='landmark+motion' makes nodes of landmarks"
+                f"landmark {ids[0]} is no node of this graph; edges='landmark+motion' makes nodes of landmarks"
             )
-        block = self._uncertainty.block(node, len(graph.steps) + int(matches[0]))
-        return block[:, : graph.landmark_dimension]
+        ends = [(node, 3) for node in nodes]
+        ends += [(first + int(np.searchsorted(graph.landmark_ids, id)), d) for id in ids]
+        return np.block([[self._uncertainty.block(a, b)[:m, :n] for b, n in ends] for a, m in ends])
 
     @cached_property
     def landmark_covariances(self) -> dict[int, Array]:
@@ -164,7 +162,7 @@ class Solution:
         Raises:
             GraphError: the edges do not determine the poses.
         """
-        return pose_nees(_errors(self.poses, true_poses), self.covariances())
+        return pose_nees(_errors(self.poses, true_poses), self.covariance())
 
     def joint_nees(self, true_poses: ArrayLike) -> float:
         """e' Omega e / (3 T) of all poses together but the first, given the first; 1 on average if consistent.

@@ -81,7 +81,7 @@ def _with_nodes(graph: Graph, log: Log, state: Array) -> tuple[Graph, Array]:
 
 
 def _classes(log: Log | None) -> dict[int, str | int]:
-    """The class that most sightings of each landmark have, where the log tells classes."""
+    """The class that most sightings of each landmark have, where the log has classes."""
     if log is None or log.classes is None:
         return {}
     seen: dict[int, Counter[str | int]] = {}

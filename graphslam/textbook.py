@@ -20,7 +20,7 @@ from .checks import check_choice
 from .errors import GraphError, OptionError, quoted
 from .log import Log
 from .models import MotionModel, SensorModel
-from .precision import check_log
+from .precision import check_magnitudes
 from .se2 import Array
 
 #: slides 9.1.1 and 9.2: information of the anchor; they take an infinite one, the book's program 1e6 I
@@ -112,7 +112,7 @@ def solve(
     if with_motion and log.controls is None:
         raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")
 
-    check_log(log, motion, sensor)
+    check_magnitudes(log, motion, sensor)
     sightings = _by_landmark(log)
     pairs = [
         (t1, z1[:d], t2, z2[:d])

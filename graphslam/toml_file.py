@@ -111,7 +111,7 @@ class TomlFile:
         raise self.error(place, f"{place} should be {' or '.join(TYPE_NAMES[t] for t in types)}, not {quoted(value)}")
 
     def attempt(self, make: Callable[[], T], where: str = "") -> T:
-        """What a function returns; its `OptionError` becomes a `FormatError` with the line of the option.
+        """The result of a function; its `OptionError` becomes a `FormatError` with the line of the option.
 
         Args:
             make: its error message begins with the name of the option.

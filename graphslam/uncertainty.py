@@ -103,7 +103,7 @@ class Uncertainty:
     def expected_ate(self, poses: int) -> float:
         """The root of the expected square of the ATE [m] of the first P nodes, ``poses``, if the noise models are right.
 
-        The ATE is what is left of errors e of the positions after the best rigid motion is taken away. To the first order
+        The ATE is the remainder of errors e of the positions after the best rigid motion is removed. To the first order
         that is the part across the three directions g_k in which e shifts or turns all poses together, so its mean square
         is (tr Sigma - sum_k g_k' Sigma g_k) / P.
         """

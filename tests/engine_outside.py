@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from graphslam import Graph, Log, Solution, solve
-from graphslam.incremental.solver import OnlineSolver
+from graphslam.online.replay import replay
 from graphslam.se2 import wrap
 
 
@@ -18,15 +18,9 @@ def solution(log: Log) -> Solution:
 
 
 def online(log: Log) -> tuple[np.ndarray, dict[int, np.ndarray]]:
-    """The newest pose of `OnlineSolver` after each step, and the landmarks in the end."""
-    solver, poses = OnlineSolver(log.initial_poses[0]), []
-    assert log.controls is not None and log.dt is not None
-    for t in range(log.num_poses):
-        seen = {"ids": log.landmarks[log.steps == t], "sightings": log.sightings[log.steps == t]}
-        if t > 0:
-            solver.step(log.controls[t - 1], log.dt[t - 1], **seen)
-        elif len(seen["ids"]):
-            solver.step(pose=0, **seen)
+    """The newest pose of the online solver after each step, and the landmarks in the end."""
+    poses = []
+    for solver in replay(Graph.from_log(log, edges="landmark+motion", kernel="none", motion_weight=1.0)):
         poses.append(solver.pose)
     return np.array(poses), solver.landmarks
 

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from comparisons.cli import app
 from graphslam import load
-from graphslam.plausibility import plausibility
+from graphslam.log_checks import check_log
 
 FOLDER = Path(__file__).parents[1] / "examples" / "own_robot"
 FILES = ("odometry.csv", "sightings.csv", "truth.csv", "map.csv", "import.toml", "drive.mcap")
@@ -41,7 +41,7 @@ def test_tables_and_bag_are_the_same_drive():
     np.testing.assert_allclose(bag.dt, tables.dt, atol=1e-9)
     np.testing.assert_array_equal(bag.controls, tables.controls)
     np.testing.assert_allclose(bag.true_poses, tables.true_poses, atol=1e-4)
-    assert not tables.notes and not plausibility(tables) and not plausibility(bag)
+    assert not tables.notes and not check_log(tables) and not check_log(bag)
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator, default_rng
 
-from graphslam import Graph, Log, MotionModel, SensorModel, SlamError, Solution, solve, solve_gnc, textbook
+from graphslam import Graph, Log, MotionModel, SensorModel, SlamError, Solution, solve, textbook
 from graphslam.se2 import between, inverse, transform
 
 from .attempt import Case
@@ -55,7 +55,7 @@ def graph_case(seed: int, number: int) -> Case:
             return [] if np.isfinite(result.poses).all() else ["poses are not finite"]
         graph = Graph.from_log(log, motion=motion, sensor=sensor, **options)
         if solver == "gnc":
-            return wrong_with(solve_gnc(graph), initialize="gnc")
+            return wrong_with(solve(graph, method="gnc"), initialize="gnc")
         return wrong_with(solve(graph, method=solver, initialize=initialize), initialize=initialize)
 
     return name, check
@@ -76,7 +76,7 @@ def wrong_with(solution: Solution, *, initialize: str) -> list[str]:
     if solution.converged and (lower := descended(graph, solution.state)) is not None:
         problems.append(f"converged at J = {cost:.9g}, but a descent leads to {lower:.9g}: {solution.reason}")
     try:
-        covariances = solution.covariances()[solution.estimated]
+        covariances = solution.covariance()[solution.estimated]
         if not np.isfinite(covariances).all():
             problems.append("a covariance is not finite")
         elif np.any(np.diagonal(covariances, axis1=1, axis2=2) < 0):

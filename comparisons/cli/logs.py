@@ -61,8 +61,8 @@ def calibrate(
 
     Noise for a log without ground truth is best calibrated from the ground truth of other robots of the same kind.
     """
-    from ..calibration import calibrate as estimate
     from ..noise_files import write_noise
+    from ..reading import calibrate as estimate
     from ..saving import check_can_write
 
     if out is not None:

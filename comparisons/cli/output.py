@@ -1,4 +1,4 @@
-"""Where a verb writes: tables and sentences to standard output, progress to standard error, JSON where it is asked for."""
+"""The output of a verb: tables and sentences on standard output, progress on standard error, and JSON."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class Output:
         self.say(*remarks)
 
     def draw(self, result: Any, path: Path | None, **options: Any) -> None:
-        """Write the figure of a result, if it is wanted."""
+        """Write the figure of a result, if it is asked for."""
         if path is not None:
             result.save_figure([path], **options)
             self.hint(f"Wrote {path}.")
@@ -191,7 +191,7 @@ class Output:
 
         Args:
             what: the work.
-            total: how many steps there are; None where nobody knows.
+            total: the number of steps; None where it is unknown.
         """
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
         from rich.progress import TimeRemainingColumn as Remaining
@@ -226,7 +226,7 @@ def _encodable(text: str) -> bool:
 
 
 def program() -> str:
-    """How the user calls this program: by its name, or by its path where the shell does not find the name."""
+    """The command that starts this program: its name, or its path where the shell does not find the name."""
     called = Path(sys.argv[0])
     if called.name != "slam-compare" or shutil.which(called.name) is not None:
         return "slam-compare"

@@ -31,7 +31,7 @@ def run(
 
     check_can_make(RESULTS if saving.out is None else saving.out)
     if saving.html is not None:
-        from ..show.report import check_page
+        from ..show.report.page import check_page
 
         check_page(saving.html)
     writers = _recordings(saving)
@@ -121,7 +121,7 @@ def report(
     options: RunOptions,
 ) -> None:  # fmt: skip
     """Run all estimators on one log and write an interactive report: one HTML file that works offline."""
-    from ..show.report import check_page
+    from ..show.report.page import check_page
 
     log, page = log_and_file(words, "slam-compare report LOG OUT.html")
     check_page(page)
@@ -209,7 +209,7 @@ def _progress(output: Output, advance: Advance) -> Progress:
 def _draw_live(output: Output, log: Path | None, options: RunOptions) -> None:
     from ..failures import noted
     from ..reading import prepare
-    from ..show.live import pictures
+    from ..show.text_plots import pictures
 
     prepared, _, filled = prepare(log, options)
     notes: list[str] = []
@@ -245,7 +245,7 @@ def _recordings(saving: OutputOptions) -> dict[str, tuple[Path, Callable[[Compar
 
 
 def _write_page(output: Output, outcome: Comparison, page: Path) -> None:
-    from ..show.report import write_report
+    from ..show.report.page import write_report
 
     write_report(outcome, page)
     output.hint(f"Wrote the interactive report {page}: open it in a browser.")

@@ -143,7 +143,7 @@ def study(
 
 
 def check_figure(path: Path | None) -> None:
-    """Raise now, rather than after the work, if a figure is wanted and cannot be written."""
+    """Raise before the study runs if a figure is asked for and cannot be written."""
     from ..saving import FIGURE_FORMATS, check_can_write
 
     if path is not None:

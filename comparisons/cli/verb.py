@@ -1,4 +1,4 @@
-"""How a verb of ``slam-compare`` is made from a function and the dataclasses of its options.
+"""A verb of ``slam-compare`` from a function and the dataclasses of its options.
 
 A parameter of the function that is annotated with a dataclass of `comparisons.options` becomes all the options of that
 dataclass; the function receives the dataclass, checked. ``output`` is the verb's `Output`. Other parameters are arguments of
@@ -88,7 +88,7 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
 def _interruptible() -> None:
     """Make Ctrl-C an exception from here on, so that files are written whole or not at all, unless it is ignored.
 
-    Until then the entry point ends the process at once, because imports may swallow the exception.
+    Until then the entry point ends the process at once, because imports may suppress the exception.
     """
     handled = signal.getsignal(signal.SIGINT) not in (signal.SIG_IGN, signal.SIG_DFL, None)
     if handled and threading.current_thread() is threading.main_thread():

@@ -126,7 +126,7 @@ class SeenDocument(Document):
 
 
 class HistogramDocument(Document):
-    """How often values lie in each interval."""
+    """A histogram."""
 
     edges: Annotated[list[float], about("limits of the intervals, one more than counts")]
     counts: Annotated[list[Count], about("number of values in each interval")]

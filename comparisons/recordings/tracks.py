@@ -1,4 +1,4 @@
-"""What a recording of a comparison shows: each estimate's poses over time with covariances, and its map."""
+"""The contents of a recording of a comparison: each estimate's poses over time with covariances, and its map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How estimates are aligned to the ground truth wherever they are drawn."""
+"""The alignment of estimates to the ground truth, the same for all drawings."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphslam import ControlPath, Log, MotionModel, SensorModel, control_path
+from graphslam import Log, MotionModel, SensorModel, control_path
+from graphslam.continuous_time import ControlPath
 from graphslam.metrics import alignment_of
 from graphslam.se2 import Array, compose, rotation, transform
 
@@ -68,7 +69,7 @@ def true_line(log: Log) -> Array | None:
 
 
 def aligned_to(log: Log) -> str:
-    """What estimates are aligned to: "the ground truth", "the true landmarks", or "" where neither is known."""
+    """The reference of the alignment: "the ground truth", "the true landmarks", or "" where neither is known."""
     if np.count_nonzero(log.covered) >= 2:
         return "the ground truth"
     return "the true landmarks" if len(true_landmarks(log)) >= 2 and log.identified else ""

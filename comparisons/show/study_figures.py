@@ -20,9 +20,9 @@ from .tables import PYTHON_FACTORS
 
 if TYPE_CHECKING:
     from ..backends import BackendComparison, BackendRow
+    from ..bootstrap import Median
     from ..consistency import ConsistencyStudy
     from ..particles import ParticleStudy
-    from ..studies.bootstrap import Median
     from ..studies.summary import Summary
 
 #: with more logs than this only the group of all logs is drawn
@@ -149,7 +149,7 @@ def study_figure(summary: Summary, metric: str = "ate_m") -> Figure:
 
 
 def _decades(medians: Collection[Median | None]) -> float:
-    """How many decades lie between the smallest and the largest median; 0 where a logarithmic axis cannot show one."""
+    """The number of decades between the smallest and the largest median; 0 where a logarithmic axis cannot show one."""
     values = [median.median for median in medians if median is not None]
     ends = [end for m in medians if m is not None for end in (m.low, m.high) if end is not None]
     if not values or min([*values, *ends]) <= 0:

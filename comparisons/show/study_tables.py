@@ -15,10 +15,10 @@ from .cells import NOTHING, LeanTable, number, seconds, yes_no
 if TYPE_CHECKING:
     from graphslam.calibration import Calibration
 
+    from ..bootstrap import Median
     from ..consistency import Consistency, ConsistencyStudy
     from ..datasets import Survey
     from ..particles import ParticleStudy
-    from ..studies.bootstrap import Median
     from ..studies.summary import Summary
     from .tables import Tables
 
@@ -164,7 +164,7 @@ def survey_tables(survey: Survey) -> Tables:
 
 def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
     """The numbers of the noise models with their standard errors or upper bounds, a row each."""
-    from graphslam import PARAMETERS
+    from graphslam.parameters import PARAMETERS
 
     from ..option import options_of
     from ..options import NoiseOptions

@@ -78,7 +78,7 @@ def style_of(name: str, points: int = 0) -> dict[str, Any]:
 
 
 def colour_of(name: str) -> str:
-    """The colour of whatever `style_of` knows."""
+    """The colour of an estimator or graph, from `style_of`."""
     return str(style_of(name)["color"])
 
 

@@ -1,6 +1,6 @@
 """Results as tables and sentences: for the terminal, as plain text, and as HTML.
 
-`tables_of` knows every class of results. Its functions import nothing of the results at run time, so that showing one
+`tables_of` chooses the function for a class of results. These functions import no results at run time, so that showing one
 class does not load all the others.
 """
 
@@ -28,7 +28,7 @@ from .cells import NOTHING, LeanTable, number, optimum, seconds, word, yes_no
 from .placement import placement_of_result
 
 if TYPE_CHECKING:
-    from graphslam import AssociationScore
+    from graphslam.association import AssociationScore
 
     from ..backends import BackendComparison
     from ..comparison import Comparison, ResultTable
@@ -288,7 +288,7 @@ def _noise_remarks(comparison: Comparison) -> list[str]:
 
 
 def solver_tables(comparison: SolverComparison) -> Tables:
-    """A row per variant; below, what disagrees and what was left out, reason by reason."""
+    """A row per variant; below, the variants that disagree, and those left out, by reason."""
     headings = (
         "poses\ndiffer",
         "costs\ndiffer",

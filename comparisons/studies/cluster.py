@@ -59,7 +59,7 @@ def dask_cluster(address: str) -> Iterator[Place]:
     """The cluster of a Dask scheduler, tcp://host:8786 or the like.
 
     Raises:
-        OptionError: Dask is not installed, the address is no address, nobody answers there within 10 s, there is no
+        OptionError: Dask is not installed, the address is no address, it does not answer within 10 s, there is no
             worker, or the workers have another version of this project.
     """
     check_answers(address)
@@ -103,7 +103,7 @@ def dask_cluster(address: str) -> Iterator[Place]:
 
 
 def check_answers(address: str) -> None:
-    """Raise `OptionError` unless somebody accepts a connection at ``address``; needs no Dask."""
+    """Raise `OptionError` unless a server accepts a connection at ``address``; needs no Dask."""
     parts = urlsplit(address)
     try:
         host, port = parts.hostname, parts.port

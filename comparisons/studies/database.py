@@ -77,7 +77,7 @@ class StudyDatabase:
             connection.execute("PRAGMA synchronous = FULL")
             yield database
             with suppress(sqlite3.OperationalError):
-                # back to one plain file that can be sent to somebody, unless somebody is reading it now
+                # one plain file again, which can be copied, unless another process reads it now
                 connection.execute("PRAGMA journal_mode = DELETE")
 
     @classmethod

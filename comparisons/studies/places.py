@@ -1,4 +1,4 @@
-"""Where the runs of a study are executed: in this process, in local processes, or on a Dask cluster (`cluster`)."""
+"""The executors of a study: this process, local processes, or a Dask cluster (`cluster`)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .plan import Run
 
 @dataclass(frozen=True)
 class Place:
-    """Where runs are executed.
+    """An executor of runs.
 
     Attributes:
         room: how many runs may be there at a time, executing or waiting.

@@ -28,7 +28,7 @@ from .simulated import simulated_log
 MOST_RUNS, MOST_COMBINATIONS, MOST_SEEDS = 500_000, 10_000, 1_000_000
 #: so many worlds of a table are tried before a study begins, at 4 ms each; one after them that is impossible fails in its run
 _TRIED = 500
-#: the keys of a study file beside its tables
+#: the keys of a study file outside of its tables
 _KEYS = {
     each.name: each
     for each in (
@@ -132,7 +132,7 @@ def read_study(path: str | PathLike[str]) -> Study:
 
 
 def _keys() -> dict[str, Option]:
-    """The keys of a study file beside its tables; a script may have added estimators by now."""
+    """The keys of a study file outside of its tables; read late, because a script may have added estimators."""
     keys = (
         Option(name="database", kind=Path, each=Path, default=None),
         Option(name="time_limit", kind=float, each=float, default=600.0, positive=True),

@@ -18,8 +18,8 @@ from graphslam import OptionError
 from graphslam.checks import suggestion
 from graphslam.errors import quoted
 
+from ..bootstrap import Median, median_of
 from ..display import Displayed
-from .bootstrap import Median, median_of
 from .database import StudyDatabase
 from .outcome import DONE, TIMEOUT
 
@@ -210,7 +210,7 @@ def _median(values: Sequence[tuple[float | None, Hashable]]) -> Median | None:
 
 
 def _unit(row: Row, log: str) -> Hashable:
-    """What the bootstrap draws. Worlds of one seed share its noise and count as one; a file counts as one among many.
+    """The units of the bootstrap: worlds of one seed share its noise and are one unit; each file is one unit.
 
     Within one file only the seeds are left to draw.
     """

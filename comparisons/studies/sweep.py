@@ -33,7 +33,7 @@ MANY = 50_000
 
 @dataclass(frozen=True, kw_only=True)
 class SweepOutcome:
-    """What a sweep did.
+    """The result of a sweep.
 
     Attributes:
         study: the study file.
@@ -55,7 +55,7 @@ class SweepOutcome:
 
     @property
     def missing(self) -> int:
-        """How many runs have no row yet."""
+        """The number of runs without a row."""
         return self.planned - self.before - self.ran
 
     def to_json(self) -> dict[str, Any]:

@@ -38,7 +38,7 @@ for t in range(1, log.num_poses):
     x, u, dt = log.true_poses[t - 1], log.controls[t - 1], log.dt[t - 1]
     F = motion.F(x, u, dt)
     by_odometry[t] = F @ by_odometry[t - 1] @ F.T + motion.covariance(x, u, dt)
-by_graph = solution.covariances()
+by_graph = solution.covariance()
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6))
 for covariances, color, name in ((by_odometry, "C1", "odometry alone"), (by_graph, "C0", "graph")):
@@ -54,8 +54,9 @@ right.plot(*log.true_poses[:, :2].T, "k:", lw=1)
 right.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="three standard deviations")
 
 # %% correlation
-C = solution.cross_covariance(30, 31)  # the covariance between the two poses, (3, 3)
-scale = np.sqrt(np.outer(np.diag(solution.covariance(30)), np.diag(solution.covariance(31))))
+both = solution.covariance([30, 31], joint=True)  # of both poses together, (6, 6)
+C = both[:3, 3:]
+scale = np.sqrt(np.outer(np.diag(both[:3, :3]), np.diag(both[3:, 3:])))
 print("correlation of pose 30 and pose 31:", np.diag(C / scale).round(3))
 
 # %% landmark

@@ -2,8 +2,9 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from graphslam import Graph, MotionFaults, MotionModel, SensorFaults, SensorModel, calibrate, load, simulate, solve
+from graphslam import Graph, MotionModel, SensorModel, calibrate, load, simulate, solve
 from graphslam.metrics import ate
+from graphslam.simulation.simulator import MotionFaults, SensorFaults
 
 # %% times
 log = load("examples/own_robot")

@@ -2,7 +2,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from graphslam import Cauchy, GemanMcClure, Graph, Huber, simulate, solve, solve_gnc
+from graphslam import Cauchy, GemanMcClure, Graph, Huber, simulate, solve
 from graphslam.metrics import ate
 
 log = simulate(seed=0, clean=True)
@@ -35,7 +35,7 @@ for kernel in ("none", "huber", "cauchy", "geman-mcclure"):
     print(f"{kernel:18} ATE {errors[kernel]:.3f} m")
 assert errors.pop("none") > 2 * clean
 assert max(errors.values()) < 1.1 * clean
-trusted = solve_gnc(Graph.from_log(bad, weight="marginal"))
+trusted = solve(Graph.from_log(bad, weight="marginal"), method="gnc")
 print(f"{'gnc':18} ATE {ate(log.true_poses, trusted.poses):.3f} m; {trusted.notes[-1]}")
 
 # %% trust

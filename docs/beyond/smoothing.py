@@ -126,7 +126,7 @@ print(smoother.mixing.statement)
 graph = solve(Graph.from_log(log, edges="landmark+motion", sensor=sensor))
 for step in (10, 30, 60):
     by_graph = np.sqrt(np.diag(graph.covariance(step)))
-    by_samples = np.sqrt(np.diag(smoother.pose_covariances[step]))
+    by_samples = np.sqrt(np.diag(smoother.covariance(step)))
     print(f"std of pose {step}: graph {by_graph.round(3)}, samples {by_samples.round(3)}")
 
 # %% filter

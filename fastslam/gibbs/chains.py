@@ -19,9 +19,9 @@ from ..fastslam2 import FastSLAM2
 from ..memory import GIGABYTE, available_memory, forecast
 from ..motions import robot_poses
 from ..options import FilterOptions, GibbsOptions
-from .bends import MOVES, Bends, Target
+from ..sightings import Problem
+from .low_rank import MOVES, LowRank, Target
 from .result import GibbsResult
-from .sightings import Problem
 
 
 class ParticleGibbs:
@@ -29,7 +29,7 @@ class ParticleGibbs:
 
     Every chain starts from a history drawn from its own run of `FastSLAM2`. A sweep renews every motion while all that
     follows moves along (pivots), then the poses in stretches of ``block`` steps between fixed ends, draws the map, and moves
-    trajectory and map along their widest directions (`bends`). The engine does the sweeps
+    trajectory and map along their widest directions (`low_rank`). The engine does the sweeps
     (``engine/include/vmslam/gibbs``). During the warm-up the sightings are linearised three times: as measured, then twice
     at the mean of the chains so far; then nothing changes any more.
 
@@ -102,16 +102,16 @@ class ParticleGibbs:
             for sweeps in (o.warm_up // 4, o.warm_up // 4, o.warm_up - 2 * (o.warm_up // 4)):
                 if sweeps == 0:
                     continue
-                bends = Bends(Target.of(problem, o), chains[0].poses, marks)
-                runs = self._sampled(pool, chains, bends, sweeps, warm_up=True)
+                low_rank = LowRank(Target.of(problem, o), chains[0].poses, marks)
+                runs = self._sampled(pool, chains, low_rank, sweeps, warm_up=True)
                 later = [(x[sweeps // 2 :], m[sweeps // 2 :]) for x, m in runs]
                 trajectories, maps = (np.concatenate(parts) for parts in zip(*later, strict=True))
                 marks = maps[-1]
                 problem = problem.linearised_at(trajectories, maps)
                 for chain in chains:
                     chain.set_guess(problem.motions_of(trajectories))
-            bends = Bends(Target.of(problem, o), chains[-1].poses, marks)
-            runs = self._sampled(pool, chains, bends, o.iterations, warm_up=False)
+            low_rank = LowRank(Target.of(problem, o), chains[-1].poses, marks)
+            runs = self._sampled(pool, chains, low_rank, o.iterations, warm_up=False)
         return GibbsResult(
             log=self.log.name,
             options=o,
@@ -124,14 +124,14 @@ class ParticleGibbs:
         )
 
     def _sampled(
-        self, pool: ThreadPoolExecutor, chains: list[Any], bends: Bends, sweeps: int, *, warm_up: bool
+        self, pool: ThreadPoolExecutor, chains: list[Any], low_rank: LowRank, sweeps: int, *, warm_up: bool
     ) -> list[tuple[Array, Array]]:
         """Return of each chain trajectories (sweeps, T + 1, 3) and maps (sweeps, J, 3) after each sweep.
 
-        A warm-up adapts the bends.
+        A warm-up adapts the widths of the low-rank moves.
         """
         o = self.options
-        given = bends.target.in_engine, *bends.mode, bends.directions, bends.deviations
+        given = low_rank.target.in_engine, *low_rank.mode, low_rank.directions, low_rank.deviations
         rules = o.particles, min(o.block, 2**53), sweeps, MOVES, warm_up
         runs = list(pool.map(lambda chain: chain.run(*given, *rules), chains))
         _check_finite(self.log, runs)

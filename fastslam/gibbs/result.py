@@ -1,4 +1,4 @@
-"""What particle Gibbs found: samples, their moments, and whether the chains have mixed."""
+"""`GibbsResult`: samples of particle Gibbs, their moments, and whether the chains have mixed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from graphslam.se2 import Array, wrap
 
 from ..options import GibbsOptions
 from ..samples import Samples
-from .mixing import Mixing, judge
+from .r_hat import Mixing, judge
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -44,7 +44,7 @@ class GibbsResult(Samples):
 
     @cached_property
     def mixing(self) -> Mixing:
-        """R-hat and effective sample size of every coordinate of poses and landmarks, and what they say."""
+        """R-hat and effective sample size of every coordinate of poses and landmarks, and the verdict on mixing."""
         names = [f"{c} of step {t}" for t in range(1, len(self.poses)) for c in ("x", "y", "heading")]
         names += [f"{c} of landmark {j}" for j in self.ids for c in ("x", "y", "heading")[: self.maps.shape[-1]]]
         return judge(self.deviations, names)

@@ -1,10 +1,10 @@
-"""What a first association tells about the robot: its slip sideways, and parameters of vehicle and sensor.
+"""Estimates from a first association: the slip of the robot sideways, and parameters of vehicle and sensor.
 
-The noise of motions is independent from one motion to the next, but slip on grass or on a slope goes on for minutes. In a
+The noise of motions is independent from one motion to the next, but slip on grass or on a slope lasts for minutes. In a
 single motion it is small, and over long ways it adds up to far more than the model allows. Then odometry bends the map. So
-motions are compared with what the sightings tell over long ways. The graph is solved with motions that hardly hold the robot
+motions are compared with the sightings over long ways. The graph is solved with motions that hardly hold the robot
 sideways, with the variance c; r_t is what remains sideways of motion t, in the axes of its start, less the mean. R are the
-sums of r over windows of N motions, V their variances by the solution. If sightings alone tell a sum with the variance s²,
+sums of r over windows of N motions, V their variances by the solution. If sightings alone give a sum the variance s²,
 then R = k (slip + error) with k = N c / (N c + s²) and V = k s². Therefore
 
     k = 1 - V / (N c),    variance of a motion = mean of (R² / k² - V / k) / N.
@@ -27,9 +27,9 @@ from ..solvers.solve import solve
 from ..uncertainty import Uncertainty
 from .classes import Classes
 from .densities import Field
+from .map_solution import Backbone, MapSolution
 from .options import AssociationOptions
 from .refining import Refined, refine
-from .solved import Backbone, Solved
 
 #: slip is looked for over windows of one part in so many of the log, where such a window has at least so many motions
 WINDOWS, SHORTEST = 30, 10
@@ -37,8 +37,8 @@ WINDOWS, SHORTEST = 30, 10
 LOOSE = 0.1
 #: the noise model stays unless the slip has more than so many times its variance
 CLEAR = 10.0
-#: windows of which the sightings tell less are left out
-TOLD = 0.5
+#: windows are left out where the sightings determine less than this part of the sum
+MIN_INFORMATION = 0.5
 #: parameters that change by less than this part of their standard deviations have settled
 FINE = 0.3
 #: the most times that parameters are estimated from the ids, and ids found in the corrected log
@@ -49,7 +49,7 @@ ROUGH = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A log and its noise models, as they are, or as a first association corrected them."""
+    """A log and its noise models, given or corrected by a first association."""
 
     log: Log
     motion: MotionModel
@@ -81,7 +81,7 @@ def slipping(robot: Robot, labels: np.ndarray, poses: Array) -> Robot:
     if loose**2 <= robot.motion.epsilon:
         return robot
     free = replace(robot, motion=replace(robot.motion, epsilon=loose**2))
-    solved = Solved.of(free.backbone, labels, poses)
+    solved = MapSolution.of(free.backbone, labels, poses)
     motions = solved.graph.families[-1]
     ends = motions.linearize(solved.state, solved.state)
     count = T // N
@@ -93,10 +93,10 @@ def slipping(robot: Robot, labels: np.ndarray, poses: Array) -> Robot:
         rows[nodes[: count * N], :, window] += B[: count * N, 1]
     V = np.einsum("nic,nic->c", rows, Uncertainty(solved.graph, solved.state).solve(rows))
     k = 1 - V / (N * loose**2)
-    told = k > TOLD
-    if np.count_nonzero(told) < count / 2:
+    informed = k > MIN_INFORMATION
+    if np.count_nonzero(informed) < count / 2:
         return robot
-    variance = float(np.mean(sums[told] ** 2 / k[told] ** 2 - V[told] / k[told])) / N
+    variance = float(np.mean(sums[informed] ** 2 / k[informed] ** 2 - V[informed] / k[informed])) / N
     allowed = float(np.mean(np.linalg.inv(usual.information)[:, 1, 1]))
     if variance <= CLEAR * allowed:
         return robot
@@ -117,7 +117,7 @@ def fitted(
         estimate: as `Graph.from_log` takes it.
 
     Raises:
-        GraphError: the log does not tell the parameters.
+        GraphError: the log does not determine the parameters.
     """
     kept = labels >= 0
     log = recorded.with_sightings(kept, landmarks=labels[kept], initial_poses=poses)
@@ -150,7 +150,7 @@ def adapted(
     Parameters and ids are found in turn until the parameters settle, at most `FITS` times.
 
     Raises:
-        GraphError: the log does not tell the parameters.
+        GraphError: the log does not determine the parameters.
     """
     given = robot
     if options.slip:

@@ -20,15 +20,15 @@ from .options import AssociationOptions
 
 
 @dataclass(frozen=True, eq=False)
-class World:
-    """Where every sighting puts its landmark in the world, (M, d), and with what covariance (M, d, d), poses known."""
+class PlacedSightings:
+    """Sightings from given poses: the position (M, d) of the landmark in world axes, with its covariance (M, d, d)."""
 
     means: Array
     covariances: Array
 
     @classmethod
-    def of(cls, places: Places, at: Array) -> World:
-        """From the pose (M, 3) that each sighting was made from."""
+    def of(cls, places: Places, at: Array) -> PlacedSightings:
+        """Sightings placed from the pose (M, 3) of each."""
         y = places.means
         d = y.shape[1]
         means = transform(at, y[:, :2])
@@ -39,7 +39,7 @@ class World:
 
 
 def assign(
-    world: World, steps: np.ndarray, landmarks: Array, own: Array, gate: float,
+    world: PlacedSightings, steps: np.ndarray, landmarks: Array, own: Array, gate: float,
     weights: Callable[[np.ndarray, np.ndarray], Array],
 ) -> tuple[np.ndarray, Array]:  # fmt: skip
     """The landmark (M,) of each sighting, -1 for none, and its margin: the assignment of every scan with most evidence.
@@ -104,7 +104,7 @@ def ids_by_map(
         return np.full(len(log.steps), UNIDENTIFIED)
     options, names = AssociationOptions(), np.array(list(means))
     densities = Densities.of(log, Field.of(log, sensor), options.clutter)
-    world = World.of(Places.of(log, sensor), np.asarray(poses)[log.steps])
+    world = PlacedSightings.of(Places.of(log, sensor), np.asarray(poses)[log.steps])
     own = np.array([covariances[j] for j in means])
 
     def weights(item: np.ndarray, landmark: np.ndarray) -> Array:

@@ -15,17 +15,17 @@ from ..errors import GraphError, LogError, OptionError, quoted
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from ..parameters.declared import ParameterEstimate
-from ..precision import check_log
+from ..precision import check_magnitudes
 from ..se2 import Array
 from .adapting import Robot, wanted
+from .ambiguity import Ambiguity, ambiguities
 from .classes import Classes
-from .climbing import ROUNDS
 from .competing import Competition, Start, compete
 from .densities import Densities, Field
-from .doubts import Doubt, doubts
-from .driving import drive
-from .known import names as names_of
+from .front_end import run_front_end
+from .given_ids import names as names_of
 from .options import AssociationOptions
+from .search import ROUNDS
 from .verdict import Verdict, verdict
 
 #: a function that finds a start when it is needed
@@ -45,12 +45,12 @@ class Association:
         margins: (M,) the logarithm of the evidence for the landmark over that for the best other one, or for clutter;
             infinite for clutter, and where an id of the log was kept.
         poses: (T+1, 3) the trajectory of the graph in which the ids were found.
-        rounds, settled: how often sightings were assigned anew, and whether the last time changed nothing.
+        rounds, settled: how often sightings were assigned again, and whether the last time changed nothing.
         cost_per_dof: J of that graph per degree of freedom: about 1 where noise models and ids are right, far above it
             where one of them is wrong.
         motion: the noise model of the graph, with the slip that the log shows, where it does (`association.adapting`).
         parameters: the estimated parameters of vehicle and sensor, or None. ``poses`` are those of the corrected log.
-        doubts: places that may have been taken for others, the most doubtful first.
+        ambiguities: places that may have been taken for others, the most doubtful first.
         verdict: whether the map can be relied on, and why not.
         evidence: E of `association.evidence`, the logarithm of the evidence for these ids, to compare associations of one
             log.
@@ -68,7 +68,7 @@ class Association:
     cost_per_dof: float
     motion: MotionModel
     parameters: ParameterEstimate | None
-    doubts: tuple[Doubt, ...]
+    ambiguities: tuple[Ambiguity, ...]
     verdict: Verdict
     evidence: float
     options: AssociationOptions
@@ -103,8 +103,8 @@ class Association:
     def doubtful(self) -> np.ndarray:
         """Whether the landmark of each sighting (M,) may be another: by its margin, or because a return to it is in doubt."""
         doubtful = np.asarray(self.margins < np.log(self.options.factor))
-        for doubt in self.doubts:
-            doubtful |= (self.of.steps >= doubt.step) & np.isin(self.ids, doubt.landmarks)
+        for each in self.ambiguities:
+            doubtful |= (self.of.steps >= each.step) & np.isin(self.ids, each.landmarks)
         return doubtful & ~self.kept
 
     @property
@@ -141,7 +141,7 @@ def associate(
     The robot drives along the log once: a local Kalman filter joins sightings of neighbouring scans to tracks, and every
     ``window`` steps the graph of the drive so far is solved, and tracks are joined to landmarks that were seen before by
     the best joint hypothesis under their covariance. Then association and solving take turns (`association.refining`).
-    Where other accounts of the drive are not much less likely, they are tried (`association.climbing`), and the one with the
+    Where alternatives are not much less likely, they are tried (`association.search`), and the one with the
     highest evidence as a whole is the result.
 
     Args:
@@ -175,7 +175,7 @@ def associate(
         raise LogError(f"{log.name} has no controls, so nothing tells where sightings without ids were made")
     if len(log.steps) == 0:
         raise GraphError(f"{log.name} has no sightings at all, so there is nothing to associate")
-    check_log(log, motion, sensor)
+    check_magnitudes(log, motion, sensor)
     recorded = log
     if log.identified or not options.keep_ids:
         log = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
@@ -184,7 +184,7 @@ def associate(
     classes = Classes.of(log, options.confusion)
 
     def driven() -> Start:
-        found = drive(log, motion, sensor, robot.backbone, densities, classes, options)
+        found = run_front_end(log, motion, sensor, robot.backbone, densities, classes, options)
         return found.labels, found.poses
 
     competition = compete(robot, _starts(log, start, driven), names, densities, classes, options)
@@ -236,13 +236,13 @@ def _report(
     name = np.append(names_of(refined.labels, given.log.landmarks), UNIDENTIFIED)
     doubtful = (
         replace(each, landmarks=tuple(name[[*each.landmarks]].tolist()), others=tuple(name[[*each.others]].tolist()))
-        for each in doubts(end.accounts, options.factor)
+        for each in ambiguities(end.alternatives, options.factor)
     )
     found = Association(
         of=log, ids=name[refined.labels],
         margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solved.poses, rounds=refined.rounds,
         settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), motion=robot.motion,
-        parameters=robot.estimate, doubts=tuple(doubtful),
+        parameters=robot.estimate, ambiguities=tuple(doubtful),
         verdict=verdict(competition, Field.of(robot.log, robot.sensor)), evidence=max(values), options=options,
         seconds=seconds, notes=(),
     )  # fmt: skip
@@ -268,8 +268,8 @@ def _report(
         notes.append(
             f"of {len(values)} starts the best by evidence was taken; all of them, relative to it [nats]: {ends}"
         )
-    notes += [str(doubt) for doubt in found.doubts[:MOST_NOTES]]
-    if (more := len(found.doubts) - MOST_NOTES) > 0:
+    notes += [str(each) for each in found.ambiguities[:MOST_NOTES]]
+    if (more := len(found.ambiguities) - MOST_NOTES) > 0:
         notes.append(
             f"{more} further {'return is' if more == 1 else 'returns are'} ambiguous by a factor of {options.factor:g}"
         )
@@ -281,12 +281,12 @@ def _report(
         notes.append(f"the association had not settled after {_counted(found.rounds, 'round')}")
     if end.unsettled:
         notes.append(
-            f"other accounts of the drive that had not settled when they were compared, after "
+            f"alternatives that had not settled when they were compared, after "
             f"{_counted(min(options.rounds, ROUNDS), 'round')}: {end.unsettled} of {end.tried}; their evidence may be higher"
         )
     if end.left:
         notes.append(
-            "other accounts of the drive that are not much less likely, but were not tried because of the limit on tries "
+            "alternatives that are not much less likely, but were not tried because of the limit on tries "
             f"({options.tries}): {end.left}; with a higher limit one of them may prove better"
         )
     return replace(found, notes=tuple(notes))

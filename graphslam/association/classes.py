@@ -1,4 +1,4 @@
-"""Classes of sightings, such as the colour of a cone: how much they speak for or against a landmark.
+"""Classes of sightings, such as the colour of a cone: the log likelihood ratio that a class gives to a landmark.
 
 A sighting shows the class of its landmark, or, with the probability of confusion, any of the others. With n classes and
 the counts of the classes that a landmark's sightings have shown, p(c) is the probability that it is of class c, and the

@@ -1,6 +1,6 @@
 """Several starts of an association compete by evidence, until two of them end alike.
 
-One start may end in a wrong account of the drive that no single change improves. Another one, with other random numbers or by
+One start may end in a wrong association that no single change improves. Another one, with other random numbers or by
 another method, then ends elsewhere. Starts that end alike are the cheapest sign that the search did not fail.
 """
 
@@ -16,12 +16,12 @@ from ..se2 import Array
 from ..uncertainty import Uncertainty
 from .adapting import Robot, adapted, again
 from .classes import Classes
-from .climbing import PROMISING, Climbed, climb
 from .densities import Densities, Field
 from .evidence import evidence
+from .map_solution import MapSolution
 from .options import AssociationOptions
 from .refining import Refined, refine
-from .solved import Solved
+from .search import PROMISING, SearchResult, search
 
 #: a trajectory is another one if, aligned, it is this much of its standard deviation away, root mean square, but at least
 #: this part of the greatest range
@@ -41,12 +41,12 @@ class Competition:
 
     Attributes:
         robot: with the slip and the parameters that the best first association showed.
-        ends, values: of each start that was used; starts that were alike before other accounts were tried share an end.
+        ends, values: of each start that was used; starts that were alike before alternatives were tried share an end.
         skipped: how many starts were not used, because others ended alike.
     """
 
     robot: Robot
-    ends: list[Climbed]
+    ends: list[SearchResult]
     values: list[float]
     skipped: int
 
@@ -56,7 +56,7 @@ class Competition:
         return int(np.argmax(self.values))
 
 
-def spread(solved: Solved) -> float:
+def spread(solved: MapSolution) -> float:
     """The standard deviation of the positions of a solved graph beside moves of the whole, root mean square [m].
 
     With C the joint covariance of the positions of some poses, and P the projection that takes rigid motions out, it is the
@@ -75,8 +75,8 @@ def spread(solved: Solved) -> float:
     return float(np.sqrt(max(np.trace(C) - np.trace(rigid.T @ C @ rigid), 0.0) / K))
 
 
-def tolerance(solved: Solved, field: Field) -> float:
-    """How far another trajectory may be away to be called the same [m]."""
+def tolerance(solved: MapSolution, field: Field) -> float:
+    """The distance [m] up to which two trajectories count as the same."""
     return max(APART * spread(solved), LEAST * field.farthest)
 
 
@@ -84,7 +84,7 @@ def compete(
     robot: Robot, starts: Iterable[Start | Callable[[], Start]], names: dict[str, float | None], densities: Densities,
     classes: Classes, options: AssociationOptions,
 ) -> Competition | None:  # fmt: skip
-    """Let starts compete, the first two in any case; None where all may be clutter.
+    """Compare starts by evidence, the first two in any case; None where all sightings may be clutter.
 
     Args:
         robot: the log and its noise models.
@@ -94,7 +94,7 @@ def compete(
         options: the options; once ``options.agreeing`` starts end alike the others are skipped.
 
     Raises:
-        GraphError: the log does not tell the parameters.
+        GraphError: the log does not determine the parameters.
     """
     waiting = list(starts)
     backbone, field = robot.backbone, Field.of(robot.log, robot.sensor)
@@ -114,7 +114,7 @@ def compete(
     # where a start finds no landmark, another one may find a few by chance
     if len(firsts) < tried and all(np.mean(end.labels < 0) > 0.5 for end in firsts):
         return None
-    # what the best of them says about the robot counts for all
+    # the robot's parameters from the best of them are used for all
     shared = Densities.mean([end.densities for end in firsts])
     likely = int(np.argmax([evidence(robot.log, backbone, end.solved, field, shared) for end in firsts]))
     given, robot = robot, adapted(robot, firsts[likely], names, classes, options)
@@ -123,13 +123,13 @@ def compete(
     if robot is not given:
         backbone, field = robot.backbone, Field.of(log, robot.sensor)
         firsts = [end for each in firsts if (end := again(robot, each, classes, options)) is not None] or firsts
-    ends: list[Climbed] = []
+    ends: list[SearchResult] = []
     begun: list[Refined] = []
     while True:
         for each in firsts:
             # the same labels lead to the same end
             same = [k for k, other in enumerate(begun) if np.array_equal(other.labels, each.labels)]
-            ends.append(ends[same[0]] if same else climb(log, backbone, each, field, classes, options))
+            ends.append(ends[same[0]] if same else search(log, backbone, each, field, classes, options))
             begun.append(each)
         shared = Densities.mean([end.refined.densities for end in ends])
         values = [evidence(log, backbone, end.refined.solved, field, shared) for end in ends]

@@ -1,4 +1,4 @@
-"""How dense landmarks and false sightings are, and how often a landmark in view is seen: what evidence is compared with."""
+"""The densities of landmarks and false sightings, and the probability of detection, with which evidence is compared."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DETECTION = (0.3, 0.98)
 
 @dataclass(frozen=True)
 class Field:
-    """What the sensor sees: ranges [m], and bearings of at most ``bearing`` [rad] to each side."""
+    """The field of view of the sensor: ranges [m], and bearings of at most ``bearing`` [rad] to each side."""
 
     nearest: float
     farthest: float
@@ -41,7 +41,7 @@ class Field:
 
     @property
     def area(self) -> float:
-        """Its area [m²]."""
+        """The area of the field of view [m²]."""
         return max(self.bearing, 0.05) * max(self.farthest**2 - self.nearest**2, 1e-6)
 
 
@@ -56,7 +56,7 @@ class Densities:
 
     @classmethod
     def of(cls, log: Log, field: Field, clutter: float, detection: float = 0.9) -> Densities:
-        """From the number of sightings in a scan, of which a share is clutter."""
+        """Densities from the number of sightings in a scan, of which a share is clutter."""
         scans = max(len(np.unique(log.steps)), 1)
         volume = field.area * (2 * np.pi if log.has_orientation else 1.0)
         density = len(log.steps) / scans / volume

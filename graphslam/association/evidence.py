@@ -15,16 +15,16 @@ import numpy as np
 from ..log import Log
 from .densities import Densities, Field
 from .hypotheses import log_volume
-from .solved import Backbone, Solved
-from .views import Views
+from .map_solution import Backbone, MapSolution
+from .visibility import Visibility
 
 
-def evidence(log: Log, backbone: Backbone, solved: Solved, field: Field, densities: Densities) -> float:
+def evidence(log: Log, backbone: Backbone, solved: MapSolution, field: Field, densities: Densities) -> float:
     """E of a solved graph; only differences between associations of one log, with the same densities, mean anything."""
     d, count = solved.landmarks.shape[1], len(solved.landmarks)
     Q = np.asarray(backbone.places.covariances)[solved.rows]
     sightings = len(solved.rows) * (densities.seen - densities.clutter) - 0.5 * float(np.sum(log_volume(Q)))
     # poses are the same in number for all associations, so their powers of 2 pi are left out
     volume = 0.5 * d * count * np.log(2 * np.pi) - 0.5 * solved.log_determinant
-    misses = float(Views.of(log, backbone, solved, field).misses(densities).sum())
+    misses = float(Visibility.of(log, backbone, solved, field).misses(densities).sum())
     return -0.5 * solved.cost + volume + sightings + count * densities.new + misses

@@ -1,4 +1,4 @@
-"""Sightings and landmarks as places in the robot's axes, with derivatives: the Cartesian residual of `edges.cartesian`."""
+"""Sightings and landmarks as places in the robot's axes, with derivatives: the Cartesian residual of `edges.observation`."""
 
 from __future__ import annotations
 
@@ -20,10 +20,8 @@ class Places:
 
     @classmethod
     def of(cls, log: Log, sensor: SensorModel) -> Places:
-        """Those of the sightings of a log."""
-        origin = np.zeros((len(log.steps), 3))
-        covariances = sensor.landmark_covariance(origin, log.sightings)
-        return cls(sensor.h_inverse(origin, log.sightings), covariances)
+        """The places of the sightings of a log."""
+        return cls(*sensor.places(log.sightings))
 
 
 def seen_from(pose: Array, landmarks: Array) -> tuple[Array, Array, Array]:

@@ -19,8 +19,8 @@ from .classes import Classes
 from .densities import Densities
 from .geometry import differences
 from .hypotheses import Candidates, gates, log_density, log_volume
+from .map_solution import INDEPENDENT, MapSolution
 from .options import AssociationOptions
-from .solved import INDEPENDENT, Solved
 
 #: two landmarks that share the sightings of one are farther apart than chance would have them: each has those on its side
 SHARED = 1 - 1e-9
@@ -32,7 +32,7 @@ MOST = 3_000
 
 @dataclass(frozen=True)
 class Merge:
-    """Landmarks that are one, by their places in `Solved.landmarks`: ``item`` becomes ``into``.
+    """Landmarks that are one, by their places in `MapSolution.landmarks`: ``item`` becomes ``into``.
 
     ``margin`` is the logarithm of the evidence for it over that for the best other hypothesis, ``evidence`` that for all
     merges found together over that for none.
@@ -45,15 +45,15 @@ class Merge:
 
 
 def merges(
-    solved: Solved, items: np.ndarray, seen: list[np.ndarray], shown: Array, densities: Densities, classes: Classes,
+    solved: MapSolution, items: np.ndarray, seen: list[np.ndarray], shown: Array, densities: Densities, classes: Classes,
     options: AssociationOptions, views: np.ndarray | None = None,
 ) -> list[Merge]:  # fmt: skip
-    """The best joint hypothesis on which of the landmarks ``items`` (places in `Solved.landmarks`) are older landmarks.
+    """The best joint hypothesis on which of the landmarks ``items`` (places in `MapSolution.landmarks`) are older landmarks.
 
     Args:
         seen: the steps (sorted) in which each landmark was seen.
         shown: (L, n) sums of log P(class shown given true), see `Classes`.
-        views: (L,) in how many scans each landmark was in the field of view, if poses are known well enough to tell.
+        views: (L,) in how many scans each landmark was in the field of view, if poses are known well enough for that.
     """
     d, probability = solved.landmarks.shape[1], options.gate if views is None else SHARED
     gate = float(gates(probability, d, 1)[1])
@@ -92,7 +92,7 @@ def merges(
 
 
 def _near(
-    solved: Solved, items: np.ndarray, seen: list[np.ndarray], gate: float, most: float
+    solved: MapSolution, items: np.ndarray, seen: list[np.ndarray], gate: float, most: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pairs of an item and an older landmark within the gate of their marginal covariances, seen together at most so often.
 
@@ -113,7 +113,7 @@ def _near(
 
 
 def _decided(
-    solved: Solved, item: np.ndarray, other: np.ndarray, a: np.ndarray, b: np.ndarray, nu: Array, weights: Array,
+    solved: MapSolution, item: np.ndarray, other: np.ndarray, a: np.ndarray, b: np.ndarray, nu: Array, weights: Array,
     P: Array, gate: float,
 ) -> list[Merge]:  # fmt: skip
     """The merges of one search."""

@@ -35,9 +35,7 @@ class AssociationOptions:
     window: int = option(30, "Steps between two solutions of the graph along the drive; more on long logs")
     rounds: int = option(10, "The most rounds of association and solving, in turn, at the end")
     slip: bool = option(True, "Raise the noise sideways of motions where the robot slips over long ways")
-    tries: int = option(
-        40, "The most other accounts of the drive that are tried in full where some are not much less likely"
-    )
+    tries: int = option(40, "The most alternatives that are tried in full where some are not much less likely")
 
     agreeing: int = option(2, "Of several starts, the others are left out once this many of them end alike; 0: none is")
 

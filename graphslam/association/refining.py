@@ -1,4 +1,4 @@
-"""Association and solving in turn: with the whole drive solved, every sighting is assigned anew.
+"""Association and solving in turn: with the whole drive solved, every sighting is assigned again.
 
 Each round merges landmarks that are one, assigns the sightings of every scan to the landmarks of the solved graph, makes
 landmarks of sightings that no landmark explains but that agree with each other, and drops landmarks whose sightings are
@@ -19,16 +19,16 @@ import numpy as np
 from ..errors import GraphError
 from ..log import Log
 from ..se2 import Array
-from .assignment import World, assign
+from .assignment import PlacedSightings, assign
 from .classes import Classes
 from .densities import Densities, Field
 from .geometry import differences
+from .given_ids import held, id_of_each, may_be_one
 from .hypotheses import gates, log_density, log_volume
-from .known import held, id_of_each, may_be_one
+from .map_solution import Backbone, MapSolution
 from .merging import merges
 from .options import AssociationOptions
-from .solved import Backbone, Solved
-from .views import Views
+from .visibility import Visibility
 
 #: chains of landmarks that are one are merged link by link, at most so often in a round
 MERGING = 4
@@ -47,7 +47,7 @@ class Refined:
     """
 
     labels: np.ndarray
-    solved: Solved
+    solved: MapSolution
     rounds: int
     settled: bool
     margins: Array
@@ -80,8 +80,8 @@ def _in_turn(
         rounds, before = rounds + 1, labels
         if not np.any(labels >= 0):
             return None
-        solved = _merged(log, Solved.of(backbone, labels, poses), backbone, field, densities, classes, options)
-        world = World.of(backbone.places, solved.poses[log.steps])
+        solved = _merged(log, MapSolution.of(backbone, labels, poses), backbone, field, densities, classes, options)
+        world = PlacedSightings.of(backbone.places, solved.poses[log.steps])
         labels, margins = _assigned(world, log, solved, densities, classes, options)
         labels, margins = held(labels, known, steps), np.where(known < 0, margins, np.inf)
         labels = _born(world, log, labels, options)
@@ -90,17 +90,17 @@ def _in_turn(
         settled = int(np.count_nonzero(labels != before)) <= SETTLED * len(labels)
     if not np.any(labels >= 0):
         return None
-    return Refined(labels, Solved.of(backbone, labels, poses), rounds, settled, margins, densities)
+    return Refined(labels, MapSolution.of(backbone, labels, poses), rounds, settled, margins, densities)
 
 
 def unrefined(
     log: Log, backbone: Backbone, labels: np.ndarray, poses: Array, densities: Densities, classes: Classes,
     options: AssociationOptions,
 ) -> Refined:  # fmt: skip
-    """The graph of labels (M,) as they are; a sighting that another landmark explains better has no margin."""
+    """The graph of given labels (M,); a sighting that another landmark explains better has no margin."""
     labels = _compact(held(labels, backbone.known, log.steps))
-    solved = Solved.of(backbone, labels, poses)
-    world = World.of(backbone.places, solved.poses[log.steps])
+    solved = MapSolution.of(backbone, labels, poses)
+    world = PlacedSightings.of(backbone.places, solved.poses[log.steps])
     better, margins = _assigned(world, log, solved, densities, classes, options)
     margins = np.where(labels < 0, np.inf, np.where(better == labels, margins, 0.0))
     margins[backbone.known >= 0] = np.inf
@@ -118,14 +118,14 @@ def _compact(labels: np.ndarray) -> np.ndarray:
 
 
 def _merged(
-    log: Log, solved: Solved, backbone: Backbone, field: Field, densities: Densities, classes: Classes,
+    log: Log, solved: MapSolution, backbone: Backbone, field: Field, densities: Densities, classes: Classes,
     options: AssociationOptions,
-) -> Solved:  # fmt: skip
+) -> MapSolution:  # fmt: skip
     """The graph after all landmarks that are more likely one than two are merged."""
     for _ in range(MERGING):
         everyone = np.arange(len(solved.labels))
         shown = classes.sums(solved.which, solved.rows, len(everyone))
-        views = Views.of(log, backbone, solved, field).views
+        views = Visibility.of(log, backbone, solved, field).views
         found = merges(solved, everyone, solved.seen(log.steps), shown, densities, classes, options, views)
         root = np.arange(len(solved.labels))
         ids = id_of_each(solved.which, backbone.known[solved.rows], len(root))
@@ -139,12 +139,17 @@ def _merged(
             break
         labels = np.full(len(log.steps), -1)
         labels[solved.rows] = root[solved.which]
-        solved = Solved.of(backbone, labels, solved.poses)
+        solved = MapSolution.of(backbone, labels, solved.poses)
     return solved
 
 
 def _assigned(
-    world: World, log: Log, solved: Solved, densities: Densities, classes: Classes, options: AssociationOptions
+    world: PlacedSightings,
+    log: Log,
+    solved: MapSolution,
+    densities: Densities,
+    classes: Classes,
+    options: AssociationOptions,
 ) -> tuple[np.ndarray, Array]:
     """The label and the margin (M,) of each sighting: the best assignment of every scan."""
     shown = classes.sums(solved.which, solved.rows, len(solved.labels))
@@ -157,7 +162,7 @@ def _assigned(
     return np.where(chosen < 0, -1, solved.labels[chosen]), margins
 
 
-def _born(world: World, log: Log, labels: np.ndarray, options: AssociationOptions) -> np.ndarray:
+def _born(world: PlacedSightings, log: Log, labels: np.ndarray, options: AssociationOptions) -> np.ndarray:
     """The labels with new ones for sightings that none has, but that agree with each other."""
     d, gate = world.means.shape[1], float(gates(options.gate, world.means.shape[1], 1)[1])
     labels, rows = labels.copy(), np.flatnonzero(labels < 0)
@@ -189,14 +194,14 @@ def _born(world: World, log: Log, labels: np.ndarray, options: AssociationOption
 
 
 def _kept(
-    log: Log, backbone: Backbone, solved: Solved, field: Field, labels: np.ndarray, densities: Densities,
+    log: Log, backbone: Backbone, solved: MapSolution, field: Field, labels: np.ndarray, densities: Densities,
     options: AssociationOptions,
 ) -> tuple[np.ndarray, Densities]:  # fmt: skip
-    """The labels of landmarks with enough evidence, -1 for the others; and the densities counted anew."""
-    solved = Solved.of(backbone, labels, solved.poses)
-    seen = Views.of(log, backbone, solved, field)
+    """The labels of landmarks with enough evidence, -1 for the others; and the densities counted again."""
+    solved = MapSolution.of(backbone, labels, solved.poses)
+    seen = Visibility.of(log, backbone, solved, field)
     densities = densities.counted(int(seen.within.sum()), int(seen.views.sum()), float(np.mean(labels < 0)))
-    world = World.of(backbone.places, solved.poses[log.steps])
+    world = PlacedSightings.of(backbone.places, solved.poses[log.steps])
     nu = differences(world.means[solved.rows], solved.landmarks[solved.which])
     each = densities.seen - densities.clutter + log_density(nu, world.covariances[solved.rows])[0]
     total = densities.new + 0.5 * log_volume(solved.own_covariances) + seen.misses(densities)

@@ -14,7 +14,7 @@ from ..log import UNIDENTIFIED
 
 @dataclass(frozen=True)
 class AssociationScore:
-    """How an association compares with the true ids.
+    """The comparison of an association with the true ids.
 
     Each landmark of the association is matched with at most one true landmark, so that as many sightings as possible have
     the right id; these are the correct ones.

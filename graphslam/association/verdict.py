@@ -1,6 +1,6 @@
 """Whether an association can be relied on: a statement that separates good maps from bad ones, calibrated on simulated logs.
 
-A map is good where the ATE is at most 1.5 times that of the same graph with the true ids. What tells is how much more
+A map is good where the ATE is at most 1.5 times that of the same graph with the true ids. The criterion is how much more
 likely the map is than any other one with another trajectory that the search has met, and whether several starts found it.
 `docs/association.md` has the shares of errors.
 """
@@ -13,9 +13,9 @@ import numpy as np
 
 from ..metrics import ate
 from ..se2 import Array
+from .ambiguity import readable
 from .competing import Competition, spread, tolerance
 from .densities import Field
-from .doubts import readable
 
 #: the evidence for a reliable map over that for any other one [nats]; with 30, one of 42 maps called good was bad
 CLEAR = 40.0

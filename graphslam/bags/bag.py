@@ -136,7 +136,7 @@ def _errors(path: Path, where: Any = lambda: "") -> Iterator[None]:
 
 
 def _cause(path: Path, error: Exception) -> str:
-    """What a damaged or unknown file is, in words."""
+    """A sentence on a damaged or unknown file."""
     text = shortened(" ".join(str(error).split()).rstrip(".")) or type(error).__name__
     kind = "folder" if path.is_dir() else path.suffix.lower()
     if "not indexed" in text or "index looks damaged" in text:

@@ -1,4 +1,4 @@
-"""What the topics of a bag could be for a drive, and which of them would be chosen."""
+"""The possible roles of the topics of a bag, and which of them would be chosen."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _could_be(bag: Bag, topic: Topic) -> tuple[str, float]:
 
 
 def _by_fields(bag: Bag, topic: Topic) -> tuple[str, float]:
-    """What a type of another package could be, by the names of its fields."""
+    """The role of a message type of another package, by the names of its fields."""
     if topic.type.partition("/")[0] in _STANDARD:
         return "", 0.0
     paths = leaves(bag.types, topic.type)

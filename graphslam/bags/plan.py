@@ -29,7 +29,7 @@ _TURNS = {"position": "orientation", "translation": "rotation"}
 
 @dataclass(frozen=True)
 class Plan:
-    """How messages become rows.
+    """The conversion of messages to rows.
 
     Attributes:
         row: the list whose elements are rows; empty where each message is one.

@@ -108,7 +108,7 @@ def _drive(
     path: Path, recipe: Recipe, choices: Mapping[str, Choice], collectors: Mapping[str, Collector], frames: Frames,
     base: str,
 ) -> Drive:  # fmt: skip
-    # fields are named by path, and times are stamps; what is left are units, clocks and axes
+    # fields are named by path, and times are stamps; open questions are units, clocks and axes
     options = replace(recipe.options, columns=None, time="ns", axes="forward-left")
     moved, notes = _odometry_table(collectors["odometry"], recipe.place("odometry", "use"))
     odometry = odometry_of(moved, options)

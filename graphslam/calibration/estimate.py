@@ -39,7 +39,7 @@ class Calibration:
         sensor: the sensor model, for sightings that are corrected by the numbers below; from residuals with the estimated
             place of the sensor.
         wheel_scale, turn_scale, turn_rate_bias, curvature_bias, range_scale, range_bias, bearing_bias, sensor_delay: the
-            biases of `graphslam.PARAMETERS`. Residuals tell all but ``range_scale``; the truth tells ``wheel_scale``,
+            biases of `PARAMETERS`. Residuals tell all but ``range_scale``; the truth tells ``wheel_scale``,
             ``turn_rate_bias``, ``range_scale`` and ``range_bias``, which are 1 or 0 within three standard errors of that.
         errors: standard errors of all numbers, {"nn": ..., "range_bias": ...}; NaN for those near zero, and for noise that
             residuals tell to no better than 100 %.
@@ -153,7 +153,7 @@ class Calibration:
 
     @property
     def corrections(self) -> dict[str, float]:
-        """The biases, arguments of `graphslam.without_biases`; without controls only those of sightings."""
+        """The biases, arguments of `without_biases`; without controls only those of sightings."""
         values = {name: getattr(self, name) for name in CORRECTIONS}
         return of_sensor_alone(values) if self.motion is None else values
 

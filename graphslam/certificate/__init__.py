@@ -10,10 +10,9 @@ from .certificate import (
     PROVEN,
     Certificate,
 )
-from .descent import descents
 from .proof import prove, prove_edges
 
 __all__ = [
     "GLOBAL", "GLOBAL_HELD", "GLOBAL_WEIGHTS", "GLOBAL_WEIGHTS_HELD", "NOT_APPLICABLE", "NOT_PROVEN", "PROVEN", "Certificate",
-    "descents", "prove", "prove_edges",
+    "prove", "prove_edges",
 ]  # fmt: skip

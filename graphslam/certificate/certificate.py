@@ -19,7 +19,7 @@ PROVEN = 1e-6
 
 @dataclass(frozen=True)
 class Certificate:
-    """What is proven about the cost J of a state.
+    """A bound on how far the cost J of a state is above the global minimum, and its status.
 
     Attributes:
         status: "global": no state has a cost below ``lower_bound``, and ``relative_gap`` is at most `PROVEN`;
@@ -48,7 +48,7 @@ class Certificate:
 
     @property
     def proven(self) -> bool:
-        """Whether what was to be proven is proven; the status says what is held in that."""
+        """Whether the global minimum is proven; the status names what is held fixed for that."""
         return self.status in (GLOBAL, GLOBAL_WEIGHTS, GLOBAL_HELD, GLOBAL_WEIGHTS_HELD)
 
     @property

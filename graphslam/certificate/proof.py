@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -29,7 +29,6 @@ from .certificate import (
     PROVEN,
     Certificate,
 )
-from .minorants import Curvature, Minorant
 
 #: where J is at most `PROVEN`, and all residuals at most this part of what the edges measure, J counts as zero
 ZERO = 1e-6
@@ -37,12 +36,49 @@ ZERO = 1e-6
 HELD = 1e-9
 #: the part of an information matrix by which its rows and columns may differ, and its scaled eigenvalues be negative
 ROUNDED = 1e-9, 64 * ROUNDOFF
-#: the split of the information that is tried first, see `minorants`, and those among which each edge may choose
+#: the split of the information that is tried first, see `QuadraticBound`, and those among which each edge may choose
 SHARE, SHARES = 0.3, (0.02, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 0.95)
 #: the most times that the edges choose again
 ROUNDS = 8
 #: factorisations spent on a lower bound where S is not positive definite
 ATTEMPTS = 9
+
+
+class Curvature(NamedTuple):
+    """The split of each edge.
+
+    Attributes:
+        beta, A: (E,); beta = -1 leaves the edge out.
+        error: (E,) a bound on the rounding error of A, in units.
+        slack: (E,) the rounding errors that the parts of beta and kappa do not absorb.
+    """
+
+    beta: Array
+    A: Array
+    error: Array
+    slack: Array
+
+
+class QuadraticBound(NamedTuple):
+    """A convex quadratic function below J that touches it at a candidate state of N nodes, in (z, t) of the free nodes.
+
+    The engine computes it, and has the equations: ``engine/include/vmslam/certificate/minorant.hpp``.
+
+    Attributes:
+        values: (nnzb, 2, 2) complex, the blocks of S on the pattern of the graph.
+        gradient: (N, 2) complex, half the gradient at the candidate; zero at a stationary point.
+        scale: (N, 2) the sums of the absolute values that were added to each diagonal entry of S, or more.
+        error: (N, 2) a bound on the rounding error of ``gradient``, in units.
+        touched: the cost at the candidate, without the edges that were left out.
+        slack: a bound on its rounding errors.
+    """
+
+    values: Array
+    gradient: Array
+    scale: Array
+    error: Array
+    touched: float
+    slack: float
 
 
 def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bool = True) -> Certificate:
@@ -64,7 +100,7 @@ def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bo
         graph: with the edges whose cost is minimised.
         state: the candidate.
         cost: J at the state, where it is known; not used with a kernel.
-        thorough: whether to go on where the first attempt fails, with better splits of the information and a lower bound on
+        thorough: whether to try again after a failure, with better splits of the information and a lower bound on
             the cost. That takes some 50 factorisations instead of one.
     """
     begin = time.perf_counter()
@@ -154,7 +190,7 @@ def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
     if not problem.check_information(curve):
         reason = "an edge has singular information, whose smallest eigenvalue is negative by rounding, so that J has no bound"
         return NOT_PROVEN, 0.0, reason, None
-    function = problem.minorant(curve)
+    function = problem.quadratic_bound(curve)
     exact = float(problem.forces.cost.sum())
     if max(cost, exact) <= PROVEN and problem.zero():
         return (
@@ -195,7 +231,7 @@ class _Problem:
     indptr: np.ndarray
     indices: np.ndarray
     symbolic: HermitianSymbolic
-    #: the edges at the state, in the engine: their ``cost`` (E,), whether all residuals are ``zero``, see `minorants`
+    #: the edges at the state, in the engine: their ``cost`` (E,), whether all residuals are ``zero``, see `QuadraticBound`
     forces: Any
     given: int
     #: (N,) a bound on the rounding errors of sums over the edges that meet at a node, in units of their terms
@@ -282,11 +318,11 @@ class _Problem:
         """The split of the information of all edges for one share."""
         return Curvature(*self.forces.curvature(share))
 
-    def minorant(self, curve: Curvature) -> Minorant:
+    def quadratic_bound(self, curve: Curvature) -> QuadraticBound:
         """The function below J for a split."""
-        return Minorant(*self.forces.minorant(self.free, self.indptr, self.indices, *curve))
+        return QuadraticBound(*self.forces.minorant(self.free, self.indptr, self.indices, *curve))
 
-    def bound(self, function: Minorant, shift: Array | float = 0.0) -> tuple[float, HermitianFactor]:
+    def bound(self, function: QuadraticBound, shift: Array | float = 0.0) -> tuple[float, HermitianFactor]:
         """A lower bound on the cost of all states, -inf where S is not proven positive definite, and the factor of S.
 
         Args:
@@ -317,7 +353,7 @@ class _Problem:
         decrease = (np.sqrt(factor.square(gradient)) + 1.001 * error) ** 2
         return function.touched - decrease - function.slack, factor
 
-    def raised_bound(self, curve: Curvature, function: Minorant) -> float:
+    def raised_bound(self, curve: Curvature, function: QuadraticBound) -> float:
         """The best lower bound after each edge has chosen its split for the directions in which S is the smallest.
 
         S is linear in beta and A, and the split of an edge may be any average of splits. Each round finds the smallest
@@ -341,10 +377,10 @@ class _Problem:
             out = (curve.beta < 0) | (beta < 0)
             error, slack = np.maximum(curve.error, error), np.maximum(curve.slack, slack)
             curve = Curvature(np.where(out, -1.0, beta), A, error, slack)
-            function = self.minorant(curve)
+            function = self.quadratic_bound(curve)
         return best
 
-    def shifted(self, function: Minorant) -> tuple[float, HermitianFactor | None, float]:
+    def shifted(self, function: QuadraticBound) -> tuple[float, HermitianFactor | None, float]:
         """The best lower bound among a few shifts of the multipliers, with the factor for the least, and that shift.
 
         With lower multipliers S is positive definite, but its function touches J no longer at its own minimum.
@@ -364,7 +400,7 @@ class _Problem:
                 high, least = middle, factor
         return best, least, high
 
-    def smallest(self, factor: HermitianFactor, function: Minorant) -> Array:
+    def smallest(self, factor: HermitianFactor, function: QuadraticBound) -> Array:
         """About the smallest direction (N, 2) of S against its scale, by inverse iteration with a shifted factor."""
         weight = np.where(function.scale > 0, function.scale, 0.0)
         x = np.random.default_rng(0).standard_normal((len(self.state), 2)) + 0j

@@ -2,13 +2,10 @@
 
 from .anchor import ANCHOR_INFORMATION, AnchorEdges
 from .base import ConstantEdges, EdgeFamily, Linearization, Relations
-from .cartesian import CartesianObservationEdges
 from .marginal import MarginalEdges
-from .motion import motion_edges
-from .observation import ObservationEdges
-from .polar import PolarObservationEdges
+from .observation import CartesianObservationEdges, ObservationEdges, PolarObservationEdges
 from .prior import LandmarkPriors, PriorEdges
-from .relative import RelativePointEdges, RelativePoseEdges
+from .relative import RelativePointEdges, RelativePoseEdges, motion_edges
 from .sightings import LandmarkSightings, SightingEdges
 from .virtual_motion import VirtualMotionEdges
 

@@ -24,7 +24,7 @@ class AnchorEdges(EngineEdges):
     information: Array
 
     def __post_init__(self) -> None:
-        # J knows only the symmetric part, and whoever reads one triangle must find the same
+        # J depends on the symmetric part only, and code that reads one triangle must find the same
         symmetric = (self.information + np.swapaxes(self.information, 1, 2)) / 2
         object.__setattr__(self, "information", symmetric)
 

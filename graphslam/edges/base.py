@@ -121,7 +121,7 @@ class EdgeFamily(ABC):
 
     @property
     def numbers(self) -> tuple[int, float]:
-        """How many independent numbers the edges measure, and the mean of their cost at the true state."""
+        """The number of independent numbers that the edges measure, and the mean of their cost at the true state."""
         return 0, 0.0
 
     @property

@@ -62,7 +62,7 @@ class MarginalEdges(LandmarkSightings):
         """The sightings one by one, as edges to landmark nodes: the marginal cost is the minimum over these nodes."""
         self._check_constant(self.frame)
         _, _, factor, _, means, _ = self._around_means(state, state)
-        place, covariance = self._place, self.sensor.landmark_covariance(np.zeros((self.count, 3)), self.noisy)
+        place, covariance = self.sensor.places(self.sightings, noisy=self.noisy)
         information = np.linalg.inv(covariance) * factor[:, None, None]
         turn, start = place[:, 2] if self.oriented else None, place[:, :2]
         second = len(state) + self.group

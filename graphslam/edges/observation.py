@@ -1,19 +1,37 @@
-"""Edges from a pose to a landmark that is a node of the graph: what both forms of the residual share.
+"""Edges from a pose to a landmark that is a node of the graph, with the Cartesian or the polar residual.
 
-`edges.cartesian` has the sighting as a position in the robot's axes, `edges.polar` as range and bearing. The number of
-these edges is linear in the number of sightings. A landmark without heading uses the first two coordinates of its node;
-`Graph.linearize` keeps the third coordinate constant.
+The number of these edges is linear in the number of sightings. A landmark without heading uses the first two coordinates
+of its node; `Graph.linearize` keeps the third coordinate constant.
+
+Cartesian: the sighting is a position in the robot's axes, o + l (cos phi, sin phi) with o the sensor's offset:
+
+    e = (R(theta)' (m - p) - o - l (cos phi, sin phi),  theta_m - theta - (phi - psi)),   Omega^-1 = L Q L',
+
+the second part, wrapped, only with psi. L = dh^-1/dz at theta = 0 and the measured range, so the information is constant:
+it is the lectures' R Q R', turned into the robot's axes. So these are the edges of `edges.relative`, with the kernels and
+the trust of sightings. With the landmarks eliminated they become the marginal edges. The residual is linear in the
+positions, and defined everywhere, so the cost has no false minima where a pose lies on a landmark. ``frame="world"`` keeps
+e in world axes, m - h^-1(x, z), and evaluates R Q R' at the reference state.
+
+Polar: e = h(x, m) - z, with the information Q^-1 at the measured range. This is the likelihood of a sensor with Gaussian
+noise. Its cost has false minima: where a pose comes to lie on a landmark the bearing is undefined. Start it from the
+optimum of the Cartesian residual.
 """
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from ..engine import engine
+from ..errors import GraphError
 from ..models import SensorModel
-from ..se2 import Array
-from .base import PairEdges, Relations
+from ..se2 import Array, wrap
+from .base import ConstantEdges, EngineEdges, Linearization, PairEdges, Relations
+from .relative import RobustPointEdges, RobustPoseEdges
 from .robust import Kernel
 from .sightings import SightingEdges
 
@@ -49,3 +67,67 @@ class ObservationEdges(PairEdges, SightingEdges):
         offset = self.sensor.h_inverse(at_origin, self.sightings[:, :2])
         information = np.linalg.inv(self.sensor.landmark_covariance(x, self.noisy[:, :2]))
         return Relations(self.first, self.second, offset, information)
+
+
+@dataclass(frozen=True, eq=False)
+class CartesianObservationEdges(ObservationEdges, EngineEdges):
+    """Sightings of landmark nodes with the residual in the plane; see `ObservationEdges` for the other arguments.
+
+    Args:
+        frame: "body" (the robot's axes, constant information) or "world".
+    """
+
+    frame: str = field(default="body", kw_only=True)
+
+    @cached_property
+    def relative(self) -> RobustPointEdges | RobustPoseEdges:
+        """The same edges as landmarks measured in the robot's axes, the trust in their information."""
+        measured, covariance = self.sensor.places(self.sightings, noisy=self.noisy)
+        information = np.linalg.inv(covariance)
+        information = (information + np.swapaxes(information, 1, 2)) / 2 * self.trusted[:, None, None]
+        edges = RobustPoseEdges if self.oriented else RobustPointEdges
+        return edges(self.first, self.second, measured, information, frame=self.frame, kernel=self.kernel)
+
+    @property
+    def state_dependent_information(self) -> bool:
+        return self.relative.state_dependent_information
+
+    def linearize(self, state: Array, reference: Array) -> Linearization:
+        return self.relative.linearize(state, reference)
+
+    def constant(self, state: Array) -> ConstantEdges:
+        self._check_constant(self.frame)
+        edges = self.relative.constant(state)
+        weights = self.kernel_weights(state)[:, None, None]
+        return edges if self.kernel is None else replace(edges, information=edges.information * weights)
+
+    def _to_engine(self) -> Any:
+        return self.relative.in_engine
+
+
+@dataclass(frozen=True, eq=False)
+class PolarObservationEdges(ObservationEdges, EngineEdges):
+    """Sightings of landmark nodes with the residual h(x, m) - z; see `ObservationEdges` for the arguments."""
+
+    @property
+    def cartesian(self) -> CartesianObservationEdges:
+        """The same sightings with the Cartesian residual, in the body frame."""
+        return CartesianObservationEdges(
+            self.first, self.second, self.sightings, self.sensor, kernel=self.kernel, trust=self.trust
+        )
+
+    def linearize(self, state: Array, reference: Array) -> Linearization:
+        d = self.sightings.shape[1]
+        x, m = state[self.first], state[self.second][:, :d]
+        residuals = self.sensor.h(x, m) - self.sightings
+        residuals[:, 1:] = wrap(residuals[:, 1:])
+        by_landmark = np.zeros((self.count, d, 3))
+        by_landmark[:, :, :d] = self.sensor.H(x, m)
+        information = np.linalg.inv(self.sensor.Q(self.sightings)) * self.trusted[:, None, None]
+        return Linearization(residuals, information, (self.first, self.second), (self.sensor.H_pose(x, m), by_landmark))
+
+    def constant(self, state: Array) -> ConstantEdges:
+        raise GraphError("the residual h(x, m) - z of landmark nodes has no such form; use residual='cartesian'")
+
+    def _to_engine(self) -> Any:
+        return engine.PolarEdges(self.first, self.second, *self._for_engine)

@@ -1,4 +1,4 @@
-"""Priors on nodes: what a map says about its landmarks, or what the edges of poses that were taken out have left."""
+"""Priors on nodes: those of a map on its landmarks, or the marginal of edges whose poses were eliminated."""
 
 from __future__ import annotations
 

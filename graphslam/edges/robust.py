@@ -120,7 +120,7 @@ class Kernel:
 
 @dataclass(frozen=True)
 class Huber(Kernel):
-    """rho = r²/2 up to c, then c (r - c/2): the pull of an outlier does not grow with its distance."""
+    """rho = r²/2 up to c, then c (r - c/2): the gradient of an outlier does not grow with its distance."""
 
     code: ClassVar[int] = HUBER
     name: ClassVar[str] = "huber"

@@ -1,4 +1,4 @@
-"""What all edges that come from sightings have in common, and sightings grouped by landmark.
+"""`SightingEdges`, the base of all edges that come from sightings, and sightings grouped by landmark.
 
 Every sighting places its landmark at y = h^-1(x, z) with covariance C = R Q R'. When the pose rotates, y moves by the
 lever t = (-v_y, v_x) per radian, where v leads from the pose to the landmark. It is l (cos, sin)(theta + phi), plus
@@ -131,7 +131,7 @@ class LandmarkSightings(SightingEdges, EngineEdges):
         return np.repeat(np.arange(len(self.starts) - 1), np.diff(self.starts))
 
     def placed(self, state: Array) -> tuple[Array, Array]:
-        """Where the sightings of a state put their landmarks, y = h^-1(x, z) (M, 3), and the levers t (M, 2)."""
+        """The landmarks y = h^-1(x, z) (M, 3) of the sightings at a state, and the levers t (M, 2)."""
         poses = state[self.nodes]
         y = np.zeros((len(poses), 3))
         y[:, : self.sightings.shape[1]] = self.sensor.h_inverse(poses, self.sightings)

@@ -5,11 +5,10 @@ They are derived here a second time, so that the two implementations check each 
 e' Omega e, or rho(r) with a robust kernel.
 """
 
-from .anchor import AnchorFactor
 from .description import FactorDescription, describe, load_factors, save_factors
 from .landmark import LandmarkFactor
 from .observation import InverseObservationFactor, ObservationFactor, RelativePointFactor
-from .prior import PriorFactor
+from .prior import AnchorFactor, PriorFactor
 from .relative_edges import RelativeEdgesFactor
 from .relative_pose import MotionFactor, RelativePoseFactor
 from .residual import ResidualFactor

@@ -1,4 +1,4 @@
-"""What all factor types share: a base class, and a callback that makes a residual safe for GTSAM.
+"""The base class of all factor types, and a callback that makes a residual safe for GTSAM.
 
 GTSAM reads the Jacobians of a Python factor without a check (one left unset, or too small, ends the process), never
 frees a factor whose callback refers back to it, and perturbs a pose on its right, in the pose's own axes. Here every
@@ -47,7 +47,7 @@ _never.acquire()
 
 @atexit.register
 def _stop_daemon_threads() -> None:
-    """Let daemon threads wait for ever in their next callback: Python stops them inside GTSAM, which ends the process."""
+    """Block daemon threads in their next callback: Python stops them inside GTSAM, which ends the process."""
     global _python_ends
     _python_ends = True
     if any(thread.daemon for thread in enumerate_threads()):
@@ -99,7 +99,7 @@ class Factor(gtsam.CustomFactor):
         noise = noise_model(arguments, covariance=covariance, information=information)
         for value in arguments.values():
             if isinstance(value, np.ndarray):
-                # a factor must not change when its maker goes on working with an array
+                # a factor must not change when the caller changes the array later
                 value.flags.writeable = False
         named = keys if named_keys is None else map(index, named_keys)
         description = FactorDescription(type(self).__name__, tuple(named), arguments)
@@ -183,7 +183,7 @@ def _guarded(
 
 
 def _matrix(k: int, raw: Any, heading: float | None) -> Array:
-    """A Jacobian as GTSAM wants it; by world coordinates where the pose's heading is given, else in its own axes."""
+    """A Jacobian in GTSAM's form; by world coordinates where the pose's heading is given, else in its own axes."""
     try:
         if np.iscomplexobj(raw):
             raise TypeError("it is complex")
@@ -264,7 +264,7 @@ def wrapped(angle: float) -> float:
 
 
 def _unreadable(values: gtsam.Values, keys: Sequence[int], kinds: Sequence[str]) -> str:
-    """What is wrong with the values at the keys."""
+    """A sentence on wrong values at the keys."""
     for key, kind in zip(keys, kinds):
         name, wanted = key_name(key), KINDS[kind][1]
         if not values.exists(key):

@@ -1,4 +1,4 @@
-"""What a factor was made from, as plain data: to read it, to print it, to save it, and to make the factor again.
+"""The arguments of a factor as plain data: to read them, to print and save them, and to make the factor again.
 
 GTSAM returns a Python factor that only a graph holds as a bare `gtsam.CustomFactor`, and can neither save nor copy it.
 So the callback of each factor keeps the factor's description, and hands it over when it cannot be evaluated.
@@ -106,7 +106,7 @@ def key_name(key: int) -> str:
 
 
 def describe(factor: gtsam.NonlinearFactor) -> FactorDescription:
-    """What a factor of this package was made from, also when a graph returns it as a bare `gtsam.CustomFactor`.
+    """The description of a factor of this package, also when a graph returns it as a bare `gtsam.CustomFactor`.
 
     Raises:
         OptionError: the factor has another origin; GTSAM's own factors have readers such as ``measured()``.
@@ -262,7 +262,7 @@ def _named(factor: gtsam.NonlinearFactor, text: str) -> str:
 
 
 def _name_in_prints(kind: Any, named: Callable[[Any, str], str]) -> None:
-    """Let ``print(graph)``, ``graph.print()`` and the same of a factor name our types; nothing else of GTSAM changes.
+    """Make ``print(graph)``, ``graph.print()`` and the same of a factor name our types; nothing else of GTSAM changes.
 
     GTSAM prints each Python factor as 'CustomFactor', and has no place for another name.
     """

@@ -1,4 +1,4 @@
-"""What a file format of logs consists of, and what the readers have in common."""
+"""`LogFormat`, the description of a file format of logs, and functions that readers share."""
 
 from __future__ import annotations
 

@@ -33,8 +33,8 @@ from ..log import Log
 from ..reading import Fault, ReadOptions, range_faults
 from ..se2 import Array
 from ..sources.streams import Stream
-from ..sources.synchronize import synchronize
 from .base import NO_SIGHTING, Format, errors_name, member, optional_member
+from .synchronize import synchronize
 from .text import line_of, read_columns
 
 #: subjects up to this number are robots

@@ -43,7 +43,7 @@ DIALECTS = ("g2o", "toro", "isam")
 
 @dataclass
 class PoseGraphFile:
-    """What a file holds: ids and values of poses (P,), (P, 3) and landmarks (L,), (L, 2), fixed ids, and the edges.
+    """The contents of a file: ids and values of poses (P,), (P, 3) and landmarks (L,), (L, 2), fixed ids, and the edges.
 
     Edges name ids: ``pose_edges`` (E, 2) with ``pose_measured`` (E, 3) and ``pose_information`` (E, 3, 3) in the axes of
     the first pose; ``point_edges`` (K, 2) with ``point_measured`` (K, 2) and ``point_information`` (K, 2, 2). ``notes`` are

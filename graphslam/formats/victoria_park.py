@@ -33,9 +33,9 @@ from ..models import MotionModel, SensorModel
 from ..reading import ReadOptions
 from ..se2 import Array, mounted
 from ..sources.streams import Stream
-from ..sources.synchronize import synchronize
 from .base import NO_SIGHTING, Format, errors_name, member, optional_member
 from .mat import Shape, has_variables, numbers, read_mat
+from .synchronize import synchronize
 
 #: the car [m]: distance of the axles, encoder off the middle, laser ahead and to the left of the rear axle's middle
 WHEEL_BASE, ENCODER, LASER = 2.83, 0.76, (3.78, 0.5)

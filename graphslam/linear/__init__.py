@@ -1,1 +1,1 @@
-"""The linear algebra of Omega and xi: blocks, slots and the sparse Cholesky factor. It knows nothing of robots."""
+"""The linear algebra of Omega and xi: blocks, slots and the sparse Cholesky factor. It is independent of robots and edges."""

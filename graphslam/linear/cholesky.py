@@ -148,7 +148,7 @@ class Factor:
 
     @property
     def in_engine(self) -> Any:
-        """The factor in the engine, for somebody who factorises there; this object is invalid until `refactorize`."""
+        """The factor in the engine, to be overwritten there; this object is invalid until `refactorize`."""
         self._inverse, self._valid = None, False
         return self._factor
 

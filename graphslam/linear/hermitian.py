@@ -29,7 +29,7 @@ class HermitianSymbolic:
 
     structure: Any
     diagonal: NDArray[Any]
-    #: the memory of a factor that nobody uses any more: fresh memory takes a sixth of a proof
+    #: memory of an unused factor, to be used again: new memory takes a sixth of the time of a proof
     spare: list[Any] = field(default_factory=list)
 
     @cached_property

@@ -50,7 +50,7 @@ class BlockSystem:
 
     @property
     def indptr(self) -> np.ndarray:
-        """Where each column begins in ``indices`` and ``values``, (n + 1,)."""
+        """The index (n + 1,) at which each column begins in ``indices`` and ``values``."""
         return self.structure.indptr
 
     @property

@@ -16,17 +16,17 @@ from functools import cached_property
 
 import numpy as np
 
-from ..certificate import GLOBAL, Certificate, descents, prove
+from ..certificate import GLOBAL, Certificate, prove
 from ..edges import SightingEdges
 from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array
 from .gauss_newton import gauss_newton
-from .growing import steps_of
+from .initialize import AUTO, GROWING, starting_state
 from .iteration import Run, factorized
 from .levenberg_marquardt import levenberg_marquardt
-from .starting import AUTO, GROWING, starting_state
-from .turns import turned
+from .restarts import descents, lower_by_turns
+from .sequential_start import most_steps
 
 DAMPED = "levenberg-marquardt"
 #: graphs of at most so many nodes are always run from a second start: that takes milliseconds
@@ -36,7 +36,7 @@ SMALL = 100
 DOUBTFUL, DOUBTFUL_SIGHTINGS = 3.0, 1.12
 #: an end that took more steps is doubtful, too: slow convergence comes from large residuals, which make several minima
 SLOW = 16
-#: the most times that the search goes on from an unproven end to a lower one
+#: the most times that the search continues from an unproven end to a lower one
 DESCENTS = 5
 #: graphs of at most so many nodes are searched on from an end that is accepted, but not proven: a thorough proof (some 50
 #: factorisations), so many further starts, and descents
@@ -85,7 +85,7 @@ class End:
 
     @cached_property
     def certificate(self) -> Certificate:
-        """What one attempt proves about the end."""
+        """The certificate of the end from one attempt."""
         return prove(self.graph, self.run.state, cost=self.cost, thorough=False)
 
     @property
@@ -95,14 +95,14 @@ class End:
 
     @cached_property
     def open(self) -> bool:
-        """Whether the search goes on from this end, although it is accepted."""
+        """Whether the search continues from this end, although it is accepted."""
         if self.graph.num_nodes > PROVABLE or self.certificate.proven or not self.certificate.applicable:
             return False
         return not prove(self.graph, self.run.state, cost=self.cost).proven
 
     @property
     def possible(self) -> bool:
-        """Whether the end of a graph with a kernel may be the global minimum, so far as its weights tell; see `prove`."""
+        """Whether the end of a graph with a kernel may be the global minimum for its weights; see `prove`."""
         certificate = self.certificate
         small = self.graph.num_nodes <= PROVABLE
         return certificate.proven or not certificate.applicable or (small and not self.open)
@@ -131,9 +131,9 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
     """The lowest end among the starts of `AUTO`.
 
     The search ends when the lowest end is accepted (`enough`) and no longer `open`, or after `FURTHER` more starts. Before
-    another start, other turns are tried from the end of the last one (`turned`). If the lowest end is not accepted or still
-    open then, the search goes on along the negative direction that its failed proof shows. The whole search after the first
-    end is bounded by a multiple of the steps that led to it.
+    another start, other turns are tried from the end of the last one (`lower_by_turns`). If the lowest end is not
+    accepted or still open then, the search continues along the negative direction that its failed proof shows. The whole
+    search after the first end is bounded by a multiple of the steps that led to it.
     An end with a higher cost than the given values never counts. If no run converges to a lower one,
     Levenberg-Marquardt runs from the given values and accepts only steps that lower J itself. (With state-dependent
     information a fixed point of the iteration may have a higher J.)
@@ -203,7 +203,7 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
 
 
 def _end(graph: Graph, run_from: Callable[..., Run], start: Array, search: str, started: str, ends: list[End]) -> End:
-    """The end of a run from a start. A run that has not converged, but is below all other ends, goes on once.
+    """The end of a run from a start. A run that has not converged, but is below all other ends, is continued once.
 
     Raises:
         GraphError: the edges do not determine the nodes.
@@ -221,7 +221,7 @@ def _turned(
 ) -> list[End]:
     """The lower end that other turns lead to from the last end, if it has converged and no end before it has its cost.
 
-    Beyond J of `DOUBTFUL` times the expected one, wrong sightings or wrong noise models decide, and other turns help nobody.
+    Beyond J of `DOUBTFUL` times the expected one, wrong sightings or noise models dominate, and other turns do not lower it.
 
     Args:
         ends: all ends; the first ``tried`` of them are those of earlier starts.
@@ -234,7 +234,7 @@ def _turned(
     if any(abs(other.cost - end.cost) <= SAME * end.cost for other in ends[:tried] if other.run.converged):
         return []
     effort.allow(ends[0].steps)
-    state, steps = turned(graph, end.run.state, effort.left)
+    state, steps = lower_by_turns(graph, end.run.state, effort.left)
     effort.spent += steps
     if state is None:
         return []
@@ -284,7 +284,7 @@ def _starts(graph: Graph, ends: list[End], effort: _Effort) -> Iterator[tuple[st
         names, growing = names + growing, []
     while names:
         name = names.pop(0)
-        forecast = steps_of(len(graph.steps), GROWING[name]) if name in GROWING else 0.0
+        forecast = most_steps(len(graph.steps), GROWING[name]) if name in GROWING else 0.0
         if ends and forecast > effort.left:
             continue
         try:
@@ -384,7 +384,7 @@ def enough(ends: list[End]) -> bool:
 
 
 def _finished(ends: list[End], further: int) -> bool:
-    """Whether the lowest end is accepted, and the search has no reason or no start left to go on."""
+    """Whether the lowest end is accepted, and the search has no reason to continue or no start left."""
     return enough(ends) and (further == 0 or not _lowest(ends).open)
 
 

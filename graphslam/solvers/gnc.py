@@ -25,16 +25,16 @@ from scipy.special import gammaincinv
 
 from ..edges import EdgeFamily, MarginalEdges, ObservationEdges, VirtualMotionEdges
 from ..edges.robust import Cauchy
-from ..errors import GraphError, OptionError, quoted
-from ..graph import Graph, check_graph
+from ..errors import GraphError, OptionError
+from ..graph import Graph
 from ..parameters.corrected import corrected, sighted_edges
 from ..se2 import Array
 from ..solution import Solution
 from ..transform import poses_only, with_landmark_nodes
+from .initial_values import place_landmarks
 from .iteration import Run
 from .levenberg_marquardt import levenberg_marquardt
-from .solve import solve
-from .start import place_landmarks
+from .minimize import minimize
 from .with_parameters import without_parameters
 
 #: mu grows by this factor from one graph to the next
@@ -43,56 +43,35 @@ GROWTH = 1.4
 STEPS = 5
 #: a second sequence is computed where there are at most so many pairs of sightings
 PAIRS = 5_000
-#: the most rounds in which the trust is computed anew after a sequence on other edges
+#: the most rounds in which the trust is computed again after a sequence on other edges
 LAST_ROUNDS = 20
 #: a sighting with less trust than this counts as rejected
 REJECTED = 0.5
 
 
-def solve_gnc(
-    graph: Graph,
-    *,
-    probability: float = 0.99,
-    tolerance: float = 1e-9,
-    max_rounds: int = 100,
-    initialize: str = "auto",
-) -> Solution:
-    """Minimise the truncated squares of a graph's sightings by graduated non-convexity.
+def solve_gnc(graph: Graph, tolerance: float, max_rounds: int, initialize: str, probability: float) -> Solution:
+    """`solve` with the method "gnc": c² is the quantile of ``probability``, and ``max_rounds`` the most values of mu.
 
-    Args:
-        graph: with edges from sightings; motion edges and anchors are always trusted.
-        probability: the fraction of correct sightings that should be accepted: c² is this quantile of the chi-square
-            distribution with as many degrees of freedom as a sighting has numbers.
-        tolerance: of the last solve, as in `solve`.
-        max_rounds: the most values of mu to try.
-        initialize: the start of the first solve, as in `solve`.
-
-    Returns:
-        The solution of the graph with the final trust, which is in `Solution.trust`. It is ``converged`` only if every
-        sighting is fully trusted or rejected.
+    Motion edges and anchors are always trusted.
 
     Raises:
         GraphError: the graph has no edges from sightings, or does not determine its nodes.
-        OptionError: an option has an impossible value.
     """
-    check_graph(graph)
-    if not 0 < probability < 1:
-        raise OptionError(f"probability must lie between 0 and 1, not {quoted(probability)}")
     if max_rounds < 1:
-        raise OptionError(f"max_rounds must be at least 1, not {max_rounds}")
+        raise OptionError(f"max_iterations must be at least 1 for the method gnc, not {max_rounds}")
     begin = time.perf_counter()
     if graph.parameters is not None:
         graph = _at_robust_parameters(graph, initialize)
     best = _best_sequence(without_parameters(graph), probability, max_rounds, initialize)
     trust, weighted = best.trust, graph.with_trust(best.trust)
     start = weighted.with_initial(place_landmarks(weighted, best.state[: len(graph.steps)]))
-    solution = solve(start, tolerance=tolerance, initialize="given")
+    solution = minimize(start, tolerance=tolerance, initialize="given")
     rejected = int(np.count_nonzero(trust < REJECTED))
     note = f"graduated non-convexity rejected {rejected} of {len(trust)} sightings in {best.rounds} rounds"
     if graph.log is not None:
         of_edges, trust = trust, np.full(len(graph.log.steps), np.nan)
         trust[graph.sighting_rows] = of_edges
-    partly = f"after max_rounds = {best.rounds} some sightings are trusted in part"
+    partly = f"after max_iterations = {best.rounds} some sightings are trusted in part"
     return replace(
         solution,
         converged=solution.converged and best.settled,
@@ -108,7 +87,7 @@ def _at_robust_parameters(graph: Graph, initialize: str) -> Graph:
     seen = sighted_edges(graph)
     robust = replace(seen, kernel=Cauchy())  # type: ignore[type-var]
     families = tuple(robust if family is seen else family for family in graph.families)
-    found = solve(replace(graph, families=families), tolerance=_rough(graph), initialize=initialize)
+    found = minimize(replace(graph, families=families), tolerance=_rough(graph), initialize=initialize)
     assert found.graph is not None and found.graph.parameters is not None
     return corrected(graph, found.graph.parameters.values, found.state).with_initial(found.state)
 
@@ -140,7 +119,7 @@ class _Sightings:
 
     @classmethod
     def of(cls, graph: Graph, probability: float) -> _Sightings:
-        """Those of a graph with landmark nodes."""
+        """The squares of a graph with landmark nodes."""
         edges = next(family for family in graph.families if isinstance(family, ObservationEdges))
         order = np.lexsort((edges.first, edges.second))
         _, starts = np.unique(edges.second[order], return_index=True)
@@ -186,9 +165,9 @@ def _best_sequence(graph: Graph, probability: float, max_rounds: int, initialize
 
 
 def _sequence(graph: Graph, order: np.ndarray, sightings: _Sightings, max_rounds: int, initialize: str) -> _Sequence:
-    """From plain squares to squares truncated at c², on a graph whose edges have the sightings in an order (M,)."""
+    """The sequence from plain squares to squares truncated at c²; the edges have the sightings in an order (M,)."""
     limit, trust = sightings.limit, np.ones(len(order))
-    state = solve(graph, tolerance=_rough(graph), initialize=initialize).state
+    state = minimize(graph, tolerance=_rough(graph), initialize=initialize).state
     squares = sightings.squares(state, trust)
     largest = float(squares.max(initial=0.0))
     mu = limit / (2 * largest - limit) if 2 * largest > limit else np.inf
@@ -224,7 +203,7 @@ def _damped(graph: Graph, trust: Array, state: Array) -> Array:
 
 
 def _rough(graph: Graph) -> float:
-    """A step norm that is short enough to tell correct sightings from wrong ones."""
+    """The step norm below which the trust in sightings is determined."""
     return 1e-3 * len(graph.steps) ** 0.5
 
 

@@ -120,7 +120,7 @@ def _many(group: _Group, state: Array, _: int) -> Iterable[ConstantEdges]:
 
 
 def _measured(description: FactorDescription) -> tuple[Array, Array]:
-    """What a factor of two keys measures in the axes of the first, and its information."""
+    """The measurement of a factor of two keys in the axes of the first, and its information."""
     a, origin = description.arguments, np.zeros(3)
     if description.kind == "MotionFactor":
         covariance = a["motion"].covariance(origin, a["control"], a["dt"])
@@ -128,9 +128,8 @@ def _measured(description: FactorDescription) -> tuple[Array, Array]:
     if "z" in a:
         if a.get("residual") == "polar":
             raise GraphError(f"the residual h(x, m) - z of {description} has no such form; use residual='cartesian'")
-        return a["sensor"].h_inverse(origin, a["z"]), _inverse(a["sensor"].landmark_covariance(origin, a["z"])) * a[
-            "scale"
-        ]
+        measured, covariance = a["sensor"].places(a["z"])
+        return measured, _inverse(covariance) * a["scale"]
     return a["measured"], a["information"]
 
 

@@ -23,8 +23,8 @@ from .auto import DAMPED, best_end
 from .gtsam_factors import to_gtsam
 from .gtsam_parameters import solve_jointly_with_gtsam
 from .gtsam_values import eliminated_landmarks, from_values, to_values
+from .initialize import starting_state
 from .iteration import PROMISE, Run, rounding
-from .starting import starting_state
 from .with_parameters import FIRST, best_of_starts, solve_jointly
 
 #: after so many freezings of the information, and so many last steps of one of them, without a shorter step there is no end

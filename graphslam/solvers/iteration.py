@@ -1,4 +1,4 @@
-"""An iteration Omega Delta = xi, x <- x + Delta: its rules, and how it ended. The engine iterates (``engine/**/solve``)."""
+"""An iteration Omega Delta = xi, x <- x + Delta: its rules and its end. The engine iterates (``engine/**/solve``)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PROMISE = 1e-6
 
 @dataclass(frozen=True)
 class Iteration:
-    """What a callback receives after each step: its number, the state (n, 3) reached, the cost before it, its norm."""
+    """The argument of a callback after each step: its number, the state (n, 3) reached, the cost before it, its norm."""
 
     number: int
     state: Array
@@ -43,7 +43,7 @@ class Run:
         callback: called after each step.
         costs, step_norms: J before each step, and the norm of each step.
         descend: whether damped steps must lower J itself, with state-dependent information evaluated at both ends.
-        recorded: the steps, where somebody wants them after the end.
+        recorded: the steps, where the caller asks for them.
         converged, reason: whether a stop rule was met, and why the iteration ended.
         factorizations: how often Omega was factorised.
     """
@@ -63,7 +63,7 @@ class Run:
 
 
 def iterate(graph: Any, run: Run, method: Callable[[Any, Any], object], kept: float) -> None:
-    """Let the engine iterate from ``run.state``; ``kept`` is `gauss_newton.KEPT`.
+    """Iterate in the engine from ``run.state``; ``kept`` is `gauss_newton.KEPT`.
 
     Raises:
         GraphError: the edges do not determine the nodes.
@@ -86,7 +86,7 @@ def iterate(graph: Any, run: Run, method: Callable[[Any, Any], object], kept: fl
 
 
 def _reason(run: Run, inside: Any) -> str:
-    """Why the iteration ended, as a sentence."""
+    """The reason for the end of the iteration, a sentence."""
     End, steps, cost = engine.End, len(run.step_norms), inside.cost_at_end
     norm = run.step_norms[-1] if steps else np.nan
     reasons = {
@@ -103,7 +103,7 @@ def _reason(run: Run, inside: Any) -> str:
 
 
 def rounding(state: Array, system: BlockSystem) -> float:
-    """What J is, at least, by rounding errors of 1e-15 of all coordinates: the sum of diag(Omega) errors²."""
+    """The part of J that rounding errors of 1e-15 of all coordinates cause: the sum of diag(Omega) errors²."""
     return engine.rounding(np.ascontiguousarray(state), np.ascontiguousarray(system.diagonal()))
 
 

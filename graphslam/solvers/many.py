@@ -135,7 +135,7 @@ def _of_this_process() -> Structures:
 
 
 def _task(data: bytes, options: dict[str, Any]) -> Solution | SlamError | None:
-    """What a process does: the result without the graph, or None where it cannot make the graph from its bytes."""
+    """The task of a process: the result without the graph, or None where it cannot make the graph from its bytes."""
     try:
         graph = pickle.loads(data)
     except Exception:

@@ -50,7 +50,7 @@ def _accumulate(family: EdgeFamily, system: BlockSystem) -> Callable[[Array, Arr
 
 
 class _InPython:
-    """What the engine asks an objective that is written in Python."""
+    """The interface of the engine to an objective that is written in Python."""
 
     def __init__(self, graph: Any) -> None:
         self._graph = graph

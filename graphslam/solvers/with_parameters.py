@@ -68,7 +68,7 @@ def best_of_starts(
         try:
             ends.append(jointly(start, nodes))
         except SlamError as failure:
-            # a wrong start may take a range below zero, or hide what tells a parameter
+            # a wrong start may take a range below zero, or leave a parameter undetermined
             error = error or failure
     if not ends:
         assert error is not None
@@ -97,8 +97,8 @@ def solve_jointly(graph: Graph, start: Array, search: Callable[[JointGraph, Run]
     run.state = joint.joined(start, joint.parameters.values)
     report = run.callback
     if report is not None:
-        told = report
-        run.callback = lambda step: told(replace(step, state=joint.parted(step.state)[0]))
+        callback = report
+        run.callback = lambda step: callback(replace(step, state=joint.parted(step.state)[0]))
     search(joint, run)
     nodes, values = joint.parted(run.state)
     if np.isfinite(run.state).all():

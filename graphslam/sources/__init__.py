@@ -1,1 +1,1 @@
-"""Sources of logs besides files: the simulator with its worlds, and the synchronisation of recorded streams."""
+"""Recorded streams of odometry, sightings and truth, each with its own clock."""

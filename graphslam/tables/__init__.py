@@ -1,6 +1,6 @@
 """Logs from tables: odometry, sightings and, where they are known, true poses and landmarks.
 
-`parts_of_tables` is what `Log.from_tables` calls. Beside it:
+`parts_of_tables` is what `Log.from_tables` calls. Its parts:
 
 table           what every table has; a table in memory
 text_table      tables in text files

@@ -1,4 +1,4 @@
-"""From the tables of one drive to the streams that are synchronised: columns, units, clocks and their checks.
+"""The streams of one drive from its tables: columns, units, clocks and their checks.
 
 A check refuses what is almost certainly a mistake, in one sentence with the place and the likely cause. Whoever states
 the unit silences the check of it.
@@ -16,9 +16,8 @@ from ..checks import first
 from ..errors import LogError, named, quoted
 from ..reading import UNIDENTIFIED, Fault, finite_fault, range_faults, sound_rows
 from ..se2 import Array
-from .classes import classes_of
 from .columns import MEASURES, NAMES, Chosen, find, unit_of
-from .ids import Ids, id_fault, ids_of
+from .ids import Ids, classes_of, id_fault, ids_of
 from .options import ANGLES, LENGTHS, TableOptions
 from .poses import checked_heading, controls_between
 from .repeats import Doubt, repeated_sightings, repeated_times
@@ -91,7 +90,7 @@ class _Reader:
         names = " or ".join(dict.fromkeys((role, *NAMES[role][:3])))
         which = f"Say which it is: --columns {self.kind}.{role}=NAME"
         if role == "id":
-            # many sensors tell no ids, so that only a column that nothing else uses is worth a question
+            # many sensors have no ids, so that only a column without another use is asked about
             taken = {chosen.column for chosen in self.found.values()}
             rest = [name for column, name in enumerate(self.table.names or ()) if column not in taken]
             if not rest:
@@ -122,7 +121,7 @@ class _Reader:
     def leave_out(self, *roles: str) -> Table:
         """The table without the rows in which a number of these columns, a time, an id or a range cannot be.
 
-        A column of words stays as it is: whoever reads it says what is wrong with it.
+        A column of words stays unchanged: the function that reads it raises the error.
 
         Raises:
             LogError: there are more of them than may be left out, or the options are strict.
@@ -432,7 +431,7 @@ def _ordered(
     """The times in order, their order, and notes; ``rows`` are the rows of the table, where it has others, too.
 
     Raises:
-        LogError: the clock starts anew within the table.
+        LogError: the clock starts again within the table.
     """
     back = np.diff(ns) < 0
     if not back.any():

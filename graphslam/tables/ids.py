@@ -1,4 +1,4 @@
-"""The column of ids: whole numbers, words, or nothing where a landmark was not identified."""
+"""Columns of ids and classes: whole numbers, words, or nothing where a landmark was not identified."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from ..checks import first
 from ..errors import LogError, named
-from ..reading import NO_ID, UNIDENTIFIED, Fault
+from ..reading import MOST_CLASSES, NO_CLASS, NO_ID, UNIDENTIFIED, Fault
 from ..se2 import Array
 from .grid import MISSING
 from .table import Table
@@ -28,7 +28,7 @@ class Ids:
 
     Attributes:
         numbers: (N,) of the landmarks; `UNIDENTIFIED` where the cell is empty.
-        names: {name: number} where landmarks have names that do not tell their number.
+        names: {name: number} where the names of landmarks contain no number.
         notes: one sentence each.
     """
 
@@ -109,7 +109,7 @@ def _whole(table: Table, column: int, values: Array) -> np.ndarray:
 
 
 def _of_names(words: np.ndarray, known: Mapping[str, int]) -> tuple[np.ndarray, dict[str, int]]:
-    """Numbers (N,) of landmarks that have names, and what they stand for where the names do not tell them.
+    """Numbers (N,) of landmarks that have names, and their names where these contain no number.
 
     They are the number at the end of each name where these differ, and else count the names. Names that are known keep
     their number, and others get the next ones.
@@ -124,3 +124,52 @@ def _of_names(words: np.ndarray, known: Mapping[str, int]) -> tuple[np.ndarray, 
     new = {name: begin + k for k, name in enumerate(name for name in listed if name not in known)}
     names = {**known, **new}
     return np.array([names[name] for name in listed], dtype=np.int64)[which], names
+
+
+def classes_of(table: Table, column: int, *, stated: bool) -> tuple[np.ndarray | None, tuple[str, ...]]:
+    """The class (N,) of each sighting as words, or as integers where all are whole numbers; and notes.
+
+    Args:
+        table: of the sightings.
+        column: the number of the column.
+        stated: whether the user says that it holds classes; else one that cannot is left out, with a note.
+
+    Raises:
+        LogError: a stated column holds no classes.
+    """
+    words = table.words(column)
+    if words.dtype.kind not in "iu":
+        words = np.char.strip(words)
+        words = np.where(np.isin(np.char.lower(words), EMPTY), NO_CLASS, words)
+    names, which = np.unique(words, return_inverse=True)
+    numbers = _numbers([name for name in names.tolist() if name != NO_CLASS])
+    known = np.ones(len(words), dtype=bool) if words.dtype.kind in "iu" else words != NO_CLASS
+    reason = ""
+    if not known.any():
+        reason = "all its cells are empty"
+    elif numbers is not None and np.any(numbers % 1 != 0):
+        reason = f"it holds numbers that are not whole, such as {numbers[np.argmax(numbers % 1 != 0)]:g}"
+    elif len(names) > MOST_CLASSES:
+        reason = f"it has {len(names)} different entries, more than {MOST_CLASSES}"
+    if reason:
+        message = f"{table.title(column)} holds no classes of sightings: {reason}"
+        if stated:
+            raise table.error(None, message)
+        return None, (f"{table.source}: {message}; it is left out",)
+    notes: tuple[str, ...] = ()
+    if not known.all():
+        notes = (f"{table.source}: {np.sum(~known)} of {len(known)} sightings have no class, and may be of any",)
+    if numbers is None:
+        return words, notes
+    of_names = np.full(len(names), UNIDENTIFIED)
+    of_names[len(names) - len(numbers) :] = numbers.astype(np.int64)
+    return of_names[which], notes
+
+
+def _numbers(names: list[str | int]) -> np.ndarray | None:
+    """The names as numbers, None where one is none."""
+    try:
+        numbers = np.array([float(name) for name in names])
+    except ValueError:
+        return None
+    return numbers if np.all(np.abs(numbers) < 2.0**53) else None

@@ -181,7 +181,7 @@ def _name(stream: Timed) -> str:
 
 
 def _unit_ratio(one: int, other: int) -> int | None:
-    """How many times as large the unit of one span seems, in powers of 1000."""
+    """The factor between the units of two spans, a power of 1000."""
     ratio = max(one, other) / max(1, min(one, other))
     return next((unit for unit in (1000, 10**6, 10**9) if 0.5 < ratio / unit < 2), None)
 

@@ -1,4 +1,4 @@
-"""`TableOptions`: units, clocks, columns and axes of tables and bags, which numbers alone cannot tell."""
+"""`TableOptions`: units, clocks, columns and axes of tables and bags, which the numbers do not determine."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _PER_TABLE = "; one for all tables, or for each: odometry=..,sightings=.."
 
 @dataclass(frozen=True, kw_only=True)
 class TableOptions:
-    """What the reader of tables and bags has to be told. In Python options for single tables are mappings, too.
+    """The options of the reader of tables and bags. In Python options for single tables are mappings, too.
 
     Raises:
         OptionError: an option has an impossible value.
@@ -126,7 +126,7 @@ class TableOptions:
         return self._columns().get(table, {})
 
     def by_table(self, name: str) -> dict[str, Any]:
-        """What the option "time", "angles", "lengths" or "clocks" says, {table: value}; "" stands for all tables."""
+        """The option "time", "angles", "lengths" or "clocks" as {table: value}; "" stands for all tables."""
         value: Any = getattr(self, name)
         if value is None:
             return {}

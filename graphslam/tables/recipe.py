@@ -33,7 +33,7 @@ class Recipe:
     places: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     def place(self, table: str, what: str) -> str | None:
-        """What the recipe says about where a table is: its file, topic, frames; None where it does not."""
+        """The place of a table in the recipe: its file, topic, frames; None where there is none."""
         return self.places.get(table, {}).get(what)
 
     def strictly(self, strict: bool) -> Recipe:

@@ -1,4 +1,4 @@
-"""Where tables come from: text files, Parquet files, data frames, mappings and arrays."""
+"""The sources of tables: text files, Parquet files, data frames, mappings and arrays."""
 
 from __future__ import annotations
 

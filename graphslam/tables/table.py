@@ -57,11 +57,11 @@ class Table(ABC):
         """The error of a row, counted from 0, or of the whole table."""
 
     def place(self, row: int) -> str:
-        """How a note names a row."""
+        """The name of a row in notes."""
         return str(self.error(row, "")).rstrip(": ")
 
     def title(self, column: int) -> str:
-        """How messages name a column."""
+        """The name of a column in messages."""
         return quoted(self.names[column]) if self.names else f"column {column + 1}"
 
 

@@ -75,7 +75,7 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
 def time_faults(values: np.ndarray, title: str, unit: str | None, stray: float = STRAY) -> list[Fault]:
     """The rows whose time (N,) is no number, or lies more than ``stray`` [s] outside the times of both its neighbours.
 
-    A clock that goes on from a wrong time is another matter: see `drive`.
+    A clock that continues from a wrong time is handled in `drive`.
     """
     finite = np.isfinite(values)
     known = np.flatnonzero(finite)
@@ -172,7 +172,7 @@ def _of_decimals(whole: np.ndarray, places: np.ndarray, unit: str | None) -> np.
 
 
 def by_size(values: np.ndarray) -> str:
-    """The unit that the size of times leaves no doubt about: nobody drives for three thousand years."""
+    """The unit of times, where their size excludes all others: no log lasts three thousand years."""
     largest = float(np.max(np.abs(values), initial=0.0))
     for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)):
         if largest >= least:

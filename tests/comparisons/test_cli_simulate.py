@@ -13,7 +13,8 @@ from typer.testing import CliRunner, Result
 
 import graphslam
 from comparisons.cli import app
-from graphslam import MotionFaults, MotionModel, SensorFaults, SensorModel, World, load, simulate
+from graphslam import MotionModel, SensorModel, World, load, simulate
+from graphslam.simulation.simulator import MotionFaults, SensorFaults
 
 Invoke = Callable[..., Result]
 

@@ -154,7 +154,7 @@ def test_film_of_samples(log: Log) -> None:
 @pytest.mark.parametrize("edges", ["virtual+motion", "landmark+motion"])
 def test_isam2_film_grows(log: Log, edges: str) -> None:
     film = animate(log, estimator="isam2", edges=edges)
-    solution = solve_online(log, edges=edges)
+    solution = solve_online(log, backend="isam2", edges=edges)
     assert [len(frame.poses) for frame in film.frames] == list(range(1, log.num_poses + 1))
     np.testing.assert_allclose(film.frames[-1].poses, solution.poses, atol=1e-12)
     before, last = film.frames[-2:]

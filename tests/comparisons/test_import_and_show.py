@@ -11,8 +11,7 @@ import comparisons
 from comparisons.cli import app
 from comparisons.cli.output import Output
 from comparisons.options import RunOptions
-from comparisons.show.live import pictures
-from comparisons.show.text_plots import bars, plan
+from comparisons.show.text_plots import bars, pictures, plan
 from graphslam import OptionError, load, sample_log_path, simulate
 
 

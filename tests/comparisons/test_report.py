@@ -17,9 +17,10 @@ from comparisons.cli import app
 from comparisons.comparison import Comparison
 from comparisons.estimators import make_graph
 from comparisons.results import EstimatorResult, dead_reckoning_covariances
-from comparisons.show.report import matrix, page, page_of, paths, write_report
+from comparisons.show.report import matrix, page, paths
 from comparisons.show.report.convergence import iterations, plain_steps
 from comparisons.show.report.curves import convergence_figure, costs_figure, errors_figure
+from comparisons.show.report.page import page_of, write_report
 from comparisons.show.report.traces import dash_of
 from comparisons.show.report.view import view_of
 from graphslam import Graph, Log, MotionModel, OptionError, SlamError, save, simulate, solve, textbook
@@ -141,7 +142,7 @@ def test_a_path_has_step_time_error_and_covariance(comparison: Comparison, log: 
     np.testing.assert_allclose(rows[:, 1], log.times, rtol=1e-7)
     np.testing.assert_allclose(rows[:, 3], position_errors(log.true_poses, result.poses), rtol=1e-3)
     # a rigid motion changes neither the sum of the variances of x and y nor that of the heading
-    solved = solve(make_graph(log, comparison.options), initialize="auto").covariances()
+    solved = solve(make_graph(log, comparison.options), initialize="auto").covariance()
     np.testing.assert_allclose(rows[:, 4] ** 2 + rows[:, 5] ** 2, solved[:, 0, 0] + solved[:, 1, 1], rtol=2e-3)
     np.testing.assert_allclose(rows[:, 7] ** 2, solved[:, 2, 2], rtol=2e-3)
 
@@ -149,7 +150,7 @@ def test_a_path_has_step_time_error_and_covariance(comparison: Comparison, log: 
 @pytest.mark.parametrize("edges", ["virtual", "virtual+motion", "landmark+motion"])
 def test_covariances_are_those_of_the_solution(log: Log, edges: str) -> None:
     comparison = run(log, estimators="graph", edges=edges, weight="tempered", motion_weight=2.0, initialize="given")
-    expected = solve(make_graph(log, comparison.options), initialize="given").covariances()
+    expected = solve(make_graph(log, comparison.options), initialize="given").covariance()
     covariances = (
         view_of(Comparison(log.replace(true_poses=None, true_landmarks=None), comparison.results))
         .estimates[0]
@@ -176,7 +177,7 @@ def test_gnc_has_covariances_too(log: Log) -> None:
     (estimate,) = view_of(comparison).estimates
     solution = comparison["graph"].origin
     assert estimate.covariances is not None
-    np.testing.assert_allclose(estimate.covariances[:, 2, 2], solution.covariances()[:, 2, 2], rtol=1e-6)  # type: ignore[union-attr]
+    np.testing.assert_allclose(estimate.covariances[:, 2, 2], solution.covariance()[:, 2, 2], rtol=1e-6)  # type: ignore[union-attr]
     assert "Ω of graph: 25 nodes" in page_of(comparison)
 
 
@@ -185,7 +186,7 @@ def test_dead_reckoning_is_as_uncertain_as_a_graph_of_its_motions_alone() -> Non
     motions = {"dt": 0.5, "controls": [[1.0, 0.3], [0.8, -0.5], [1.2, 0.1], [0.0, 0.4]]}
     log = Log(**motions, steps=[2], landmarks=[0], sightings=[[2.0, 0.1, 0.2]])
     graph = Graph.from_log(log, edges="landmark+motion", kernel="none")
-    expected = solve(graph).covariances()
+    expected = solve(graph).covariance()
     found = dead_reckoning_covariances(log, MotionModel())
     start = np.zeros((3, 3))
     for covariance, known, pose in zip(found, expected, solve(graph).poses):

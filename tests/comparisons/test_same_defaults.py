@@ -98,7 +98,7 @@ def test_logs_of_others(folder, robot, shared_data, tmp_path):
 def test_isam2_chooses_alike(dimensions, tmp_path):
     log = REAL if dimensions == 3 else REAL.without_orientation()
     path = written(tmp_path, log)
-    solution = solve_online(log)
+    solution = solve_online(log, backend="isam2")
     # it takes a kernel with landmark nodes only
     assert len(solution.graph.landmark_ids) and solution.graph.verdict[0].name == "cauchy"
     check_same(solution, of_the_command_line(path, tmp_path, "isam2"))

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from comparisons.bootstrap import median_of, quartiles
 from comparisons.show.study_figures import study_figure
 from comparisons.show.tables import write_latex
-from comparisons.studies.bootstrap import median_of, quartiles
 from comparisons.studies.database import COLUMNS
 from comparisons.studies.export import write_csv, write_json_lines, write_summary_csv
 from comparisons.studies.summary import ALL, summarise

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from comparisons.attempt import Skipped
 from comparisons.backends import BackendComparison, BackendRow
+from comparisons.bootstrap import Median
 from comparisons.comparison import Comparison, ResultTable, Row
 from comparisons.consistency import Consistency, ConsistencyStudy
 from comparisons.datasets import DATA_SETS, Found, Survey
@@ -21,7 +22,6 @@ from comparisons.results import EstimatorResult
 from comparisons.show.cells import LeanTable, number, seconds
 from comparisons.show.tables import as_html, as_text, tables_of
 from comparisons.solvers import SkippedVariant, SolverComparison, VariantResult
-from comparisons.studies.bootstrap import Median
 from comparisons.studies.summary import METRICS, MethodSummary, PairedDifference, Summary
 from graphslam import Log, MotionModel, SensorModel, simulate
 from graphslam.calibration import Calibration

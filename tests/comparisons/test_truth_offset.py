@@ -10,9 +10,9 @@ import pytest
 import comparisons
 from comparisons.show.placement import placed, placement_of
 from graphslam import Log, OptionError, calibrate, load, save, simulate
+from graphslam.formats.synchronize import Stream, synchronize
 from graphslam.metrics import ate, evaluate
 from graphslam.se2 import compose, mounted
-from graphslam.sources.synchronize import Stream, synchronize
 
 ANTENNA = (3.78, 0.5)
 

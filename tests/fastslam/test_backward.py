@@ -36,7 +36,7 @@ def test_it_repairs_the_early_steps_of_fastslam_1() -> None:
             rms.append(np.sqrt(np.mean((off / std) ** 2)))
         ratios.append(np.log(rms[0] / rms[1]))
         errors.append(rms[1])
-        found = np.sqrt(np.diagonal(result.smoothed.pose_covariances[1:], axis1=1, axis2=2))
+        found = np.sqrt(np.diagonal(result.smoothed.covariance()[1:], axis1=1, axis2=2))
         spreads.append(np.median(found / std))
         offs = {j: result.smoothed.landmarks[j] - mean for j, mean in exact.landmarks.items()}
         worst.append(max(off @ np.linalg.solve(exact.landmark_covariance(j), off) for j, off in offs.items()))
@@ -59,7 +59,7 @@ def test_without_common_landmarks_it_draws_the_motions(kind: type, offset: tuple
     for seed in range(20):
         smoothed = kind(log, particles=1000, seed=seed, smoothing=500).run().smoothed
         off = (smoothed.poses[1] - smoothed.poses[0] - motions[0]) / np.sqrt(np.diag(covariances[0]))
-        runs.append([*off, *(np.diag(smoothed.pose_covariances[1]) / np.diag(covariances[0]))])
+        runs.append([*off, *(np.diag(smoothed.covariance()[1]) / np.diag(covariances[0]))])
     check_mean(runs, [0, 0, 0, 1, 1, 1])
     assert smoothed.trajectories.shape == (1, 500, 4, 3)
     assert smoothed.maps.shape == (1, 500, 1, 3)
@@ -107,7 +107,7 @@ def test_several_observations_of_one_step() -> None:
             results.append(slam.result().smoothed)
         off = results[0].poses[1:] - results[1].poses[1:]
         off[:, 2] = wrap(off[:, 2])
-        scale = np.sqrt(np.diagonal(results[0].pose_covariances[1:], axis1=1, axis2=2))
+        scale = np.sqrt(np.diagonal(results[0].covariance()[1:], axis1=1, axis2=2))
         differences.append(np.sqrt(np.mean((off / scale) ** 2)))
     assert np.mean(differences) < 0.2
 

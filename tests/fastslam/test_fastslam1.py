@@ -161,7 +161,7 @@ def test_motion_has_the_covariance_of_the_graphs_edge() -> None:
     expected = QUIET["motion"].covariance([1.0, 2.0, 0.7], control, dt)
     scale = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(
-        slam.state.pose_covariance / np.outer(scale, scale), expected / np.outer(scale, scale),
+        slam.state.covariance() / np.outer(scale, scale), expected / np.outer(scale, scale),
         atol=bound(12) * np.sqrt(2 / 200_000),
     )  # fmt: skip
     off = (slam.state.mean_pose - QUIET["motion"].f([1.0, 2.0, 0.7], control, dt)) / scale

@@ -37,7 +37,7 @@ def test_proposal_in_closed_form(columns: int) -> None:
     scale = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose((slam.state.mean_pose - expected) / scale, 0, atol=SAMPLED)
     np.testing.assert_allclose(
-        slam.state.pose_covariance / np.outer(scale, scale),
+        slam.state.covariance() / np.outer(scale, scale),
         covariance / np.outer(scale, scale),
         atol=np.sqrt(2) * SAMPLED,
     )

@@ -9,9 +9,9 @@ from importance_sampling import Moments, importance
 
 import comparisons
 from fastslam import GibbsOptions, GibbsResult, ParticleGibbs
-from fastslam.gibbs.bends import Target, mode
-from fastslam.gibbs.mixing import judge
-from fastslam.gibbs.sightings import Problem
+from fastslam.gibbs.low_rank import Target, mode
+from fastslam.gibbs.r_hat import judge
+from fastslam.sightings import Problem
 from graphslam import Graph, Log, LogError, MotionModel, OptionError, SensorModel, simulate, solve
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import wrap
@@ -139,7 +139,7 @@ def test_both_kernels_agree() -> None:
         ).run()
         for s, (block, particles) in enumerate([(1, 40), (8, 40), (3, 4)])
     ]
-    scale = np.sqrt(np.diagonal(results[0].pose_covariances[1:], axis1=1, axis2=2))
+    scale = np.sqrt(np.diagonal(results[0].covariance()[1:], axis1=1, axis2=2))
     for other in results[1:]:
         difference = (other.poses - results[0].poses)[1:] / scale
         # an error rate of 1e-6 for the coordinates of both comparisons, with the effective sample size of the worst one
@@ -168,7 +168,7 @@ def test_long_logs_mix_by_their_bends(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fastslam.gibbs.chains.MOVES", 0)
     without = ParticleGibbs(log, **options).run()
     assert np.nanmin(whole.mixing.ess) > 2 * np.nanmin(without.mixing.ess)
-    off = (whole.poses - without.poses)[1:] / np.sqrt(np.diagonal(whole.pose_covariances[1:], axis1=1, axis2=2))
+    off = (whole.poses - without.poses)[1:] / np.sqrt(np.diagonal(whole.covariance()[1:], axis1=1, axis2=2))
     # an error rate of 1e-6 for all coordinates, with the effective sample size of the worst one
     error = np.sqrt(1 / np.nanmin(whole.mixing.ess) + 1 / np.nanmin(without.mixing.ess))
     assert np.abs(off).max() < bound(off.size) * error

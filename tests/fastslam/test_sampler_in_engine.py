@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fastslam import GibbsOptions
-from fastslam.gibbs.bends import Bends, Target
-from fastslam.gibbs.sightings import Problem
+from fastslam.gibbs.low_rank import LowRank, Target
+from fastslam.sightings import Problem
 from graphslam import Log, MotionModel, SensorModel, simulate
 from graphslam.engine import engine
 
@@ -74,15 +74,15 @@ def test_problems_that_are_none_are_refused(target: Target, name: str, change: A
 def test_chains_take_what_belongs_together(log: Log, target: Target) -> None:
     bits, x = np.random.default_rng(0).bit_generator, log.initial_poses
     marks = np.array([log.true_landmarks[j] for j in target.problem.ids.tolist()])
-    bends = Bends(target, x, marks)
+    low_rank = LowRank(target, x, marks)
     chain = engine.GibbsChain(bits, x, target.problem.motions)
-    given = target.in_engine, *bends.mode, bends.directions, bends.deviations
+    given = target.in_engine, *low_rank.mode, low_rank.directions, low_rank.deviations
     trajectories, maps = chain.run(*given, 2, 1, 3, 2, True)
     assert trajectories.shape == (3, *x.shape) and maps.shape == (3, *marks.shape)
     for wrong in (
         (*given[:1], x[:-1], *given[2:]),
         (*given[:2], marks[:-1], *given[3:]),
-        (*given[:3], np.ascontiguousarray(bends.directions[:, :-1]), bends.deviations),
+        (*given[:3], np.ascontiguousarray(low_rank.directions[:, :-1]), low_rank.deviations),
     ):
         with pytest.raises(ValueError, match="wrong number of rows|another width"):
             chain.run(*wrong, 2, 1, 3, 2, True)

@@ -9,7 +9,7 @@ from exact_posterior import exact_posterior
 
 from fastslam import FastSLAM1, FastSLAM2, ParticleFilter
 from fastslam.options import PROPOSAL_WEIGHTS
-from graphslam import Log, MotionModel, SensorModel, simulate
+from graphslam import Log, MotionModel, OptionError, SensorModel, simulate
 from graphslam.se2 import wrap
 
 # A linear-Gaussian world made of the ordinary models. The wheels never slip round, so headings are known. The
@@ -77,7 +77,7 @@ def test_convergence_to_the_closed_form_as_one_over_root_n(kind: type[ParticleFi
             slam = kind(log, particles=int(particles), seed=logs * n + seed, **LINEAR)
             slam.run()
             state = slam.state
-            estimates = [(state.mean_pose[:2], state.pose_covariance[:2, :2])]
+            estimates = [(state.mean_pose[:2], state.covariance()[:2, :2])]
             estimates += [(e.mean, e.covariance) for e in state.mixture_map().values()]
             off = []
             for (mean, covariance), (m, C) in zip(estimates, linear_posterior(log), strict=True):
@@ -127,7 +127,7 @@ def test_the_grown_graphs_posterior(kind: type[ParticleFilter], seed: int, last:
             assert mixture.keys() == exact.landmarks.keys()
             off, P = state.mean_pose - exact.poses[-1], exact.pose_covariance(state.step)
             off[2] = wrap(off[2])
-            both = [(off, state.pose_covariance, P)]
+            both = [(off, state.covariance(), P)]
             for j, mean in exact.landmarks.items():
                 both.append((mixture[j].mean - mean, mixture[j].covariance, exact.landmark_covariance(j)))
             for off, found, expected in both:
@@ -163,3 +163,34 @@ def test_the_exact_weight_makes_1_and_2_agree() -> None:
     off = np.abs(linearised.mean(axis=0) - reference.mean(axis=0))
     # the farthest is 9 standard errors off, and `bound(1, 23)` is 6.6
     assert np.any(off > 2 * np.hypot(mean_error(linearised), mean_error(reference)))
+
+
+@pytest.mark.parametrize("cls", [FastSLAM1, FastSLAM2])
+def test_filters_have_the_methods_of_the_online_solver(cls: type) -> None:
+    """The joint covariance of pose and landmarks is that of the particles, with the Gaussians inside each of them."""
+    slam, other = cls(particles=400, seed=1), cls(particles=400, seed=1)
+    seen = ([3, -1], [[2.0, 0.3], [1.5, -0.4]])
+    z, P = np.array([1.0, 0.0, 0.1]), np.diag([0.05, 0.05, 0.02]) ** 2
+    for one in (slam, other):
+        one.observe(*seen)
+        one.move(motion=z, covariance=P)
+        one.observe([3], [[1.1, 0.4]])
+    np.testing.assert_array_equal(slam.pose, other.state.mean_pose)
+    assert list(slam.landmarks) == [-1, 3]
+    joint = slam.covariance(poses=1, landmarks=[3, -1], joint=True)
+    pose, landmarks = slam.covariance(poses=1, landmarks=[3, -1])
+    np.testing.assert_allclose(joint[:3, :3], pose)
+    np.testing.assert_allclose(joint[3:5, 3:5], landmarks[0])
+    np.testing.assert_allclose(joint[5:, 5:], landmarks[1])
+    np.testing.assert_array_equal(slam.covariance(), pose)
+    assert np.linalg.eigvalsh(joint).min() > 0
+    weights, mean = np.exp(slam.state.log_weights), slam.landmarks[3]
+    means = np.array([slam.state.map(k)[3].mean for k in range(400)])
+    crossed = (slam.state.poses - slam.pose).T @ (weights[:, None] * (means - mean))
+    np.testing.assert_allclose(joint[:3, 3:5], crossed, atol=1e-12)
+    for arguments in ({"poses": 0}, {"landmarks": [7]}, {"poses": 0.5}):
+        with pytest.raises(OptionError):
+            slam.covariance(**arguments)
+    for motion in ({}, {"motion": z, "covariance": -P}, {"control": (1, 0), "dt": 1.0, "motion": z, "covariance": P}):
+        with pytest.raises(OptionError):
+            slam.move(**motion)

@@ -80,9 +80,7 @@ def test_proposal_of_a_whole_motion_in_closed_form() -> None:
     scale = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(wrap(slam.state.mean_pose - expected) / scale, 0, atol=SAMPLED)
     correlation = covariance / np.outer(scale, scale)
-    np.testing.assert_allclose(
-        slam.state.pose_covariance / np.outer(scale, scale), correlation, atol=np.sqrt(2) * SAMPLED
-    )
+    np.testing.assert_allclose(slam.state.covariance() / np.outer(scale, scale), correlation, atol=np.sqrt(2) * SAMPLED)
 
 
 @pytest.mark.parametrize("kind", FILTERS)
@@ -105,7 +103,7 @@ def test_moves_by_hand_carry_the_sensor() -> None:
         landmarks=PLACES, particles=100_000, start=[0.5, 0.2, 0.3], motion=MOTION, sensor=AHEAD
     )
     slam.move([0.5, 0.8], 1.0)
-    scale = np.sqrt(np.diag(slam.state.pose_covariance))
+    scale = np.sqrt(np.diag(slam.state.covariance()))
     off = slam.state.mean_pose - MOTION.f([0.5, 0.2, 0.3], [0.5, 0.8], 1.0)
     # the mean of curved motions is off the noise-free one by half of the variance of the heading, 1 / 800 of their length
     assert np.all(np.abs(off) < bound(3) * scale / np.sqrt(100_000) + [1e-3, 1e-3, 0.0])

@@ -1,4 +1,4 @@
-"""Places that look alike: what `associate` says of them, and the search over other accounts of a drive."""
+"""Places that look alike: what `associate` says of them, and the search over alternatives of a drive."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import pytest
 
 from graphslam import Log, MotionModel, SensorModel, associate
 from graphslam.association import score
+from graphslam.association.given_ids import agree, held, may_be_one
 from graphslam.association.hypotheses import log_density
-from graphslam.association.known import agree, held, may_be_one
-from graphslam.association.several import Pairs
+from graphslam.association.k_best import CandidatePairs
 from graphslam.log import UNIDENTIFIED
 
 #: the landmarks of a corridor along the x axis, 8 m long
@@ -72,7 +72,7 @@ def test_a_return_to_one_of_two_corridors_is_ambiguous(measured: float, right: b
     assert found.landmarks == 10
     # which corridor it was is decided by odometry, and may be wrong
     assert (score(found.ids, log.landmarks).precision == 1.0) == right
-    (doubt,) = found.doubts
+    (doubt,) = found.ambiguities
     assert doubt.step > 91 and len(doubt.landmarks) == len(doubt.others) == 5 and not doubt.new
     # odometry has a standard deviation of 6 m; the corridors are 12 m from each other
     z = np.array([measured - 12, measured]) / 6
@@ -84,7 +84,7 @@ def test_a_return_to_one_of_two_corridors_is_ambiguous(measured: float, right: b
 def test_a_return_that_odometry_decides_is_not_ambiguous() -> None:
     log = back_to_the_first(12.0)
     surely = associate(log, motion=MotionModel.constant(0.02, 0.003, epsilon=1e-6))
-    assert surely.doubts == () and score(surely.ids, log.landmarks).precision == 1.0
+    assert surely.ambiguities == () and score(surely.ids, log.landmarks).precision == 1.0
 
 
 def test_a_search_that_was_cut_short_says_so() -> None:
@@ -101,12 +101,12 @@ def test_a_search_that_was_cut_short_says_so() -> None:
 
 def test_two_corridors_are_one_or_two_by_evidence() -> None:
     apart, doubtful, joined = (associate(two_corridors(std)) for std in (1.0, 1.6, 1.8))
-    assert (apart.landmarks, apart.doubts) == (10, ())
-    (doubt,) = doubtful.doubts
+    assert (apart.landmarks, apart.ambiguities) == (10, ())
+    (doubt,) = doubtful.ambiguities
     assert doubtful.landmarks == 10 and doubt.new and 0 < doubt.log_factor < np.log(100)
     assert set(doubt.others) == set(range(5)) and "arrival" in str(doubt)
     assert doubtful.ambiguous > 20 and not doubtful.doubtful[doubtful.of.steps < doubt.step].any()
-    (doubt,) = joined.doubts
+    (doubt,) = joined.ambiguities
     assert joined.landmarks == 5 and not doubt.new and doubt.others == ()
     assert "a place not seen before" in str(doubt)
 
@@ -120,7 +120,7 @@ def test_grown_hypotheses_have_the_joint_evidence_and_the_best_is_found() -> Non
         nu = (places + rng.normal(0, 20, 2))[item] - places[landmark]
         S = np.einsum("ab,rs->arbs", np.full((9, 9), 400.0) + np.eye(9) * 0.01, np.eye(2))
         weights = np.full(9, 5.0)
-        pairs = Pairs(item, landmark, nu, S, weights, 100.0)
+        pairs = CandidatePairs(item, landmark, nu, S, weights, 100.0)
         joint = {}
         for choice in product(range(-1, 3), repeat=3):
             used = [j for j in choice if j >= 0]
@@ -142,7 +142,7 @@ def test_ids_of_some_sightings_are_kept_and_decide_for_the_others() -> None:
     part = log.replace(landmarks=np.where(of_one, 7, UNIDENTIFIED))
     found = associate(part)
     # without them the wrong corridor is chosen
-    assert score(found.ids, log.landmarks).precision == 1.0 and found.landmarks == 10 and not found.doubts
+    assert score(found.ids, log.landmarks).precision == 1.0 and found.landmarks == 10 and not found.ambiguities
     assert np.all(found.ids[of_one] == 7) and set(found.ids[~of_one].tolist()) == set(range(8, 17))
     assert np.array_equal(found.kept, of_one) and np.all(np.isinf(found.margins[of_one]))
     assert any(f"{of_one.sum()} of 158 sightings kept the ids" in note for note in found.notes)

@@ -25,12 +25,12 @@ from graphslam import (
     simulate,
 )
 from graphslam.association import score
+from graphslam.association.ambiguity import readable
 from graphslam.association.densities import Densities, Field
-from graphslam.association.doubts import readable
 from graphslam.association.evidence import evidence
 from graphslam.association.geometry import differences, seen_from
 from graphslam.association.hypotheses import Candidates, log_density
-from graphslam.association.solved import Backbone, Solved
+from graphslam.association.map_solution import Backbone, MapSolution
 from graphslam.linear.cholesky import analyze
 from graphslam.linear.information import BlockSystem
 from graphslam.log import UNIDENTIFIED
@@ -108,7 +108,7 @@ def test_evidence_for_one_landmark_instead_of_two_is_that_of_their_distance(psi:
     both = np.where((one == 3) & (np.arange(len(one)) % 2 == 0), one.max() + 1, one)
     # no landmark is ever missed, so that only the landmarks count
     densities = Densities(np.log(0.3), np.log(0.01), -50.0, 0.0)
-    a, b = (Solved.of(backbone, labels, log.dead_reckoning(MotionModel())) for labels in (one, both))
+    a, b = (MapSolution.of(backbone, labels, log.dead_reckoning(MotionModel())) for labels in (one, both))
     gained = evidence(log, backbone, a, field, densities) - evidence(log, backbone, b, field, densities)
     chosen, d = np.array([3, one.max() + 1]), b.landmarks.shape[1]
     P = b.joint_covariance(chosen)
@@ -279,7 +279,7 @@ def test_a_wrong_start_brings_in_the_next_one() -> None:
     """A wrong end is outdone by evidence, and the ends that agree are counted."""
     log = load(sample_log_path()).without_orientation()
     poses = log.dead_reckoning(MotionModel())
-    # each landmark is another one in the second round, and no other account of the drive is tried
+    # each landmark is another one in the second round, and no alternative of the drive is tried
     apart = log.landmarks + 100 * (log.steps > 80)
     found = associate(hidden(log), start=[(apart, poses + [0, 0, 0.0]), (log.landmarks, poses), None], tries=0)
     assert score(found.ids, log.landmarks).precision == 1.0 and found.verdict.agreeing >= 2

@@ -169,7 +169,7 @@ def test_minus_one_is_no_id(drive, tmp_path):
     with pytest.raises(LogError, match="true_landmarks has the id -1"):
         LOG.replace(true_landmarks={-1: (0.0, 0.0)})
     with pytest.raises(OptionError, match="identified landmarks only"):
-        OnlineSolver().step(control=(1.0, 0.0), dt=1.0, ids=[-1], sightings=[[1.0, 0.0]])
+        OnlineSolver().observe([-1], [[1.0, 0.0]])
 
 
 def test_range_and_bearing_swapped_are_not_taken_for_degrees(drive):

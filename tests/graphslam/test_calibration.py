@@ -17,7 +17,6 @@ from graphslam import (
     LogError,
     MotionModel,
     OptionError,
-    RobotEstimate,
     SensorModel,
     associate,
     calibrate,
@@ -25,15 +24,16 @@ from graphslam import (
     load,
     sample_log_path,
     simulate,
-    without_biases,
 )
 from graphslam.association import score
 from graphslam.calibration import Calibration
 from graphslam.calibration.variances import fit_variances, standard_errors
 from graphslam.identification.parts import motion_parts, sensor_parts
+from graphslam.identification.robot import RobotEstimate
 from graphslam.log import UNIDENTIFIED
+from graphslam.parameters.corrections import without_biases
 from graphslam.parameters.declared import CORRECTIONS
-from graphslam.sources.drives import DriveTruth
+from graphslam.simulation.drives import DriveTruth
 
 MOTION = MotionModel(nn=0.08, no=0.03, on=0.05, oo=0.1, epsilon=1e-6)
 SENSOR = SensorModel(range_rate=0.04, range_std=0.05, bearing_std=0.03, orientation_std=0.06)

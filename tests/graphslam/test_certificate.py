@@ -9,23 +9,12 @@ import pytest
 from certified_graphs import pose_graph, ring
 
 from comparisons.datasets import data_folder
-from graphslam import (
-    Graph,
-    GraphError,
-    MotionModel,
-    OptionError,
-    SensorFaults,
-    certify,
-    load,
-    sample_log_path,
-    simulate,
-    solve,
-    solve_gnc,
-)
+from graphslam import Graph, GraphError, MotionModel, OptionError, certify, load, sample_log_path, simulate, solve
 from graphslam.certificate import prove, prove_edges
 from graphslam.certificate.proof import _Problem
 from graphslam.edges import AnchorEdges, ConstantEdges, RelativePointEdges, RelativePoseEdges
 from graphslam.se2 import between, compose, wrap
+from graphslam.simulation.simulator import SensorFaults
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +67,7 @@ def test_the_function_stays_below_the_cost_and_touches_it(sample):
         problem = _Problem.of(graph, state)
         n = graph.num_nodes
         for share in (0.3, 0.1):
-            f = problem.minorant(problem.curvature(share))
+            f = problem.quadratic_bound(problem.curvature(share))
             cost = problem.forces.cost.sum()
             S = hermitian(problem, f.values)
             assert cost == pytest.approx(graph.cost(state), rel=1e-12)
@@ -337,7 +326,7 @@ def test_edges_choose_their_splits():
 
 def test_a_robust_fit_with_fixed_weights_is_proven():
     log = simulate(seed=2, sensor_faults=SensorFaults(phantom=0.05))
-    solution = solve_gnc(Graph.from_log(log, edges="virtual+motion", weight="marginal", kernel="none"))
+    solution = solve(Graph.from_log(log, edges="virtual+motion", weight="marginal", kernel="none"), method="gnc")
     assert solution.converged
     assert solution.certificate.status == "global"
 

@@ -6,7 +6,7 @@ import pytest
 from graphslam import Graph, MotionModel, SensorModel, simulate, solve
 from graphslam.edges import ObservationEdges, RelativePoseEdges
 from graphslam.se2 import between, compose, wrap
-from graphslam.solvers import starting as solver
+from graphslam.solvers import initialize as solver
 from graphslam.transform import coarse, filled
 
 

@@ -12,8 +12,8 @@ from graphslam import (
     simulate,
     solve,
 )
-from graphslam.certificate import descents
 from graphslam.solvers import auto
+from graphslam.solvers.restarts import descents
 
 
 @pytest.mark.parametrize("seed", [3, 6, 7])

@@ -10,12 +10,13 @@ import pytest
 from error_rates import ERROR_RATE, bound, chi_square_bounds
 from scipy import stats
 
-from graphslam import PARAMETERS, Drive, Graph, Log, MotionModel, OptionError, solve
+from graphslam import Drive, Graph, Log, MotionModel, OptionError, solve
+from graphslam.parameters import PARAMETERS
 from graphslam.reading import UNIDENTIFIED
 from graphslam.se2 import between, wrap
-from graphslam.sources.drives import SENSORS, SPREADS, correlated_errors
-from graphslam.sources.places import PLACES, Place
-from graphslam.sources.routes import follow
+from graphslam.simulation.drives import SENSORS, SPREADS, correlated_errors
+from graphslam.simulation.places import PLACES, Place
+from graphslam.simulation.routes import follow
 from graphslam.sources.streams import Stream, truth_at
 
 BIASES = {

@@ -19,10 +19,8 @@ def drive(lag, scale, steps=60):
         pose = compose(pose, move)
         way = marks - pose[:2]
         exact = np.column_stack([np.hypot(*way.T), np.arctan2(way[:, 1], way[:, 0]) - pose[2]])
-        solver.step(
-            motion=move + rng.normal(0, std), covariance=np.diag(std**2), ids=np.arange(5),
-            sightings=exact + rng.normal(0, scale * np.array([0.05, 0.02]), (5, 2)),
-        )  # fmt: skip
+        solver.move(motion=move + rng.normal(0, std), covariance=np.diag(std**2))
+        solver.observe(np.arange(5), exact + rng.normal(0, scale * np.array([0.05, 0.02]), (5, 2)))
     solver.relinearize()
     return solver
 
@@ -30,20 +28,20 @@ def drive(lag, scale, steps=60):
 @pytest.mark.parametrize("lag", [1, 5, 20, 50])
 def test_a_lag_is_exact_where_the_problem_is_linear(lag):
     whole, short = drive(None, 0.01), drive(lag, 0.01)
-    joint = whole.covariance(landmarks=[0, 3])
+    joint = whole.covariance(whole.step, [0, 3], joint=True)
     std = np.sqrt(np.diag(joint))
     np.testing.assert_allclose(
-        short.covariance(landmarks=[0, 3]) / np.outer(std, std), joint / np.outer(std, std), atol=2e-3
+        short.covariance(short.step, [0, 3], joint=True) / np.outer(std, std), joint / np.outer(std, std), atol=2e-3
     )
     assert np.abs((short.pose - whole.pose) / std[:3]).max() < 0.02
     for key, mark in whole.landmarks.items():
         np.testing.assert_allclose(short.landmarks[key], mark, atol=0.02 * std[3:].max())
-    assert (short.num_final, short.num_poses, short.poses.shape) == (60 - lag, 61, (61, 3))
+    assert (short.num_final, short.step, short.poses.shape) == (60 - lag, 60, (61, 3))
     np.testing.assert_allclose(short.poses[-lag:], whole.poses[-lag:], atol=0.1 * std[:3].min())
 
 
 def test_memory_is_that_of_the_lag():
-    system = drive(10, 1.0, steps=400)._system
+    system = drive(10, 1.0, steps=400)._backend.system
     assert system.num_edges <= 1200
     assert system.bytes < 600_000
     # that of the first pose, and one for the poses since then: no landmark was new
@@ -57,10 +55,10 @@ def test_a_step_with_a_lag_that_only_the_batch_solver_can_take():
     for k in range(1, 301):
         move = np.array([1.0, 0.0, np.pi / 2 if k % 75 == 0 else 0.0])
         truth.append(compose(truth[-1], move))
-        solver.step(motion=move + rng.normal(0, (0.14, 0.14, 0.1)), covariance=covariance)
+        solver.move(motion=move + rng.normal(0, (0.14, 0.14, 0.1)), covariance=covariance)
     with pytest.raises(GraphError, match="pose 0, which is final: with lag=299, the poses from 1 on"):
-        solver.step(relations=[(0, 300, between(truth[0], truth[300]), covariance)])
-    solver.step(relations=[(1, 300, between(truth[1], truth[300]), covariance)])
+        solver.relate(0, 300, between(truth[0], truth[300]), covariance)
+    solver.relate(1, 300, between(truth[1], truth[300]), covariance)
     assert np.abs(between(between(truth[1], truth[300]), between(solver.poses[1], solver.pose))).max() < 0.5
     tied = solver.poses
     solver.relinearize()
@@ -77,12 +75,10 @@ def corridor(lag, seed):
         way = marks - move[:2] * step
         exact = np.column_stack([np.hypot(*way.T), np.arctan2(way[:, 1], way[:, 0])])
         seen = np.flatnonzero((exact[:, 0] < 4) & (np.abs(exact[:, 1]) < 1.2))
-        solver.step(
-            motion=move + rng.normal(0, std), covariance=np.diag(std**2), ids=seen,
-            sightings=exact[seen] + rng.normal(0, [0.05, 0.02], (len(seen), 2)),
-        )  # fmt: skip
+        solver.move(motion=move + rng.normal(0, std), covariance=np.diag(std**2))
+        solver.observe(seen, exact[seen] + rng.normal(0, [0.05, 0.02], (len(seen), 2)))
         poses.append(solver.pose)
-    return np.array(poses), np.sqrt(np.diag(solver.covariance()))
+    return np.array(poses), np.sqrt(np.diag(solver.covariance(solver.step)))
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphslam import WORLDS, Graph, GraphError, OptionError, simulate, solve, solve_gnc
+from graphslam import Graph, GraphError, OptionError, simulate, solve
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
+from graphslam.simulation.worlds import WORLDS
 from graphslam.solvers.gnc import truncated_trust
 from graphslam.transform import with_landmark_nodes
 
@@ -37,7 +38,7 @@ def test_phantoms_are_found_and_do_no_harm(options):
         clean.append(ate(log.true_poses, solve(Graph.from_log(log, **options), initialize="auto").poses))
         untouched = solve(Graph.from_log(bad, **options), initialize="auto", max_iterations=50)
         plain.append(ate(log.true_poses, untouched.poses))
-        solution = solve_gnc(Graph.from_log(bad, **options))
+        solution = solve(Graph.from_log(bad, **options), method="gnc")
         assert solution.converged, solution.reason
         robust.append(ate(log.true_poses, solution.poses))
         found.append(np.mean(solution.trust[wrong] < 0.5))
@@ -58,7 +59,7 @@ def test_a_wrong_sighting_loses_all_its_pairs_at_once(book_log):
         steps=book_log.steps[keep], landmarks=book_log.landmarks[keep], sightings=sightings[keep]
     )
     robust, expected = (
-        solve_gnc(Graph.from_log(bad, edges="virtual+motion", kernel="none"), probability=0.9999),
+        solve(Graph.from_log(bad, edges="virtual+motion", kernel="none"), probability=0.9999, method="gnc"),
         solve(Graph.from_log(without, edges="virtual+motion", kernel="none")),
     )
     assert np.flatnonzero(robust.trust < 0.5).tolist() == [40]
@@ -70,7 +71,7 @@ def test_a_wrong_sighting_loses_all_its_pairs_at_once(book_log):
 def test_nothing_wrong_nothing_changed(book_log):
     plain, robust = (
         solve(Graph.from_log(book_log, edges="virtual+motion", kernel="none")),
-        solve_gnc(Graph.from_log(book_log, edges="virtual+motion", kernel="none"), probability=1 - 1e-9),
+        solve(Graph.from_log(book_log, edges="virtual+motion", kernel="none"), probability=1 - 1e-9, method="gnc"),
     )
     assert robust.converged and np.all(robust.trust == 1)
     np.testing.assert_allclose(robust.poses, plain.poses, atol=1e-7)
@@ -96,7 +97,7 @@ def test_all_good_sightings_need_no_round(seed):
     graph = Graph.from_log(
         simulate(WORLDS["garden"], seed=seed, clean=True, orientation=False), edges="landmark+motion", kernel="none"
     )
-    solution = solve_gnc(graph, probability=1 - 1e-9)
+    solution = solve(graph, probability=1 - 1e-9, method="gnc")
     assert "rejected 0 of" in solution.notes[-1] and "in 0 rounds" in solution.notes[-1]
     assert solution.cost == pytest.approx(solve(graph).cost, rel=1e-9)
 
@@ -113,14 +114,14 @@ def test_trust_goes_from_squares_to_all_or_nothing():
 
 def test_what_cannot_be(book_log):
     graph = Graph.from_log(book_log, edges="virtual+motion", kernel="none")
-    for options, message in [({"probability": 1.0}, "probability"), ({"max_rounds": 0}, "max_rounds")]:
+    for options, message in [({"probability": 1.0}, "probability"), ({"max_iterations": 0}, "max_iterations")]:
         with pytest.raises(OptionError, match=message):
-            solve_gnc(graph, **options)
+            solve(graph, **options, method="gnc")
     unseen = replace(graph, families=(graph.families[0], graph.families[2]))
     with pytest.raises(GraphError, match="needs edges from sightings"):
-        solve_gnc(unseen)
+        solve(unseen, method="gnc")
     bad, _ = with_phantoms(book_log, 0.2, 1)
-    early = solve_gnc(Graph.from_log(bad, edges="virtual+motion", kernel="none"), max_rounds=2)
+    early = solve(Graph.from_log(bad, edges="virtual+motion", kernel="none"), max_iterations=2, method="gnc")
     assert not early.converged and "trusted in part" in early.reason
 
 
@@ -134,7 +135,7 @@ def test_a_landmark_seen_from_behind_is_found_whichever_sighting_it_is(options, 
         row = np.flatnonzero(log.landmarks == landmark)[which]
         sightings[row, 2] = wrap(sightings[row, 2] + np.pi)
         wrong.append(row)
-    solution = solve_gnc(Graph.from_log(log.replace(sightings=sightings), **options))
+    solution = solve(Graph.from_log(log.replace(sightings=sightings), **options), method="gnc")
     rejected = np.flatnonzero(solution.trust < 0.5)
     assert set(wrong) <= set(rejected.tolist())
     assert len(rejected) <= 2 + 0.03 * len(sightings)

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from graphslam import (
-    WORLDS,
     Graph,
     GraphError,
     MotionModel,
@@ -17,6 +16,7 @@ from graphslam import (
     solve_with_gtsam,
 )
 from graphslam.se2 import wrap
+from graphslam.simulation.worlds import WORLDS
 from graphslam.solvers import gtsam_solver
 from graphslam.solvers.gtsam_solver import starting_state, to_gtsam, to_values
 

@@ -5,13 +5,10 @@ import numpy as np
 import pytest
 
 from graphslam import (
-    WORLDS,
     Graph,
     GraphError,
     Log,
-    MotionFaults,
     MotionModel,
-    SensorFaults,
     SensorModel,
     load,
     sample_log_path,
@@ -20,11 +17,13 @@ from graphslam import (
     solve_with_gtsam,
 )
 from graphslam.se2 import wrap
+from graphslam.simulation.simulator import MotionFaults, SensorFaults
+from graphslam.simulation.worlds import WORLDS
 from graphslam.solvers import auto
-from graphslam.solvers.growing import grown
-from graphslam.solvers.solve import starting_state
-from graphslam.solvers.start import _followed, _held, _solve_headings, dead_reckoning, rotation_first
-from graphslam.solvers.turns import turned
+from graphslam.solvers.initial_values import _followed, _held, _solve_headings, dead_reckoning, rotation_first
+from graphslam.solvers.initialize import starting_state
+from graphslam.solvers.restarts import lower_by_turns
+from graphslam.solvers.sequential_start import sequential_start
 from graphslam.transform import first_poses
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "hard_logs.py"
@@ -99,7 +98,7 @@ def test_growing_corrects_drift_on_the_way(edges, dimensions, poses):
     graph = Graph.from_log(
         log.replace(controls=log.controls * [1.0, 1.03]), edges=edges, dimensions=dimensions, kernel="none"
     )
-    state, optimum = grown(graph, poses), solve(graph)
+    state, optimum = sequential_start(graph, poses), solve(graph)
     assert np.abs(dead_reckoning(graph) - optimum.state)[: len(graph.steps), :2].max() > 0.5
     assert np.abs(state - optimum.state)[: len(graph.steps), :2].max() < 0.05
     assert solve(graph, initialize="grow").cost == pytest.approx(optimum.cost, rel=1e-9)
@@ -339,9 +338,9 @@ def test_other_turns_lead_out_of_a_wrong_minimum():
     wrong = solve(graph.with_initial(start), initialize="given")
     assert wrong.converged
     assert wrong.cost > best.cost + 1
-    state, _ = turned(graph, wrong.state)
+    state, _ = lower_by_turns(graph, wrong.state)
     assert graph.cost(state) == pytest.approx(best.cost, abs=1e-6)
-    assert turned(graph, best.state)[0] is None
+    assert lower_by_turns(graph, best.state)[0] is None
 
 
 def test_auto_tries_other_turns_where_an_end_is_doubtful(hard_logs):

@@ -9,7 +9,7 @@ from graphslam import Graph, OptionError, simulate, solve, solve_with_gtsam
 from graphslam.edges.robust import Cauchy, GemanMcClure, Huber, kernel_of
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
-from graphslam.solvers.solve import starting_state
+from graphslam.solvers.initialize import starting_state
 
 KERNELS = [None, Huber(), Cauchy(), GemanMcClure()]
 VARIANTS = [

@@ -11,12 +11,11 @@ from graphslam import (
     sample_log_path,
     simulate,
     solve,
-    solve_gnc,
     textbook,
 )
 from graphslam.edges.robust import Cauchy
 from graphslam.se2 import wrap
-from graphslam.sources.simulator import MotionFaults, SensorFaults
+from graphslam.simulation.simulator import MotionFaults, SensorFaults
 
 
 def test_three_dimensional_map_is_the_textbooks(book_log):
@@ -103,7 +102,7 @@ def worst(log, landmarks):
 
 def test_the_map_of_graduated_non_convexity_leaves_out_what_was_rejected():
     log = with_phantoms(3)
-    solution = solve_gnc(Graph.from_log(log, edges="virtual+motion", kernel="none"))
+    solution = solve(Graph.from_log(log, edges="virtual+motion", kernel="none"), method="gnc")
     kept = solution.trust == 1
     assert 0 < np.count_nonzero(~kept) < 0.2 * len(kept)
     by_hand = log.replace(steps=log.steps[kept], landmarks=log.landmarks[kept], sightings=log.sightings[kept])

@@ -153,11 +153,11 @@ def test_marginal_and_landmark_nodes_agree_up_to_curvature(dimensions):
         initialize="auto",
     )
     assert marginal.converged and nodes.converged
-    std = np.sqrt(np.diagonal(nodes.covariances()[1:], axis1=1, axis2=2))
+    std = np.sqrt(np.diagonal(nodes.covariance()[1:], axis1=1, axis2=2))
     off = marginal.poses[1:] - nodes.poses[1:]
     off[:, 2] = wrap(off[:, 2])
     assert np.max(np.abs(off) / std) < 0.25
-    ratio = np.sqrt(np.diagonal(marginal.covariances()[1:], axis1=1, axis2=2)) / std
+    ratio = np.sqrt(np.diagonal(marginal.covariance()[1:], axis1=1, axis2=2)) / std
     assert np.all(np.abs(ratio - 1) < 0.1)
 
 
@@ -168,7 +168,7 @@ def test_pairs_are_too_sure_by_about_half_the_sightings():
         for weight in ("pairs", "marginal")
     )
     _, count = np.unique(log.landmarks, return_counts=True)
-    ratio = np.trace(marginal.covariances()[-1]) / np.trace(pairs.covariances()[-1])
+    ratio = np.trace(marginal.covariance()[-1]) / np.trace(pairs.covariance()[-1])
     assert ratio > 0.2 * count.mean() / 2
 
 

@@ -40,7 +40,7 @@ def solve_with_covariances(log, edges, motion, sensor):
     solution = solve(
         Graph.from_log(log, edges=edges, motion=motion, sensor=sensor, weight=weight, kernel="none"), max_iterations=20
     )
-    covariances = solution.covariances()[solution.estimated]
+    covariances = solution.covariance()[solution.estimated]
     return np.concatenate([solution.poses.ravel(), covariances.ravel(), [solution.cost]])
 
 
@@ -84,7 +84,7 @@ def test_a_matrix_that_is_not_finite_becomes_a_sentence_on_the_graph(book_log):
     solution = solve(graph, initialize="given", max_iterations=1)
     assert not solution.converged
     with pytest.raises(GraphError, match="information matrix of the graph is not finite at pose 4"):
-        solution.covariances()
+        solution.covariance()
 
 
 def test_numbers_of_a_pose_graph_file_have_limits(tmp_path):

@@ -3,19 +3,10 @@ import pytest
 from error_rates import ERROR_RATE, bound
 from scipy import stats
 
-from graphslam import (
-    WORLDS,
-    MotionFaults,
-    MotionModel,
-    OptionError,
-    SensorFaults,
-    SensorModel,
-    load,
-    sample_log_path,
-    save,
-    simulate,
-)
+from graphslam import MotionModel, OptionError, SensorModel, load, sample_log_path, save, simulate
 from graphslam.se2 import wrap
+from graphslam.simulation.simulator import MotionFaults, SensorFaults
+from graphslam.simulation.worlds import WORLDS
 
 STILL = {
     "range_noise_rate": 0.0, "bearing_noise": 0.0, "orientation_noise": 0.0, "oversight": 0.0,

@@ -8,7 +8,7 @@ import pytest
 from own_tables import NU, ODOMETRY, OMEGA, SEEN, T, as_deg, text, write_tables
 
 from graphslam import FormatError, Log, LogError, MotionModel, OptionError, load, save
-from graphslam.plausibility import plausibility
+from graphslam.log_checks import check_log
 from graphslam.tables.recipe import read_recipe
 
 
@@ -33,7 +33,7 @@ def test_rows_are_sorted_with_a_note(drive, expected):
 
 
 def messages(log, check):
-    return [finding.message for finding in plausibility(log) if finding.check == check]
+    return [finding.message for finding in check_log(log) if finding.check == check]
 
 
 def test_rows_that_come_twice_are_a_doubt(drive, expected, tmp_path):
@@ -70,7 +70,7 @@ def test_times_that_are_rounded_are_a_doubt(drive):
     (message,) = messages(load(drive(sightings=text("t,id,range,bearing", rounded))), "duplicate ids")
     assert "sightings.csv:4: the first of 16 sightings (of 32) with the time and id of another row" in message
     assert "the times were probably rounded to seconds, or several objects have one id" in message
-    assert not plausibility(load(drive(sightings=text("t,id,range,bearing", [*rows, (9.0, 4, 1.0, 0.1)]))))
+    assert not check_log(load(drive(sightings=text("t,id,range,bearing", [*rows, (9.0, 4, 1.0, 0.1)]))))
 
 
 def test_a_single_row_that_comes_twice_is_a_note(drive, expected):
@@ -250,7 +250,7 @@ def test_poses_that_move_sideways_are_a_doubt(drive):
     poses = MotionModel().dead_reckoning(np.zeros(3), np.column_stack([NU, OMEGA])[:-1], np.diff(T))
     poses[:, 2] += np.pi / 2
     log = load(drive(odometry=text("t,x,y,theta", np.column_stack([T, poses]).tolist())))
-    (finding,) = (each for each in plausibility(log) if each.check == "sideways")
+    (finding,) = (each for each in check_log(log) if each.check == "sideways")
     assert "odometry.csv: the poses move sideways for 99% of their way" in finding.message.replace("100%", "99%")
 
 

@@ -23,7 +23,7 @@ def test_every_pose_of_m3500_against_gtsams_marginals(shared_data):
     graph = Graph.from_g2o(shared_data("posegraph/input_M3500_g2o.g2o"))
     solution = solve(graph, initialize="auto")
     marginals = gtsam.Marginals(to_gtsam(graph, solution.state), to_values(graph, solution.state))
-    ours = solution.covariances()
+    ours = solution.covariance()
     assert ours.shape == (3500, 3, 3)
     for k in range(1, 3500):
         theirs = in_world_axes(marginals.marginalCovariance(k), solution.poses[k, 2], solution.poses[k, 2])
@@ -45,23 +45,27 @@ def test_landmarks_and_blocks_between_nodes(dimensions):
     def block(i, j, columns=3):
         return inverse[3 * i : 3 * i + 3, 3 * j : 3 * j + columns]
 
-    np.testing.assert_allclose(solution.cross_covariance(5, 90), block(5, 90), rtol=1e-6, atol=1e-12)
-    np.testing.assert_allclose(solution.cross_covariance(160, 159), block(160, 159), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(solution.covariance([5, 90], joint=True)[:3, 3:], block(5, 90), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        solution.covariance([160, 159], joint=True)[:3, 3:], block(160, 159), rtol=1e-6, atol=1e-12
+    )
     for k, j in enumerate(graph.landmark_ids.tolist()):
         expected = inverse[3 * (first + k) :, 3 * (first + k) :][:dimensions, :dimensions]
         np.testing.assert_allclose(solution.landmark_covariances[j], expected, rtol=1e-6, atol=1e-12)
-        cross = solution.cross_covariance(30, landmark=j)
+        cross = solution.covariance(30, j, joint=True)[:3, 3:]
         np.testing.assert_allclose(cross, block(30, first + k, dimensions), rtol=1e-6, atol=1e-12)
 
 
 def test_impossible_blocks(book_log):
     solution = solve(Graph.from_log(book_log, edges="virtual+motion", kernel="none"))
     with pytest.raises(OptionError, match="landmark 3 is no node"):
-        solution.cross_covariance(0, landmark=3)
-    with pytest.raises(OptionError, match="and not both"):
-        solution.cross_covariance(0)
+        solution.covariance(0, landmarks=3, joint=True)
+    with pytest.raises(OptionError, match="there is no landmark 77"):
+        solution.covariance(0, landmarks=[3, 77])
+    with pytest.raises(OptionError, match="poses must be an id, or a list of ids"):
+        solution.covariance(0.5)
     with pytest.raises(OptionError, match="there is no pose 99"):
-        solution.cross_covariance(0, 99)
+        solution.covariance([0, 99])
 
 
 def test_poses_of_a_pose_graph_are_named_by_their_ids(tmp_path):
@@ -71,7 +75,7 @@ def test_poses_of_a_pose_graph_are_named_by_their_ids(tmp_path):
     solution = solve(Graph.from_g2o(tmp_path / "chain.g2o"))
     for id, variance in ((10, 0), (20, 1), (30, 2)):
         np.testing.assert_allclose(solution.covariance(id), variance * np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(solution.cross_covariance(20, 30), np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(solution.covariance([20, 30], joint=True)[:3, 3:], np.eye(3), atol=1e-12)
     with pytest.raises(OptionError, match="there is no pose 2; the ids of the poses are 3 whole numbers from 10 to 30"):
         solution.covariance(2)
 
@@ -104,7 +108,7 @@ def test_the_expected_ate_is_that_of_samples(uncertain):
         log = log.replace(uncertain={"wheel_scale": 0.1, "turn_rate_bias": 0.05})
     solution = solve(Graph.from_log(log, edges="landmark+motion"))
     poses = len(solution.poses)
-    covariance = np.block([[solution.cross_covariance(i, j) for j in range(poses)] for i in range(poses)])
+    covariance = solution.covariance(joint=True)
     values, vectors = np.linalg.eigh(covariance)
     rng, scale = np.random.default_rng(0), 1e-3
     root = vectors * np.sqrt(np.maximum(values, 0.0))

@@ -36,7 +36,7 @@ SAMPLES = 8
 
 
 def check_can_film(path: Path) -> None:
-    """Raise now rather than after the work if no film can be written at ``path``.
+    """Raise before the frames are drawn if no film can be written at ``path``.
 
     Raises:
         OptionError: the suffix is none of .gif, .mp4 and .html, or is .mp4 and there is no ffmpeg.

@@ -20,13 +20,13 @@ from graphslam.se2 import Array
 from ..canvas import paper_figure
 from .files import check_can_film, player, write_film
 
-#: size of a picture [inches] and dots per inch; both sides have an even number of pixels, as video wants it
+#: size of a picture [inches] and dots per inch; both sides have an even number of pixels, which video formats need
 SIZE, DPI = (7.2, 6.4), 110
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frame:
-    """What an estimator estimates at one iteration or step, in its own axes.
+    """The estimate at one iteration or step, in the axes of the estimator.
 
     Attributes:
         number: of the iteration or step.
@@ -71,7 +71,7 @@ class Pictures(Sequence[np.ndarray]):
         self._frames = frames
         with paper_figure(SIZE) as figure:
             figure.set_dpi(DPI)
-            # a layout that is computed anew at each drawing would let the panels jump
+            # a layout that is computed at each frame would move the panels
             figure.set_layout_engine("none")
             self._show = set_up(figure)
             canvas = figure.canvas
@@ -88,7 +88,7 @@ class Pictures(Sequence[np.ndarray]):
 
     @property
     def still(self) -> np.ndarray:
-        """What all pictures have in common, (height, width, 3)."""
+        """The pixels (height, width, 3) that are the same in all frames."""
         return self._drawn([])
 
     def _drawn(self, artists: Sequence[Artist]) -> np.ndarray:

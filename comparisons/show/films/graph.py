@@ -13,7 +13,9 @@ from matplotlib.figure import Figure
 
 from graphslam import Graph, GraphError, Log, OptionError, Solution, solve
 from graphslam.se2 import Array, wrap
-from graphslam.solvers.solve import METHODS, Iteration, starting_state
+from graphslam.solvers.initialize import starting_state
+from graphslam.solvers.iteration import Iteration
+from graphslam.solvers.minimize import METHODS
 
 from ...estimators import make_graph
 from ...options import AnimationOptions, RunOptions

@@ -1,4 +1,4 @@
-"""The film of ISAM2: the graph grows with every step, and each step corrects the path so far."""
+"""The film of ISAM2: the estimate of the path after every step, coloured by the correction since the last frame."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from matplotlib.artist import Artist
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from graphslam import Log, estimate_map, solve_online
+from graphslam import Log, OnlineSolver, estimate_map, solve_online
 from graphslam.se2 import Array
-from graphslam.solvers.online import IncrementalSmoother
 
 from ...estimators import isam2_options, online_keywords
 from ...options import AnimationOptions, RunOptions
@@ -37,7 +36,7 @@ class OnlineFrame(Frame):
 
 
 def isam2_film(log: Log, options: RunOptions, animation: AnimationOptions, progress: Callable[[], None]) -> Film:
-    """The film of `graphslam.solve_online` on a log.
+    """The film of `graphslam.solve_online` with ISAM2 on a log.
 
     Raises:
         GraphError, OptionError: ISAM2 cannot do what is asked for on this log.
@@ -47,13 +46,12 @@ def isam2_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
     wanted = set(kept(log.num_poses, animation.max_frames).tolist())
     frames: list[OnlineFrame] = []
 
-    def after_step(smoother: IncrementalSmoother) -> None:
-        step = smoother.num_poses - 1
-        if step in wanted:
-            frames.append(_frame(log, smoother, step, frames[-1].poses if frames else np.empty((0, 3))))
+    def after_step(solver: OnlineSolver) -> None:
+        if solver.step in wanted:
+            frames.append(_frame(log, solver, frames[-1].poses if frames else np.empty((0, 3))))
         progress()
 
-    solution = solve_online(log, callback=after_step, **keywords)
+    solution = solve_online(log, backend="isam2", callback=after_step, **keywords)
     title = f"{log.name}: ISAM2, {keywords['edges'].replace('+', ' + ')} edges"
     largest = np.array([frame.corrections.max() for frame in frames])
     scale = LogNorm(1e-3, max(float(largest.max()), 1e-2))
@@ -88,15 +86,15 @@ def isam2_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
     return Film(title, tuple(frames), log.num_poses, animation.fps or FPS, solution.notes, set_up, log)
 
 
-def _frame(log: Log, smoother: IncrementalSmoother, step: int, before: Array) -> OnlineFrame:
-    poses = smoother.poses
+def _frame(log: Log, solver: OnlineSolver, before: Array) -> OnlineFrame:
+    step, poses = solver.step, solver.poses
     corrections = np.zeros(len(poses))
     corrections[: len(before)] = np.hypot(*(poses[: len(before), :2] - before[:, :2]).T)
     so_far = log.steps <= step
     past = log.replace(steps=log.steps[so_far], landmarks=log.landmarks[so_far], sightings=log.sightings[so_far])
     # the steps to come have no pose yet, and nothing was seen from them
     trajectory = np.concatenate([poses, np.zeros((log.num_poses - len(poses), 3))])
-    estimated = estimate_map(past, trajectory, sensor=smoother.sensor, kernel=smoother.kernel)
+    estimated = estimate_map(past, trajectory, sensor=solver.sensor, kernel=solver.kernel)
     seen = log.sightings[log.steps == step]
     metres = corrections.max()
     length = f"{metres:.2f} m" if metres >= 0.1 else f"{1000 * metres:.1f} mm"
@@ -104,8 +102,8 @@ def _frame(log: Log, smoother: IncrementalSmoother, step: int, before: Array) ->
         number=step,
         caption=f"step {step}    largest correction {length}",
         poses=poses,
-        landmarks=smoother.landmarks or dict(estimated),
+        landmarks=solver.landmarks or dict(estimated),
         landmark_covariances=estimated.covariances,
         corrections=corrections,
-        sightings=smoother.sensor.h_inverse(poses[-1], seen)[:, :2],
+        sightings=solver.sensor.h_inverse(poses[-1], seen)[:, :2],
     )

@@ -3,7 +3,3 @@
 `view` aligns the estimates and thins them, the modules of the figures turn that into plain Plotly dictionaries, and `page`
 puts them into the template. Plotly (the extra ``report``) is imported only to copy its script into the page.
 """
-
-from .page import check_page, page_of, write_report
-
-__all__ = ["check_page", "page_of", "write_report"]

@@ -1,16 +1,21 @@
-"""What a click on a landmark of the report shows: its sightings, and the true landmark that they are of."""
+"""Matches in the report: the details of a landmark and a table of all of them, with the true landmark of its sightings."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from rich.table import Table
 
 from graphslam.log import UNIDENTIFIED
 
 from ...comparison import Comparison
 from ...results import EstimatorResult
 from ...sightings import sightings_of
+from ..cells import NOTHING, LeanTable, number, word
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
 
 #: in longer logs a click shows nothing: the page has to stay small
 MOST_SIGHTINGS = 100_000
@@ -51,3 +56,31 @@ def _landmarks(comparison: Comparison, result: EstimatorResult, ids: np.ndarray)
             entry["share"] = round(float(np.mean(log.landmarks[each.rows] == true)), 3)
         found[str(each.landmark)] = entry
     return found
+
+
+def association_table(comparison: Comparison, result: EstimatorResult) -> Table | None:
+    """The landmarks of a result with ids of its own, with the true ones that they are matched with; None where it has none.
+
+    The share is that of the sightings that truly are of the matched landmark.
+    """
+    if result.association is None:
+        return None
+    log, scores = comparison.log, comparison.associations[result.name]
+    headings = ["sightings", "unconfirmed", "steps"]
+    if log.classes is not None:
+        headings += ["class", "share of\nthe class"]
+    if scores is not None:
+        headings += ["true\nlandmark", "correct\nshare"]
+    table = LeanTable(f"Landmarks of {result.name}, and what was matched to them", ["landmark"], headings)
+    for each in sightings_of(log, result.association):
+        steps = log.steps[each.rows]
+        doubtful = 0 if result.unconfirmed is None else int(np.sum(result.unconfirmed[each.rows]))
+        cells: list[RenderableType] = [str(len(each.rows)), str(doubtful), f"{steps.min()}-{steps.max()}"]
+        if log.classes is not None:
+            cells += [word(each.of_class), number(each.share, 2)]
+        if scores is not None:
+            true = scores.matches.get(each.landmark, UNIDENTIFIED)
+            share = float(np.mean(log.landmarks[each.rows] == true))
+            cells += [NOTHING, NOTHING] if true == UNIDENTIFIED else [str(true), f"{share:.2f}"]
+        table.add_row(str(each.landmark), *cells)
+    return table

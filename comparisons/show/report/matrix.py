@@ -60,7 +60,7 @@ def pictures(graph: Graph) -> list[Picture]:
 
 
 def factor_pattern(n: int, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
-    """Where L of Omega = L L' has blocks, (n, n) bool, from the lower triangle of Omega, diagonal included.
+    """The pattern of L in Omega = L L', (n, n) bool, from the lower triangle of Omega, diagonal included.
 
     Column k of L has the rows of Omega's column k and those of all columns whose first row below the diagonal is k
     (the children of k in the elimination tree). Source: George and Liu, *Computer Solution of Large Sparse Positive
@@ -104,7 +104,7 @@ def matrix_figure(before: Picture, after: Picture) -> Figure:
 
 
 def description(name: str, before: Picture, after: Picture) -> str:
-    """What the pictures show, in sentences."""
+    """Sentences on the figures of the matrices."""
     text = (
         f"Ω of {name}: {before.nodes} nodes and {before.blocks} blocks of 3 x 3 in its lower triangle. Its factor L has "
         f"{before.factor_blocks} blocks in the node order of the log, and {after.factor_blocks} in the order of "

@@ -20,13 +20,12 @@ from ...comparison import Comparison, run
 from ...config import versions
 from ...failures import sentence
 from ...saving import check_can_write, jsonable
-from ..association_tables import association_table
 from ..placement import reference_of
 from ..style import MATRIX, colour_of
 from ..tables import landmark_table, table_as_html, tables_of
 from .convergence import iterations, remarks
 from .curves import convergence_figure, costs_figure, errors_figure
-from .matches import matches_of
+from .matches import association_table, matches_of
 from .matrix import ENTRY, FILL, description, matrix_figure, pictures
 from .paths import COLUMNS, paths_figure
 from .traces import Figure, line_of
@@ -151,7 +150,7 @@ def embedded(value: Any) -> str:
 
 
 def _facts(view: View) -> dict[str, Any]:
-    """What the slider shows: the steps, their times, and what is seen from them in the axes of the robot."""
+    """The data of the slider: the steps, their times, and what is seen from them in the axes of the robot."""
     return {
         "columns": COLUMNS,
         "steps": view.steps,

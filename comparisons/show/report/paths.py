@@ -79,7 +79,7 @@ def _path(view: View, estimate: Estimate) -> list[dict[str, Any]]:
         "type": "scatter", "mode": "lines", "meta": meta | {"part": "line"}, **_xy(estimate.line), "line": look["line"],
         "hoverinfo": "skip",
     }  # fmt: skip
-    # without a look of its own a pose is there to be pointed at
+    # a pose without a marker still shows its values under the pointer
     return [line, poses | {"mode": "markers", "marker": look.get("marker", {"size": 6, "opacity": 0})}]
 
 
@@ -117,7 +117,7 @@ def _ellipses(
 
 
 def _now(estimate: Estimate) -> list[dict[str, Any]]:
-    """What the slider moves: the sightings from the pose with its ellipse, and the pose itself."""
+    """The parts that the slider moves: the sightings from the pose, its ellipse, and the pose."""
     colour, common = colour_of(estimate.name), {"type": "scatter", "x": [None], "y": [None], "hoverinfo": "skip"}
     of = {"estimator": estimate.name, "layer": "now"}
     return [
@@ -128,7 +128,7 @@ def _now(estimate: Estimate) -> list[dict[str, Any]]:
 
 
 def _matches() -> dict[str, Any]:
-    """What a click on a landmark draws: lines from the poses that saw it."""
+    """Lines to a landmark from the poses that saw it, shown at a click."""
     return {
         "type": "scatter", "mode": "lines", "x": [None], "y": [None], "hoverinfo": "skip",
         "meta": {"layer": "matches"}, "visible": False,

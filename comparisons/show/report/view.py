@@ -1,4 +1,4 @@
-"""What the report shows of a comparison: all estimates aligned, with errors and covariances, thinned to fit."""
+"""The data of the report of a comparison: all estimates aligned, with errors and covariances, thinned to fit."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphslam import ControlPath, Log
+from graphslam import Log
+from graphslam.continuous_time import ControlPath
 from graphslam.metrics import position_errors
 from graphslam.se2 import Array, perpendicular, turn_matrix
 

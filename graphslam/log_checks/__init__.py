@@ -1,0 +1,54 @@
+"""Checks of a log before it is solved: units, signs, clocks and ids that cannot be right, each with its likely cause.
+
+`check_log` runs them all; no graph is solved. The checks:
+
+readings     sizes; whether the odometry predicts the next sighting of a landmark, and better if numbers are read another way
+ids          single ids that are misread, and landmarks that are seen once, or twice at one time
+changed_ids  landmarks that have other ids from some time on
+truth        the odometry against true poses
+map          the sightings against a true map
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import chain
+
+import numpy as np
+
+from ..log import Log
+from .changed_ids import changed_ids
+from .distances import distances_of
+from .finding import Finding
+from .ids import ids_of, misread, misread_ids
+from .map import against_map
+from .readings import readings_of, sizes
+from .truth import against_truth
+
+__all__ = ["Finding", "check_log"]
+
+
+def check_log(log: Log) -> tuple[Finding, ...]:
+    """Probable mistakes in a log; empty where there are none.
+
+    Args:
+        log: with or without controls and truth.
+    """
+    found: dict[str, Finding] = {}
+    doubts: Iterable[Finding] = (Finding(check, message) for check, message in log.doubts)
+    readings, truth = tuple(readings_of(log)), tuple(against_truth(log))
+    checks: list[Iterable[Finding]] = [doubts, sizes(log), readings, truth]
+    # where another reading fits better, ids and map may be right, and the sightings wrong
+    wrong = np.zeros(len(log.steps), dtype=bool) if readings else misread(log)
+    # single misread ids are reported once
+    right = log.with_sightings(~wrong)
+    checks += [misread_ids(log, wrong), ids_of(right)]
+    if not readings:
+        distances, trusted = distances_of(right), not truth
+        checks += [
+            changed_ids(log, distances, trusted=trusted, wrong=wrong),
+            against_map(right, distances, trusted=trusted),
+        ]
+    for finding in chain.from_iterable(checks):
+        found.setdefault(finding.check, finding)
+    return tuple(found.values())

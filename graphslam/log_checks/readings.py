@@ -1,0 +1,269 @@
+"""Units and signs of the numbers of a log: sizes, and whether the odometry predicts the next sighting of a landmark.
+
+Pairs of sightings of one landmark are compared with the odometry between them. From the first sighting the odometry
+predicts the second. If another reading of the numbers (bearings with the other sign, turn rates in degrees, ...)
+predicts far better, that is the likely cause. No graph is solved: a landmark has to stay where it is over a short
+way already, which takes milliseconds and depends on no noise model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import decimals
+from ..log import Log
+from ..models import MotionModel, SensorModel
+from ..reading import UNIDENTIFIED
+from ..se2 import Array, between
+from .finding import Finding
+
+#: beyond these values numbers are probably in another unit: range [m], speed [m/s], turn rate [rad/s], time of a control [s]
+FARTHEST, FASTEST, QUICKEST, SLOWEST = 1000.0, 100.0, 2 * np.pi, 5.0
+#: a sensor that reports one range where it measures nothing: of how many sightings, how often, how far beyond other ranges
+ENOUGH, REPEATED, BEYOND = 20, 3, 1.2
+#: way between the two sightings of a pair, [rad] turned plus [ranges] driven: at least, at most
+_LEAST, _MOST = 0.4, 1.5
+#: pairs with a larger turn [rad] show the sign of bearings
+_TURNING = 0.1
+#: pairs that are needed, and that are used at most
+_FEWEST, _ENOUGH = 20, 4000
+#: another reading is reported where the median error of the pairs [ranges] is above the first number, another reading
+#: lowers it to less than the second part, and is better for at least the third part of the pairs
+_WRONG, _BETTER, _SHARE = 0.08, 0.5, 0.65
+#: readings whose errors differ by less than this factor fit alike
+_ALIKE = 1.3
+#: sightings that no reading fits better than this [ranges] contradict the odometry
+_CONTRADICTION = 0.4
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Another way to read a log.
+
+    Attributes:
+        check, message: as in a `Finding`.
+        given, error: median error of the pairs as the log stands, and read like this, relative to the range.
+        share: of the pairs for which this reading is better.
+    """
+
+    check: str
+    given: float
+    error: float
+    share: float
+    message: str
+
+
+def readings_of(log: Log) -> Iterator[Finding]:
+    """The other reading that fits far better, or that none fits."""
+    if (pairs := comparable(log)) is None:
+        return
+    readings = pairs.readings()
+    likely = [
+        each for each in readings if each.given > _WRONG and each.error < _BETTER * each.given and each.share > _SHARE
+    ]
+    given = max(each.given for each in readings)
+    if likely:
+        least = min(reading.error for reading in likely)
+        # of readings that fit about as well, the plain one: a quarter turn before one of 75 degrees, a clock last
+        best = min(
+            (reading for reading in likely if reading.error <= _ALIKE * least),
+            key=lambda reading: ("about" in reading.message, reading.check == "clock", reading.error),
+        )
+        times = f"{best.given / best.error:.1f}" if best.error > 0 else "infinitely many"
+        yield Finding(best.check, f"{best.message}: read like this, they fit the odometry {times} times better")
+    elif given > _CONTRADICTION:
+        yield Finding(
+            "contradiction",
+            f"sightings contradict the odometry: over short ways a landmark moves by {given:.0%} of its range (median); ids, "
+            "clocks, units or axes may be wrong",
+        )
+
+
+@dataclass(frozen=True)
+class SightingPairs:
+    """Pairs of sightings of one landmark, over short ways.
+
+    Attributes:
+        log: whose they are.
+        first, second: (K,) rows of the sightings.
+    """
+
+    log: Log
+    first: np.ndarray
+    second: np.ndarray
+
+    @cached_property
+    def sightings(self) -> Array:
+        """Range and bearing of the first and second sightings (2, K, 2)."""
+        return self.log.sightings[np.stack([self.first, self.second]), :2]
+
+    @cached_property
+    def steps(self) -> np.ndarray:
+        """The steps of the first and second sightings (2, K)."""
+        return self.log.steps[np.stack([self.first, self.second])]
+
+    def errors(self, poses: Array, sightings: Array) -> Array:
+        """The distance (K,) [ranges] of a landmark between its first and second sighting, see `moves`."""
+        return moves(self.log.sensor or SensorModel(), poses, sightings)
+
+    def readings(self) -> list[Reading]:
+        """Every other reading of the log."""
+        path = self._path([1.0, 1.0])
+        poses = path[self.log.control_starts[self.steps]]
+        as_given = self.errors(poses, self.sightings)
+        turning = np.abs(poses[1, :, 2] - poses[0, :, 2]) > _TURNING
+        readings = []
+        for check, message, changed_poses, changed_sightings in self._others(path, poses):
+            errors = self.errors(changed_poses, changed_sightings)
+            # where the robot drives straight on, both signs fit
+            used = turning if check == "bearing sign" and np.sum(turning) >= _FEWEST else slice(None)
+            before, after = as_given[used], errors[used]
+            share = float(np.mean(after < before))
+            readings.append(Reading(check, float(np.median(before)), float(np.median(after)), share, message))
+        return readings
+
+    def _path(self, factors: ArrayLike, order: slice = slice(None)) -> Array:
+        """The poses (S+1, 3) at the ends of all controls, of which the columns are reordered and multiplied."""
+        controls, dt = self.log.controls, self.log.dt
+        assert controls is not None and dt is not None
+        return MotionModel().dead_reckoning(self.log.initial_poses[0], controls[:, order] * factors, dt)
+
+    def _others(self, path: Array, poses: Array) -> Iterator[tuple[str, str, Array, Array]]:
+        """Names of checks, messages, poses (2, K, 3) and sightings (2, K, 2)."""
+        starts, z = self.log.control_starts[self.steps], self.sightings
+        for sign in (1, -1):
+            for degrees in range(-165, 181, 15):
+                if (sign, degrees) != (1, 0):
+                    yield *_direction(sign, degrees), poses, z * [1, sign] + [0.0, np.deg2rad(degrees)]
+        slowly = "the turn rates are in degrees per second (--angles odometry=degrees)"
+        yield "turn rate unit", slowly, self._path([1.0, np.pi / 180])[starts], z
+        swapped = "the columns of speed and turn rate are swapped (--columns)"
+        yield "odometry swapped", swapped, self._path([1.0, 1.0], slice(None, None, -1))[starts], z
+        for factor, message in (
+            (1 / 1000, "the speeds are in mm/s"), (1 / 100, "the speeds are in cm/s"), (1 / 3.6, "the speeds are in km/h"),
+            (1 / 0.3048, "the ranges are in feet"), (100.0, "the ranges are in cm"), (1000.0, "the ranges are in mm"),
+        ):  # fmt: skip
+            yield "scale", f"{message}, against the other lengths", poses * [factor, factor, 1.0], z
+        yield from self._clocks(path, starts)
+
+    def _clocks(self, path: Array, starts: np.ndarray) -> Iterator[tuple[str, str, Array, Array]]:
+        """The sightings read as later or earlier."""
+        dt = self.log.dt
+        assert dt is not None
+        times = np.concatenate([[0.0], np.cumsum(dt)])
+        for late in (0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0):
+            for shift in (-late, late):
+                when = np.clip(times[starts] + shift, 0.0, times[-1])
+                after = np.clip(np.searchsorted(times, when), 1, len(times) - 1)
+                share = (when - times[after - 1]) / dt[after - 1]
+                moved = path[after - 1] + share[..., None] * (path[after] - path[after - 1])
+                message = f"the clock of the sightings is about {late:g} s {'fast' if shift < 0 else 'slow'}"
+                yield "clock", f"{message} (--clocks sightings={shift:g})", moved, self.sightings
+
+
+def moves(sensor: SensorModel, poses: Array, sightings: Array) -> Array:
+    """The distance (K,) [ranges] between the landmarks of two sightings (2, K, 2) from poses (2, K, 3)."""
+    one, two = sightings
+    motion = between(*sensor.mount(poses))
+    c, s = np.cos(motion[:, 2]), np.sin(motion[:, 2])
+    x, y = one[:, 0] * np.cos(one[:, 1]) - motion[:, 0], one[:, 0] * np.sin(one[:, 1]) - motion[:, 1]
+    seen = np.column_stack([c * x + s * y, c * y - s * x])
+    there = two[:, :1] * np.column_stack([np.cos(two[:, 1]), np.sin(two[:, 1])])
+    return np.linalg.norm(seen - there, axis=1) / np.maximum(one[:, 0], two[:, 0])
+
+
+def _direction(sign: int, degrees: int) -> tuple[str, str]:
+    """The name of the check, and what is said about a sensor whose bearings b are read as sign * b + degrees."""
+    yaw = f"--sensor-yaw {np.deg2rad(degrees):.4f}"
+    if (sign, degrees) == (-1, 0):
+        return "bearing sign", "the bearings, or else the turn rates, have the wrong sign (--bearings clockwise)"
+    if (sign, degrees) == (-1, 90):
+        others = f"or bearings count clockwise from the left (--bearings clockwise {yaw})"
+        return "axes swapped", f"x and y of the sightings are swapped (--axes left-forward), {others}"
+    if sign < 0:
+        message = f"bearings grow clockwise, from about {degrees} degrees left of ahead (--bearings clockwise {yaw})"
+        return "bearing sign", message.replace("about ", "") if degrees % 90 == 0 else message
+    if degrees == 180:
+        return "sensor direction", f"the sensor looks to the back ({yaw}), or the speeds have the wrong sign"
+    side = "left" if degrees > 0 else "right"
+    about = "" if degrees % 90 == 0 else "about "
+    return "sensor direction", f"the sensor looks {about}{abs(degrees)} degrees to the {side} ({yaw})"
+
+
+def comparable(log: Log) -> SightingPairs | None:
+    """The pairs of a log as it stands, or else read with other units; None where nothing can be compared."""
+    # at a thousandth of the speed, or with turn rates in degrees, there may be short ways
+    for slower, degrees in ((1.0, False), (1000.0, False), (1.0, True), (1000.0, True)):
+        if (pairs := pairs_of(log, slower=slower, degrees=degrees)) is not None:
+            return pairs
+    return None
+
+
+def pairs_of(log: Log, *, slower: float = 1.0, degrees: bool = False) -> SightingPairs | None:
+    """Pairs of sightings of one landmark over short ways; None where there are too few, or no controls.
+
+    Args:
+        log: the log.
+        slower: ways are measured as if the speed was smaller by this factor.
+        degrees: ways are measured as if the turn rates were in degrees.
+    """
+    if log.controls is None or log.dt is None or len(log.sightings) < 2:
+        return None
+    middle = float(np.median(log.sightings[:, 0]))
+    driven = np.abs(log.controls) @ [1 / (slower * middle), np.pi / 180 if degrees else 1.0] * log.dt
+    # with turn rates in degrees a way would seem too long: no more than usual in each control
+    if (typical := float(np.median(driven[driven > 0]) if np.any(driven > 0) else 0.0)) == 0:
+        return None
+    way = np.concatenate([[0.0], np.cumsum(driven)])[log.control_starts]
+    least = _LEAST if typical < _MOST else _LEAST * typical / _MOST
+    order = np.lexsort((log.steps, log.landmarks))
+    order = order[log.landmarks[order] != UNIDENTIFIED]
+    # one number that grows along the way, landmark after landmark
+    rank = np.unique(log.landmarks[order], return_inverse=True)[1]
+    apart = way[-1] + 10 * _MOST + 1
+    along = rank * apart + way[log.steps[order]]
+    later = np.searchsorted(along, along + least)
+    exists = later < len(order)
+    first, second = np.flatnonzero(exists), later[exists]
+    good = (along[second] - along[first] <= max(_MOST, 3 * least)) & (rank[first] == rank[second])
+    first, second = order[first[good]], order[second[good]]
+    if len(first) < _FEWEST:
+        return None
+    every = max(1, len(first) // _ENOUGH)
+    return SightingPairs(log, first[::every], second[::every])
+
+
+def sizes(log: Log) -> Iterator[Finding]:
+    """Ranges, speeds, turn rates and times that no robot has."""
+    if len(log.sightings) and (far := float(np.median(log.sightings[:, 0]))) > FARTHEST:
+        yield Finding("range unit", f"half of the ranges are above {decimals(far, 0)} m; they may be in millimetres")
+    yield from nothing_measured(log.sightings[:, 0])
+    if log.controls is None or log.dt is None or len(log.controls) == 0:
+        return
+    speed, turn = np.quantile(np.abs(log.controls), 0.95, axis=0)
+    if speed > FASTEST:
+        yield Finding("speed unit", f"the speed reaches {decimals(speed, 0)} m/s; it may be in mm/s")
+    within = float(np.median(np.abs(log.controls[:, 1]) * log.dt))
+    if turn > QUICKEST or within > np.pi:
+        yield Finding("turn rate unit", f"the turn rate reaches {turn:.1f} rad/s; it may be in degrees per second")
+    if (lasting := float(np.median(log.dt))) > SLOWEST:
+        yield Finding("time unit", f"controls last {lasting:g} s (median); the times may be in milliseconds")
+    if not np.any(log.controls):
+        yield Finding("no motion", "all controls are zero; the odometry may be another column or topic")
+
+
+def nothing_measured(ranges: Array) -> Iterator[Finding]:
+    """The largest range (of N), where it repeats exactly and no other range is near: 9999 or 65.535, for example."""
+    values, counts = np.unique(ranges, return_counts=True)
+    enough = len(ranges) >= ENOUGH and len(values) > 1 and counts[-1] >= REPEATED
+    if enough and values[-1] > BEYOND * values[-2]:
+        yield Finding(
+            "range without measurement",
+            f"{counts[-1]} sightings have the same range of {values[-1]:g} m, and all others are below {values[-2]:.3g} m; "
+            "the sensor may report it where it measures nothing. Remove these rows",
+        )

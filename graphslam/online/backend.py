@@ -1,0 +1,116 @@
+"""`Backend`, the interface of the solvers behind `OnlineSolver`, and the checks of numbers that they share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..checks import real_array
+from ..errors import OptionError, quoted
+from ..precision import inverses
+from ..se2 import Array
+
+#: a measured pose z (3,) of node b in the axes of node a with its information: (a, b, z, Omega)
+Relation = tuple[int, int, Array, Array]
+
+
+class Backend(ABC):
+    """Poses, landmarks and edges, with the estimate after each change; its methods take checked numbers.
+
+    Attributes:
+        num_final: the number of poses that cannot change any more, the first ones.
+        columns: the number of values of a sighting, 2 or 3; None before the first one.
+    """
+
+    num_final = 0
+    columns: int | None
+
+    @property
+    @abstractmethod
+    def num_poses(self) -> int:
+        """The number of poses so far."""
+
+    @property
+    @abstractmethod
+    def landmark_ids(self) -> Sequence[int]:
+        """The ids of the landmarks that are nodes."""
+
+    @abstractmethod
+    def relate(self, relation: Relation) -> None:
+        """Add a relation between two poses, one of which may be the next, new pose."""
+
+    @abstractmethod
+    def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
+        """Add sightings (K, 2 or 3) of landmarks from a pose."""
+
+    @abstractmethod
+    def relinearize(self) -> None:
+        """Linearise all edges at the estimate, and solve again."""
+
+    @property
+    @abstractmethod
+    def converged(self) -> bool:
+        """Whether the last update ended at the minimum."""
+
+    @property
+    @abstractmethod
+    def cost(self) -> float:
+        """J without the anchor."""
+
+    @property
+    @abstractmethod
+    def pose(self) -> Array:
+        """The newest pose (3,)."""
+
+    @property
+    @abstractmethod
+    def poses(self) -> Array:
+        """All poses so far (t+1, 3)."""
+
+    @property
+    @abstractmethod
+    def landmarks(self) -> dict[int, Array]:
+        """{id: (2,) or (3,)} of the landmarks that are nodes."""
+
+    @abstractmethod
+    def covariance(self, poses: Sequence[int], landmarks: Sequence[int]) -> Array:
+        """The joint covariance of poses (3 rows each), then landmarks (2 or 3 rows each), in world axes.
+
+        Raises:
+            GraphError: the edges do not determine it.
+        """
+
+
+def array_or_none(value: ArrayLike) -> Array | None:
+    """A value as an array of numbers, or None where it is none."""
+    try:
+        return real_array(value).copy()
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def numbers(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> Array:
+    """Finite numbers of a shape.
+
+    Raises:
+        OptionError: the value is something else.
+    """
+    array = None if value is None else array_or_none(value)
+    if array is None or array.shape != shape or not np.isfinite(array).all():
+        raise OptionError(f"{name} must be finite numbers of shape {shape}, not {quoted(value)}")
+    return array
+
+
+def information_of(covariance: ArrayLike | None) -> Array:
+    """The inverse of a covariance (3, 3).
+
+    Raises:
+        OptionError: it is not symmetric positive definite. GraphError: its inverse is beyond double precision.
+    """
+    P = numbers("covariance", covariance, (3, 3))
+    if not np.allclose(P, P.T, rtol=0, atol=1e-9 * np.abs(P).max()) or not np.linalg.eigvalsh(P)[0] > 0:
+        raise OptionError(f"covariance must be a symmetric positive definite 3 x 3 matrix, not {quoted(covariance)}")
+    return np.asarray(inverses(P[None], "motion", "check its covariance")[0])

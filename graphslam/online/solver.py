@@ -1,0 +1,331 @@
+"""`OnlineSolver`: graph SLAM while the robot drives, with an estimate of the whole graph after every step."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from copy import deepcopy
+from importlib import import_module
+from numbers import Real
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..checks import check_choice, check_count, check_positive, check_type, suggestion
+from ..edges.robust import Kernel, kernel_of
+from ..errors import GraphError, OptionError, quoted
+from ..marginals import ids_of, split
+from ..models import MotionModel, SensorModel
+from ..precision import check_model, inverses
+from ..reading import NO_ID, UNIDENTIFIED
+from ..se2 import Array, wrap
+from .backend import Backend, array_or_none, information_of, numbers
+
+#: the backends; each is a module of this package
+BACKENDS = ("own", "isam2")
+
+Model = TypeVar("Model", MotionModel, SensorModel)
+
+
+class OnlineSolver:
+    """Poses, landmarks and edges in the order in which a robot measures them; each call updates the estimate.
+
+    A step of the robot is `move`, then `observe` what the sensor measures there; `relate` adds loop closures. The
+    particle filters of `fastslam` have the same methods. Landmarks are nodes with the Cartesian residual, as in
+    `Graph.from_log` with ``edges="landmark+motion"``, and the first pose is anchored.
+
+    A call is refused as a whole: with the backend "own", the solver then is as it was before.
+
+    Args:
+        start: the first pose (3,).
+        backend: "own": the project's solver, `online.own.OwnBackend`, whose estimate is a minimum of J after every call.
+            "isam2": GTSAM's ISAM2, `online.isam2.Isam2Backend`, which relinearises what moves by more than a threshold.
+        motion, sensor: the noise models; default: the book's.
+        motion_weight: lambda, the factor on the information of the motion edges.
+        kernel: a robust kernel on the sightings, or its name.
+        options: of the backend; see `online.own.OwnBackend` (tolerance, lag, map, start_covariance) and
+            `online.isam2.Isam2Backend` (edges, weight, residual, threshold, skip, factorization, params).
+
+    Raises:
+        OptionError: an option has an impossible value, or the backend does not have it.
+        GraphError: a noise model is outside of what double precision can hold.
+    """
+
+    def __init__(
+        self,
+        start: ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        backend: str = "own",
+        motion: MotionModel | None = None,
+        sensor: SensorModel | None = None,
+        motion_weight: float = 1.0,
+        kernel: Kernel | str | None = None,
+        **options: Any,
+    ) -> None:
+        check_positive(motion_weight=motion_weight)
+        kind = backend_class(backend)
+        known = backend_options(backend)
+        for name in options:
+            if name not in known:
+                raise OptionError(
+                    f"the backend {backend} has no option {quoted(name)}{suggestion(name, known)}; its own options are "
+                    f"{', '.join(known)}"
+                )
+        self.motion = _model("motion", motion, MotionModel)
+        self.sensor = _model("sensor", sensor, SensorModel)
+        self.motion_weight, self.kernel = motion_weight, kernel_of(kernel)
+        self._backend: Backend = kind(numbers("start", start, (3,)), self.sensor, self.kernel, **options)
+        #: the times of the latest call and of the newest pose, not a number where it is unknown
+        self._time, self._arrived = -np.inf, np.nan
+
+    def __copy__(self) -> OnlineSolver:
+        """An independent solver, as `copy.deepcopy` makes one. ISAM2 has no copies."""
+        return deepcopy(self)
+
+    def __repr__(self) -> str:
+        """One line: backend and sizes."""
+        backend = self._backend
+        kind = type(backend).__name__.removesuffix("Backend").lower()
+        return f"<OnlineSolver by {kind}: {backend.num_poses} poses, {len(backend.landmark_ids)} landmarks>"
+
+    # -- measurements ------------------------------------------------------------------------------------------------
+
+    def move(
+        self,
+        control: ArrayLike | None = None,
+        dt: float | None = None,
+        *,
+        motion: ArrayLike | None = None,
+        covariance: ArrayLike | None = None,
+        time: float | None = None,
+    ) -> None:
+        """Add a new pose with its motion edge.
+
+        Args:
+            control, dt: (nu, omega) [m/s, rad/s] for dt [s].
+            motion, covariance: instead of a control, the new pose (3,) measured from the one before, with (3, 3).
+            time: of the new pose [s], after all times so far. With a control, dt may be left out where the time of the
+                pose before is known.
+
+        Raises:
+            OptionError: a value is impossible. GraphError: the new pose is not determined.
+        """
+        clock = self._checked_time(time, later=True)
+        if (control is None) == (motion is None):
+            raise OptionError("move takes a control and dt, or a motion and its covariance")
+        if covariance is not None and motion is None:
+            raise OptionError(
+                "a covariance belongs to a measured motion; that of a control comes from the motion model"
+            )
+        if dt is None and time is not None and np.isfinite(self._arrived):
+            dt = time - self._arrived
+        if control is not None:
+            check_positive(dt=dt)  # type: ignore[arg-type]
+            u, seconds = numbers("control", control, (2,))[None], np.array([float(dt)])  # type: ignore[arg-type]
+            # a motion beyond floating point has no inverse covariance, and is refused for that
+            with np.errstate(over="ignore", invalid="ignore"):
+                z, P = self.motion.accumulate(u, seconds, np.array([0, 1]))
+            measured, information = z[0], inverses(P, "motion", "raise epsilon")[0]
+        else:
+            measured, information = numbers("motion", motion, (3,)), information_of(covariance)
+        last = self.step
+        self._backend.relate((last, last + 1, measured, self.motion_weight * information))
+        if time is not None:
+            self._arrived = float(time)
+        else:
+            self._arrived = self._arrived + float(dt) if control is not None else np.nan  # type: ignore[arg-type]
+        self._time = float(np.fmax(clock, self._arrived))
+
+    def observe(
+        self, ids: ArrayLike, sightings: ArrayLike, *, pose: int | None = None, time: float | None = None
+    ) -> None:
+        """Add sightings of landmarks.
+
+        Args:
+            ids: the landmarks (K,).
+            sightings: (K, 2 or 3), what the sensor measures.
+            pose: the number of the pose from which they are seen; default: the newest.
+            time: of the sightings [s], not before all times so far.
+
+        Raises:
+            OptionError: a value is impossible. GraphError: the pose is unknown or final.
+        """
+        clock = self._checked_time(time)
+        pose = self.step if pose is None else pose
+        check_count(pose=pose)
+        self._check_pose(pose, "sightings from")
+        landmarks, z = self._checked(ids, sightings)
+        if landmarks:
+            self._backend.observe(pose, landmarks, z)
+        if time is not None and pose == self.step and np.isnan(self._arrived):
+            self._arrived = float(time)
+        self._time = clock
+
+    def relate(self, first: int, second: int, motion: ArrayLike, covariance: ArrayLike) -> None:
+        """Add a measured relation of two poses, such as a loop closure.
+
+        Args:
+            first, second: the numbers of the poses. One of them may be the next pose number, which is then new.
+            motion: the second pose (3,) in the axes of the first.
+            covariance: (3, 3) of the motion.
+
+        Raises:
+            OptionError: a value is impossible. GraphError: a pose is unknown, final or not determined.
+        """
+        check_count(first=first, second=second)
+        last, lower, upper = self.step, min(first, second), max(first, second)
+        if first == second or lower > last or upper > last + 1:
+            raise GraphError(f"a relation between poses {first} and {second}: the poses so far are 0 to {last}")
+        self._check_pose(lower, "a relation from")
+        self._backend.relate((int(first), int(second), numbers("motion", motion, (3,)), information_of(covariance)))
+        if upper > last:
+            self._arrived = np.nan
+
+    def relinearize(self) -> None:
+        """Linearise all edges at the estimate, and solve again.
+
+        With the backend "own", covariances are then those of the batch solution; ISAM2 then is at the batch solution.
+        """
+        self._backend.relinearize()
+
+    # -- estimates ---------------------------------------------------------------------------------------------------
+
+    @property
+    def step(self) -> int:
+        """The number of the newest pose."""
+        return self._backend.num_poses - 1
+
+    @property
+    def num_final(self) -> int:
+        """The number of poses that are final, the first ones, because they are older than the lag."""
+        return self._backend.num_final
+
+    @property
+    def converged(self) -> bool:
+        """Whether the last call ended at the minimum; for ISAM2, whether the last `relinearize` did, and True before."""
+        return self._backend.converged
+
+    @property
+    def cost(self) -> float:
+        """J at the estimate, the anchor not counted; with a lag, of the edges of poses that are not final."""
+        return self._backend.cost
+
+    @property
+    def pose(self) -> Array:
+        """The newest pose (3,), heading in [-pi, pi)."""
+        x = self._backend.pose
+        x[2] = wrap(x[2])
+        return x
+
+    @property
+    def poses(self) -> Array:
+        """The estimate of all poses so far, (t+1, 3), headings in [-pi, pi); of final poses, the last one they had."""
+        x = self._backend.poses
+        x[:, 2] = wrap(x[:, 2])
+        return x
+
+    @property
+    def landmarks(self) -> dict[int, Array]:
+        """{id: (x, y) or (x, y, heading)}, by increasing id; without landmark nodes, empty."""
+        return {id: np.append(x[:2], wrap(x[2:])) for id, x in sorted(self._backend.landmarks.items())}
+
+    def covariance(self, poses: Any = None, landmarks: Any = None, *, joint: bool = False) -> Any:
+        """Covariances in world axes: of the newest pose (3, 3), or of what the arguments name.
+
+        With the backend "own", edges that were linearised too far from the estimate, or have second derivatives in the
+        linear system of the last pass, are first linearised again without them, and the parts of the tree above them
+        factorised again (`engine/include/vmslam/online/edge.hpp`): standard deviations are then within 2 % of those of
+        the batch solution, and `relinearize` makes them the same. The first call after a change looks at all edges; where
+        all edges needed second derivatives, it takes the time of `relinearize`.
+
+        Args:
+            poses: a number of a pose, which gives (3, 3), or a list of P numbers, which gives (P, 3, 3).
+            landmarks: an id, which gives (d, d), d = 2 or 3, or a list of L ids, which gives (L, d, d).
+            joint: return one matrix (3 P + d L, 3 P + d L), poses first, instead of a block for each. Without it, poses
+                and landmarks together give a pair (blocks of poses, blocks of landmarks).
+
+        Raises:
+            GraphError: a pose or landmark is unknown, a pose is final, or the edges do not determine the covariance.
+            OptionError: an argument is no id and no list of ids.
+        """
+        if poses is None and landmarks is None:
+            poses = self.step
+        steps, ids = ids_of("poses", poses), ids_of("landmarks", landmarks)
+        for step in steps:
+            check_count(pose=step)
+            self._check_pose(step, "the covariance of")
+        known = set(self._backend.landmark_ids)
+        if unknown := [id for id in ids if id not in known]:
+            raise GraphError(f"there is no covariance of landmark {unknown[0]}: it is no node of the graph")
+        matrix = self._backend.covariance(steps, ids)
+        return matrix if joint else split(matrix, poses, landmarks)
+
+    # -- checks ------------------------------------------------------------------------------------------------------
+
+    def _checked_time(self, time: float | None, *, later: bool = False) -> float:
+        """The time of the latest call, with this one's."""
+        if time is None:
+            return self._time
+        if not isinstance(time, Real) or not abs(time) <= sys.float_info.max:
+            raise OptionError(f"time must be a finite number, not {quoted(time)}")
+        if time < self._time or (later and time == self._time):
+            raise OptionError(f"time runs backwards: {quoted(time)} s after {quoted(self._time)} s")
+        return float(time)
+
+    def _check_pose(self, pose: int, what: str) -> None:
+        if pose > self.step:
+            raise GraphError(f"{what} the unknown pose {pose}: the poses so far are 0 to {self.step}")
+        if pose < self.num_final:
+            raise GraphError(
+                f"{what} pose {pose}, which is final: with lag={self.step - self.num_final}, the poses from "
+                f"{self.num_final} on can be used. Choose a longer lag"
+            )
+
+    def _checked(self, ids: ArrayLike, sightings: ArrayLike) -> tuple[list[int], Array]:
+        try:
+            landmarks = np.atleast_1d(np.asarray(ids))
+        except ValueError:
+            raise OptionError(f"ids must be whole numbers, not {ids!r:.80}") from None
+        z, columns = array_or_none(sightings), self._backend.columns
+        if landmarks.size == 0 and z is not None and z.size == 0:
+            return [], np.zeros((0, columns or 2))
+        if landmarks.size and (landmarks.dtype.kind not in "iu" or landmarks.ndim != 1):
+            raise OptionError(f"ids must be whole numbers, not {quoted(ids)}")
+        if np.any((landmarks == UNIDENTIFIED) | (landmarks == NO_ID)):
+            raise OptionError("the solver takes identified landmarks only: leave out what nobody has identified")
+        if z is None or z.ndim != 2 or z.shape[1] not in (2, 3) or not np.isfinite(z).all() or np.any(z[:, 0] <= 0):
+            raise OptionError(
+                f"sightings must be (range, bearing) or with psi, with ranges above zero, not {quoted(sightings)}"
+            )
+        if len(z) != landmarks.size:
+            raise OptionError(
+                f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {quoted(ids)}"
+            )
+        if columns not in (None, z.shape[1]):
+            raise OptionError(f"the sightings so far have {columns} numbers each, these have {z.shape[1]}")
+        return landmarks.tolist(), z
+
+
+def backend_class(backend: str) -> type[Any]:
+    """The class of a backend; GTSAM is imported for ISAM2 only.
+
+    Raises:
+        OptionError: there is no such backend.
+    """
+    check_choice("backend", backend, BACKENDS)
+    found: type[Any] = getattr(import_module(f".{backend}", __package__), f"{backend.capitalize()}Backend")
+    return found
+
+
+def backend_options(backend: str) -> list[str]:
+    """The names of the options that a backend has of its own."""
+    parameters = inspect.signature(backend_class(backend)).parameters.values()
+    return [each.name for each in parameters if each.kind is each.KEYWORD_ONLY]
+
+
+def _model(name: str, value: Any, kind: type[Model]) -> Model:
+    check_type(kind, **{name: value})
+    model = kind() if value is None else value
+    check_model(model)
+    return model

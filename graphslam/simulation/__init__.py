@@ -1,0 +1,1 @@
+"""Simulated robots: worlds and routes, ideal sensors with noise and faults, and drives of uncalibrated robots."""

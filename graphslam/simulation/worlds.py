@@ -1,0 +1,112 @@
+"""`World`: the course of a simulated robot, its landmarks and camera; named worlds; and the sample log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..checks import array_of, check_count, check_number, check_positive, check_real, check_type, option
+from ..errors import OptionError, quoted
+
+#: rows of x, y (and heading) [m, m, rad]
+Places = tuple[tuple[float, ...], ...]
+
+#: the six landmarks of the book's logs, ids 0 to 5 [m]
+BOOK_LANDMARKS: Places = ((-4.0, 2.0), (2.0, -3.0), (3.0, 3.0), (0.0, 4.0), (1.0, 1.0), (-3.0, -1.0))
+
+
+#: the most steps and landmarks of a world
+_MOST = 10_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """The settings of `simulate`; arrays and lists are accepted for tuples.
+
+    Raises:
+        OptionError: an option has an impossible value.
+    """
+
+    steps: int = option(62, "Number of motions T; the log has T + 1 poses")
+    dt: float = option(3.0, "Duration of each motion", "s")
+    speed: float = option(0.2, "Speed on the circle; with way points, the highest speed", "m/s")
+    turn_rate: float = option(pi / 36, "Turn rate on the circle; with way points, the highest turn rate", "rad/s")
+    way_points: tuple[tuple[float, ...], ...] | None = option(
+        None, "Positions to visit in turn, repeatedly; default: drive a circle", "m"
+    )
+    start: tuple[float, ...] = option((0.0, -3.0, 0.0), "First pose, true and dead-reckoned", "m, m, rad")
+    landmarks: tuple[tuple[float, ...], ...] | int = option(
+        BOOK_LANDMARKS, "Landmarks 'x,y x,y ...' ('x,y,heading' also allowed), or how many to place at random", "m"
+    )
+    arena: float | None = option(None, "Half the side of the square world; default: as large as needed", "m")
+    min_range: float = option(0.5, "Least range of the camera", "m")
+    max_range: float = option(6.0, "Greatest range of the camera", "m")
+    field_of_view: float = option(2 * pi / 3, "Whole opening angle of the camera", "rad")
+    orientation: bool = option(True, "Sightings have the orientation psi; landmarks without a heading face along x")
+    clean: bool = option(False, "No faults; the noise follows the estimators' models exactly")
+
+    def __post_init__(self) -> None:
+        check_count(steps=self.steps)
+        if not 1 <= self.steps <= _MOST:
+            raise OptionError(f"steps must be at least 1 and at most {_MOST:,}, not {quoted(self.steps)}")
+        check_positive(dt=self.dt, speed=self.speed, max_range=self.max_range, field_of_view=self.field_of_view)
+        check_number(turn_rate=self.turn_rate)
+        if self.arena is not None:
+            check_positive(arena=self.arena)
+        for name in ("orientation", "clean"):
+            check_type(bool, **{name: getattr(self, name)})
+        check_real(min_range=self.min_range)
+        if not 0 <= self.min_range < self.max_range:
+            raise OptionError(f"min_range must lie between 0 and {self.max_range:g} m, not {quoted(self.min_range)}")
+        start, route, landmarks = array_of("start", self.start), self.way_points, self.landmarks
+        if start.shape != (3,):
+            raise OptionError(f"start must be (x, y, theta), not an array of shape {start.shape}")
+        object.__setattr__(self, "start", tuple(start.tolist()))
+        if route is not None:
+            object.__setattr__(self, "way_points", _places("way_points must have shape (W, 2)", route, (2,)))
+        if not isinstance(landmarks, (Sequence, np.ndarray)) or isinstance(landmarks, str):
+            check_count(landmarks=landmarks)
+            if landmarks > _MOST:
+                raise OptionError(f"landmarks must be at most {_MOST:,}, not {quoted(landmarks)}")
+            object.__setattr__(self, "landmarks", int(landmarks))
+            if self.landmarks < 1:  # type: ignore[operator]
+                raise OptionError(f"landmarks must be at least 1, not {landmarks}")
+        else:
+            rule = "landmarks must be a number or an array of shape (L, 2) or (L, 3)"
+            object.__setattr__(self, "landmarks", _places(rule, landmarks, (2, 3)))
+
+
+def _places(rule: str, value: Any, columns: tuple[int, ...]) -> Places:
+    places = array_of(rule.split()[0], value)
+    if places.ndim != 2 or places.shape[1] not in columns or len(places) == 0:
+        raise OptionError(f"{rule}, not {places.shape}")
+    if not np.isfinite(places).all():
+        raise OptionError(f"{rule.split()[0]} must be finite numbers")
+    return tuple(map(tuple, places.tolist()))
+
+
+#: the named worlds
+WORLDS: dict[str, World] = {
+    # six landmarks around a circle, as in the logs of the book
+    "book": World(),
+    # two rounds through thirteen landmarks; the robot sees about two of them at a time
+    "garden": World(
+        steps=160, dt=1.0, speed=0.4, turn_rate=0.5, start=(0.0, -2.5, 0.0), max_range=5.0, field_of_view=pi,
+        way_points=((4, -3.5), (6, 0), (4, 3.5), (0, 2), (-4, 3.5), (-6, 0), (-4, -3.5), (0, -2)),
+        landmarks=(
+            (-7.5, -3.5), (-7.5, 3), (-4, 0), (-2, 5), (2, 4.6), (0, 0), (4, 0), (7.5, 3.2), (7.6, -3), (2.2, -4.8),
+            (-2, -4.8), (-4.9, 5.6), (5.2, 6),
+        ),
+    ),
+}  # fmt: skip
+
+
+def sample_log_path() -> Path:
+    """The log shipped with the package, made by ``slam-compare simulate sample.npz --world garden --seed 1``."""
+    return Path(str(files("graphslam") / "data" / "sample.npz"))

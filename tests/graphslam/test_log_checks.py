@@ -1,0 +1,285 @@
+"""Mistakes in a log are found before it is solved, each with its cause; correct logs are left alone."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from graphslam import MotionModel, Stream, load, sample_log_path, simulate, synchronize
+from graphslam.log_checks import check_log
+from graphslam.log_checks.readings import pairs_of
+from graphslam.reading import UNIDENTIFIED
+from graphslam.se2 import wrap
+
+
+def checks(log):
+    return [finding.check for finding in check_log(log)]
+
+
+@pytest.fixture(scope="module")
+def sample():
+    return load(sample_log_path()).replace(true_poses=None)
+
+
+@pytest.fixture(scope="module")
+def own():
+    return load(Path(__file__).parents[2] / "examples" / "own_robot")
+
+
+def bearings(log, change):
+    sightings = log.sightings.copy()
+    sightings[:, 1] = change(sightings[:, 1])
+    return log.replace(sightings=sightings)
+
+
+def controls(log, factors):
+    return log.replace(controls=log.controls * factors, initial_poses=None)
+
+
+MISTAKES = {
+    "bearing sign": lambda log: bearings(log, lambda b: -b),
+    "bearing sign (turn rates)": lambda log: controls(log, [1, -1]),
+    "axes swapped": lambda log: bearings(log, lambda b: np.pi / 2 - b),
+    "sensor direction": lambda log: bearings(log, lambda b: b + np.pi),
+    "turn rate unit": lambda log: controls(log, [1, 180 / np.pi]),
+    "speed unit": lambda log: controls(log, [1000, 1]),
+    "range unit": lambda log: log.replace(sightings=log.sightings * [1000, 1, 1]),
+    "contradiction": lambda log: bearings(log, np.rad2deg),
+    "contradiction (ids)": lambda log: log.replace(landmarks=np.random.default_rng(0).permutation(log.landmarks)),
+    "one landmark": lambda log: log.replace(landmarks=np.full_like(log.landmarks, 4)),
+    "ids jump": lambda log: log.replace(landmarks=np.arange(len(log.landmarks))),
+    "no motion": lambda log: controls(log, 0),
+    "odometry swapped": lambda log: log.replace(controls=log.controls[:, ::-1], initial_poses=None),
+    "scale": lambda log: controls(log, [3.6, 1]),
+    "sensor direction (right)": lambda log: bearings(log, lambda b: b + np.pi / 2),
+    "time unit": lambda log: log.replace(dt=1000 * log.dt),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_mistakes_are_found(sample, name):
+    findings = check_log(MISTAKES[name](sample))
+    assert name.partition(" (")[0] in [finding.check for finding in findings]
+    for finding in findings:
+        assert "\n" not in finding.message and finding.message[-1] not in ".?"
+
+
+def test_the_message_names_the_cause_and_the_option(sample):
+    (finding,) = check_log(bearings(sample, lambda b: -b))
+    assert finding.message.startswith(
+        "the bearings, or else the turn rates, have the wrong sign (--bearings clockwise): read like this, they fit the "
+        "odometry "
+    )
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_correct_logs_are_left_alone(seed):
+    assert not checks(simulate(seed=seed))
+    assert not checks(simulate(seed=seed, clean=True))
+    assert not checks(simulate(seed=seed).without_orientation())
+    assert not checks(simulate(seed=seed).replace(true_poses=None))
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("name", "robot"),
+    [("mrclam6", 1), ("mrclam6", 3), ("lost_in_the_woods", None), ("simulated_535", None), ("simulated_8240", None)],
+)
+def test_real_logs_are_left_alone_and_their_mistakes_found(shared_data, name, robot):
+    log = load(shared_data(name), robot=robot)
+    assert not checks(log)
+    log = log.replace(true_poses=None)
+    assert "bearing sign" in checks(bearings(log, lambda b: -b))
+    assert "axes swapped" in checks(bearings(log, lambda b: np.pi / 2 - b))
+
+
+def precise(late=0.0):
+    """A log without noise whose robot meanders, with sightings whose clock is late."""
+    t = np.arange(0, 120, 0.05)
+    u = np.column_stack([0.5 + 0 * t, 0.6 * np.sin(t / 2)])
+    path = MotionModel().dead_reckoning(np.zeros(3), u[:-1], np.diff(t))
+    rng = np.random.default_rng(0)
+    marks = rng.uniform(path[:, :2].min() - 3, path[:, :2].max() + 3, (30, 2))
+    at, ids, rows = [], [], []
+    for k in range(0, len(t) - 40, 5):
+        d = marks - path[k, :2]
+        for j in np.flatnonzero(np.hypot(*d.T) < 4):
+            at.append(t[k] + late)
+            ids.append(j)
+            rows.append((np.hypot(*d[j]), np.arctan2(d[j, 1], d[j, 0]) - path[k, 2]))
+    return synchronize(Stream(t, u), Stream(np.array(at), np.array(rows)), np.array(ids))
+
+
+def test_a_clock_that_is_late_is_found():
+    assert not checks(precise())
+    (finding,) = check_log(precise(1.2))
+    assert finding.check == "clock"
+    assert "the clock of the sightings is about 1.2 s fast (--clocks sightings=-1.2)" in finding.message
+
+
+def test_other_units_and_directions_are_found():
+    log = precise()
+    (finding,) = check_log(log.replace(sightings=log.sightings / [0.3048, 1]))
+    assert finding.message.startswith("the ranges are in feet, against the other lengths")
+    (finding,) = check_log(bearings(log, lambda b: b - np.pi / 3))
+    assert finding.message.startswith("the sensor looks about 60 degrees to the left (--sensor-yaw 1.0472)")
+    (finding,) = check_log(bearings(log, lambda b: np.pi / 2 - b))
+    assert finding.check == "axes swapped"
+
+
+def test_truth_that_does_not_fit(sample):
+    log = load(sample_log_path())
+    assert checks(log.replace(true_poses=log.true_poses * [0.001, 0.001, 1])) == ["truth scale"]
+    assert "truth sign" in checks(log.replace(true_poses=log.true_poses * [1, -1, -1]))
+    turned = log.true_poses + [0, 0, np.pi / 2]
+    assert checks(log.replace(true_poses=turned)) == ["truth heading"]
+
+
+def test_logs_that_cannot_be_checked(sample):
+    assert not checks(sample.replace(dt=None, controls=None))
+    assert not checks(sample.replace(landmarks=np.full_like(sample.landmarks, UNIDENTIFIED)))
+    assert not checks(sample.at_steps([0]))
+    assert pairs_of(sample.at_steps([0, 1])) is None
+
+
+def test_duplicate_ids(sample):
+    other = sample.landmarks.copy()
+    other[other == 9] = 6
+    assert "duplicate ids" in checks(sample.replace(landmarks=other))
+
+
+def message(log, check):
+    (finding,) = (finding for finding in check_log(log) if finding.check == check)
+    return finding.message
+
+
+@pytest.mark.parametrize("truth", [True, False], ids=["with truth", "without"])
+@pytest.mark.parametrize("change", [lambda ids: ids + 1, lambda ids: ids + 100], ids=["by one", "new ones"])
+def test_ids_that_change_in_the_middle(own, change, truth):
+    log = own if truth else own.replace(true_poses=None)
+    ids, middle = log.landmarks.copy(), len(log.landmarks) // 2
+    ids[middle:] = change(ids[middle:])
+    found = message(log.replace(landmarks=ids), "ids change")
+    when = log.times[log.steps[middle]] - log.start_time
+    assert found.startswith(f"landmarks have other ids from about {when:.1f} s after the start on (")
+    assert found.endswith("); a detector may have counted them anew") and " becomes " in found
+
+
+def test_ids_that_are_exchanged_in_the_middle(own):
+    ids, middle = own.landmarks.copy(), len(own.landmarks) // 2
+    names = own.landmark_ids
+    ids[middle:] = np.roll(names, 5)[np.searchsorted(names, ids[middle:])]
+    found = message(own.replace(landmarks=ids, true_poses=None), "ids change")
+    assert "distances between two landmarks change" in found or " becomes " in found
+
+
+def test_ids_that_change_are_shown_by_the_true_poses():
+    log = simulate(seed=0)
+    ids, middle, names = log.landmarks.copy(), len(log.landmarks) // 2, log.landmark_ids
+    ids[middle:] = np.roll(names, 1)[np.searchsorted(names, ids[middle:])]
+    found = message(log.replace(landmarks=ids), "ids change")
+    assert "(seen from the true poses 6 of 6 landmarks are elsewhere)" in found
+
+
+TRUTH = {
+    "x and y of the truth are swapped: read like this, the robot looks where it drives": lambda x: x[:, [1, 0, 2]],
+    "x of the truth has the wrong sign: read like this, the robot looks where it drives": lambda x: x * [-1, 1, 1],
+    "y of the truth has the wrong sign: read like this, the robot looks where it drives": lambda x: x * [1, -1, 1],
+    "the true path turns the other way than the odometry: x and y of the truth may be swapped, or one of them or of the turn "
+    "rates have the wrong sign": lambda x: x[:, [1, 0, 2]] * [1, 1, np.nan],
+}
+
+
+@pytest.mark.parametrize("expected", TRUTH, ids=["swapped", "x", "y", "without headings"])
+def test_truth_that_is_mirrored(own, expected):
+    for log in (own, simulate(seed=1)):
+        assert message(log.replace(true_poses=TRUTH[expected](log.true_poses)), "truth mirrored") == expected
+
+
+def test_truth_whose_headings_mean_nothing():
+    log = load(sample_log_path())
+    log = log.replace(true_poses=log.true_poses * [1, 1, np.rad2deg(1)])
+    assert "have nothing to do with the direction of driving" in message(log, "truth heading")
+
+
+def test_a_map_that_does_not_belong_to_the_log(own):
+    true = own.true_landmarks
+    assert message(own.replace(true_landmarks={j + 500: m for j, m in true.items()}), "map ids") == (
+        "none of the 14 landmarks that are seen (1, 2, 3, ...) is among the 14 of the true map (501, 502, 503, ...); the ids "
+        "of one of them may be of another list or column"
+    )
+    found = message(own.replace(true_landmarks={j: 1000 * m for j, m in true.items()}), "map")
+    assert found.endswith(" times as large: it may be in another unit")
+    assert "mirror image of what is seen" in message(
+        own.replace(true_landmarks={j: m[::-1] for j, m in true.items()}), "map mirrored"
+    )
+    shifted = own.replace(true_landmarks=dict(zip(true, np.roll(list(true.values()), 1, axis=0))))
+    assert "its ids may belong to other landmarks" in message(shifted, "map")
+    exchanged = np.random.default_rng(0).permutation(list(true.values()))
+    log = own.replace(true_landmarks=dict(zip(true, exchanged)), true_poses=None)
+    assert "the ids of the map may belong to other landmarks" in message(log, "map")
+    assert not checks(own.replace(true_landmarks={j: true[j] for j in list(true)[:3]}))
+
+
+def test_landmarks_that_are_seen_once(sample):
+    one = sample.replace(steps=[5], landmarks=[7], sightings=[[1.0, 0.2]])
+    assert message(one, "seen once") == (
+        "the only sighting is of landmark 7, so that nothing corrects the odometry; rows may be missing, or clocks differ"
+    )
+    two = sample.replace(steps=[5, 9], landmarks=[7, 8], sightings=[[1.0, 0.2], [1.0, 0.2]])
+    assert "the 2 sightings are of 2 landmarks" in message(two, "seen once")
+
+
+def test_turn_rates_in_degrees_of_a_robot_that_turns_slowly():
+    """2 m/s and 4 degrees/s: read as radians, half a second between sightings seems to be a turn of 2 rad."""
+    rng = np.random.default_rng(1)
+    times = 0.05 * np.arange(1200)
+    headings = 0.07 * times
+    places = np.cumsum(0.1 * np.column_stack([np.cos(headings), np.sin(headings)]), axis=0)
+    marks = places[::60] + rng.uniform(-15, 15, (20, 2))
+    rows = []
+    for k in range(0, 1200, 10):
+        ahead = marks - places[k]
+        distance, bearing = np.hypot(*ahead.T), wrap(np.arctan2(ahead[:, 1], ahead[:, 0]) - headings[k])
+        rows += [(times[k], j, distance[j], bearing[j]) for j in np.flatnonzero((distance < 25) & (abs(bearing) < 1.2))]
+    seen = np.array(rows)
+    for factor, expected in ((1.0, []), (180 / np.pi, ["turn rate unit"])):
+        odometry = Stream(times, np.tile([2.0, 0.07 * factor], (1200, 1)))
+        log = synchronize(odometry, Stream(seen[:, 0], seen[:, 2:]), seen[:, 1].astype(int))
+        assert [check for check in checks(log) if check != "landmark seen once"] == expected
+
+
+def test_a_range_that_means_nothing_measured_is_told(sample):
+    sightings = sample.sightings.copy()
+    sightings[[3, 40, 77], 0] = 65.535
+    findings = {finding.check: finding.message for finding in check_log(sample.replace(sightings=sightings))}
+    assert "3 sightings have the same range of 65.535 m" in findings["range without measurement"]
+    # a single far sighting, or a range that repeats among others, is none
+    sightings[[40, 77], 0] = sample.sightings[[40, 77], 0]
+    assert "range without measurement" not in checks(sample.replace(sightings=sightings))
+    rounded = np.round(sample.sightings, 0) + [1, 0, 0]
+    assert "range without measurement" not in checks(sample.replace(sightings=rounded))
+
+
+@pytest.mark.parametrize("share", [0.01, 0.02, 0.05, 0.1])
+def test_single_misread_ids_are_counted(share):
+    """The sentence says how many at least, and not that a detector counted the landmarks anew."""
+    log, rng = load(sample_log_path()), np.random.default_rng(0)
+    ids, names = log.landmarks.copy(), log.landmark_ids
+    wrong = np.flatnonzero(rng.random(len(ids)) < share)
+    ids[wrong] = names[(np.searchsorted(names, ids[wrong]) + rng.integers(1, len(names), len(wrong))) % len(names)]
+    findings = {finding.check: finding.message for finding in check_log(log.replace(landmarks=ids))}
+    assert set(findings) == {"misread ids"}
+    count, total = map(int, re.match(r"at least (\d+) of (\d+) sighting", findings["misread ids"]).groups())
+    assert total == len(ids) and 0.6 * len(wrong) <= count <= len(wrong) + 1
+    assert "single ids are probably misread" in findings["misread ids"]
+    assert not checks(log)
+
+
+def test_ids_that_change_are_told_among_misread_ones(own):
+    rng, ids, middle = np.random.default_rng(0), own.landmarks + 0, len(own.landmarks) // 2
+    ids[middle:] += 100
+    wrong = np.flatnonzero(rng.random(len(ids)) < 0.03)
+    ids[wrong] = rng.permutation(ids)[: len(wrong)]
+    assert "counted them anew" in message(own.replace(landmarks=ids, true_poses=None), "ids change")
