@@ -104,7 +104,7 @@ def state_of(solver: OnlineSolver) -> tuple[Any, ...]:
 def parts_of(solver: OnlineSolver) -> list[np.ndarray]:
     """Arrays of what `PARTS` names."""
     landmarks = solver.landmarks
-    places = np.array(list(landmarks.values())).reshape(len(landmarks), -1)
+    places = np.array(list(landmarks.values()))
     try:
         covariance = solver.covariance()
     except GraphError:  # singular to double precision
