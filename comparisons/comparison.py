@@ -267,8 +267,8 @@ class Comparison(Displayed):
         elif ratio > DOUBTFUL:
             yield Finding(
                 "wrong sightings",
-                f"{told}: the noise models fit most sightings, and some sightings are wrong, such as by misread ids. A noise "
-                "file does not correct ids; --noise auto does",
+                f"{told}: the noise models fit most sightings, and some sightings are wrong"
+                + ("" if self.options.check_ids else ", such as by misread ids, which --check-ids corrects"),
             )
 
     @property

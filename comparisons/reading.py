@@ -27,7 +27,7 @@ from graphslam.calibration import Calibration
 from graphslam.calibration.unidentified import robot_of
 from graphslam.errors import quoted
 from graphslam.files import check_file
-from graphslam.identification.robot import enough_ids, known_robot, with_checked_ids
+from graphslam.identification.robot import enough_ids, estimate_robot, known_robot, with_checked_ids
 from graphslam.keyframes import with_poses_every
 from graphslam.landmark_map import as_map
 from graphslam.localization import in_frame_of
@@ -40,6 +40,8 @@ from .options import AUTO, BOOK, CalibrationOptions, LogOptions, MapOptions, Noi
 
 Given = TypeVar("Given", bound=LogOptions)
 
+#: a noise file does not fit a log that shows biases of so many standard errors after its corrections
+DIFFERENT = 6.0
 #: options that only a file or folder has; a `Log` has been read already
 OF_FILES = ("format", "robot", "strict")
 
@@ -74,6 +76,12 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
     of_file = options.noise not in (None, AUTO, BOOK)
     if check_ids := (of_file if options.check_ids is None else options.check_ids) and found is None:
         data = _with_checked_ids(data, motion, sensor)
+    if options.check_ids is False and found is not None:
+        raise OptionError(
+            "the estimate from the log always checks ids; without it, name the noise (--noise FILE, --noise book)"
+        )
+    if of_file and data.controls is not None:
+        data = _with_doubted_biases(data, sensor)
     if options.max_range is not None:
         # what is farther away has been left out, so that the sensor does not see it
         sensor = replace(sensor, max_range=min(sensor.max_range, options.max_range))
@@ -130,8 +138,26 @@ def _with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log
     """The log of a robot that is known from a noise file, with misread ids corrected."""
     try:
         return with_checked_ids(log, motion, sensor)
-    except GraphError as error:
+    except (GraphError, LogError) as error:
         return log.replace(notes=(*log.notes, f"the ids were not checked: {error}"))
+
+
+def _with_doubted_biases(log: Log, sensor: SensorModel) -> Log:
+    """The log, corrected by a noise file, with a doubt where it shows biases all the same."""
+    try:
+        p = estimate_robot(log, sensor=sensor).parameters
+    except (GraphError, LogError):
+        # a short log does not tell biases
+        return log
+    away = zip(p.names, p.values.tolist())
+    left = [name for name, value in away if abs(value - p.priors[name][0]) > DIFFERENT * p.deviations[name]]
+    if not left:
+        return log
+    doubt = (
+        f"the noise file does not fit this log, which shows {p.sentence_of(left)} after its corrections. Is the file of "
+        "another robot, or has the robot changed? Compare with --noise auto"
+    )
+    return log.replace(doubts=(*log.doubts, ("another robot's noise", doubt)))
 
 
 def _gives_noise(options: LogOptions) -> bool:

@@ -114,7 +114,9 @@ def _parameter(option: Option) -> inspect.Parameter:
     """The option as a parameter that typer understands; its default None stands for the option's own."""
     # several values are one word with commas
     kind: Any = option.each if option.kind in (str, int, float, bool) else str
-    flag = f"{option.flag}/--no-{option.flag[2:]}" if option.kind is bool and option.default else option.flag
+    flag = (
+        f"{option.flag}/--no-{option.flag[2:]}" if option.kind is bool and option.default is not False else option.flag
+    )
     flags = [flag, *([f"--{option.alias}"] if option.alias else [])]
     first, dot, more = option.help.removesuffix(".").partition(". ")
     text = first + (f" [{option.unit}]" if option.unit else "") + f"{dot}{more}."

@@ -81,13 +81,15 @@ class RobotEstimate:
         )
         lines = [f"noise estimated from this log: {noise or 'it tells no value, so that typical ones are taken'}"]
         if self.inflation > 1 and noise:
-            lines[0] += f"; that of the sensor is {self.inflation**0.5:.1f} times that of a single sighting"
+            lines[0] += (
+                f" (standard deviations; those of the sensor {self.inflation**0.5:.1f} times those of single sightings)"
+            )
         p = self.parameters
         told = [name for name in p.names if p.deviations[name] < TOLD * p.priors[name][1]]
         if told:
             lines.append(f"biases estimated from this log: {p.sentence_of(told)}")
         if untold := [name for name in p.names if name not in told]:
-            lines.append(f"of {', '.join(untold)} the log tells little more than that usual robots have hardly any")
+            lines.append(f"the log hardly tells {', '.join(untold)}: {p.sentence_of(untold)}")
         return (*lines, *self.remarks)
 
     @property
@@ -124,7 +126,7 @@ class RobotEstimate:
     def remarks(self) -> tuple[str, ...]:
         """What was found beside noise and biases, one sentence each."""
         lines = [
-            f"nothing in the log shows a bias of the {kind}: {', '.join(names)} keep their ideal values"
+            f"the log does not show a bias of the {kind} beside its noise: {', '.join(names)} keep their ideal values"
             for kind, names in KINDS.items()
             if not set(names) & set(self.parameters.names)
         ]
@@ -143,7 +145,7 @@ class RobotEstimate:
         if self.inflation > 1:
             span = LAGS[int(np.count_nonzero(self.correlations))]
             lines.append(
-                f"errors of successive sightings of a landmark are correlated over up to {span:g} s, so {self.inflation:.1f} "
-                "sightings count as one"
+                f"errors of successive sightings of a landmark are correlated over up to {span:g} s; with errors that "
+                f"landmarks have in common, {self.inflation:.1f} sightings count as one"
             )
         return tuple(lines)

@@ -29,7 +29,7 @@ from ..models import MotionModel, SensorModel
 from ..parameters.corrections import corrected_log
 from ..parameters.declared import ParameterEstimate
 from .restricted_likelihood import improve_variances, log_likelihood
-from .result import KINDS, RobotEstimate
+from .result import KINDS, MANY_MISREAD, RobotEstimate
 from .sighting_errors import LAGS, SHORT, Ids, checked_ids, correlations, inflation, smoothed
 from .unknowns import Unknowns
 
@@ -188,23 +188,29 @@ def with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel, *, seed
     """The log of a robot that is known, with the ids that contradict their place replaced or left out, and a note.
 
     Args:
-        log: without biases. Where it has too few sightings with ids to judge them, it stays as it is.
+        log: without biases.
         motion, sensor: the noise.
         seed: of the random signs with which covariances of predictions are estimated.
 
     Raises:
-        GraphError: the sightings do not determine the poses.
+        LogError: the log has too few sightings with ids, or no controls.
+        GraphError: the sightings do not determine the poses, or so many ids contradict that the noise is probably wrong.
     """
-    try:
-        _check(log)
-    except LogError:
-        return log
+    count = np.count_nonzero(log.landmarks != UNIDENTIFIED)
+    if log.controls is None or count < FEWEST["sightings"] or log.num_poses < FEWEST["poses"]:
+        raise LogError(
+            f"{log.name} has {count} sightings with ids from {log.num_poses} poses; that takes odometry, "
+            f"{FEWEST['sightings']} sightings and {FEWEST['poses']} poses"
+        )
     try:
         ids = _with_ids(log, sensor, np.random.default_rng(seed), motion)[2].within(log.landmarks)
     except np.linalg.LinAlgError:
+        raise GraphError(f"{log.name}: the sightings do not determine the poses") from None
+    if ids.share > MANY_MISREAD:
         raise GraphError(
-            f"{log.name}: the sightings do not determine the poses, so that no id can be checked"
-        ) from None
+            f"{ids.share:.0%} of the sightings contradict their id by this noise, more than sensors misread; is it the noise "
+            "of this robot?"
+        )
     return log if ids.sentence is None else ids.correct(log).replace(notes=(*log.notes, ids.sentence))
 
 

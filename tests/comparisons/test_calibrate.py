@@ -25,6 +25,7 @@ from graphslam import (
     Log,
     LogError,
     MotionModel,
+    OptionError,
     SensorModel,
     estimate_robot,
     load,
@@ -326,3 +327,31 @@ def test_a_noise_file_of_the_robot_corrects_misread_ids(tmp_path: Path) -> None:
         log, estimators=["graph"], **{n: v for n, v in read_config(files["config"]).items() if n != "estimators"}
     )
     np.testing.assert_array_equal(again["graph"].poses, with_file["graph"].poses)
+
+
+def test_a_noise_file_with_wrong_biases_is_doubted(tmp_path: Path) -> None:
+    log = Drive(seed=5, duration=150.0, landmarks=20).simulate()[0]
+    right = Calibration.of(estimate_robot(log))
+    for scale, doubted in ((1.0, False), (1.03, True)):
+        write_noise(replace(right, wheel_scale=scale * right.wheel_scale), tmp_path / "noise.toml", "drive")
+        found = run(log, estimators=["graph"], noise=tmp_path / "noise.toml").findings
+        assert any("does not fit this log" in each.message for each in found) is doubted
+
+
+def test_ids_that_are_not_checked(invoke: Invoke, tmp_path: Path) -> None:
+    log = Drive(seed=5, duration=150.0, landmarks=20, misread=0.08).simulate()[0]
+    write_noise(Calibration.of(estimate_robot(log)), tmp_path / "noise.toml", "drive")
+    save(log, tmp_path / "log.npz")
+    plain = invoke("run", str(tmp_path / "log.npz"), "--estimators", "graph", "--noise", str(tmp_path / "noise.toml"),
+                   "--no-check-ids", "--out", str(tmp_path / "a"))  # fmt: skip
+    assert plain.exit_code == 0, plain.output
+    assert "contradict their id" not in plain.output
+    few = prepare(log.with_sightings(np.arange(40)), RunOptions.of(noise=tmp_path / "noise.toml"))[0]
+    assert any("the ids were not checked" in note for note in few.notes)
+    wrong = log.replace(landmarks=np.random.default_rng(0).permutation(log.landmarks))
+    assert any(
+        "more than sensors misread" in note
+        for note in prepare(wrong, RunOptions.of(noise=tmp_path / "noise.toml"))[0].notes
+    )
+    with pytest.raises(OptionError, match="always checks ids"):
+        run(log, estimators=["graph"], check_ids=False)
