@@ -244,13 +244,14 @@ class Comparison(Displayed):
         return (*check_log(self.log), *doubts, *self._noise_findings())
 
     def _noise_findings(self) -> Iterator[Finding]:
-        """Noise that was given, such as that of another robot, and is less than this log shows.
+        """Noise that was given, such as that of another robot, or estimated, and is less than this log shows.
 
         On 29 drives (`Drive.random`, seeds 1000 to 1029, at most 150 s) all ratios are at most 1.3 with the noise estimated
         from the drive. With half the noise of the sensor one is above 2 on 15 of the 16 whose errors are not correlated; J
         does not show it where they are.
         """
-        if not {"given", "log", "file"} & set(self.noise_source.values()) or self.noise_ratio is None:
+        sources = {"given", "log", "file", "estimated"} & set(self.noise_source.values())
+        if not sources or self.noise_ratio is None:
             return
         name, ratio = self.noise_ratio
         medians = typical_costs(self[name])
@@ -259,16 +260,27 @@ class Comparison(Displayed):
             shown = " and ".join(f"{value:.1f} for {each}" for each, value in medians.items())
             told += f"; in the median it is {shown}"
         if max(medians.values(), default=ratio) > DOUBTFUL:
+            whose = (
+                "that of odometry and that of sightings cannot both be right" if len(medians) > 1 else "it is too small"
+            )
             yield Finding(
                 "too little noise",
-                f"the noise models say less noise than this log shows: {told}. Do they belong to another robot, or are "
-                "sightings wrong? Compare with --noise auto",
+                f"the noise models say less noise than this log shows, so that {whose}: {told}. "
+                + (
+                    "Does the robot slip, or are the sightings of several landmarks wrong together?"
+                    if sources == {"estimated"}
+                    else "Do they belong to another robot, or are sightings wrong? Compare with --noise auto"
+                ),
             )
         elif ratio > DOUBTFUL:
             yield Finding(
                 "wrong sightings",
                 f"{told}: the noise models fit most sightings, and some sightings are wrong"
-                + ("" if self.options.check_ids else ", such as by misread ids, which --check-ids corrects"),
+                + (
+                    ""
+                    if self.options.check_ids or sources == {"estimated"}
+                    else ", such as by misread ids, which --check-ids corrects"
+                ),
             )
 
     @property

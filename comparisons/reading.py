@@ -27,7 +27,7 @@ from graphslam.calibration import Calibration
 from graphslam.calibration.unidentified import robot_of
 from graphslam.errors import quoted
 from graphslam.files import check_file
-from graphslam.identification.robot import enough_ids, estimate_robot, known_robot, with_checked_ids
+from graphslam.identification.robot import enough_ids, estimate_robot, known_robot, unknown_noise, with_checked_ids
 from graphslam.keyframes import with_poses_every
 from graphslam.landmark_map import as_map
 from graphslam.localization import in_frame_of
@@ -42,6 +42,11 @@ Given = TypeVar("Given", bound=LogOptions)
 
 #: a noise file does not fit a log that shows biases of so many standard errors after its corrections
 DIFFERENT = 6.0
+#: where noise options are given for a log whose noise is not known
+NOT_ESTIMATED = (
+    "noise options are given, so that no noise and no biases are estimated from this log; with --noise auto, all that is not "
+    "given is"
+)
 #: options that only a file or folder has; a `Log` has been read already
 OF_FILES = ("format", "robot", "strict")
 
@@ -81,7 +86,7 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
             "the estimate from the log always checks ids; without it, name the noise (--noise FILE, --noise book)"
         )
     if of_file and data.controls is not None:
-        data = _with_doubted_biases(data, sensor)
+        data = _compared_with_estimate(data, motion, sensor)
     if options.max_range is not None:
         # what is farther away has been left out, so that the sensor does not see it
         sensor = replace(sensor, max_range=min(sensor.max_range, options.max_range))
@@ -117,7 +122,7 @@ def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], C
             of_file = of_sensor_alone(of_file)
         return log.replace(motion=motion, sensor=sensor), values | of_file, None
     if options.noise is None and _gives_noise(options):
-        return log, values, None
+        return (log.replace(notes=(*log.notes, NOT_ESTIMATED)) if unknown_noise(log) else log), values, None
     try:
         if options.noise == AUTO and not enough_ids(log):
             # the models of the options have the place of the sensor
@@ -142,13 +147,16 @@ def _with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log
         return log.replace(notes=(*log.notes, f"the ids were not checked: {error}"))
 
 
-def _with_doubted_biases(log: Log, sensor: SensorModel) -> Log:
-    """The log, corrected by a noise file, with a doubt where it shows biases all the same."""
+def _compared_with_estimate(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:
+    """The log, corrected by a noise file, with a note of how well this predicts, and a doubt where it shows biases."""
     try:
-        p = estimate_robot(log, sensor=sensor).parameters
+        found = estimate_robot(log, sensor=sensor, given=(motion, sensor))
     except (GraphError, LogError):
-        # a short log does not tell biases
+        # a short log does not tell its noise
         return log
+    if found.left_out.sentence is not None:
+        log = log.replace(notes=(*log.notes, found.left_out.sentence))
+    p = found.parameters
     away = zip(p.names, p.values.tolist())
     left = [name for name, value in away if abs(value - p.priors[name][0]) > DIFFERENT * p.deviations[name]]
     if not left:

@@ -97,7 +97,7 @@ class Odometry:
             at, motions, slopes = self._evaluated
             return motions + slopes @ (parameters.values - at), slopes
         everything = replace(parameters, recorded=self.log)
-        self._evaluated = (parameters.values, *motion_slopes(everything, corrected_controls(everything)))
+        self._evaluated = (parameters.values, *motion_slopes(everything, corrected_controls(everything), smooth=True))
         return self._evaluated[1:]
 
 

@@ -10,6 +10,7 @@ from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..parameters.declared import ParameterEstimate
 from ..se2 import Array
+from .left_out import LeftOut
 from .sighting_errors import LAGS, Ids
 
 #: the biases of odometry and sensor
@@ -17,6 +18,10 @@ KINDS = {
     "odometry": ("wheel_scale", "turn_scale", "turn_rate_bias", "curvature_bias"),
     "sensor": ("range_bias", "bearing_bias", "sensor_ahead", "sensor_left", "sensor_delay"),
 }
+#: what predicts sightings that are left out, as `LeftOut` names it
+ESTIMATE, DEAD_RECKONING, BOOK_NOISE, GIVEN_NOISE = (
+    "the estimate from this log", "dead reckoning", "the book's noise", "the given noise"
+)  # fmt: skip
 #: a log tells a bias where its standard deviation is below so many times that of the prior
 TOLD = 0.7
 #: an estimate is doubtful with fewer sightings than this, with more than this part of the ids wrong, and with a bias that is
@@ -57,6 +62,9 @@ class RobotEstimate:
         correlations: (B,) of the errors of one landmark over the lags between `LAGS`.
         inflation: the factor on the variances of the sensor with which its errors count as independent; 1: they are.
         nearly_exact: whether nothing in the log speaks against exact odometry, whose noise is then a part of its estimate.
+        left_out: how well this estimate, dead reckoning and the noise of the book (or noise that was given) predict
+            sightings that are left out.
+        basis: whose noise the result has: that of the estimate, or of one of the other two where this is clearly better.
     """
 
     log: Log
@@ -68,6 +76,8 @@ class RobotEstimate:
     correlations: Array
     inflation: float
     nearly_exact: bool
+    left_out: LeftOut
+    basis: str = ESTIMATE
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -75,6 +85,9 @@ class RobotEstimate:
     @property
     def sentences(self) -> tuple[str, ...]:
         """What was found, for the notes of a table."""
+        if self.basis in (BOOK_NOISE, GIVEN_NOISE):
+            taken = f"{self.basis} is taken, because it predicts sightings better than an estimate from this log"
+            return tuple(each for each in (taken, self.left_out.sentence, self.ids.sentence) if each is not None)
         values = vars(self.motion) | {n: v for n, v in vars(self.sensor).items() if n not in SensorModel.GEOMETRY}
         noise = ", ".join(
             f"{name} {values[name]:.2g} +- {100 * error:.0f} %" for name, error in self.errors.items() if error < 1
@@ -130,9 +143,15 @@ class RobotEstimate:
             for kind, names in KINDS.items()
             if not set(names) & set(self.parameters.names)
         ]
-        if self.nearly_exact:
+        if self.left_out.sentence is not None:
+            lines.append(self.left_out.sentence)
+        if self.basis == DEAD_RECKONING:
             lines.append(
-                "the log does not show that the odometry is noisy: the noise of the motion was reduced to a quarter of its "
+                "dead reckoning predicts them as well or better: the odometry is taken as it is, with hardly any noise"
+            )
+        elif self.nearly_exact:
+            lines.append(
+                "the log does not show that the odometry is noisy: the noise of the motion was reduced to a third of its "
                 "estimate"
             )
         nameless = np.count_nonzero(~self.ids.identified)

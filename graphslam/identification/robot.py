@@ -10,7 +10,9 @@ biases, and the sightings that contradict their episode. Then:
 3. the noise again from few sightings of each landmark, so far apart that their errors are hardly correlated, and whether
    there are biases and noise of the odometry at all; from all other sightings the correlation of the errors, and from this
    how much a sighting counts;
-4. the noise once more from as many sightings as are nearly independent.
+4. this estimate, dead reckoning and the noise of the book (or noise that was given) predict sightings that are left out
+   (`left_out`), and the best of the three counts;
+5. the noise once more from as many sightings as are nearly independent.
 
 The second-order theory is that of `identification.unknowns` and `identification.restricted_likelihood`.
 """
@@ -28,10 +30,11 @@ from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from ..parameters.corrections import corrected_log
 from ..parameters.declared import ParameterEstimate
+from .left_out import LeftOut, left_out
 from .restricted_likelihood import improve_variances, log_likelihood
-from .result import KINDS, MANY_MISREAD, RobotEstimate
+from .result import BOOK_NOISE, DEAD_RECKONING, ESTIMATE, GIVEN_NOISE, KINDS, MANY_MISREAD, RobotEstimate
 from .sighting_errors import LAGS, SHORT, Ids, checked_ids, correlations, inflation, smoothed
-from .unknowns import Unknowns
+from .unknowns import HELD, Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
 PAUSES = (2.0, 10.0)
@@ -54,6 +57,10 @@ CONVINCING = 1.0
 #: below this gain of the log likelihood, divided by the sightings that count as one, odometry counts as nearly exact; and the
 #: seconds for one sighting of each landmark in the second test
 NEEDED, MORE = 8.0, 1.0
+#: dead reckoning has this part of the standard deviations of typical noise; where the estimate makes the sightings that are
+#: left out less than exp(`NEEDED`) times as probable, odometry counts as nearly exact, and another candidate is taken where
+#: it makes them more than exp(`CLEARLY`) times as probable
+HARDLY_ANY, CLEARLY = 1 / 100, 2.0
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = {"sightings": 60, "poses": 20}
 #: of longer logs only so many sightings are used at once where this is enough, and so many for correlations
@@ -102,12 +109,22 @@ def enough_ids(log: Log) -> bool:
     return bool(log.identified or np.count_nonzero(log.landmarks != UNIDENTIFIED) >= FEWEST["sightings"])
 
 
-def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0) -> RobotEstimate:
+def estimate_robot(
+    log: Log,
+    *,
+    sensor: SensorModel | None = None,
+    given: tuple[MotionModel, SensorModel] | None = None,
+    seed: int = 0,
+) -> RobotEstimate:
     """Estimate noise, biases and misread ids of a log from nothing but its odometry and its sightings.
+
+    The estimate is compared with dead reckoning and with the noise of the book: which predicts sightings best that are left
+    out (`RobotEstimate.left_out`)? The best counts.
 
     Args:
         log: with controls and ids. Sightings without an id are corrected like the others, but not used.
         sensor: where the sensor is believed to be, and what it can see; default: that of the log, else at the robot's pose.
+        given: noise to compare with in place of the book's.
         seed: of the random signs with which covariances of predictions are estimated.
 
     Raises:
@@ -119,12 +136,14 @@ def estimate_robot(log: Log, *, sensor: SensorModel | None = None, seed: int = 0
     check_count(seed=seed)
     _check(log)
     try:
-        return _estimate(log, sensor or log.sensor or SensorModel(), np.random.default_rng(seed))
+        return _estimate(log, sensor or log.sensor or SensorModel(), given, np.random.default_rng(seed))
     except np.linalg.LinAlgError:
         raise GraphError(f"{log.name}: the sightings do not determine noise and biases together") from None
 
 
-def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotEstimate:
+def _estimate(
+    log: Log, sensor: SensorModel, given: tuple[MotionModel, SensorModel] | None, rng: np.random.Generator
+) -> RobotEstimate:
     """`estimate_robot` for a log that has enough."""
     drive, first, ids = _with_ids(log, sensor, rng)
     named = ids.correct(drive)
@@ -133,8 +152,23 @@ def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotE
     second = _joined(sparse, sensor, first, ROUNDS[2])[0]
     exact = _fitted(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
     held, held_with_exact = _hold_needless(second), _hold_needless(exact)
-    if nearly_exact := _is_exact(named, sparse, used, second, exact, rng):
-        second, held = exact, held_with_exact
+    place = {name: getattr(sensor, name) for name in SensorModel.GEOMETRY}
+    other = (GIVEN_NOISE, given) if given else (BOOK_NOISE, (MotionModel(), SensorModel(**place)))
+    dead_reckoning = _fitted(_with_dead_reckoning(second), ROUNDS[2])[0]
+    compared = _compared(sparse, second, dead_reckoning, *other, rng)
+    nearly_exact = _is_exact(named, sparse, used, second, exact, rng)
+    if nearly_exact or (compared.count and compared.gain(ESTIMATE, DEAD_RECKONING) < NEEDED):
+        nearly_exact, second, held = True, exact, held_with_exact
+        compared = _compared(sparse, second, dead_reckoning, *other, rng)
+    basis = compared.best if compared.gain(compared.best, ESTIMATE) > CLEARLY else ESTIMATE
+    if compared.count and set(KINDS["odometry"]) <= set(held) and compared.gain(ESTIMATE, DEAD_RECKONING) < CLEARLY:
+        # a robot whose odometry shows neither biases nor noise
+        basis = DEAD_RECKONING
+    if basis == other[0]:
+        return _known(log, ids, *other, compared)
+    if basis == DEAD_RECKONING:
+        second = dead_reckoning
+        held = dict.fromkeys(KINDS["odometry"], HELD) | held
     rho = _correlations(named, sparse, used, second, rng)
     factor = COMMON * inflation(named, rho) if rho[:SHORT].max() >= HARDLY else 1.0
     if factor > 1:
@@ -165,8 +199,44 @@ def _estimate(log: Log, sensor: SensorModel, rng: np.random.Generator) -> RobotE
     )  # fmt: skip
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, ids=ids, correlations=rho,
-        inflation=factor, nearly_exact=nearly_exact,
+        inflation=factor, nearly_exact=nearly_exact, left_out=compared,
+        basis=basis,
     )  # fmt: skip
+
+
+def _known(log: Log, ids: Ids, basis: str, noise: tuple[MotionModel, SensorModel], compared: LeftOut) -> RobotEstimate:
+    """The result where other noise than the estimated one predicts sightings best that are left out."""
+    nothing, (motion, sensor) = ParameterEstimate((), np.zeros(0), np.zeros((0, 0)), {}), noise
+    return RobotEstimate(
+        log=ids.correct(log).replace(motion=motion, sensor=sensor), motion=motion, sensor=sensor, parameters=nothing,
+        errors={}, ids=ids, correlations=np.zeros(len(LAGS) - 1), inflation=1.0, nearly_exact=False, left_out=compared,
+        basis=basis,
+    )  # fmt: skip
+
+
+def _compared(
+    sparse: Log,
+    fitted: Unknowns,
+    dead_reckoning: Unknowns,
+    name: str,
+    noise: tuple[MotionModel, SensorModel],
+    rng: np.random.Generator,
+) -> LeftOut:
+    """How well the estimate, dead reckoning and other noise predict sightings of a log that are left out."""
+    other = Unknowns(sparse, sparse.landmarks, fitted.sensor, fitted)
+    other.hold_noise(*noise)
+    return left_out(sparse, {ESTIMATE: fitted, DEAD_RECKONING: dead_reckoning, name: other}, rng)
+
+
+def _with_dead_reckoning(fitted: Unknowns) -> Unknowns:
+    """The same problem with recorded odometry that has `HARDLY_ANY` noise, and its trajectory."""
+    exact = fitted.with_nearly_exact_odometry()
+    exact.logarithms |= {name: exact.centres[name] + 2 * float(np.log(HARDLY_ANY)) for name in exact.motion_parts}
+    exact.hold(KINDS["odometry"])
+    exact.take_noise()
+    poses = exact.dead_reckoning()
+    exact.state = np.concatenate([poses, exact.places(poses)])
+    return exact
 
 
 def _with_ids(

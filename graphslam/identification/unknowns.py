@@ -55,7 +55,7 @@ SPREAD = 5.0
 #: the most that the logarithm of a variance changes in one step
 LONGEST = 1.5
 #: the variance of a motion in every direction [m², rad²], because A M A' has rank 2
-LEAST_MOTION = 1e-8
+LEAST_MOTION = 1e-9
 #: motion without noise of its own
 STILL = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0, epsilon=LEAST_MOTION)
 #: degrees of freedom of Student's t: of sightings, among which some are wrong, and of motions
@@ -64,7 +64,7 @@ DEGREES_SIGHTINGS, DEGREES_MOTIONS = 4.0, 8.0
 #: E[(nu + d) q / (nu s² + q)] = d, q chi-squared with d degrees of freedom; of sightings by d, and of motions
 OF_GAUSSIAN_SIGHTINGS, OF_GAUSSIAN_MOTIONS = {2: 0.7267, 3: 0.7559}, 0.8389
 #: where nothing speaks against exact odometry, its noise has this part of the estimate (docs/decisions.md)
-EXACT = 1 / 4
+EXACT = 1 / 3
 #: what counts as no variance
 LEAST_VARIANCE = 1e-14
 #: the standard deviation of the prior of a parameter that is held
@@ -119,7 +119,7 @@ class Unknowns:
             self.logarithms = {name: start.logarithms[name] for name in self.centres}
             poses = start.poses_of(log, self.odometry)
         self.longest, self.last_change = np.full(len(self.centres), LONGEST), np.zeros(len(self.centres))
-        self.state: Array = np.concatenate([poses, self._places(poses, group)])
+        self.state: Array = np.concatenate([poses, self.places(poses)])
         #: the names of variances that keep their values
         self.held_variances: frozenset[str] = frozenset() if start is None else start.held_variances
         #: tr(W F) of motions and sightings, see `Edges.weigh`; `hide` sets it
@@ -229,9 +229,9 @@ class Unknowns:
         after = np.minimum(before + 1, self.poses - 1)
         return interpolate(compose(starts[before], there), compose(starts[after], there), number - before)
 
-    def _places(self, poses: Array, group: np.ndarray) -> Array:
-        """The medians (L, 3) of the places at which sightings put their landmarks."""
-        places = np.zeros((len(self.ids), 3))
+    def places(self, poses: Array) -> Array:
+        """The medians (L, 3) of the places at which sightings from poses (T+1, 3) put their landmarks."""
+        places, group = np.zeros((len(self.ids), 3)), self.seen - self.poses
         d = self.sightings.shape[1]
         each = corrected_sensor(self.parameters).h_inverse(poses[self.seen_from], self.sightings)
         order = np.argsort(group, kind="stable")

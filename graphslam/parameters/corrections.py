@@ -46,17 +46,23 @@ def control_slopes(parameters: Parameters, controls: Array) -> Array:
     return slopes
 
 
-def motion_slopes(parameters: Parameters, controls: Array, displacement: Array | None = None) -> tuple[Array, Array]:
+def motion_slopes(
+    parameters: Parameters, controls: Array, displacement: Array | None = None, *, smooth: bool = False
+) -> tuple[Array, Array]:
     """The motions (T, 3) of corrected controls, and their derivative (T, 3, K) by the parameters.
 
     Args:
         controls: (S, 2) corrected.
         displacement: (T, 2) what the wheel scale scales, in place of the motions' own displacements.
+        smooth: take `smoothed_controls` for what the scales scale. The noise of a recorded control is in the residual of its
+            motion, too. With the control as the derivative, the square of this noise makes the scale too large (on two
+            minutes of 50 Hz odometry 1.03 for 1.00); the mean over some time is an instrumental variable, which has hardly
+            any part of it.
     """
     log, motion = parameters.recorded, parameters.motion
     assert log.dt is not None
     motions, by_control = motion.accumulated_slopes(controls, log.dt, log.control_starts)
-    slopes = control_slopes(parameters, controls)
+    slopes = control_slopes(parameters, smoothed_controls(parameters) if smooth else controls)
     if "wheel_scale" in parameters.names and displacement is not None:
         slopes[:, 0, parameters.names.index("wheel_scale")] = 0.0
     by_parameter = np.add.reduceat(by_control @ slopes, log.control_starts[:-1], axis=0)
@@ -117,6 +123,16 @@ def moves(parameters: Parameters, predicted: Array, steps: np.ndarray) -> Array:
     return by
 
 
+def smoothed_controls(parameters: Parameters) -> Array:
+    """The corrected controls (S, 2), each averaged for some time before and after its middle; `_smoothing` chooses."""
+    log = parameters.recorded
+    assert log.controls is not None and log.dt is not None
+    ends = np.concatenate([[0.0], np.cumsum(log.dt)])
+    middles = (ends[:-1] + ends[1:]) / 2
+    columns = zip(corrected_controls(parameters).T, _smoothing(log.controls, ends, parameters))
+    return np.column_stack([_means(_summed(each * log.dt), ends, middles, w) for each, w in columns])
+
+
 def controls_at_steps(parameters: Parameters) -> Array:
     """The control (T+1, 2) at the time of each pose: the mean of the corrected ones for some time before and after it.
 
@@ -128,7 +144,7 @@ def controls_at_steps(parameters: Parameters) -> Array:
     ends = np.concatenate([[0.0], np.cumsum(log.dt)])
     windows = _smoothing(log.controls, ends, parameters)
     columns = zip(corrected_controls(parameters).T, windows)
-    return np.column_stack([_means(_summed(each * log.dt), ends, log.control_starts, w) for each, w in columns])
+    return np.column_stack([_means(_summed(each * log.dt), ends, ends[log.control_starts], w) for each, w in columns])
 
 
 def _smoothing(controls: Array, ends: Array, parameters: Parameters) -> list[float]:
@@ -150,11 +166,11 @@ def _smoothing(controls: Array, ends: Array, parameters: Parameters) -> list[flo
     noise = np.diagonal(parameters.motion.M(controls, log.dt, log.recorded_dt), axis1=1, axis2=2) * log.dt[:, None] ** 2
     chosen = []
     for each, variance in zip(controls.T, noise.T):
-        total, starts = _summed(each * log.dt), log.control_starts
-        shortest = _means(total, ends, starts, usual)
-        q = float(np.mean(_means(_summed(variance), ends, starts, usual))) * 2 * usual
+        total, at = _summed(each * log.dt), ends[log.control_starts]
+        shortest = _means(total, ends, at, usual)
+        q = float(np.mean(_means(_summed(variance), ends, at, usual))) * 2 * usual
         risks = [
-            np.mean((_means(total, ends, starts, w) - shortest) ** 2) + q / (2 * w * usual) - q / (4 * usual**2)
+            np.mean((_means(total, ends, at, w) - shortest) ** 2) + q / (2 * w * usual) - q / (4 * usual**2)
             for w in times
         ]
         chosen.append(times[int(np.argmin(risks))])
@@ -166,9 +182,9 @@ def _summed(values: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(values)])
 
 
-def _means(total: Array, ends: Array, starts: np.ndarray, window: float) -> Array:
-    """The mean (T+1,) within a time of each pose, from integrals ``total`` (S+1,) up to the ends (S+1,) of the controls."""
-    since, until = (np.clip(ends[starts] + w, 0.0, ends[-1]) for w in (-window, window))
+def _means(total: Array, ends: Array, times: Array, window: float) -> Array:
+    """The mean (n,) within a time of each of ``times``, from integrals ``total`` (S+1,) up to the ends (S+1,) of controls."""
+    since, until = (np.clip(times + w, 0.0, ends[-1]) for w in (-window, window))
     return (np.interp(until, ends, total) - np.interp(since, ends, total)) / (until - since)
 
 

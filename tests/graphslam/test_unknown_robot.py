@@ -48,7 +48,7 @@ from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import evaluate
 from graphslam.parameters.corrections import corrected_controls, motion_slopes, without_biases
 from graphslam.se2 import between, wrap
-from graphslam.simulation.drives import DriveTruth
+from graphslam.simulation.drives import SENSORS, DriveTruth
 from graphslam.uncertainty import Uncertainty
 
 
@@ -93,11 +93,18 @@ def test_gaussian_errors_have_a_part_of_their_variance(numbers: int, degrees: fl
 
 
 def test_implausible_estimates_are_doubted() -> None:
-    """Noise in recorded turns of 16 % of their variance: the scale that predicts best is 1.26, and that of the robot 0.99."""
-    found = estimate_robot(Drive.random(1075).simulate()[0])
+    log = warehouse()[0]
+    found = estimate_robot(log.replace(controls=log.controls * [1.0, 1.3]))
     assert any("turn_scale" in doubt for doubt in found.doubts)
     assert Calibration.of(found).doubts == found.doubts
     assert not warehouse()[2].doubts
+
+
+def test_noise_of_recorded_turns_is_not_a_scale() -> None:
+    """Single records have noise of 0.1 rad/s and the sensor hardly any; with them as the derivative the scale is 1.033."""
+    accurate = replace(SENSORS["camera"], range_rate=1e-3, range_std=1e-3, bearing_std=1e-3)
+    found = estimate_robot(Drive(seed=4006, duration=120.0, sensor=accurate).simulate()[0])
+    assert found.parameters["turn_scale"] == pytest.approx(1.0, abs=0.015)
 
 
 def test_noise_that_no_robot_has_is_doubted() -> None:
@@ -282,35 +289,6 @@ def test_landmarks_that_are_seen_once_tell_nothing() -> None:
     assert any("the noise models are the book's" in note for note in graph.log.notes)
 
 
-def accurate_drive(seed: int, correlated: float) -> Log:
-    """Two minutes with almost perfect odometry and no biases."""
-    accurate = MotionModel(nn=1e-4, no=0.0, on=1e-4, oo=1e-4, epsilon=1e-12)
-    return Drive(seed=seed, duration=120.0, motion=accurate, parameters={}, correlated=correlated).simulate()[0]
-
-
-@pytest.mark.parametrize(("seed", "correlated"), [(2002, 0.0), (2001, 0.3), (2004, 0.3)])
-def test_almost_perfect_odometry_is_not_spoiled(seed: int, correlated: float) -> None:
-    """Free biases (0.5 m) and noise that follows correlated errors (0.05 to 0.08 m) end far from dead reckoning."""
-    log = accurate_drive(seed, correlated)
-    found = estimate_robot(log)
-    assert found.parameters.names == ()
-    assert sum("keep their ideal values" in sentence for sentence in found.sentences) == 2
-    assert found.nearly_exact
-    assert any("does not show that the odometry is noisy" in sentence for sentence in found.sentences)
-    assert found.sensor.offset == (0.0, 0.0)
-    # dead reckoning is at 5 to 12 mm, the noise of the book at 19.6 m on the first of these
-    assert ate(log, solve(Graph.from_log(found.log)).poses) < 0.03
-
-
-def test_slipping_wheels_are_not_taken_for_exact() -> None:
-    assert not warehouse()[2].nearly_exact
-
-
-@pytest.mark.parametrize("seed", [3101, 3103])
-def test_a_drive_of_seconds_does_not_show_that_odometry_is_exact(seed: int) -> None:
-    assert not estimate_robot(Drive(seed=seed, duration=20.0, misread=0.0).simulate()[0]).nearly_exact
-
-
 @pytest.mark.parametrize("seed", [3201, 3206, 3209])
 def test_landmarks_in_view_for_a_second_are_enough(seed: int) -> None:
     """Fifteen times as fast: with one sighting a second, no landmark is left twice for the second test."""
@@ -318,13 +296,6 @@ def test_landmarks_in_view_for_a_second_are_enough(seed: int) -> None:
     assert log.dt is not None and log.controls is not None
     fast = log.replace(dt=log.dt / 15, controls=log.controls * 15)
     assert not estimate_robot(fast).nearly_exact
-
-
-def test_biases_that_are_held_stay_uncertain() -> None:
-    """They are at most as uncertain as their priors, and less where the log speaks clearly against them."""
-    found = estimate_robot(accurate_drive(2002, 0.0))
-    assert found.log.uncertain is not None and found.log.uncertain.keys() == PRIORS.keys()
-    assert all(0 < deviation < PRIORS[name] for name, deviation in found.log.uncertain.items())
 
 
 def test_the_likelihood_is_that_of_dense_matrices() -> None:
@@ -405,7 +376,8 @@ def test_joined_motions_are_those_of_all_their_controls() -> None:
     whole = Unknowns(log, log.landmarks, SensorModel())
     moved = whole.parameters.at(whole.parameters.values + 0.01 * np.arange(len(PRIORS)))
     odometry = Odometry(log)
-    expected = motion_slopes(replace(moved, recorded=joined), corrected_controls(replace(moved, recorded=joined)))
+    there = replace(moved, recorded=joined)
+    expected = motion_slopes(there, corrected_controls(there), smooth=True)
     for found, right in zip(odometry.motions(moved, kept), expected):
         np.testing.assert_allclose(found, right, rtol=1e-9, atol=1e-12)
     parts = motion_parts(joined)

@@ -1,0 +1,100 @@
+"""What is known of a robot, compared by sightings that are left out, and odometry that is almost perfect."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from graphslam import Drive, Graph, Log, MotionModel, estimate_robot, solve
+from graphslam.calibration import Calibration
+from graphslam.identification import robot
+from graphslam.identification.left_out import LeftOut, student_t
+from graphslam.identification.result import BOOK_NOISE, DEAD_RECKONING, ESTIMATE, GIVEN_NOISE, RobotEstimate
+from graphslam.identification.unknowns import PRIORS
+from graphslam.metrics import ate
+from graphslam.simulation.drives import DriveTruth
+
+
+@cache
+def warehouse() -> tuple[Log, DriveTruth, RobotEstimate]:
+    log, truth = Drive(seed=5, duration=150.0, landmarks=20).simulate()
+    return log, truth, estimate_robot(log)
+
+
+def accurate_drive(seed: int, correlated: float) -> Log:
+    """Two minutes with almost perfect odometry and no biases."""
+    accurate = MotionModel(nn=1e-4, no=0.0, on=1e-4, oo=1e-4, epsilon=1e-12)
+    return Drive(seed=seed, duration=120.0, motion=accurate, parameters={}, correlated=correlated).simulate()[0]
+
+
+@pytest.mark.parametrize(("seed", "correlated"), [(2002, 0.0), (2001, 0.3), (2004, 0.3)])
+def test_almost_perfect_odometry_is_not_spoiled(seed: int, correlated: float) -> None:
+    """Free biases (0.5 m) and noise that follows correlated errors (0.05 to 0.08 m) end far from dead reckoning."""
+    log = accurate_drive(seed, correlated)
+    found = estimate_robot(log)
+    assert found.parameters.names == ()
+    assert sum("keep their ideal values" in sentence for sentence in found.sentences) == 2
+    assert found.nearly_exact
+    assert found.basis == DEAD_RECKONING
+    assert any("dead reckoning predicts them as well or better" in sentence for sentence in found.sentences)
+    assert found.sensor.offset == (0.0, 0.0)
+    # dead reckoning is at 5 to 12 mm, the noise of the book at 19.6 m on the first of these
+    assert log.true_poses is not None
+    assert ate(log.true_poses, solve(Graph.from_log(found.log)).poses) < 0.015
+
+
+def test_the_estimate_predicts_best_what_was_left_out() -> None:
+    compared = warehouse()[2].left_out
+    assert compared.best == warehouse()[2].basis == ESTIMATE
+    assert compared.count > 50
+    assert compared.gain(ESTIMATE, BOOK_NOISE) > compared.count
+    assert compared.gain(ESTIMATE, DEAD_RECKONING) > compared.count
+    assert any("mean log density" in sentence for sentence in warehouse()[2].sentences)
+
+
+def test_the_true_noise_predicts_as_well_as_the_estimate() -> None:
+    _, truth, found = warehouse()
+    compared = estimate_robot(found.log, given=(truth.motion, truth.sensor)).left_out
+    assert abs(compared.gain(ESTIMATE, GIVEN_NOISE)) < 0.3 * compared.count
+
+
+def test_noise_of_the_book_is_taken_where_it_predicts_better(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No drive was found on which it does, so the estimate is made to look bad."""
+    monkeypatch.setattr(robot, "ESTIMATE", "x")
+    log = warehouse()[0]
+
+    def compared(*_: object) -> LeftOut:
+        return LeftOut(100, {"x": 1.0, DEAD_RECKONING: 0.0, BOOK_NOISE: 1.1})
+
+    monkeypatch.setattr(robot, "left_out", compared)
+    found = estimate_robot(log)
+    assert found.basis == BOOK_NOISE
+    assert found.motion == found.log.motion == MotionModel()
+    assert "the book's noise is taken" in found.sentences[0]
+    assert solve(Graph.from_log(found.log)).converged
+    assert Calibration.of(found).motion == MotionModel()
+
+
+def test_densities_are_those_of_student_t() -> None:
+    e, S = np.array([[0.3, -0.2], [1.0, 2.0]]), np.array([[[0.2, 0.05], [0.05, 0.1]], [[1.0, 0.0], [0.0, 2.0]]])
+    expected = [stats.multivariate_t(shape=one, df=4).logpdf(row) for row, one in zip(e, S)]
+    np.testing.assert_allclose(student_t(e, S, 4.0), expected, rtol=1e-12)
+
+
+def test_slipping_wheels_are_not_taken_for_exact() -> None:
+    assert not warehouse()[2].nearly_exact
+
+
+@pytest.mark.parametrize("seed", [3101, 3103])
+def test_a_drive_of_seconds_does_not_show_that_odometry_is_exact(seed: int) -> None:
+    assert not estimate_robot(Drive(seed=seed, duration=20.0, misread=0.0).simulate()[0]).nearly_exact
+
+
+def test_biases_that_are_held_stay_uncertain() -> None:
+    """They are at most as uncertain as their priors, and less where the log speaks clearly against them."""
+    found = estimate_robot(accurate_drive(2002, 0.0))
+    assert found.log.uncertain is not None and found.log.uncertain.keys() == PRIORS.keys()
+    assert all(0 < deviation < PRIORS[name] for name, deviation in found.log.uncertain.items())
