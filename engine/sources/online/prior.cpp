@@ -33,9 +33,12 @@ std::vector<double> transposed(std::span<const double> A, std::size_t n) {
 double square_in(std::vector<double> A, std::vector<double> b) {
     const std::size_t n = b.size();
     double total = 0.0;
+    std::vector<double> least(n);
+    for (std::size_t j = 0; j < n; ++j) least[j] = 1e-12 * A[j * n + j];
     for (std::size_t j = 0; j < n; ++j) {
         const double pivot = A[j * n + j];
-        if (!(pivot > 1e-12 * (1.0 + pivot))) continue;
+        // what rounding leaves of the diagonal, whatever the unit
+        if (!(pivot > least[j])) continue;
         total += b[j] * b[j] / pivot;
         for (std::size_t i = j + 1; i < n; ++i) {
             const double f = A[i * n + j] / pivot;
