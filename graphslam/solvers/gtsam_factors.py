@@ -95,6 +95,9 @@ def _joined(graph: Graph, reference: Array) -> tuple[list[gtsam.NonlinearFactor]
     parts: dict[str, list[_Part]] = {}
     for family in graph.families:
         relative, robust = family, False
+        if isinstance(family, edges.RelationEdges):
+            rest.append(family)
+            continue
         if isinstance(family, edges.CartesianObservationEdges) and family.kernel in (None, kernel):
             relative, robust = family.relative, family.kernel is not None
         if not isinstance(relative, (edges.RelativePoseEdges, edges.RelativePointEdges)):
@@ -149,6 +152,13 @@ def _factors_of(
 ) -> Iterator[gtsam.NonlinearFactor]:
     if isinstance(family, edges.AnchorEdges):
         yield from map(factor_types.AnchorFactor, family.nodes.tolist(), family.values, family.information)
+    elif isinstance(family, edges.RelationEdges):
+        for i, j, z, information in _rows(family.first, family.second, family.measured, family.weighed):
+            yield factor_types.RelativePoseFactor(i, j, z, information, kernel=family.kernel)
+    elif isinstance(family, edges.PositionEdges):
+        for i, z, information, lever in _rows(family.nodes, family.measured, family.weighed, family.levers):
+            position = factor_types.PositionFactor(i, z, information, lever=lever, kernel=family.kernel)
+            yield position.fastest() if factors == "fastest" else position
     elif isinstance(family, edges.RelativePoseEdges):
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
             yield factor_types.RelativePoseFactor(i, j, z, information, frame=family.frame, at=reference[i])
