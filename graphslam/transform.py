@@ -65,7 +65,8 @@ def with_cartesian_sightings(graph: Graph) -> Graph | None:
 def with_landmark_nodes(graph: Graph) -> Graph | None:
     """The graph with landmark nodes and Cartesian residuals in place of its edges from sightings; these keep their order.
 
-    Robust kernels are left out. New landmarks are numbered from 0, and at the origin. None where there are no sightings.
+    Their robust kernels are left out. New landmarks are numbered from 0, and at the origin. None where there are no
+    sightings.
     """
     sighted = next((family for family in graph.families if isinstance(family, SightingEdges)), None)
     if sighted is None:
