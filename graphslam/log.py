@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -270,6 +271,11 @@ class Log:
         """The relations and the positions by these names, as far as the log has them."""
         both = {"relations": self.relations, "positions": self.positions}
         return {name: each for name, each in both.items() if each is not None}
+
+    def warn_of_unused(self, who: str) -> None:
+        """Warn that ``who`` does not use the relations and positions of the log, where it has any."""
+        if self.measured:
+            warnings.warn(f"{who} does not use the {' and '.join(self.measured)} of the log", UserWarning, stacklevel=3)
 
     @property
     def num_poses(self) -> int:

@@ -151,7 +151,13 @@ def _factors_of(
     family: edges.EdgeFamily, reference: Array, num_nodes: int, factors: str
 ) -> Iterator[gtsam.NonlinearFactor]:
     if isinstance(family, edges.AnchorEdges):
-        yield from map(factor_types.AnchorFactor, family.nodes.tolist(), family.values, family.information)
+        for i, x, information in _rows(family.nodes, family.values, family.information):
+            if information[:2].any():
+                yield factor_types.AnchorFactor(i, x, information)
+            else:
+                # of the heading alone, beside positions that determine no direction
+                noise = gtsam.noiseModel.Isotropic.Precision(1, information[2, 2])
+                yield gtsam.PoseRotationPrior2D(i, gtsam.Rot2(x[2]), noise)
     elif isinstance(family, edges.RelationEdges):
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.weighed):
             yield factor_types.RelativePoseFactor(i, j, z, information, kernel=family.kernel)
