@@ -84,9 +84,9 @@ def _draw_map(axes: Axes, comparison: Comparison, legend: dict[str, Any]) -> Non
             _draw_sightings(axes, comparison, np.where(unknown, np.nan, compose(placement, result.poses)))
             start = poses[0, :2] if result.estimated[0] else start
             if (positions := log.positions) is not None and len(positions):
-                marks = transform(placement, positions.places[:, :2])
-                (legend["position measured"],) = axes.plot(marks[:, 0], marks[:, 1], **POSITION)
-                rest.append(marks)
+                crosses = transform(placement, positions.places[:, :2])
+                (legend["position measured"],) = axes.plot(*crosses.T, **POSITION)
+                rest.append(crosses)
         # the map of a second solver of the same graph would only cover that of the first
         if result.landmarks and (result.name in _MAPS or result is reference):
             core.append(_draw_landmarks(axes, result, placement, result is reference))
