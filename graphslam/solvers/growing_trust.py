@@ -28,6 +28,8 @@ from .levenberg_marquardt import levenberg_marquardt
 ROUNDS, STEPS = 40, 8
 #: so large a part of those that agree is trusted in a round, the most certain ones, and all that are nearly as certain
 PART, NEARLY = 0.25, 4.0
+#: the part of the limit that counts as long as something agrees within it: a wrong relation does so an eighth as often
+FIRST = 0.25
 
 
 def grown_trust(graph: Graph, start: Array, limit: float) -> tuple[Array, Array, int]:
@@ -43,7 +45,7 @@ def grown_trust(graph: Graph, start: Array, limit: float) -> tuple[Array, Array,
     """
     edges = next(family for family in graph.families if isinstance(family, RelationEdges))
     covariances, state, trust = np.linalg.inv(edges.information), start, np.zeros(edges.count)
-    rounds = 0
+    rounds, share = 0, FIRST
     while rounds < ROUNDS:
         rounds += 1
         trusting = graph.with_trust(trust)
@@ -53,13 +55,15 @@ def grown_trust(graph: Graph, start: Array, limit: float) -> tuple[Array, Array,
         linear = edges.linearize(state, state)
         innovation = covariances + Uncertainty(trusting, state).of_edges(linear)
         e = linear.residuals
-        agree = np.einsum("ei,ei->e", e, np.linalg.solve(innovation, e[:, :, None])[:, :, 0]) <= limit
+        agree = np.einsum("ei,ei->e", e, np.linalg.solve(innovation, e[:, :, None])[:, :, 0]) <= share * limit
         new = np.where(linear.mahalanobis > limit, 0.0, trust)
         if (added := np.flatnonzero(agree & (trust == 0))).size:
             # the volume in which a wrong relation would agree
             volume = np.sqrt(np.linalg.det(innovation[added]))
             new[added[volume <= max(NEARLY * volume.min(), np.quantile(volume, PART))]] = 1.0
         if np.array_equal(new, trust):
-            break
+            if share == 1:
+                break
+            share = 1.0
         trust = new
     return state, trust, rounds
