@@ -125,6 +125,8 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     result = graphslam.textbook.solve(log, edges=edges, **models)
     seconds = time.perf_counter() - begin
     # J by the graph's own evaluator
+    # those of its own cost
+    log = log.replace(relations=None, positions=None)
     graph = Graph.from_log(log, edges=edges, frame="world", kernel="none", **models)
     state = np.asarray(result.poses, dtype=float)[graph.steps]
     return _with_map(

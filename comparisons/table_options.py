@@ -23,6 +23,8 @@ class ImportOptions(Options):
     sightings: str | None = option(None, "Table or topic of the sightings.", metavar="FILE|TOPIC")
     truth: str | None = option(None, "Table or topic of the true poses.", metavar="FILE|TOPIC")
     map: str | None = option(None, "Table of the true landmarks.", metavar="FILE")
+    relations: str | None = option(None, "Table of measured relations between two poses.", metavar="FILE")
+    positions: str | None = option(None, "Table of measured absolute positions, such as GPS.", metavar="FILE")
     recipe: Path | None = option(
         None, "TOML file with these options, files, topics and columns; see docs/own_robot.md.", metavar="FILE",
         default_text="import.toml in the folder",

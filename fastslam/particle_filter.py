@@ -113,6 +113,7 @@ class ParticleFilter(ABC):
         if log is not None and self._needs_ids and not log.identified:
             raise OptionError(f"{log.name} has sightings without ids, {self._HOW_WITHOUT_IDS}")
         if log is not None:
+            log.warn_of_unused("a particle filter")
             check_memory(log, self.options, maps=self.HAS_MAPS)
         if log is not None and motion is None and sensor is None:
             # the same choice as that of `Graph.from_log`

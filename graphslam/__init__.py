@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .localization import first_fix
     from .log import Log
     from .mapping import estimate_map
+    from .measurements import AbsolutePositions, PoseRelations
     from .models import MotionModel, SensorModel
     from .online import OnlineSolver, solve_online
     from .simulation.drives import Drive
@@ -54,6 +55,7 @@ _PUBLIC = {
     "log": "Log",
     "landmark_map": "LandmarkMap",
     "mapping": "estimate_map",
+    "measurements": "AbsolutePositions PoseRelations",
     "models": "MotionModel SensorModel",
     "online": "OnlineSolver solve_online",
     "solution": "Solution",

@@ -12,7 +12,6 @@ from scipy.sparse.csgraph import connected_components
 
 from .checks import listed
 from .edges import (
-    ANCHOR_INFORMATION,
     AnchorEdges,
     CartesianObservationEdges,
     EdgeFamily,
@@ -20,7 +19,9 @@ from .edges import (
     LandmarkSightings,
     MarginalEdges,
     PolarObservationEdges,
+    PositionEdges,
     PriorEdges,
+    RelationEdges,
     RelativePointEdges,
     RelativePoseEdges,
     VirtualMotionEdges,
@@ -33,7 +34,8 @@ from .landmark_map import LandmarkMap
 from .log import Log
 from .mapping import estimate_map
 from .models import MotionModel, SensorModel
-from .precision import LARGEST, check_magnitudes, check_size
+from .placing import anchors, position_edges
+from .precision import LARGEST, check_magnitudes, check_size, inverses
 from .se2 import Array
 
 
@@ -82,14 +84,16 @@ def parts_of_log(
             sighted = MarginalEdges(*grouped, frame=frame, kernel=kernel)
         else:
             sighted = VirtualMotionEdges(*grouped, frame=frame, kernel=kernel, tempered=weight == "tempered")
-        if not with_motion:
-            _check_determined(sighted, steps)
         landmarks = np.zeros((0, 3))
         parts |= {"sighting_rows": rows, "notes": tuple(notes)}
+        if not with_motion:
+            _check_determined(sighted, steps, _measured_edges(log, steps, kernel))
     poses = log.initial_poses[steps]
     initial = np.concatenate([poses, landmarks])
+    measured = _measured_edges(log, steps, kernel)
+    families: list[EdgeFamily]
     if landmark_map is None:
-        families: list[EdgeFamily] = [AnchorEdges(np.zeros(1, dtype=int), poses[:1].copy(), ANCHOR_INFORMATION[None])]
+        families = [*anchors(poses[0], measured)]
     else:
         families, parts["fixed"] = _priors(landmark_map, known, ids, initial, d)
         parts["map"] = landmark_map
@@ -102,7 +106,20 @@ def parts_of_log(
                 control_variances=log.control_variances, recorded_dt=log.recorded_dt, frame=frame, scale=scale,
             )
         )  # fmt: skip
+    families += measured
     return parts | {"initial": initial, "families": tuple(families), "steps": steps, "pose_ids": steps}
+
+
+def _measured_edges(log: Log, steps: np.ndarray, kernel: Kernel | None) -> list[RelationEdges | PositionEdges]:
+    """The edges of the relations and the absolute positions of a log, whose nodes are at ``steps``."""
+    families: list[RelationEdges | PositionEdges] = []
+    if (relations := log.relations) is not None and len(relations):
+        ends = np.searchsorted(steps, relations.first), np.searchsorted(steps, relations.second)
+        information = inverses(relations.covariances, "relation", "check its covariance")
+        families.append(RelationEdges(*ends, relations.motions, information, kernel=kernel))
+    if log.positions is not None and len(log.positions):
+        families += position_edges(log.positions, np.searchsorted(steps, log.positions.steps), kernel)
+    return families
 
 
 def _usable(landmark_map: LandmarkMap | None, d: int, seen: set[int]) -> dict[int, Array]:
@@ -131,8 +148,10 @@ def _priors(
 
 
 def _check_log(log: Log, with_motion: bool) -> None:
-    if len(log.steps) == 0:
-        raise GraphError(f"{log.name} has no sightings at all, so there is nothing to correct dead reckoning with")
+    if len(log.steps) == 0 and not any(map(len, log.measured.values())):
+        raise GraphError(
+            f"{log.name} has no sightings at all, and no relations or positions: nothing corrects dead reckoning"
+        )
     if not log.identified:
         raise GraphError(
             f"{log.name} has sightings of unidentified landmarks, and a graph needs the identities; find them with "
@@ -152,9 +171,13 @@ def _tied_steps(log: Log, with_motion: bool) -> tuple[np.ndarray, list[str]]:
         notes.append(f"no edge comes from {listed('landmark', ids[~often].tolist())}, seen in one step only")
     if with_motion:
         return np.arange(log.num_poses), notes
-    if not np.any(often):
+    steps = np.unique(
+        np.concatenate(
+            [seen[often[seen[:, 0]], 1], *(getattr(each, end) for each in log.measured.values() for end in each.ENDS)]
+        )
+    )
+    if not len(steps):
         raise GraphError(f"{log.name} has no landmark that was seen twice, so there are no virtual-motion edges")
-    steps = np.unique(seen[often[seen[:, 0]], 1])
     left_out = np.setdiff1d(np.arange(log.num_poses), steps).tolist()
     if left_out:
         notes.append(f"{listed('pose', left_out)} shared no sighting with any other and stayed out of the graph")
@@ -178,12 +201,20 @@ def parts_of_file(data: PoseGraphFile, path: Path) -> dict[str, Any]:
     Raises:
         GraphError: the graph falls into several pieces, or a number is too large.
     """
-    for name in ("poses", "landmarks", "pose_measured", "point_measured"):
+    for name in ("poses", "landmarks", "pose_measured", "point_measured", "prior_measured", "place_measured"):
         check_size(f"{path}: {name.replace('_', ' ')}", getattr(data, name))
-    for name in ("pose_information", "point_information"):
+    for name in ("pose_information", "point_information", "prior_information", "place_information"):
         check_size(f"{path}: {name.replace('_', ' ')}", getattr(data, name), most=LARGEST**2)
     num_poses = len(data.pose_ids)
     families: list[RelativePoseEdges | RelativePointEdges] = []
+    priors: list[PositionEdges] = []
+    for measured, information, nodes in (
+        (data.prior_measured, data.prior_information, data.priors),
+        (data.place_measured, data.place_information, data.places),
+    ):
+        if len(nodes):
+            at = np.searchsorted(data.pose_ids, nodes)
+            priors.append(PositionEdges(at, measured, information, np.zeros((len(at), 2))))
     if len(data.pose_edges):
         first, second = np.searchsorted(data.pose_ids, data.pose_edges).T
         families.append(RelativePoseEdges(first, second, data.pose_measured, data.pose_information))
@@ -192,22 +223,47 @@ def parts_of_file(data: PoseGraphFile, path: Path) -> dict[str, Any]:
         second = num_poses + np.searchsorted(data.landmark_ids, data.point_edges[:, 1])
         families.append(RelativePointEdges(first, second, data.point_measured, data.point_information))
     ids = np.concatenate([data.pose_ids, data.landmark_ids])
-    fixed = np.flatnonzero(np.isin(ids, data.fixed)) if data.fixed else np.zeros(1, dtype=np.int64)
+    fixed, held = np.flatnonzero(np.isin(ids, data.fixed)), list[EdgeFamily]()
+    if not data.fixed and not priors:
+        fixed = np.zeros(1, dtype=np.int64)
+    elif not data.fixed:
+        held += anchors(data.poses[0], priors)
     num_nodes = num_poses + len(data.landmark_ids)
-    label = _pieces(num_nodes, [family.first for family in families], [family.second for family in families])
-    loose = np.flatnonzero(~np.isin(label, label[fixed]))
+    first, second = [family.first for family in families], [family.second for family in families]
+    # priors and FIX lines tie nodes to the world, one more node
+    to_world = np.concatenate([fixed, *(family.nodes for family in priors)])
+    label = _pieces(num_nodes + 1, [*first, to_world], [*second, np.full(len(to_world), num_nodes)])
+    loose = np.flatnonzero(label[:-1] != label[-1])
     if len(loose):
-        names, tied = (node_names(nodes, data.pose_ids, data.landmark_ids) for nodes in (loose, fixed[:1]))
+        names, tied = (node_names(nodes, data.pose_ids, data.landmark_ids) for nodes in (loose, to_world[:1]))
         raise GraphError(
             f"{path}: the graph falls into several pieces: nothing ties {names} to {tied}; add the edge that ties them, "
             "or a FIX line for a pose of each piece"
         )
     return {
         "initial": np.concatenate([data.poses, np.pad(data.landmarks, ((0, 0), (0, 1)))]),
-        "families": tuple(families), "steps": np.arange(num_poses), "trajectory": data.poses,
+        "families": (*held, *families, *priors), "steps": np.arange(num_poses), "trajectory": data.poses,
         "pose_ids": data.pose_ids, "landmark_ids": data.landmark_ids, "fixed": fixed,
         "notes": data.notes,
     }  # fmt: skip
+
+
+def with_closures(families: Sequence[EdgeFamily], kernel: Kernel | None) -> tuple[EdgeFamily, ...]:
+    """The edges of a pose graph with its loop closures as relations that may be wrong; see `Graph.with_closures`."""
+    found: list[EdgeFamily] = []
+    for f in families:
+        if not isinstance(f, RelativePoseEdges) or isinstance(f, RelationEdges) or f.state_dependent_information:
+            found.append(f)
+            continue
+        closes = np.abs(f.second - f.first) != 1
+        steps, closures = (
+            (f.first[rows], f.second[rows], f.measured[rows], f.information[rows]) for rows in (~closes, closes)
+        )
+        if not closes.all():
+            found.append(RelativePoseEdges(*steps))
+        if closes.any():
+            found.append(RelationEdges(*closures, kernel=kernel))
+    return tuple(found)
 
 
 def file_of_parts(
@@ -228,17 +284,32 @@ def file_of_parts(
     ids, held = np.concatenate([pose_ids, landmark_ids]), [fixed]
     poses: list[EdgeFamily] = []
     points: list[EdgeFamily] = []
+    priors: dict[int, list[PositionEdges]] = {3: [], 2: []}
     for family in families:
         if isinstance(family, AnchorEdges) and not isinstance(family, LandmarkPriors):
-            held.append(family.nodes)
-        elif isinstance(family, RelativePoseEdges) and not family.state_dependent_information:
+            if np.all(np.linalg.matrix_rank(family.information) == 3):
+                held.append(family.nodes)
+            else:
+                still = np.zeros((family.count, 2))
+                priors[3].append(PositionEdges(family.nodes, family.values, family.information, still))
+        elif isinstance(family, RelationEdges) and family.kernel is None:
+            poses.append(family.relative)
+        elif isinstance(family, PositionEdges) and family.kernel is None and not family.levers.any():
+            priors[family.dimension].append(family)
+        elif isinstance(family, RelativePoseEdges) and not (
+            family.state_dependent_information or isinstance(family, RelationEdges)
+        ):
             poses.append(family)
         elif isinstance(family, RelativePointEdges):
             points.append(family)
+        elif isinstance(family, PositionEdges) and family.levers.any():
+            raise GraphError(
+                "g2o has no line for the position of a point beside the pose: positions with a lever cannot be written"
+            )
         else:
             raise GraphError(
-                f"g2o has no line for {type(family).__name__} with state-dependent or angular residuals; "
-                "graphslam.relative.relative_graph makes relative poses of them where that is possible"
+                f"g2o has no line for {type(family).__name__} with state-dependent or angular residuals, or with a robust "
+                "kernel; graphslam.relative.relative_graph makes relative poses of them where that is possible"
             )
 
     def columns(kind: str, chosen: list[Any], d: int) -> dict[str, Any]:
@@ -250,10 +321,18 @@ def file_of_parts(
             f"{kind}_information": np.concatenate([np.zeros((0, d, d))] + [f.information for f in chosen]),
         }
 
+    def rows(kind: str, nodes: str, chosen: list[PositionEdges], d: int) -> dict[str, Any]:
+        return {
+            nodes: np.concatenate([np.zeros(0, dtype=np.int64)] + [ids[f.nodes] for f in chosen]),
+            f"{kind}_measured": np.concatenate([np.zeros((0, d))] + [f.measured for f in chosen]),
+            f"{kind}_information": np.concatenate([np.zeros((0, d, d))] + [f.weighed for f in chosen]),
+        }
+
     return PoseGraphFile(
         pose_ids=pose_ids, poses=state[: len(pose_ids)], landmark_ids=landmark_ids,
         landmarks=state[len(pose_ids) :, :2], fixed=ids[np.unique(np.concatenate(held))].tolist(),
         **columns("pose", poses, 3), **columns("point", points, 2),
+        **rows("prior", "priors", priors[3], 3), **rows("place", "places", priors[2], 2),
     )  # fmt: skip
 
 
@@ -271,10 +350,21 @@ def _pieces(num_nodes: int, first: list[np.ndarray], second: list[np.ndarray]) -
     return connected_components(ties, directed=False)[1]
 
 
-def _check_determined(virtual: LandmarkSightings, steps: np.ndarray) -> None:
-    """Raise `GraphError` where the pattern alone shows that virtual edges leave poses undetermined."""
+def _check_determined(
+    virtual: LandmarkSightings, steps: np.ndarray, measured: Sequence[RelationEdges | PositionEdges]
+) -> None:
+    """Raise `GraphError` where the pattern alone shows that virtual edges and measured poses leave poses undetermined."""
     num_nodes, num_groups = len(steps), len(virtual.starts) - 1
-    label = _pieces(num_nodes + num_groups, [virtual.nodes], [num_nodes + virtual.group])
+    first, second, held = [virtual.nodes], [num_nodes + virtual.group], np.zeros(num_nodes, dtype=bool)
+    for family in measured:
+        if isinstance(family, RelationEdges):
+            first, second = [*first, family.first], [*second, family.second]
+            held[family.first] = held[family.second] = True
+        else:
+            # positions tie poses to the world, one more node
+            first, second = [*first, family.nodes], [*second, np.full(family.count, num_nodes + num_groups)]
+            held[family.nodes] = True
+    label = _pieces(num_nodes + num_groups + 1, first, second)
     loose = steps[label[:num_nodes] != label[0]].tolist()
     if loose:
         raise GraphError(
@@ -286,7 +376,7 @@ def _check_determined(virtual: LandmarkSightings, steps: np.ndarray) -> None:
     shared = np.unique(np.column_stack([virtual.nodes, virtual.group]), axis=0)
     ties = np.bincount(shared[:, 1], minlength=num_groups) > 1
     landmarks_of = np.bincount(shared[ties[shared[:, 1]], 0], minlength=num_nodes)
-    loose = steps[landmarks_of < 2].tolist()
+    loose = steps[(landmarks_of < 2) & ~held].tolist()
     if loose:
         share = "shares" if len(loose) == 1 else "share"
         raise GraphError(

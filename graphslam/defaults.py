@@ -19,6 +19,8 @@ def suitable_edges(log: Log) -> str:
     """
     if log.controls is None:
         return "virtual"
+    if len(log.steps) == 0:
+        return "landmark+motion"
     of_lectures = log.simulated or log.motion in (None, MotionModel())
     return "virtual+motion" if log.has_orientation and of_lectures else "landmark+motion"
 
@@ -63,6 +65,8 @@ def suitable_for_isam2(
 def pairs_overweight(log: Log) -> str | None:
     """A sentence on covariances with weight="pairs"; None where no landmark is seen more than twice, which is exact."""
     ids, counts = np.unique(log.landmarks, return_counts=True)
+    if len(ids) == 0:
+        return None
     most = int(np.argmax(counts))
     if counts[most] <= 2:
         return None

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from .edges import RelativePoseEdges
 from .errors import GraphError
 from .graph import Graph
 from .linear.cholesky import FactorizationError, SingularPivot
+from .parameters.corrected import motion_edges
 from .se2 import Array
 
 #: the most edges that a message lists
@@ -41,7 +41,7 @@ def _remedy(graph: Graph) -> str:
         return "Add edges (a relative pose, a sighting, a loop closure) or an anchor there"
     if graph.log.controls is None:
         return "The log has no odometry to hold them: add it, or remove the sightings from there"
-    if not any(isinstance(family, RelativePoseEdges) for family in graph.families):
+    if motion_edges(graph) is None:
         return "Use motion edges, which hold every pose: edges='landmark+motion' (--edges landmark+motion)"
     return (
         "The odometry and the sightings there count for nothing beside the others: look for extreme noise models, units, or "

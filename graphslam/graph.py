@@ -11,15 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from .build import file_of_parts, node_names, parts_of_file, parts_of_log
+from .build import file_of_parts, node_names, parts_of_file, parts_of_log, with_closures
 from .checks import array_of, check_choice, check_positive, check_type, make_read_only
 from .defaults import edges_for_map, pairs_overweight, suitable_edges, suitable_kernel
 from .edges import (
     AnchorEdges,
+    DoubtedEdges,
     EdgeFamily,
     LandmarkPriors,
     LandmarkSightings,
     MarginalEdges,
+    PositionEdges,
     PriorEdges,
     SightingEdges,
 )
@@ -35,6 +37,7 @@ from .log import Log, check_is_log
 from .mapping import estimate_map
 from .models import RESIDUALS, MotionModel, SensorModel
 from .parameters.declared import Parameters, declared
+from .placing import in_frame_of_positions
 from .se2 import Array
 
 EDGES = ("virtual", "virtual+motion", "landmark+motion")
@@ -116,9 +119,11 @@ class Graph:
         noise: str | None = None,
         map: LandmarkMap | Mapping[int, Array] | str | PathLike[str] | None = None,
     ) -> Graph:
-        """The graph of a log: an anchor at the first node, edges from the sightings, and motion edges where asked for.
+        """The graph of a log: an anchor at the first node, edges from what was measured, and motion edges where asked for.
 
-        With a map the graph is in its frame, and has no anchor. The first fix needs no start pose (`first_fix`).
+        With a map the graph is in its frame, and has no anchor. The first fix needs no start pose (`first_fix`). Absolute
+        positions of the log determine the frame, too: then the anchor holds at most the heading of the first pose, where
+        they leave the direction open (`graphslam.placing`).
 
         Args:
             log: the controls and sightings of the robot.
@@ -131,10 +136,10 @@ class Graph:
                 to K/2 times what it should), "tempered" (each pair times 2/K: exact where sightings are alike) or
                 "marginal" (the landmark eliminated: each sighting counts once, exactly).
             motion_weight: lambda, the factor on the motion edges.
-            kernel: against wrong sightings: `Huber`, `Cauchy`, `GemanMcClure` or their names, or "none". Default: what suits
-                the log, "none" where `simulate` made it and "cauchy" otherwise. It acts on every pair of "pairs" and
-                "tempered", and on every sighting otherwise. The default width has 95 % of the efficiency of least squares.
-                See also `solve` with the method "gnc".
+            kernel: against wrong sightings, relations and positions: `Huber`, `Cauchy`, `GemanMcClure` or their names, or
+                "none". Default: what suits the log, "none" where `simulate` made it and "cauchy" otherwise. It acts on every
+                pair of "pairs" and "tempered", and on every measurement otherwise. The default width has 95 % of the
+                efficiency of least squares. See also `solve` with the method "gnc".
             dimensions: 3: require orientation psi; 2: ignore it; default: use psi where the log has it.
             residual: of landmark nodes: "cartesian" (the sighting as a position in the robot's axes, the landmark's heading
                 with it) or "polar" (range and bearing, h(x, m) - z, whose cost has false minima).
@@ -176,6 +181,8 @@ class Graph:
             known_map = as_map(map)
             edges = edges_for_map(log, edges)
             log, found = in_frame_of(log, known_map, motion=motion, sensor=sensor)
+        else:
+            log = in_frame_of_positions(log)
         recorded = log
         edges = suitable_edges(log) if edges is None else edges
         kernel = suitable_kernel(log) if kernel is None else kernel
@@ -206,27 +213,49 @@ class Graph:
         return cls(**parts, parameters=parameters, held=held)
 
     @classmethod
-    def from_g2o(cls, path: str | PathLike[str], *, format: str | None = None, unknown: str = "error") -> Graph:
+    def from_g2o(
+        cls,
+        path: str | PathLike[str],
+        *,
+        format: str | None = None,
+        unknown: str = "error",
+        kernel: Kernel | str | None = None,
+    ) -> Graph:
         """The pose graph of a g2o, TORO or iSAM text file; see `formats.pose_graph` for the dialects.
 
-        Nodes named in FIX lines are held; without any, the pose with the lowest id is. The cost is g2o's chi2.
+        Nodes named in FIX lines are held; without any, and without priors, the pose with the lowest id is. The cost is g2o's
+        chi2.
 
         Args:
             path: the file.
             format: "g2o", "toro" or "isam"; default: by the file's tags.
             unknown: "error" refuses unknown tags, "skip" leaves them out with a warning that counts them.
+            kernel: a robust kernel on the loop closures, as `with_closures` has them; default: none.
 
         Raises:
             FormatError: the file breaks its format's rules.
             GraphError: the graph falls into several pieces.
         """
         path = path_of(path)
-        return cls(**parts_of_file(read_pose_graph(path, dialect=format, unknown=unknown), path))
+        graph = cls(**parts_of_file(read_pose_graph(path, dialect=format, unknown=unknown), path))
+        kernel = kernel_of(kernel)
+        return graph if kernel is None else graph.with_closures(kernel)
+
+    def with_closures(self, kernel: Kernel | str | None = None) -> Graph:
+        """The same pose graph with its loop closures as `edges.RelationEdges`, which may be wrong.
+
+        Loop closures are the relative poses that do not lead from a pose to the next one. Their order stays.
+
+        Args:
+            kernel: a robust kernel on them, or its name; default: none, so that the cost stays the same.
+        """
+        return replace(self, families=with_closures(self.families, kernel_of(kernel)))
 
     def save_g2o(self, path: str | PathLike[str], *, state: Array | None = None) -> None:
         """Write the graph as a g2o file, with its initial values or those of a state (n, 3).
 
-        A write that fails leaves no file behind. An anchor becomes a FIX line. Motion edges in the body frame are
+        A write that fails leaves no file behind. An anchor becomes a FIX line. Positions without a lever become priors,
+        EDGE_PRIOR_SE2 or EDGE_PRIOR_SE2_XY; g2o has no line for those with one. Motion edges in the body frame are
         relative-pose edges and can be written; for other graphs of logs see `graphslam.relative`. In g2o files poses and
         landmarks share one set of ids: where the two overlap, the landmarks get new ids above those of the poses.
 
@@ -253,19 +282,34 @@ class Graph:
         return replace(self, initial=values.copy())
 
     def with_trust(self, trust: Array) -> Graph:
-        """The same graph with another trust (M,) in the sightings of its edges. Both write Omega and xi into one `system`."""
-        families = tuple(f.with_trust(trust) if isinstance(f, SightingEdges) else f for f in self.families)
-        changed = replace(self, families=families)
-        vars(changed)["system"] = self.system
-        return changed
+        """The same graph with another trust in the sightings of its edges (M,), or in all its `measurements`.
+
+        Both write Omega and xi into one `system`.
+        """
+        families, start = list[EdgeFamily](), 0
+        for f in self.families:
+            if isinstance(f, DoubtedEdges) and start < len(trust):
+                end = start + f.measurements
+                families.append(f.with_trust(trust[start:end]))
+                start = end
+            else:
+                families.append(f)
+        return self._with_families(families)
+
+    @property
+    def measurements(self) -> int:
+        """The number of measurements that may be wrong: sightings first, then relations, then positions."""
+        return sum(family.measurements for family in self.families if isinstance(family, DoubtedEdges))
 
     def with_wider_kernel(self, factor: float) -> Graph:
         """The same graph with ``factor`` times the width of its kernels. Both write Omega and xi into one `system`."""
-        families = tuple(
-            replace(f, kernel=f.kernel.scaled(factor**2)) if isinstance(f, SightingEdges) and f.kernel else f  # type: ignore[type-var]
+        return self._with_families(
+            replace(f, kernel=f.kernel.scaled(factor**2)) if isinstance(f, DoubtedEdges) and f.kernel else f  # type: ignore[type-var]
             for f in self.families
         )
-        changed = replace(self, families=families)
+
+    def _with_families(self, families: Iterable[EdgeFamily]) -> Graph:
+        changed = replace(self, families=tuple(families))
         vars(changed)["system"] = self.system
         return changed
 
@@ -319,10 +363,10 @@ class Graph:
         """The same graph with plain squares in place of robust kernels. Both write Omega and xi into one `system`."""
         if not self.reweighted:
             return self
-        families = tuple(replace(f, kernel=None) if isinstance(f, SightingEdges) else f for f in self.families)  # type: ignore[type-var]
-        changed = replace(self, families=families)
-        vars(changed)["system"] = self.system
-        return changed
+        return self._with_families(
+            replace(f, kernel=None) if isinstance(f, DoubtedEdges) else f  # type: ignore[type-var]
+            for f in self.families
+        )
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -330,8 +374,17 @@ class Graph:
         rows = sum(family.numbers[0] for family in self.families) + self._priors
         of_nodes = 3 * len(self.steps) + self.landmark_dimension * len(self.landmark_ids)
         of_nodes -= self.landmark_dimension * int(np.sum(self.fixed >= len(self.steps)))
-        # one pose is the gauge, unless the map is
-        return rows - of_nodes + 3 * (self.map is None) - len(self.parameters or ())
+        return rows - of_nodes + self._gauge - len(self.parameters or ())
+
+    @property
+    def _gauge(self) -> int:
+        """The coordinates that are held without a measurement: those of one pose, unless a map or positions are there."""
+        if self.map is not None:
+            return 0
+        if not any(isinstance(family, PositionEdges) for family in self.families):
+            return 3
+        held = [family.information for family in self.families if type(family) is AnchorEdges]
+        return min(3, 3 * len(self.fixed) + sum(int(np.linalg.matrix_rank(each).sum()) for each in held))
 
     @property
     def mapped(self) -> np.ndarray:
@@ -447,10 +500,9 @@ def check_graph(graph: object, name: str = "graph") -> None:
 def _expected_cost(family: EdgeFamily) -> float:
     """The mean cost of the edges at the true state; a robust kernel lowers it even where the noise is Gaussian."""
     mean, kernel = family.numbers[1], getattr(family, "kernel", None)
-    if kernel is None or not isinstance(family, SightingEdges):
+    if kernel is None or not isinstance(family, DoubtedEdges):
         return mean
-    dimension = family.sightings.shape[1]
-    return mean * float(kernel.mean_loss(dimension)) / dimension
+    return mean * float(kernel.mean_loss(family.dimension)) / family.dimension
 
 
 def _with_dimensions(log: Log, dimensions: int | None) -> Log:

@@ -59,8 +59,12 @@ def with_poses_every(log: Log, seconds: float) -> Log:
     if log.true_poses is not None:
         true_poses = np.full((len(times), 3), np.nan) if finer.true_path is None else finer.true_path[starts].copy()
         true_poses[kept] = log.true_poses
+    measured: dict[str, Any] = {
+        name: each.moved({end: kept[getattr(each, end)] for end in each.ENDS}) for name, each in log.measured.items()
+    }
+    finer = replace(finer, relations=None, positions=None)
     return replace(
-        finer, control_starts=starts, steps=kept[log.steps], true_poses=true_poses,
+        finer, **measured, control_starts=starts, steps=kept[log.steps], true_poses=true_poses,
         initial_poses=control_path(finer).through(log.initial_poses)[starts],
     )  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -20,6 +21,7 @@ from .log_arrays import (
     length_of,
     whole_numbers,
 )
+from .measurements import AbsolutePositions, PoseRelations
 from .models import MotionModel, SensorModel, additional_variances
 from .reading import NO_CLASS, NO_ID, UNIDENTIFIED
 from .se2 import Array, mounted, wrap
@@ -49,6 +51,8 @@ class Log:
         classes: what each sighting looks like, such as the colour of a cone: (M,) words, or integers; None where the sensor
             tells none. Where the class of a sighting is not known it is "", or `UNIDENTIFIED`. `graphslam.associate` and
             FastSLAM use classes where they find the ids.
+        relations: measured relations between two poses, such as loop closures; None where there are none.
+        positions: measured places of a point of the robot in the world, such as GPS; None where there are none.
         initial_poses: (T+1, 3), the initial guess of the trajectory; default: dead reckoning from (0, 0, 0). Headings
             are not wrapped, so that they can count turns.
         true_poses: the ground truth, (T+1, 3), or None where unknown. A row is NaN where the pose is unknown, and (x, y,
@@ -80,6 +84,8 @@ class Log:
     landmarks: np.ndarray
     sightings: Array
     classes: np.ndarray | None = None
+    relations: PoseRelations | None = None
+    positions: AbsolutePositions | None = None
     initial_poses: Array = None  # type: ignore[assignment]  # filled in by __post_init__
     true_poses: Array | None = None
     true_path: Array | None = None
@@ -119,6 +125,10 @@ class Log:
             if self.true_poses is None or starts is None:
                 raise LogError("true_path without true_poses or controls: leave it out")
             values["true_path"] = checked_truth(self.true_path, (starts[-1] + 1, 3), "true_path")
+        check_type(PoseRelations, relations=self.relations)
+        check_type(AbsolutePositions, positions=self.positions)
+        for kind, measured in self.measured.items():
+            measured.check_steps(kind, len(initial))
         values["truth_offset"] = checked_offset("truth_offset", self.truth_offset)
         if self.true_landmarks is not None:
             values["true_landmarks"] = checked_landmarks(self.true_landmarks)
@@ -144,6 +154,8 @@ class Log:
         *,
         truth: Any = None,
         map: Any = None,
+        relations: Any = None,
+        positions: Any = None,
         name: str = "log",
         keep_every: float | None = None,
         options: TableOptions | None = None,
@@ -159,6 +171,9 @@ class Log:
             sightings: t, id, range, bearing[, orientation]; or, by name only, t, id, x, y in the axes of the sensor.
             truth: t, x, y, theta; or the columns of TUM, t, x, y, z, qx, qy, qz, qw; or t, x, y.
             map: id, x, y[, theta].
+            relations: t1, t2, dx, dy, dtheta and their noise, sigma_x, sigma_y, sigma_theta or cov_xx, cov_xy, ...
+            positions: t, x, y[, theta] and their noise, sigma or sigma_x, sigma_y[, sigma_theta] or cov_xx, cov_xy, ...,
+                and lever_x, lever_y, the point of the robot that is measured. docs/other_sensors.md has both tables.
             name: of the log.
             keep_every: the greatest time between poses [s]; default: poses only where something was seen.
             options, changes: units, clocks and axes: a `graphslam.tables.TableOptions`, or its fields, for example
@@ -168,7 +183,8 @@ class Log:
             LogError: a table lacks a column or has an impossible value; the message names file and line.
             OptionError: an option is impossible.
         """
-        return cls(**parts_of_tables(odometry, sightings, truth, map, name, keep_every, options, **changes))
+        tables = {"truth": truth, "map": map, "relations": relations, "positions": positions}
+        return cls(**parts_of_tables(odometry, sightings, tables, name, keep_every, options, **changes))
 
     def _checked_controls(self) -> dict[str, Any]:
         """dt, controls, control_starts, control_variances and recorded_dt, checked and complete."""
@@ -241,6 +257,7 @@ class Log:
             "psi": self.has_orientation,
             "classes": self.classes is not None,
             "controls": self.controls is not None,
+            **dict.fromkeys(self.measured, True),
             "truth": self.true_poses is not None,
         }
         known = ", ".join(part for part, present in parts.items() if present)
@@ -248,6 +265,17 @@ class Log:
             f"<Log {self.name}: {self.num_poses} poses, {self.seen}, "
             f"with {known or 'neither psi nor controls nor truth'}>"
         )
+
+    @property
+    def measured(self) -> dict[str, PoseRelations | AbsolutePositions]:
+        """The relations and the positions by these names, as far as the log has them."""
+        both = {"relations": self.relations, "positions": self.positions}
+        return {name: each for name, each in both.items() if each is not None}
+
+    def warn_of_unused(self, who: str) -> None:
+        """Warn that ``who`` does not use the relations and positions of the log, where it has any."""
+        if self.measured:
+            warnings.warn(f"{who} does not use the {' and '.join(self.measured)} of the log", UserWarning, stacklevel=3)
 
     @property
     def num_poses(self) -> int:
@@ -367,7 +395,9 @@ class Log:
         return self.with_sightings(kept)
 
     def at_steps(self, steps: ArrayLike) -> Log:
-        """The log with only these poses and the sightings from them; the motions between them are joined.
+        """The log with only these poses and what was measured from them; the motions between them are joined.
+
+        Relations of poses that are left out are left out, too, and so are positions, with a note.
 
         Args:
             steps: increasing. Controls before the first and after the last step are left out.
@@ -398,6 +428,11 @@ class Log:
                 if (rows := getattr(self, name)) is not None:
                     changes[name] = rows[starts[0] : starts[-1]]
             changes |= {"control_starts": starts - starts[0], "start_time": float(times[kept[0]])}
+        for name, measured in self.measured.items():
+            changes[name] = measured.within(kept)
+            if left_out := len(measured) - len(changes[name]):
+                note = f"{left_out:,} of {len(measured):,} {name} are left out with their poses"
+                changes["notes"] = (*changes.get("notes", self.notes), note)
         seen = np.isin(self.steps, kept)
         changes["steps"] = np.searchsorted(kept, self.steps[seen])
         return self.with_sightings(seen, **changes)
@@ -432,6 +467,8 @@ def check_is_log(log: object) -> None:
 def _same(a: Any, b: Any) -> bool:
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
+    if isinstance(a, PoseRelations | AbsolutePositions):
+        return a.equals(b)
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return np.array_equal(a, b, equal_nan=a.dtype.kind == b.dtype.kind == "f")
     return bool(a == b) if type(a) is type(b) else False

@@ -94,16 +94,18 @@ def finite_floats(name: str, value: ArrayLike, shape: tuple[int | None, ...]) ->
     return array
 
 
-def whole_numbers(name: str, value: ArrayLike, length: int, wanted: str = "whole numbers") -> np.ndarray:
-    """A copy of an array (length,) of whole numbers of 64 bits."""
+def whole_numbers(
+    name: str, value: ArrayLike, length: int, wanted: str = "whole numbers", noun: str = "sighting"
+) -> np.ndarray:
+    """A copy of an array (length,) of whole numbers of 64 bits, one for each ``noun``."""
     try:
         array = np.asarray(value)
     except ValueError:  # rows of different lengths
-        raise LogError(f"{name} must be {wanted}, one per sighting, not {quoted(value)}") from None
+        raise LogError(f"{name} must be {wanted}, one per {noun}, not {quoted(value)}") from None
     if array.size == 0:
         array = array.astype(np.int64).reshape(-1)
     if array.shape != (length,):
-        raise LogError(f"{name} must have one entry per sighting, shape ({length},), not {array.shape}")
+        raise LogError(f"{name} must have one entry per {noun}, shape ({length},), not {array.shape}")
     try:
         with np.errstate(invalid="ignore"):
             if array.dtype.kind in "cmM":

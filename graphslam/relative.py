@@ -25,14 +25,16 @@ from .checks import array_of
 from .edges import (
     AnchorEdges,
     CartesianObservationEdges,
+    DoubtedEdges,
     EdgeFamily,
     LandmarkPriors,
     ObservationEdges,
     PolarObservationEdges,
+    PositionEdges,
     PriorEdges,
+    RelationEdges,
     RelativePointEdges,
     RelativePoseEdges,
-    SightingEdges,
     VirtualMotionEdges,
 )
 from .errors import GraphError
@@ -74,6 +76,11 @@ def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
         seen = family.cartesian if isinstance(family, PolarObservationEdges) else family
         assert isinstance(seen, CartesianObservationEdges)
         return _weighted(replace(seen.relative, frame="body"), family, state)
+    if isinstance(family, RelationEdges):
+        return _weighted(replace(family.relative, kernel=None), family, state)
+    if isinstance(family, PositionEdges):
+        weights = family.kernel_weights(state)[:, None, None]
+        return replace(family, information=family.weighed * weights, kernel=None, trust=None)
     if isinstance(family, RelativePoseEdges):
         return replace(family, frame="body")
     if isinstance(family, (LandmarkPriors, PriorEdges)):
@@ -88,7 +95,7 @@ def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
     raise GraphError(f'{type(family).__name__} are no sum of edges between two nodes; use weight="pairs" or "tempered"')
 
 
-def _weighted(edges: _Relative, family: SightingEdges, state: Array) -> _Relative:
+def _weighted(edges: _Relative, family: DoubtedEdges, state: Array) -> _Relative:
     """The edges with the weights that the kernel of the family they come from has at a state."""
     if family.kernel is None:
         return edges

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from numbers import Integral
 from typing import Any
@@ -49,6 +49,8 @@ class Solution:
         notes: remarks on the graph and the solver, one sentence each.
         trust: (M,) the trust in each sighting of the log, from 0 to 1, where the method "gnc" determined it; NaN for
             sightings that the graph does not use. None for other solvers.
+        other_trust: the same for {"relations": (R,), "positions": (N,)}, as far as the graph has them. In a pose graph the
+            relations are its loop closures, in their order.
         graph: the graph that was solved, with the final trust in its sightings.
     """
 
@@ -66,6 +68,7 @@ class Solution:
     state: Array
     notes: tuple[str, ...] = ()
     trust: Array | None = None
+    other_trust: dict[str, Array] = field(default_factory=dict)
     graph: Graph | None = None
 
     def __post_init__(self) -> None:

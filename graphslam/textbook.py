@@ -94,6 +94,7 @@ def solve(
         OptionError: an option has an impossible value.
     """
     check_choice("edges", edges, THRESHOLDS)
+    log.warn_of_unused("the lectures' program")
     patience = PATIENCE if threshold is None else max_iterations
     threshold = THRESHOLDS[edges] if threshold is None else threshold
     d = dimensions or log.sightings.shape[1]

@@ -22,6 +22,7 @@ from .edges import (
     LandmarkSightings,
     ObservationEdges,
     PolarObservationEdges,
+    PositionEdges,
     PriorEdges,
     RelativePointEdges,
     RelativePoseEdges,
@@ -64,7 +65,8 @@ def with_cartesian_sightings(graph: Graph) -> Graph | None:
 def with_landmark_nodes(graph: Graph) -> Graph | None:
     """The graph with landmark nodes and Cartesian residuals in place of its edges from sightings; these keep their order.
 
-    Robust kernels are left out. New landmarks are numbered from 0, and at the origin. None where there are no sightings.
+    Their robust kernels are left out. New landmarks are numbered from 0, and at the origin. None where there are no
+    sightings.
     """
     sighted = next((family for family in graph.families if isinstance(family, SightingEdges)), None)
     if sighted is None:
@@ -87,12 +89,22 @@ def poses_only(graph: Graph, families: list[EdgeFamily]) -> Graph:
     count = len(graph.steps)
     of_landmarks = (RelativePointEdges, LandmarkPriors, PriorEdges)
     kept = [family for family in families if not isinstance(family, of_landmarks)]
-    if graph.map is not None:
+    if graph.map is not None and not any(isinstance(family, PositionEdges) for family in kept):
         kept.append(AnchorEdges(np.zeros(1, dtype=int), graph.initial[:1].copy(), ANCHOR_INFORMATION[None]))
     return replace(
         graph, initial=graph.initial[:count], landmark_ids=graph.landmark_ids[:0], log=None, map=None,
         families=tuple(kept), fixed=graph.fixed[graph.fixed < count],
     )  # fmt: skip
+
+
+def without_positions(graph: Graph) -> Graph:
+    """The graph without absolute positions; the first pose is anchored in their place, unless a map or a fixed node is."""
+    if not any(isinstance(family, PositionEdges) for family in graph.families):
+        return graph
+    families = [f for f in graph.families if not isinstance(f, PositionEdges) and type(f) is not AnchorEdges]
+    if graph.map is None and not len(graph.fixed):
+        families.insert(0, AnchorEdges(np.zeros(1, dtype=int), graph.initial[:1].copy(), ANCHOR_INFORMATION[None]))
+    return replace(graph, families=tuple(families))
 
 
 def coarse(graph: Graph, every: int) -> tuple[Graph, np.ndarray] | None:
@@ -150,7 +162,7 @@ def _edges_among(family: EdgeFamily, used: np.ndarray, number: np.ndarray) -> Ed
         counts = np.bincount(family.group[used[family.nodes]])
         others = {"starts": np.concatenate([[0], np.cumsum(counts[counts > 0])])}
     else:
-        ends, others = (("nodes",) if isinstance(family, AnchorEdges) else ("first", "second")), {}
+        ends, others = (("nodes",) if isinstance(family, AnchorEdges | PositionEdges) else ("first", "second")), {}
     here = np.all([used[getattr(family, end)] for end in ends], axis=0)
     rows = {f.name: getattr(family, f.name) for f in fields(family)}  # type: ignore[arg-type]  # all families are dataclasses
     kept = {name: row[here] for name, row in rows.items() if isinstance(row, np.ndarray) and len(row) == len(here)}

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from graphslam.metrics import position_errors
-from graphslam.se2 import Array, compose
+from graphslam.se2 import Array, compose, transform
 
 from ..comparison import Comparison
 from ..exchange import elapsed_of, time_axis
@@ -31,7 +31,7 @@ from .placement import (
     true_landmarks,
     true_line,
 )
-from .style import SIGHTING, START, TRUE_LANDMARK, TRUTH, colour_of, ellipse_style, style_of
+from .style import POSITION, SIGHTING, START, TRUE_LANDMARK, TRUTH, colour_of, ellipse_style, style_of
 
 #: longer logs have some of their sightings drawn, evenly spread: more lines would only fill the page
 MOST_SIGHTINGS = 3000
@@ -83,6 +83,10 @@ def _draw_map(axes: Axes, comparison: Comparison, legend: dict[str, Any]) -> Non
         if result is reference:
             _draw_sightings(axes, comparison, np.where(unknown, np.nan, compose(placement, result.poses)))
             start = poses[0, :2] if result.estimated[0] else start
+            if (positions := log.positions) is not None and len(positions):
+                crosses = transform(placement, positions.places[:, :2])
+                (legend["position measured"],) = axes.plot(*crosses.T, **POSITION)
+                rest.append(crosses)
         # the map of a second solver of the same graph would only cover that of the first
         if result.landmarks and (result.name in _MAPS or result is reference):
             core.append(_draw_landmarks(axes, result, placement, result is reference))

@@ -49,6 +49,7 @@ _OTHER = ("#AA4499", "#44AA99", "#999933", "#117733")
 INK = "#1a1a1a"
 TRUTH: dict[str, Any] = {"color": "black", "linestyle": "-", "linewidth": 0.9, "zorder": 2.9}
 TRUE_LANDMARK: dict[str, Any] = {"color": "black", "linestyle": "none", "marker": "+", "markersize": 6, "zorder": 3.3}
+POSITION: dict[str, Any] = {"color": "0.45", "linestyle": "none", "marker": "x", "markersize": 3, "zorder": 2.7}
 SIGHTING: dict[str, Any] = {"color": "0.72", "linewidth": 0.35, "zorder": 1.5}
 START: dict[str, Any] = {"color": "black", "linestyle": "none", "marker": "s", "markersize": 4, "zorder": 4}
 #: resampling in an animation; no estimator that is animated has this colour

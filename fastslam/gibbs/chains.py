@@ -64,6 +64,7 @@ class ParticleGibbs:
         **keywords: Any,
     ) -> None:
         check_is_log(log)
+        log.warn_of_unused("particle Gibbs")
         self.options = replace(options or GibbsOptions(), **keywords)
         if not log.identified:
             raise OptionError(

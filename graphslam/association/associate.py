@@ -177,6 +177,8 @@ def associate(
         raise GraphError(f"{log.name} has no sightings at all, so there is nothing to associate")
     check_magnitudes(log, motion, sensor)
     recorded = log
+    # the ids are found without other sensors, whose frame may be another one
+    log = log.replace(relations=None, positions=None)
     if log.identified or not options.keep_ids:
         log = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
     names, robot = wanted(estimate), Robot(log, motion, sensor)

@@ -14,6 +14,7 @@ from ..errors import FormatError, LogError, named, quoted
 from ..se2 import Array, wrap
 from ..tables.drive import map_of, odometry_of, sightings_of, truth_of
 from ..tables.join import Drive, check_overlap
+from ..tables.measured import positions_of, relations_of
 from ..tables.options import TableOptions
 from ..tables.recipe import Recipe
 from ..tables.sources import table_of
@@ -118,7 +119,7 @@ def _drive(
     if "truth" in collectors:
         try:
             truth = truth_of(_poses_table(collectors["truth"]), options)
-            check_overlap(odometry, truth)
+            check_overlap(odometry, truth, "truth")
         except LogError as error:
             if choices["truth"].named:
                 raise
@@ -131,7 +132,15 @@ def _drive(
     named = recipe.place("map", "file")
     landmarks = None if named is None else map_of(table_of(path.parent / named, "map"), recipe.options, sightings.names)
     place = recipe.options.sensor_offset or offset
-    return Drive(odometry, sightings, truth, landmarks, place, tuple(notes), recipe.options.truth_offset)
+    # a bag gives relations and positions as tables beside it: messages of poses do not say whose frames they are in
+    relations, positions = (
+        None if file is None else read(table_of(path.parent / file, kind), recipe.options)
+        for kind, read in (("relations", relations_of), ("positions", positions_of))
+        for file in (recipe.place(kind, "file"),)
+    )
+    return Drive(
+        odometry, sightings, truth, landmarks, place, tuple(notes), recipe.options.truth_offset, relations, positions
+    )
 
 
 def _choices(bag: Bag, found: Sequence[Candidate], recipe: Recipe) -> list[Choice]:

@@ -2,10 +2,12 @@
 
 from .anchor import ANCHOR_INFORMATION, AnchorEdges
 from .base import ConstantEdges, EdgeFamily, Linearization, Relations
+from .doubted import DoubtedEdges, SingleEdges
 from .marginal import MarginalEdges
 from .observation import CartesianObservationEdges, ObservationEdges, PolarObservationEdges
+from .position import PositionEdges
 from .prior import LandmarkPriors, PriorEdges
-from .relative import RelativePointEdges, RelativePoseEdges, motion_edges
+from .relative import RelationEdges, RelativePointEdges, RelativePoseEdges, motion_edges
 from .sightings import LandmarkSightings, SightingEdges
 from .virtual_motion import VirtualMotionEdges
 
@@ -14,6 +16,7 @@ __all__ = [
     "AnchorEdges",
     "CartesianObservationEdges",
     "ConstantEdges",
+    "DoubtedEdges",
     "EdgeFamily",
     "LandmarkPriors",
     "LandmarkSightings",
@@ -21,11 +24,14 @@ __all__ = [
     "MarginalEdges",
     "ObservationEdges",
     "PolarObservationEdges",
+    "PositionEdges",
     "PriorEdges",
+    "RelationEdges",
     "RelativePointEdges",
     "RelativePoseEdges",
     "Relations",
     "SightingEdges",
+    "SingleEdges",
     "VirtualMotionEdges",
     "motion_edges",
 ]

@@ -21,7 +21,8 @@ the frame of x_{t-1} (body, Omega constant).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from ..models import MotionModel
 from ..precision import inverses
 from ..se2 import Array, perpendicular, rotation, turn_matrix, wrap
 from .base import ConstantEdges, EngineEdges, Linearization, PairEdges, Relations, linearization
+from .doubted import SingleEdges
 from .robust import Kernel, code_and_width
 
 
@@ -123,6 +125,39 @@ class RobustPointEdges(RobustRelativeEdges, RelativePointEdges):
     """`RelativePointEdges` with a robust kernel on each."""
 
     kernel: Kernel | None = field(default=None, kw_only=True)
+
+
+@dataclass(frozen=True, eq=False)
+class RelationEdges(SingleEdges, RelativePoseEdges):
+    """Measured relations of two poses that may be wrong, such as loop closures: `RelativePoseEdges` in the body frame.
+
+    ``kernel`` and ``trust`` are those of `DoubtedEdges`.
+    """
+
+    kernel: Kernel | None = field(default=None, kw_only=True)
+    trust: Array | None = field(default=None, kw_only=True)
+
+    @cached_property
+    def relative(self) -> RobustPoseEdges:
+        """The same edges, the trust in their information."""
+        return RobustPoseEdges(self.first, self.second, self.measured, self.weighed, kernel=self.kernel)
+
+    def linearize(self, state: Array, reference: Array) -> Linearization:
+        return self.relative.linearize(state, reference)
+
+    def constant(self, state: Array) -> ConstantEdges:
+        edges = self.relative.constant(state)
+        weights = self.kernel_weights(state)[:, None, None]
+        return edges if self.kernel is None else replace(edges, information=edges.information * weights)
+
+    def headings(self) -> Relations | None:
+        return self.relative.headings()
+
+    def positions(self, state: Array) -> Relations | None:
+        return self.relative.positions(state)
+
+    def _to_engine(self) -> Any:
+        return self.relative.in_engine
 
 
 def motion_edges(

@@ -7,51 +7,34 @@ R(theta) o where the sensor sits at o on the robot.
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from ..errors import GraphError
 from ..models import SensorModel
 from ..se2 import Array, perpendicular
-from .base import EdgeFamily, EngineEdges, Relations
+from .base import EngineEdges, Relations
+from .doubted import DoubtedEdges
 from .robust import Kernel, code_and_width
 
-Self = TypeVar("Self", bound="SightingEdges")
 
-#: the least trust: a landmark all of whose sightings are wrong must still be somewhere
-NO_TRUST = 1e-9
-
-
-class SightingEdges(EdgeFamily):
-    """Edges that come from sightings (M, 2 or 3) by a sensor.
-
-    ``kernel`` is the robust kernel of every edge, or None for plain squares; its default width is that for the dimension
-    of a sighting. ``trust`` (M,) is a factor from 0 to 1 on
-    the information of each sighting, or None for 1; graduated non-convexity sets it. 0 counts as `NO_TRUST`.
-    """
+class SightingEdges(DoubtedEdges):
+    """Edges that come from sightings (M, 2 or 3) by a sensor. ``noise_at`` (M, 2 or 3), or None, gives their covariance."""
 
     sightings: Array
     sensor: SensorModel
-    kernel: Kernel | None
-    trust: Array | None
     noise_at: Array | None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.kernel is not None:
-            object.__setattr__(self, "kernel", self.kernel.of_dimension(self.sightings.shape[1]))
+    @property
+    def dimension(self) -> int:
+        return self.sightings.shape[1]
 
-    def with_trust(self: Self, trust: Array | None) -> Self:
-        """The same edges with another factor (M,) on the information of each sighting."""
-        return replace(self, trust=trust)  # type: ignore[type-var]
-
-    @cached_property
-    def trusted(self) -> Array:
-        """The trust (M,) that the edges work with."""
-        return np.ones(len(self.sightings)) if self.trust is None else np.maximum(self.trust, NO_TRUST)
+    @property
+    def measurements(self) -> int:
+        return len(self.sightings)
 
     @property
     def noisy(self) -> Array:
@@ -62,20 +45,6 @@ class SightingEdges(EdgeFamily):
     def oriented(self) -> bool:
         """Whether the sightings measure psi."""
         return self.sightings.shape[1] == 3
-
-    def kernel_weights(self, state: Array) -> Array:
-        """The weight (E,) that the kernel gives each edge at a state, 1 without a kernel."""
-        squares = self.linearize(state, state).mahalanobis
-        return np.ones(len(squares)) if self.kernel is None else self.kernel.weight(squares)
-
-    def weighted_cost(self, state: Array) -> float:
-        if self.kernel is None:
-            return self.cost(state, state)
-        return float(self.linearize(state, state).mahalanobis @ self.kernel_weights(state))
-
-    @property
-    def information_per_weight(self) -> float:
-        return 1.0 if self.kernel is None else self.kernel.information_per_weight(self.sightings.shape[1])
 
     def _check_constant(self, frame: str) -> None:
         """Raise `GraphError` unless the information of the sightings is constant, but for a kernel: in the body frame."""

@@ -1,4 +1,4 @@
-"""GTSAM factor types for your own graphs: virtual motion, motion, relative pose, observation, landmark, anchor.
+"""GTSAM factor types for your own graphs: virtual motion, motion, relative pose, position, observation, landmark, anchor.
 
 Every factor is a `gtsam.CustomFactor` whose residual and analytic Jacobians are those of the edges of this framework.
 They are derived here a second time, so that the two implementations check each other. GTSAM's ``error`` is one half of
@@ -8,6 +8,7 @@ e' Omega e, or rho(r) with a robust kernel.
 from .description import FactorDescription, describe, load_factors, save_factors
 from .landmark import LandmarkFactor
 from .observation import InverseObservationFactor, ObservationFactor, RelativePointFactor
+from .position import PositionFactor
 from .prior import AnchorFactor, PriorFactor
 from .relative_edges import RelativeEdgesFactor
 from .relative_pose import MotionFactor, RelativePoseFactor
@@ -21,6 +22,7 @@ __all__ = [
     "LandmarkFactor",
     "MotionFactor",
     "ObservationFactor",
+    "PositionFactor",
     "PriorFactor",
     "RelativeEdgesFactor",
     "RelativePointFactor",

@@ -6,7 +6,9 @@ Arrays (absent = None): ``format`` ("graphslam-log-1"), ``dt`` (T,), ``controls`
 column of NaN marks a landmark without heading), ``start_time``, and for logs with several controls per motion
 ``control_starts`` (T+1,), ``control_variances`` (S, 3) or (S, 2), ``recorded_dt`` (S,) and ``true_path`` (S+1, 3);
 ``motion`` and ``sensor``, the fields of the noise models in their order, where the log has such models; ``notes`` (N,) and
-``doubts`` (N, 2), texts; ``uncertain`` (K, 2), names and numbers as texts; ``simulated``, where `simulate` made the log. No
+``doubts`` (N, 2), texts; ``relations_first``, ``relations_second``, ``relations_motions``, ``relations_covariances`` and
+``positions_steps``, ``positions_places``, ``positions_covariances``, ``positions_levers``, the fields of `PoseRelations` and
+`AbsolutePositions`; ``uncertain`` (K, 2), names and numbers as texts; ``simulated``, where `simulate` made the log. No
 pickles.
 """
 
@@ -24,6 +26,7 @@ from ..checks import real_array
 from ..errors import FormatError, OptionError, SlamError, reason_of
 from ..files import check_file, read_archive, write_whole
 from ..log import Log
+from ..measurements import AbsolutePositions, PoseRelations
 from ..models import MotionModel, SensorModel
 from ..reading import ReadOptions, finite_fault, range_faults, sound_rows
 from ..se2 import Array
@@ -32,6 +35,9 @@ from .base import Format
 VERSION = "graphslam-log-1"
 _REQUIRED = ("steps", "landmarks", "sightings", "initial_poses")
 _MODELS: dict[str, type[MotionModel | SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
+_MEASURED: dict[str, type[PoseRelations | AbsolutePositions]] = {
+    "relations": PoseRelations, "positions": AbsolutePositions,
+}  # fmt: skip
 _OPTIONAL = (
     "classes", "dt", "controls", "control_starts", "control_variances", "recorded_dt", "true_poses", "true_path",
     "truth_offset",
@@ -60,8 +66,17 @@ def _read(path: Path, options: ReadOptions) -> Log:
                     for f in fields(model)
                 }
                 models[name] = model(**values)
+        measured: dict[str, Any] = {}
+        for name, kind in _MEASURED.items():
+            arrays: dict[str, Any] = {f.name: content.get(f"{name}_{f.name}") for f in fields(kind)}
+            if lacking := [field for field, array in arrays.items() if array is None]:
+                if len(lacking) < len(arrays):
+                    raise OptionError(f"the archive has {name} without the array {name}_{lacking[0]}")
+            else:
+                measured[name] = kind(**arrays)
         return Log(
             **models,
+            **measured,
             **{name: content[name] for name in _REQUIRED},
             **{name: content[name] for name in _OPTIONAL if name in content},
             true_landmarks=_true_landmarks(content) if "true_landmark_ids" in content else None,
@@ -125,6 +140,8 @@ def _write(log: Log, path: Path) -> None:
         content["simulated"] = np.array(True)
     if log.uncertain:
         content["uncertain"] = np.array([(name, repr(float(number))) for name, number in log.uncertain.items()])
+    for name, measured in log.measured.items():
+        content |= {f"{name}_{f.name}": getattr(measured, f.name) for f in fields(measured)}
     for name in ("notes", "doubts"):
         if texts := getattr(log, name):
             content[name] = np.array(texts)

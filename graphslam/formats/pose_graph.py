@@ -3,7 +3,8 @@
 ======================  =================================================================================================
 g2o                     ``VERTEX_SE2 id x y theta``, ``VERTEX_XY id x y``, ``FIX id ...``,
                         ``EDGE_SE2 i j x y theta`` + information 11 12 13 22 23 33,
-                        ``EDGE_SE2_XY i j x y`` + information 11 12 22
+                        ``EDGE_SE2_XY i j x y`` + information 11 12 22,
+                        ``EDGE_PRIOR_SE2 id x y theta`` + 6, ``EDGE_PRIOR_SE2_XY id x y`` + 3 of the information
 TORO                    ``VERTEX2 id x y theta``, ``EDGE2 i j x y theta`` + information **11 12 22 33 13 23**
 iSAM                    ``ODOMETRY`` or ``EDGE2 i j x y theta`` + upper triangle of the **square root** R of the
                         information (R'R), 11 12 13 22 23 33; ``LANDMARK i j x y`` + 11 12 22 of the root;
@@ -14,7 +15,7 @@ Every tag has the meaning of its own dialect. Only ``EDGE2`` belongs to two: it 
 lines, and iSAM's in any other, unless the format is named. All edges measure the second node in the frame of the first.
 `RelativePoseEdges` needs the information in the axes of the first pose. TORO and iSAM give it so: their residual is
 (x_i^-1 x_j) - z. g2o's residual is e = z^-1 (x_i^-1 x_j), in axes turned by the measured heading, so its information is
-turned back here. Lines that begin with # are comments.
+turned back here; that of a prior of a pose likewise. Lines that begin with # are comments.
 
 In a file without vertices the initial values follow the odometry: from the first pose along edges to the next id, then
 along the others.
@@ -46,8 +47,10 @@ class PoseGraphFile:
     """The contents of a file: ids and values of poses (P,), (P, 3) and landmarks (L,), (L, 2), fixed ids, and the edges.
 
     Edges name ids: ``pose_edges`` (E, 2) with ``pose_measured`` (E, 3) and ``pose_information`` (E, 3, 3) in the axes of
-    the first pose; ``point_edges`` (K, 2) with ``point_measured`` (K, 2) and ``point_information`` (K, 2, 2). ``notes`` are
-    doubts about the numbers, one sentence each.
+    the first pose; ``point_edges`` (K, 2) with ``point_measured`` (K, 2) and ``point_information`` (K, 2, 2). Priors of poses
+    name ids, too, and have information in world axes: ``priors`` (A,) with ``prior_measured`` (A, 3) and
+    ``prior_information`` (A, 3, 3), ``places`` (B,) with ``place_measured`` (B, 2) and ``place_information`` (B, 2, 2).
+    ``notes`` are doubts about the numbers, one sentence each.
     """
 
     pose_ids: np.ndarray
@@ -61,11 +64,17 @@ class PoseGraphFile:
     point_edges: np.ndarray
     point_measured: Array
     point_information: Array
+    priors: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    prior_measured: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    prior_information: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    places: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    place_measured: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    place_information: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
     notes: tuple[str, ...] = ()
 
 
 class _Edge(NamedTuple):
-    """The line of an edge: its number and tag, the two ids, and the numbers."""
+    """The line of an edge: its number and tag, its one or two ids, and the numbers."""
 
     line: int
     tag: str
@@ -84,6 +93,8 @@ class _Lines:
     fixed: dict[int, int] = field(default_factory=dict)
     pose_edges: list[_Edge] = field(default_factory=list)
     point_edges: list[_Edge] = field(default_factory=list)
+    priors: list[_Edge] = field(default_factory=list)
+    places: list[_Edge] = field(default_factory=list)
 
 
 #: tag -> number of ids, number of numbers, form of the line
@@ -96,9 +107,14 @@ _TAGS: dict[str, tuple[int, int, str]] = {
     "ODOMETRY": (2, 9, "i j x y theta and 6 of the square-root information"),
     "EDGE_SE2_XY": (2, 5, "i j x y and 3 of the information"),
     "LANDMARK": (2, 5, "i j x y and 3 of the square-root information"),
+    "EDGE_PRIOR_SE2": (1, 9, "id x y theta and 6 of the information"),
+    "EDGE_PRIOR_SE2_XY": (1, 5, "id x y and 3 of the information"),
 }
 #: the dialect of an edge's tag; EDGE2 is TORO's or iSAM's
-_DIALECT_OF = {"EDGE_SE2": "g2o", "EDGE_SE2_XY": "g2o", "ODOMETRY": "isam", "LANDMARK": "isam"}
+_DIALECT_OF = {
+    "EDGE_SE2": "g2o", "EDGE_SE2_XY": "g2o", "EDGE_PRIOR_SE2": "g2o", "EDGE_PRIOR_SE2_XY": "g2o", "ODOMETRY": "isam",
+    "LANDMARK": "isam",
+}  # fmt: skip
 
 
 def read_pose_graph(path: Path, dialect: str | None = None, unknown: str = "error") -> PoseGraphFile:
@@ -164,6 +180,8 @@ def _take(lines: _Lines, line: int, words: list[str], unknown: str) -> None:
         if count == 9 and ids[0] == ids[1]:
             raise FormatError(path, line, f"the edge goes from node {ids[0]} to itself; an edge ties two nodes")
         (lines.pose_edges if count == 9 else lines.point_edges).append(_Edge(line, tag, ids, numbers))
+    elif tag.startswith("EDGE"):
+        (lines.priors if count == 9 else lines.places).append(_Edge(line, tag, ids, numbers))
     elif ids[0] in lines.poses or ids[0] in lines.landmarks:
         raise FormatError(path, line, f"vertex {ids[0]} is given a second time; remove one of the two")
     else:
@@ -179,6 +197,12 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
     turn = turn_matrix(np.where(dialects == "g2o", pose_numbers[:, 2], 0.0))
     information = turn @ information @ np.swapaxes(turn, 1, 2)
 
+    priors, prior_numbers, prior_information = _arrays(path, lines.priors, 3, edge2)
+    places, place_numbers, place_information = _arrays(path, lines.places, 2, edge2)
+    # g2o measures the error of a prior in the axes of the prior
+    turn = turn_matrix(prior_numbers[:, 2])
+    prior_information = turn @ prior_information @ np.swapaxes(turn, 1, 2)
+
     pose_values, landmark_values = lines.poses, lines.landmarks
     if not pose_values and not landmark_values:
         pose_values, landmark_values = _initial_values(pose_edges, pose_numbers, point_edges, point_numbers)
@@ -193,6 +217,7 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
     for edges, last, of_last in (
         (lines.pose_edges, "pose", pose_values),
         (lines.point_edges, "landmark", landmark_values),
+        (lines.priors + lines.places, "pose", pose_values),
     ):
         for edge in edges:
             for id, kind, values in zip(edge.ids, ("pose", last), (pose_values, of_last)):
@@ -215,6 +240,12 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
         point_edges=point_edges,
         point_measured=point_numbers,
         point_information=point_information,
+        priors=priors[:, 0],
+        prior_measured=np.column_stack([prior_numbers[:, :2], wrap(prior_numbers[:, 2])]),
+        prior_information=prior_information,
+        places=places[:, 0],
+        place_measured=place_numbers,
+        place_information=place_information,
         notes=_doubts(path, information, dialects),
     )
 
@@ -240,9 +271,14 @@ def _doubts(path: Path, information: Array, dialects: np.ndarray) -> tuple[str, 
 
 
 def _arrays(path: Path, edges: list[_Edge], d: int, edge2: str) -> tuple[np.ndarray, Array, Array]:
-    """The ids (E, 2) of edges, their measurements (E, d), and their information (E, d, d) from the order of the dialect."""
+    """The ids of edges (E, 2), or of priors (E, 1), their measurements (E, d), and their information (E, d, d).
+
+    The information comes in the order of the dialect.
+    """
     rows, columns = np.triu_indices(d)
-    ids = np.array([edge.ids for edge in edges], dtype=np.int64).reshape(-1, 2)
+    ids = np.array([edge.ids for edge in edges], dtype=np.int64)
+    if ids.ndim < 2:
+        ids = ids.reshape(0, 2)
     numbers = np.array([edge.numbers for edge in edges]).reshape(-1, d + len(rows))
     dialects = np.array([_DIALECT_OF.get(edge.tag, edge2) for edge in edges], dtype="U4")
     entries = numbers[:, d:]
@@ -318,6 +354,16 @@ def write_g2o(data: PoseGraphFile, path: Path) -> None:
     upper = np.triu_indices(2)
     for (i, j), z, omega in zip(data.point_edges.tolist(), data.point_measured, data.point_information):
         out.append(f"EDGE_SE2_XY {i} {j} {_numbers(z)} {_numbers(omega[upper])}")
+    # the residual of a prior is turned like that of an edge
+    turn = turn_matrix(-data.prior_measured[:, 2])
+    of_priors = turn @ data.prior_information @ np.swapaxes(turn, 1, 2)
+    for tag, ids, measured, information in (
+        ("EDGE_PRIOR_SE2", data.priors, data.prior_measured, of_priors),
+        ("EDGE_PRIOR_SE2_XY", data.places, data.place_measured, data.place_information),
+    ):
+        upper = np.triu_indices(measured.shape[1])
+        for i, z, omega in zip(ids.tolist(), measured, information):
+            out.append(f"{tag} {i} {_numbers(z)} {_numbers(omega[upper])}")
     with write_whole(path) as temporary:
         temporary.write_text("\n".join(out) + "\n", encoding="utf-8")
 

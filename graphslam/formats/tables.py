@@ -1,5 +1,7 @@
 """A folder of tables of your own robot: ``odometry.csv``, ``sightings.csv``, and ``truth.csv``, ``map.csv`` where known.
 
+``relations.csv`` and ``positions.csv`` hold what other sensors measured, loop closures and GPS for example.
+
 The endings may be .csv, .tsv, .txt, .tum, .dat or .parquet. Columns are recognised by common names (`Log.from_tables`).
 ``import.toml`` in the folder states units, columns, clocks and other names of files (`tables.recipe`).
 """

@@ -93,7 +93,8 @@ def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate 
             raise
         reason = f"the noise models are the book's, because noise cannot be estimated: {error}"
         return log.replace(notes=(*log.notes, reason)), None
-    return found.log.replace(notes=(*log.notes, *found.sentences)), found
+    unused = [f"noise and biases were estimated without the {' and '.join(log.measured)}"] if log.measured else []
+    return found.log.replace(notes=(*log.notes, *found.sentences, *unused)), found
 
 
 def unknown_noise(log: Log) -> bool:

@@ -104,13 +104,15 @@ def numbers(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> Array
     return array
 
 
-def information_of(covariance: ArrayLike | None) -> Array:
-    """The inverse of a covariance (3, 3).
+def information_of(covariance: ArrayLike | None, d: int = 3) -> Array:
+    """The inverse of a covariance (d, d).
 
     Raises:
         OptionError: it is not symmetric positive definite. GraphError: its inverse is beyond double precision.
     """
-    P = numbers("covariance", covariance, (3, 3))
+    P = numbers("covariance", covariance, (d, d))
     if not np.allclose(P, P.T, rtol=0, atol=1e-9 * np.abs(P).max()) or not np.linalg.eigvalsh(P)[0] > 0:
-        raise OptionError(f"covariance must be a symmetric positive definite 3 x 3 matrix, not {quoted(covariance)}")
+        raise OptionError(
+            f"covariance must be a symmetric positive definite {d} x {d} matrix, not {quoted(covariance)}"
+        )
     return np.asarray(inverses(P[None], "motion", "check its covariance")[0])

@@ -7,15 +7,16 @@ from numbers import Real
 
 import gtsam
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..checks import check_choice
 from ..edges.robust import Kernel
 from ..errors import GraphError, OptionError, quoted
-from ..factors import AnchorFactor, LandmarkFactor, ObservationFactor, RelativePoseFactor
+from ..factors import AnchorFactor, LandmarkFactor, ObservationFactor, PositionFactor, RelativePoseFactor
 from ..factors.landmark import WEIGHTS
 from ..models import RESIDUALS, SensorModel
 from ..se2 import Array, between, compose, inverse, turn_matrix
-from .backend import Backend, Relation
+from .backend import Backend, Relation, information_of
 
 EDGES = ("landmark+motion", "virtual+motion")
 #: how ISAM2 eliminates nodes
@@ -46,6 +47,7 @@ class Isam2Backend(Backend):
         factorization: "cholesky", or "qr", which takes two to three times as long and also works where information is so
             unequal that Cholesky finds the system indeterminate.
         params: `gtsam.ISAM2Params`, instead of these three.
+        start_covariance: (3, 3) of the first pose; default: it is anchored. Give one where absolute positions are added.
 
     Raises:
         OptionError: an option has an impossible value.
@@ -66,6 +68,7 @@ class Isam2Backend(Backend):
         skip: int = 1,
         factorization: str = FACTORIZATIONS[0],
         params: gtsam.ISAM2Params | None = None,
+        start_covariance: ArrayLike | None = None,
     ) -> None:
         check_choice("edges", edges, EDGES)
         check_choice("weight", weight, WEIGHTS)
@@ -82,7 +85,7 @@ class Isam2Backend(Backend):
         )
         self._sensor, self._kernel = sensor, kernel
         self._edges, self._weight, self._residual = edges, weight, residual
-        self._isam = gtsam.ISAM2(params)
+        self._isam, self._factorization = gtsam.ISAM2(params), params.getFactorization().lower()
         self._num_poses, self._settled = 1, True
         self.columns: int | None = None
         #: per landmark the keys of the poses that saw it, and its sightings
@@ -93,7 +96,8 @@ class Isam2Backend(Backend):
         #: since the last update: new factors and values, and landmarks with new sightings
         self._factors, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._changed: dict[int, None] = {}
-        self._anchor = AnchorFactor(X(0), start)
+        held = None if start_covariance is None else information_of(start_covariance)
+        self._anchor = AnchorFactor(X(0), start, held)
         self._factors.add(self._anchor)
         self._values.insert(X(0), gtsam.Pose2(*start))
         self.update()
@@ -106,10 +110,21 @@ class Isam2Backend(Backend):
         self.add_sightings(pose, ids, sightings)
         self.update()
 
-    def add_relation(self, relation: Relation) -> None:
+    def locate(self, pose: int, measured: Array, information: Array, lever: Array) -> None:
+        """Add an absolute position of a point of the robot; see `OnlineSolver.locate`."""
+        self.add_position(pose, measured, information, lever)
+        self.update()
+
+    def add_position(
+        self, pose: int, measured: Array, information: Array, lever: Array, kernel: Kernel | None = None
+    ) -> None:
+        """Add an absolute position to what the next update passes to ISAM2."""
+        self._factors.add(PositionFactor(X(pose), measured, information, lever=lever, kernel=kernel).fastest())
+
+    def add_relation(self, relation: Relation, kernel: Kernel | None = None) -> None:
         """Add a relation to those that the next update passes to ISAM2."""
         first, second, z, information = relation
-        self._factors.add(RelativePoseFactor(X(first), X(second), z, information))
+        self._factors.add(RelativePoseFactor(X(first), X(second), z, information, kernel=kernel))
         if max(first, second) == self._num_poses:
             known, moved = (first, z) if first < second else (second, inverse(z[None])[0])
             self._values.insert(X(self._num_poses), gtsam.Pose2(*compose(self._value(known), moved)))
@@ -178,7 +193,7 @@ class Isam2Backend(Backend):
         built again from the present estimate, with a threshold of zero.
         """
         factors, values = gtsam.NonlinearFactorGraph(self._isam.getFactorsUnsafe()), self._isam.calculateEstimate()
-        self._isam = gtsam.ISAM2(_parameters(0.0, 1, FACTORIZATIONS[0]))
+        self._isam = gtsam.ISAM2(_parameters(0.0, 1, self._factorization))
         # the empty slots of factors that were removed are passed on, so that every factor keeps its slot
         self._isam.update(factors, values)
         now = self.poses

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..defaults import suitable_for_isam2
-from ..edges import CartesianObservationEdges, RelativePoseEdges
+from ..edges import CartesianObservationEdges, PositionEdges, RelationEdges
 from ..errors import GraphError, OptionError, quoted
 from ..graph import Graph
 from ..log import Log
 from ..models import MotionModel
+from ..parameters.corrected import motion_edges
 from ..solution import Solution, make_solution
 from .solver import OnlineSolver, backend_options
 
-#: the variances [m², m², rad²] of a first pose that only a map holds
+#: the variances [m², m², rad²] of a first pose that only a map or absolute positions hold
 ANYWHERE = (1e4, 1e4, 1e2)
 
 
@@ -97,13 +99,16 @@ def _replayed(log: Log | Graph, backend: str, options: dict[str, Any]) -> tuple[
     elif of_graph:
         raise OptionError(f"a graph has its own {', '.join(of_graph)}: give these to Graph.from_log")
     assert isinstance(graph, Graph)
+    graph = _plain_relations(graph)
     return graph, _by_own(graph, own)
 
 
 def _by_own(graph: Graph, options: dict[str, Any]) -> Iterator[OnlineSolver]:
     graph.check_no_parameters("the solver step by step")
+    if any(isinstance(family, PositionEdges) for family in graph.families):
+        raise GraphError("the solver step by step takes no absolute positions; isam2 does: backend='isam2'")
     sighted = next((family for family in graph.families if isinstance(family, CartesianObservationEdges)), None)
-    motions = next((family for family in graph.families if isinstance(family, RelativePoseEdges)), None)
+    motions = motion_edges(graph)
     if sighted is None or motions is None or sighted.frame != "body":
         raise GraphError(
             "the solver step by step needs a graph of edges='landmark+motion' with residual='cartesian' and frame='body'"
@@ -124,14 +129,46 @@ def _by_own(graph: Graph, options: dict[str, Any]) -> Iterator[OnlineSolver]:
     bounds = np.searchsorted(sighted.first[rows], np.arange(total + 1))
     ids = graph.landmark_ids[sighted.second - total]
     seen = sighted.relative
-    return _steps(
-        solver, total,
-        lambda step, now: backend.update(
-            (step - 1, step, motions.measured[step - 1], motions.information[step - 1]) if step else None,
-            step, ids[now].tolist(), seen.measured[now], seen.information[now],
-        ),
-        rows, bounds,
-    )  # fmt: skip
+    relations = _Arriving.of(graph)
+
+    def add(step: int, now: np.ndarray) -> None:
+        motion = (step - 1, step, motions.measured[step - 1], motions.information[step - 1]) if step else None
+        backend.update(motion, step, ids[now].tolist(), seen.measured[now], seen.information[now])
+        for edges, row in relations.at(step):
+            ends = int(edges.first[row]), int(edges.second[row])
+            backend.relate((*ends, edges.measured[row], edges.information[row]))
+
+    return _steps(solver, total, add, rows, bounds)
+
+
+class _Arriving:
+    """The relations and positions of a graph, each at the last step that it needs."""
+
+    def __init__(self, families: Sequence[RelationEdges | PositionEdges]) -> None:
+        self._rows: dict[int, list[tuple[RelationEdges | PositionEdges, int]]] = {}
+        for family in families:
+            last = family.nodes if isinstance(family, PositionEdges) else np.maximum(family.first, family.second)
+            for row, step in enumerate(last.tolist()):
+                self._rows.setdefault(step, []).append((family, row))
+
+    @classmethod
+    def of(cls, graph: Graph) -> _Arriving:
+        """Those of a graph whose nodes are all steps."""
+        return cls([family for family in graph.families if isinstance(family, RelationEdges | PositionEdges)])
+
+    def at(self, step: int) -> list[tuple[Any, int]]:
+        """The edges and the rows that arrive at a step."""
+        return self._rows.get(step, [])
+
+
+def _plain_relations(graph: Graph) -> Graph:
+    """The graph without a robust kernel on its relations, which the solver step by step does not have, and a note."""
+    robust = [f for f in graph.families if isinstance(f, RelationEdges) and f.kernel is not None]
+    if not robust:
+        return graph
+    note = "step by step, relations count without the robust kernel"
+    families = tuple(replace(f, kernel=None) if isinstance(f, RelationEdges) else f for f in graph.families)
+    return replace(graph, families=families, notes=(*graph.notes, note))
 
 
 def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) -> tuple[Graph, Iterator[OnlineSolver]]:
@@ -155,16 +192,27 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
     motion, weight = options.get("motion") or log.motion or MotionModel(), options.get("motion_weight", 1.0)
     motions, covariances = log.motions(motion)
     sightings = log.sightings[:, :2] if options.get("dimensions") == 2 else log.sightings
+    if log.positions is not None:
+        # they alone hold the first pose, which Cholesky finds indeterminate
+        own = {"start_covariance": np.diag(ANYWHERE), "factorization": "qr"} | own
     solver = OnlineSolver(
-        log.initial_poses[0], backend="isam2", motion=motion, sensor=graph.sensor, kernel=options["kernel"], **own
+        graph.trajectory[0], backend="isam2", motion=motion, sensor=graph.sensor, kernel=options["kernel"], **own
     )
     backend: Any = solver._backend
     information = weight * np.linalg.inv(covariances)
+    measured = _Arriving.of(graph)
 
     def add(step: int, now: np.ndarray) -> None:
         if step:
             backend.add_relation((step - 1, step, motions[step - 1], information[step - 1]))
         backend.add_sightings(step, log.landmarks[now].tolist(), sightings[now])
+        for edges, row in measured.at(step):
+            z, known = edges.measured[row], edges.information[row]
+            if isinstance(edges, PositionEdges):
+                backend.add_position(step, z, known, edges.levers[row], edges.kernel)
+            else:
+                ends = int(edges.first[row]), int(edges.second[row])
+                backend.add_relation((*ends, z, known), edges.kernel)
         backend.update()
 
     order = np.argsort(log.steps, kind="stable")

@@ -31,9 +31,9 @@ Model = TypeVar("Model", MotionModel, SensorModel)
 class OnlineSolver:
     """Poses, landmarks and edges in the order in which a robot measures them; each call updates the estimate.
 
-    A step of the robot is `move`, then `observe` what the sensor measures there; `relate` adds loop closures. The
-    particle filters of `fastslam` have the same methods. Landmarks are nodes with the Cartesian residual, as in
-    `Graph.from_log` with ``edges="landmark+motion"``, and the first pose is anchored.
+    A step of the robot is `move`, then `observe` what the sensor measures there; `relate` adds loop closures, and `locate`
+    absolute positions. The particle filters of `fastslam` have the first two methods, too. Landmarks are nodes with the
+    Cartesian residual, as in `Graph.from_log` with ``edges="landmark+motion"``, and the first pose is anchored.
 
     A call is refused as a whole: with the backend "own", the solver then is as it was before.
 
@@ -181,6 +181,32 @@ class OnlineSolver:
         self._backend.relate((int(first), int(second), numbers("motion", motion, (3,)), information_of(covariance)))
         if upper > last:
             self._arrived = np.nan
+
+    def locate(
+        self, position: ArrayLike, covariance: ArrayLike, *, lever: ArrayLike = (0.0, 0.0), pose: int | None = None
+    ) -> None:
+        """Add an absolute position, of GPS for example; with the backend "isam2" only.
+
+        The solver needs a ``start_covariance`` then, because an anchor of the first pose would contradict the position.
+
+        Args:
+            position: (x, y) [m], or (x, y, theta) with the heading of the robot, in the frame of ``start``.
+            covariance: (2, 2) or (3, 3), in world axes.
+            lever: the point of the robot that is measured, (ahead, left) [m] of its pose.
+            pose: the number of the pose; default: the newest.
+
+        Raises:
+            OptionError: a value is impossible. GraphError: the pose is unknown, or the backend takes no positions.
+        """
+        pose = self.step if pose is None else pose
+        check_count(pose=pose)
+        self._check_pose(pose, "a position of")
+        d = 3 if np.shape(position) == (3,) else 2
+        measured, arm = numbers("position", position, (d,)), numbers("lever", lever, (2,))
+        add = getattr(self._backend, "locate", None)
+        if add is None:
+            raise GraphError("this backend takes no absolute positions; isam2 does: OnlineSolver(backend='isam2')")
+        add(int(pose), measured, information_of(covariance, d), arm)
 
     def relinearize(self) -> None:
         """Linearise all edges at the estimate, and solve again.

@@ -6,7 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..edges import EdgeFamily, LandmarkSightings, MarginalEdges, ObservationEdges, RelativePoseEdges, SightingEdges
+from ..edges import (
+    EdgeFamily,
+    LandmarkSightings,
+    MarginalEdges,
+    ObservationEdges,
+    RelationEdges,
+    RelativePoseEdges,
+    SightingEdges,
+)
 from ..edges import motion_edges as make_motion_edges
 from ..graph import Graph
 from ..se2 import Array, wrap
@@ -26,7 +34,8 @@ def sighted_edges(graph: Graph) -> SightingEdges:
 
 def motion_edges(graph: Graph) -> RelativePoseEdges | None:
     """The motion edges, or None."""
-    return next((family for family in graph.families if isinstance(family, RelativePoseEdges)), None)
+    driven = (f for f in graph.families if isinstance(f, RelativePoseEdges) and not isinstance(f, RelationEdges))
+    return next(driven, None)
 
 
 def corrected(graph: Graph, values: Array, state: Array, at: Array | None = None) -> Graph:

@@ -1,16 +1,19 @@
-"""Graduated non-convexity: a solver that finds out which sightings are wrong, together with the trajectory.
+"""Graduated non-convexity: a solver that finds out which measurements are wrong, together with the trajectory.
 
-Truncated least squares counts a sighting with r² = e' Omega e as at most c². A wrong sighting then costs the same however
-wrong it is, and has no influence on the solution. This cost has very many minima. Graduated non-convexity searches a good
-one by a sequence of problems. The first is close to least squares (mu near 0), the last to truncated least squares (mu
-large). For each mu the graph is solved with a trust w between 0 and 1 in every sighting. Then the trust is computed again:
+Sightings, relations of two poses and absolute positions may be wrong; motion edges are always trusted. In a pose graph the
+loop closures are the relations. Truncated least squares counts a measurement with r² = e' Omega e as at most c². A wrong one
+then costs the same however wrong it is, and has no influence on the solution. This cost has very many minima. Graduated
+non-convexity searches a good one by a sequence of problems. The first is close to least squares (mu near 0), the last to
+truncated least squares (mu large). For each mu the graph is solved with a trust w between 0 and 1 in every measurement. Then
+the trust is computed again:
 
     w = 1 for r² <= mu / (mu + 1) c²,   w = 0 for r² >= (mu + 1) / mu c²,   w = c sqrt(mu (mu + 1)) / r - mu between.
 
 Each sighting has one trust, not each edge: one wrong sighting affects K - 1 pair edges, and its trust reduces the weight of
 all of them. Therefore the sequence is computed with landmark nodes and Cartesian residuals, whatever the edges of the graph,
 and the resulting trust is applied to the graph itself. Headings make even the squares non-convex, so a sequence may end in a
-poor minimum. Where there are few pairs, a second sequence is computed on pair edges; the lower truncated cost counts.
+poor minimum. Where there are few pairs, a second sequence is computed on pair edges; the lower truncated cost counts. Without
+sightings, the second is `growing_trust`.
 
 Source: Yang, Antonante, Tzoumas and Carlone, *Graduated non-convexity for robust spatial perception*, RA-L 2020.
 """
@@ -23,7 +26,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gammaincinv
 
-from ..edges import EdgeFamily, MarginalEdges, ObservationEdges, VirtualMotionEdges
+from ..edges import (
+    DoubtedEdges,
+    EdgeFamily,
+    MarginalEdges,
+    ObservationEdges,
+    PositionEdges,
+    RelationEdges,
+    SightingEdges,
+    SingleEdges,
+    VirtualMotionEdges,
+)
 from ..edges.robust import Cauchy
 from ..errors import GraphError, OptionError
 from ..graph import Graph
@@ -31,7 +44,8 @@ from ..parameters.corrected import corrected, sighted_edges
 from ..se2 import Array
 from ..solution import Solution
 from ..transform import poses_only, with_landmark_nodes
-from .initial_values import place_landmarks
+from .growing_trust import grown_trust
+from .initial_values import dead_reckoning, place_landmarks
 from .iteration import Run
 from .levenberg_marquardt import levenberg_marquardt
 from .minimize import minimize
@@ -41,6 +55,8 @@ from .with_parameters import without_parameters
 GROWTH = 1.4
 #: the most damped steps in a round: the next one changes the problem anyway
 STEPS = 5
+#: the same for graphs without sightings, where wrong relations bend the whole trajectory
+STEPS_OF_RELATIONS = 30
 #: a second sequence is computed where there are at most so many pairs of sightings
 PAIRS = 5_000
 #: the most rounds in which the trust is computed again after a sequence on other edges
@@ -55,31 +71,53 @@ def solve_gnc(graph: Graph, tolerance: float, max_rounds: int, initialize: str, 
     Motion edges and anchors are always trusted.
 
     Raises:
-        GraphError: the graph has no edges from sightings, or does not determine its nodes.
+        GraphError: the graph has no measurements that may be wrong, or does not determine its nodes.
     """
     if max_rounds < 1:
         raise OptionError(f"max_iterations must be at least 1 for the method gnc, not {max_rounds}")
     begin = time.perf_counter()
+    if graph.measurements == 0:
+        graph = graph.with_closures()
     if graph.parameters is not None:
         graph = _at_robust_parameters(graph, initialize)
     best = _best_sequence(without_parameters(graph), probability, max_rounds, initialize)
-    trust, weighted = best.trust, graph.with_trust(best.trust)
+    weighted = graph.with_trust(best.trust)
     start = weighted.with_initial(place_landmarks(weighted, best.state[: len(graph.steps)]))
     solution = minimize(start, tolerance=tolerance, initialize="given")
-    rejected = int(np.count_nonzero(trust < REJECTED))
-    note = f"graduated non-convexity rejected {rejected} of {len(trust)} sightings in {best.rounds} rounds"
-    if graph.log is not None:
-        of_edges, trust = trust, np.full(len(graph.log.steps), np.nan)
-        trust[graph.sighting_rows] = of_edges
-    partly = f"after max_iterations = {best.rounds} some sightings are trusted in part"
+    found = _trust_by_kind(weighted)
+    which = " and ".join(
+        f"{np.count_nonzero(each < REJECTED)} of {len(each)} {kind}" for kind, each in found.items() if len(each)
+    )
+    note = f"graduated non-convexity rejected {which} in {best.rounds} rounds"
+    in_sightings: Array | None = found.pop("sightings", None)
+    if graph.log is not None and in_sightings is not None:
+        of_edges, in_sightings = in_sightings, np.full(len(graph.log.steps), np.nan)
+        in_sightings[graph.sighting_rows] = of_edges
+    partly = f"after max_iterations = {best.rounds} some measurements are trusted in part"
     return replace(
         solution,
         converged=solution.converged and best.settled,
         reason=solution.reason if best.settled else partly,
         seconds=time.perf_counter() - begin,
         notes=(*graph.notes, note),
-        trust=trust,
+        trust=in_sightings,
+        other_trust=found,
     )
+
+
+def _trust_by_kind(graph: Graph) -> dict[str, Array]:
+    """The trust in the sightings of the edges, in the relations, and in the positions, as far as there are any."""
+    found: dict[str, Array] = {}
+    for family in graph.families:
+        if isinstance(family, DoubtedEdges):
+            trust = family.trusted if family.trust is None else family.trust
+            if isinstance(family, PositionEdges) and graph.log is not None and graph.log.positions is not None:
+                rows = graph.log.positions.oriented == (family.dimension == 3)
+                found.setdefault("positions", np.ones(len(rows)))[rows] = trust
+            else:
+                kind = "relations" if isinstance(family, RelationEdges) else "positions"
+                found["sightings" if isinstance(family, SightingEdges) else kind] = trust
+    return found
 
 
 def _at_robust_parameters(graph: Graph, initialize: str) -> Graph:
@@ -94,7 +132,7 @@ def _at_robust_parameters(graph: Graph, initialize: str) -> Graph:
 
 @dataclass(frozen=True)
 class _Sequence:
-    """The end of a sequence of surrogates; ``settled`` where every sighting is fully trusted or rejected."""
+    """The end of a sequence of surrogates; ``settled`` where every measurement is fully trusted or rejected."""
 
     state: Array
     trust: Array
@@ -103,112 +141,147 @@ class _Sequence:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sightings:
-    """The residuals of the sightings of a graph, about the landmarks that the trusted ones give, and the other edges.
+class _Measurements:
+    """The residuals of what may be wrong in a graph, and its other edges. Those of sightings are about the landmarks that
+    the trusted ones give.
 
     Attributes:
-        edges: the sightings grouped by landmark, in the order ``order`` (M,).
+        sightings: grouped by landmark, in the order ``order`` (M,); None where there are none.
+        single: the families of relations and positions.
         others: the other edges.
-        limit: c², at which squares are truncated.
+        limits: c² (N,), at which the squares of each measurement are truncated; squares are counted in units of it.
     """
 
-    edges: MarginalEdges
+    sightings: MarginalEdges | None
     order: np.ndarray
+    single: tuple[SingleEdges, ...]
     others: tuple[EdgeFamily, ...]
-    limit: float
+    limits: Array
 
     @classmethod
-    def of(cls, graph: Graph, probability: float) -> _Sightings:
-        """The squares of a graph with landmark nodes."""
-        edges = next(family for family in graph.families if isinstance(family, ObservationEdges))
-        order = np.lexsort((edges.first, edges.second))
-        _, starts = np.unique(edges.second[order], return_index=True)
-        grouped = MarginalEdges(np.append(starts, len(order)), edges.first[order], edges.sightings[order], edges.sensor)
-        # the quantile of chi-square with d degrees of freedom
-        limit = float(2 * gammaincinv(edges.sightings.shape[1] / 2, probability))
-        return cls(grouped, order, tuple(family for family in graph.families if family is not edges), limit)
+    def of(cls, graph: Graph, probability: float) -> _Measurements:
+        """Those of a graph whose sightings, if it has any, are of landmark nodes."""
+        grouped, order = None, np.zeros(0, dtype=np.int64)
+        edges = next((family for family in graph.families if isinstance(family, ObservationEdges)), None)
+        if edges is not None:
+            order = np.lexsort((edges.first, edges.second))
+            _, starts = np.unique(edges.second[order], return_index=True)
+            by_landmark = np.append(starts, len(order)), edges.first[order], edges.sightings[order], edges.sensor
+            grouped = MarginalEdges(*by_landmark)
+        single = tuple(family for family in graph.families if isinstance(family, SingleEdges))
+        doubted = [family for family in graph.families if isinstance(family, DoubtedEdges)]
+        # the quantiles of chi-square with d degrees of freedom
+        limits = [np.full(f.measurements, 2 * gammaincinv(f.dimension / 2, probability)) for f in doubted]
+        others = tuple(family for family in graph.families if not isinstance(family, DoubtedEdges))
+        return cls(grouped, order, single, others, np.concatenate([np.zeros(0), *limits]))
 
     def squares(self, state: Array, trust: Array) -> Array:
-        """r² (M,) of every sighting, as if it were fully trusted itself."""
-        squares = np.empty(len(self.order))
-        squares[self.order] = replace(self.edges, trust=trust[self.order]).squares(state, state)
-        return squares
+        """r² / c² (N,) of every measurement, as if it were fully trusted itself."""
+        squares, start = np.empty(len(self.limits)), len(self.order)
+        if self.sightings is not None and start:
+            seen = replace(self.sightings, trust=trust[: len(self.order)][self.order])
+            squares[self.order] = seen.squares(state, state)
+        for family in self.single:
+            squares[start : start + family.count] = family.squares(state)
+            start += family.count
+        return squares / self.limits
 
     def cost(self, sequence: _Sequence) -> float:
-        """The truncated squares of the sightings, and the cost of all other edges."""
+        """The truncated squares of the measurements, and the cost of all other edges."""
         state = sequence.state
-        squares = np.minimum(self.squares(state, sequence.trust), self.limit)
+        squares = np.minimum(self.squares(state, sequence.trust), 1.0) * self.limits
         return float(squares.sum() + sum(other.cost(state, state) for other in self.others))
 
 
 def _best_sequence(graph: Graph, probability: float, max_rounds: int, initialize: str) -> _Sequence:
     """The better of two sequences, one on landmark nodes, one on pair edges."""
-    nodes = with_landmark_nodes(graph)
-    if nodes is None:
-        raise GraphError("graduated non-convexity needs edges from sightings, and this graph has none")
+    if graph.measurements == 0:
+        raise GraphError("graduated non-convexity needs sightings, relations or positions, and this graph has none")
+    nodes = (with_landmark_nodes(graph) or graph).without_kernel
     nodes = nodes.with_initial(place_landmarks(nodes, nodes.initial[: len(nodes.steps)]))
-    sightings = _Sightings.of(nodes, probability)
-    best = _sequence(nodes, np.arange(len(sightings.order)), sightings, max_rounds, initialize)
-    f = sightings.edges
-    pairs = VirtualMotionEdges(f.starts, f.nodes, f.sightings, f.sensor)
-    if best.rounds == 0 or pairs.count > PAIRS:
+    measured = _Measurements.of(nodes, probability)
+    if measured.sightings is None:
+        return _of_relations(nodes, measured, max_rounds, initialize)
+    best = _sequence(nodes, np.arange(len(measured.limits)), measured, max_rounds, initialize)
+    if best.rounds == 0:
         return best
+    f = measured.sightings
+    pairs = VirtualMotionEdges(f.starts, f.nodes, f.sightings, f.sensor)
+    if pairs.count > PAIRS:
+        return best
+    order = np.append(measured.order, np.arange(len(measured.order), len(measured.limits)))
     try:
-        other = _sequence(
-            poses_only(nodes, [pairs, *sightings.others]), sightings.order, sightings, max_rounds, initialize
-        )
+        paired = poses_only(nodes, [pairs, *measured.others, *measured.single])
+        other = _sequence(paired, order, measured, max_rounds, initialize)
     except GraphError:
         return best  # without psi, pair edges may leave poses undetermined that landmark nodes determine
-    other = _finished(nodes, other, sightings)
+    other = _finished(nodes, other, measured)
     # a sequence that has not settled is used only where none has
-    return min(best, other, key=lambda each: (not each.settled, sightings.cost(each)))
+    return min(best, other, key=lambda each: (not each.settled, measured.cost(each)))
 
 
-def _sequence(graph: Graph, order: np.ndarray, sightings: _Sightings, max_rounds: int, initialize: str) -> _Sequence:
-    """The sequence from plain squares to squares truncated at c²; the edges have the sightings in an order (M,)."""
-    limit, trust = sightings.limit, np.ones(len(order))
+def _of_relations(graph: Graph, measured: _Measurements, max_rounds: int, initialize: str) -> _Sequence:
+    """The better of two for a graph without sightings: the sequence, and trust that grows from the odometry."""
+    # the search for the optimum of plain squares would be one among wrong relations
+    given = "given" if initialize == "auto" else initialize
+    best = _sequence(graph, np.arange(len(measured.limits)), measured, max_rounds, given, STEPS_OF_RELATIONS)
+    if best.rounds == 0 or len(measured.single) > 1 or not isinstance(measured.single[0], RelationEdges):
+        return best
+    try:
+        grown = grown_trust(graph, dead_reckoning(graph), float(measured.limits[0]))
+    except GraphError:
+        return best  # the odometry alone does not determine the poses
+    other = _finished(graph, _Sequence(*grown, settled=True), measured, STEPS_OF_RELATIONS)
+    return min(best, other, key=lambda each: (not each.settled, measured.cost(each)))
+
+
+def _sequence(
+    graph: Graph, order: np.ndarray, measured: _Measurements, max_rounds: int, initialize: str, steps: int = STEPS
+) -> _Sequence:
+    """The sequence from plain squares to squares truncated at c²; the edges have the measurements in an order (N,)."""
+    trust = np.ones(len(order))
     state = minimize(graph, tolerance=_rough(graph), initialize=initialize).state
-    squares = sightings.squares(state, trust)
+    squares = measured.squares(state, trust)
     largest = float(squares.max(initial=0.0))
-    mu = limit / (2 * largest - limit) if 2 * largest > limit else np.inf
-    rounds, settled = 0, largest <= limit
+    mu = 1 / (2 * largest - 1) if 2 * largest > 1 else np.inf
+    rounds, settled = 0, largest <= 1
     while rounds < max_rounds and not settled:
         rounds += 1
-        trust = truncated_trust(squares, limit, mu)
+        trust = truncated_trust(squares, 1.0, mu)
         settled = bool(np.all((trust == 0) | (trust == 1)))
-        state = _damped(graph, trust[order], state)
-        squares = sightings.squares(state, trust)
+        state = _damped(graph, trust[order], state, steps)
+        squares = measured.squares(state, trust)
         mu *= GROWTH
     return _Sequence(state, trust, rounds, settled)
 
 
-def _finished(graph: Graph, sequence: _Sequence, sightings: _Sightings) -> _Sequence:
+def _finished(graph: Graph, sequence: _Sequence, measured: _Measurements, steps: int = STEPS) -> _Sequence:
     """The end of another graph's sequence, taken on to the nearest minimum of the truncated squares with landmark nodes."""
     if not sequence.settled:
         return sequence
     trust, state = sequence.trust, place_landmarks(graph.with_trust(sequence.trust), sequence.state)
     for _ in range(LAST_ROUNDS):
-        state = _damped(graph, trust, state)
-        before, trust = trust, truncated_trust(sightings.squares(state, trust), sightings.limit, np.inf)
+        state = _damped(graph, trust, state, steps)
+        before, trust = trust, truncated_trust(measured.squares(state, trust), 1.0, np.inf)
         if np.array_equal(trust, before):
             break
     return replace(sequence, trust=trust, state=state)
 
 
-def _damped(graph: Graph, trust: Array, state: Array) -> Array:
+def _damped(graph: Graph, trust: Array, state: Array, steps: int = STEPS) -> Array:
     """The state (n, 3) after some damped steps with this trust."""
-    run = Run(state, _rough(graph), STEPS)
+    run = Run(state, _rough(graph), steps)
     levenberg_marquardt(graph.with_trust(trust), run)
     return run.state
 
 
 def _rough(graph: Graph) -> float:
-    """The step norm below which the trust in sightings is determined."""
+    """The step norm below which the trust in measurements is determined."""
     return 1e-3 * len(graph.steps) ** 0.5
 
 
 def truncated_trust(squares: Array, limit: float, mu: float) -> Array:
-    """The trust (M,) in sightings with squared norms (M,), truncated at ``limit`` = c²; 0 or 1 for infinite mu."""
+    """The trust (M,) in measurements with squared norms (M,), truncated at ``limit`` = c²; 0 or 1 for infinite mu."""
     if not np.isfinite(mu):
         return (squares <= limit).astype(float)
     between = np.sqrt(limit * mu * (mu + 1) / np.maximum(squares, 1e-300)) - mu

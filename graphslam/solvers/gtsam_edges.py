@@ -13,6 +13,7 @@ from ..edges import (
     AnchorEdges,
     ConstantEdges,
     MarginalEdges,
+    PositionEdges,
     RelativePointEdges,
     RelativePoseEdges,
     VirtualMotionEdges,
@@ -99,6 +100,15 @@ def _anchors(group: _Group, state: Array, _: int) -> Iterable[ConstantEdges]:
     yield AnchorEdges(nodes, held, information).constant(state)
 
 
+def _positions(group: _Group, state: Array, _: int) -> Iterable[ConstantEdges]:
+    """Places without headings, and those with them."""
+    for d in (2, 3):
+        alike = [(keys[0], each.arguments) for keys, each in group if len(each.arguments["measured"]) == d]
+        if alike:
+            columns = [np.array([a[name] for _, a in alike]) for name in ("measured", "information", "lever")]
+            yield PositionEdges(np.array([node for node, _ in alike]), *columns).constant(state)
+
+
 def _relative(group: _Group, state: Array, _: int) -> Iterable[ConstantEdges]:
     first, second = np.array([keys for keys, _ in group]).T
     measured, information = zip(*(_measured(description) for _, description in group))
@@ -176,6 +186,7 @@ def _inverse(covariance: Array) -> Array:
 
 _EDGES = {
     "AnchorFactor": _anchors,
+    "PositionFactor": _positions,
     "RelativePoseFactor": _relative,
     "RelativeEdgesFactor": _many,
     "MotionFactor": _relative,

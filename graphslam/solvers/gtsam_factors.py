@@ -95,6 +95,9 @@ def _joined(graph: Graph, reference: Array) -> tuple[list[gtsam.NonlinearFactor]
     parts: dict[str, list[_Part]] = {}
     for family in graph.families:
         relative, robust = family, False
+        if isinstance(family, edges.RelationEdges):
+            rest.append(family)
+            continue
         if isinstance(family, edges.CartesianObservationEdges) and family.kernel in (None, kernel):
             relative, robust = family.relative, family.kernel is not None
         if not isinstance(relative, (edges.RelativePoseEdges, edges.RelativePointEdges)):
@@ -148,7 +151,20 @@ def _factors_of(
     family: edges.EdgeFamily, reference: Array, num_nodes: int, factors: str
 ) -> Iterator[gtsam.NonlinearFactor]:
     if isinstance(family, edges.AnchorEdges):
-        yield from map(factor_types.AnchorFactor, family.nodes.tolist(), family.values, family.information)
+        for i, x, information in _rows(family.nodes, family.values, family.information):
+            if information[:2].any():
+                yield factor_types.AnchorFactor(i, x, information)
+            else:
+                # of the heading alone, beside positions that determine no direction
+                noise = gtsam.noiseModel.Isotropic.Precision(1, information[2, 2])
+                yield gtsam.PoseRotationPrior2D(i, gtsam.Rot2(x[2]), noise)
+    elif isinstance(family, edges.RelationEdges):
+        for i, j, z, information in _rows(family.first, family.second, family.measured, family.weighed):
+            yield factor_types.RelativePoseFactor(i, j, z, information, kernel=family.kernel)
+    elif isinstance(family, edges.PositionEdges):
+        for i, z, information, lever in _rows(family.nodes, family.measured, family.weighed, family.levers):
+            position = factor_types.PositionFactor(i, z, information, lever=lever, kernel=family.kernel)
+            yield position.fastest() if factors == "fastest" else position
     elif isinstance(family, edges.RelativePoseEdges):
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
             yield factor_types.RelativePoseFactor(i, j, z, information, frame=family.frame, at=reference[i])

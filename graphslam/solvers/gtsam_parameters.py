@@ -89,7 +89,7 @@ def _factors(graph: Graph, nodes: Array, key: int) -> gtsam.NonlinearFactorGraph
         if isinstance(family, edges.SightingEdges):
             for factor in _of_sightings(graph, family, nodes, key):
                 made.add(factor)
-        elif isinstance(family, edges.RelativePoseEdges):
+        elif isinstance(family, edges.RelativePoseEdges) and not isinstance(family, edges.RelationEdges):
             _, slopes = motion_slopes(parameters, corrected_controls(parameters))
             behind = -slopes
             behind[:, :2] = rotation(nodes[family.first, 2]) @ behind[:, :2]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..edges import AnchorEdges, ObservationEdges, PriorEdges, RelativePoseEdges
+from ..edges import AnchorEdges, ObservationEdges, PriorEdges, RelationEdges, RelativePoseEdges
 from ..edges.base import Relations
 from ..engine import engine
 from ..errors import GraphError, quoted
@@ -109,7 +109,7 @@ def odometry(graph: Graph, initialize: str) -> tuple[Array, Array]:
     step, variance = np.full((len(graph.steps), 3), np.nan), np.zeros(len(graph.steps))
     step[:1] = 0.0
     for family in graph.families:
-        if isinstance(family, RelativePoseEdges):
+        if isinstance(family, RelativePoseEdges) and not isinstance(family, RelationEdges):
             # several edges may lead to the next pose; the first in the file is the odometry
             following = np.flatnonzero(family.second == family.first + 1)[::-1]
             step[family.second[following]] = family.measured[following]

@@ -11,8 +11,9 @@ from ..edges import ObservationEdges
 from ..errors import GraphError
 from ..graph import Graph
 from ..localization import registered
+from ..placing import into_world
 from ..se2 import Array
-from ..transform import coarse, filled, with_cartesian_sightings, without_landmarks
+from ..transform import coarse, filled, with_cartesian_sightings, without_landmarks, without_positions
 from .gauss_newton import gauss_newton
 from .initial_values import dead_reckoning, place_landmarks, rotation_first
 from .iteration import Run
@@ -40,7 +41,18 @@ def starting_state(graph: Graph, initialize: str) -> Array:
         OptionError: there is no such start.
     """
     check_choice("initialize", initialize, _STARTS)
-    return _STARTS[initialize](graph)
+    easier = without_positions(graph)
+    if easier is graph or initialize == "given":
+        return _STARTS[initialize](graph)
+    # positions would bend what is still far from its shape; they put it where it belongs as a whole
+    state = _STARTS[initialize](easier)
+    held = graph.map is not None or len(graph.fixed)
+    return state if held else into_world(state, graph.families, _with_heading(graph))
+
+
+def _with_heading(graph: Graph) -> int:
+    """The number of nodes that have a heading; they are the first ones."""
+    return graph.num_nodes if graph.landmark_dimension == 3 else len(graph.steps)
 
 
 def cartesian_first(graph: Graph) -> Array:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from ..checks import first
 from ..errors import LogError, OptionError, decimals
+from ..measurements import AbsolutePositions, PoseRelations
 from ..models import MotionModel
 from ..reading import MOST_POSES, ReadOptions
 from ..se2 import Array, interpolate, mounted
@@ -54,6 +55,8 @@ def parts_of_streams(
     *,
     options: ReadOptions | None = None,
     truth: Stream | None = None,
+    relations: Stream | None = None,
+    positions: Stream | None = None,
     truth_offset: tuple[float, float] = (0.0, 0.0),
     true_landmarks: Mapping[int, ArrayLike] | None = None,
     classes: ArrayLike | None = None,
@@ -63,7 +66,11 @@ def parts_of_streams(
     notes: tuple[str, ...] = (),
     **models: Any,
 ) -> dict[str, Any]:
-    """The arguments of the `Log` that `synchronize` returns; its arguments and errors are the same."""
+    """The arguments of the `Log` that `synchronize` returns; its arguments and errors are the same.
+
+    Besides, ``relations`` have the rows (time of the second pose, dx, dy, dtheta, C) and ``positions`` (x, y, theta, C,
+    lever), C the nine numbers of the covariance. There are poses at their times, too.
+    """
     remarks = list(notes)
     odometry = in_order("odometry", odometry, remarks)[0]
     sightings, order = in_order("sightings", sightings, remarks)
@@ -78,7 +85,15 @@ def parts_of_streams(
     if not inside.all():
         remarks.append(f"{np.sum(~inside)} of {len(inside)} sightings are from before or after the odometry: left out")
     seen = sightings.times[inside]
-    times = _distinct(seen)
+    measured = {
+        what: _inside(what, stream, odometry, remarks)
+        for what, stream in (("relations", relations), ("positions", positions))
+        if stream is not None
+    }
+    others = [each.times for each in measured.values()] + [
+        each.rows[:, 0] for what, each in measured.items() if what == "relations"
+    ]
+    times = _distinct(np.sort(np.concatenate([seen, *others]), kind="stable"))
     if options is not None and options.keep_every is not None:
         times = _filled(times, options.keep_every)
     controls, dt, recorded_dt, starts, variances, gaps = divide(odometry, times)
@@ -87,9 +102,12 @@ def parts_of_streams(
         warnings.warn(f"{name}: {remarks[-1]}", UserWarning, stacklevel=4)
     before, after = times[0] - odometry.times[0], odometry.times[-1] - times[-1]
     if before + after > UNUSED * (odometry.times[-1] - odometry.times[0]):
-        ends = ((before, "before the first sighting"), (after, "after the last sighting"))
+        what = "measurement" if others else "sighting"
+        ends = ((before, f"before the first {what}"), (after, f"after the last {what}"))
         unseen = " and ".join(f"{decimals(lasting, 1)} s {where}" for lasting, where in ends if lasting > 0)
-        remarks.append(f"the odometry of {unseen} is left out: poses are where something was seen")
+        remarks.append(
+            f"the odometry of {unseen} is left out: poses are where something was {'measured' if others else 'seen'}"
+        )
     true_poses = None if truth is None else truth_at(times, truth)
     if truth is not None and true_poses is not None:
         covered = np.isfinite(true_poses[:, 0])
@@ -116,6 +134,7 @@ def parts_of_streams(
         landmarks=landmarks[inside],
         sightings=sightings.rows[inside],
         classes=None if classes is None else np.asarray(classes)[order][inside],
+        **_records(measured, times),
         initial_poses=MotionModel().dead_reckoning(start, controls, dt)[starts],
         true_poses=true_poses,
         true_path=true_path,
@@ -126,6 +145,36 @@ def parts_of_streams(
         notes=tuple(remarks),
         **models,
     )
+
+
+def _inside(what: str, stream: Stream, odometry: Stream, remarks: list[str]) -> Stream:
+    """The rows of relations or positions within the time of the odometry, with a remark about the others."""
+    begin, end = odometry.times[0], odometry.times[-1]
+    inside = (stream.times >= begin) & (stream.times <= end)
+    if what == "relations":
+        inside &= (stream.rows[:, 0] >= begin) & (stream.rows[:, 0] <= end)
+    if not inside.any():
+        raise LogError(f"no row of the {what} is within the time of the odometry: is its clock another one?")
+    if not inside.all():
+        remarks.append(f"{np.sum(~inside)} of {len(inside)} {what} are from before or after the odometry: left out")
+    return Stream(stream.times[inside], stream.rows[inside])
+
+
+def _records(measured: Mapping[str, Stream], times: Array) -> dict[str, PoseRelations | AbsolutePositions]:
+    """The relations and positions of a log with poses at ``times`` (T+1,)."""
+    records: dict[str, PoseRelations | AbsolutePositions] = {}
+    for what, stream in measured.items():
+        rows, steps = stream.rows, np.searchsorted(times, stream.times)
+        if what == "relations":
+            records[what] = PoseRelations(
+                first=steps, second=np.searchsorted(times, rows[:, 0]), motions=rows[:, 1:4],
+                covariances=rows[:, 4:].reshape(-1, 3, 3),
+            )  # fmt: skip
+        else:
+            records[what] = AbsolutePositions(
+                steps=steps, places=rows[:, :3], covariances=rows[:, 3:12].reshape(-1, 3, 3), levers=rows[:, 12:]
+            )
+    return records
 
 
 def disorder(times: Array) -> Array:

@@ -10,6 +10,9 @@ from ..checks import suggestion
 from ..errors import OptionError, named, quoted
 from .table import Table
 
+#: the columns of the noise of relations and positions: standard deviations, or covariances [m², m rad, rad²]
+DEVIATIONS = ("sigma_x", "sigma_y", "sigma_theta")
+COVARIANCES = ("cov_xx", "cov_xy", "cov_xtheta", "cov_yy", "cov_ytheta", "cov_thetatheta")
 #: what a column can be -> the names it has in other people's tables, after `plain`
 NAMES: dict[str, tuple[str, ...]] = {
     "t": ("t", "time", "timestamp", "stamp", "ts", "seconds", "secs", "sec", "header_stamp", "times", "timestamps"),
@@ -42,9 +45,26 @@ NAMES: dict[str, tuple[str, ...]] = {
     "range": ("range", "r", "distance", "dist", "rho", "l", "d", "ranges"),
     "bearing": ("bearing", "b", "phi", "azimuth", "angle", "bearings", "bearing_angle", "theta", "beta"),
     "orientation": ("orientation", "psi", "orient"),
+    "t1": ("t1", "time1", "t_1", "time_1", "t_from", "from_time", "from", "t_a", "stamp1"),
+    "t2": ("t2", "time2", "t_2", "time_2", "t_to", "to_time", "to", "t_b", "stamp2"),
+    "dx": ("dx", "delta_x", "d_x", "x"),
+    "dy": ("dy", "delta_y", "d_y", "y"),
+    "dtheta": ("dtheta", "delta_theta", "d_theta", "dyaw", "dheading", "theta", "yaw"),
+    "sigma": ("sigma", "std", "accuracy", "horizontal_accuracy", "hacc", "sigma_xy", "std_xy"),
+    "sigma_x": ("sigma_x", "std_x", "stddev_x", "sx", "x_std", "sigma_dx"),
+    "sigma_y": ("sigma_y", "std_y", "stddev_y", "sy", "y_std", "sigma_dy"),
+    "sigma_theta": ("sigma_theta", "std_theta", "sigma_yaw", "std_yaw", "theta_std", "yaw_std", "sigma_dtheta"),
+    "cov_xx": ("cov_xx", "cxx", "var_x", "c11"),
+    "cov_xy": ("cov_xy", "cxy", "c12"),
+    "cov_xtheta": ("cov_xtheta", "cov_xt", "cxt", "cov_x_theta", "cov_xyaw", "c13"),
+    "cov_yy": ("cov_yy", "cyy", "var_y", "c22"),
+    "cov_ytheta": ("cov_ytheta", "cov_yt", "cyt", "cov_y_theta", "cov_yyaw", "c23"),
+    "cov_thetatheta": ("cov_thetatheta", "cov_tt", "ctt", "var_theta", "cov_theta_theta", "var_yaw", "c33"),
+    "lever_x": ("lever_x", "lever_ahead", "antenna_x", "offset_x"),
+    "lever_y": ("lever_y", "lever_left", "antenna_y", "offset_y"),
 }  # fmt: skip
 #: names too short or too general to be recognised at the end of a longer one
-_WHOLE = ("v", "w", "r", "l", "d", "b", "kind", "type")
+_WHOLE = ("v", "w", "r", "l", "d", "b", "kind", "type", "from", "to", "std", "sx", "sy", "t1", "t2")
 #: words at the end of a name that say its unit -> the unit
 _UNITS = {
     "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms", "milliseconds": "ms",
@@ -59,6 +79,8 @@ _KINDS = {"time": ("s", "ms", "us", "ns"), "length": ("m", "cm", "mm"), "angle":
 MEASURES = {
     "t": "time", "nu": "length", "x": "length", "y": "length", "z": "length", "range": "length",
     "omega": "angle", "theta": "angle", "bearing": "angle", "orientation": "angle",
+    "t1": "time", "t2": "time", "dx": "length", "dy": "length", "dtheta": "angle", "sigma": "length", "sigma_x": "length",
+    "sigma_y": "length", "sigma_theta": "angle", "lever_x": "length", "lever_y": "length",
 }  # fmt: skip
 
 

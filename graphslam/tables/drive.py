@@ -16,7 +16,7 @@ from ..checks import first
 from ..errors import LogError, named, quoted
 from ..reading import UNIDENTIFIED, Fault, finite_fault, range_faults, sound_rows
 from ..se2 import Array
-from .columns import MEASURES, NAMES, Chosen, find, unit_of
+from .columns import COVARIANCES, DEVIATIONS, MEASURES, NAMES, Chosen, find, unit_of
 from .ids import Ids, classes_of, id_fault, ids_of
 from .options import ANGLES, LENGTHS, TableOptions
 from .poses import checked_heading, controls_between
@@ -30,6 +30,8 @@ ROLES = {
     "sightings": ("t", "nanosec", "id", "class", "range", "bearing", "orientation", "x", "y", "z"),
     "truth": ("t", "nanosec", *_POSE),
     "map": ("id", "x", "y", "theta"),
+    "relations": ("t1", "t2", "dx", "dy", "dtheta", *DEVIATIONS, *COVARIANCES),
+    "positions": ("t", "nanosec", "x", "y", "theta", "sigma", *DEVIATIONS, *COVARIANCES, "lever_x", "lever_y"),
 }
 _TUM = ("t", "x", "y", "", "qx", "qy", "qz", "qw")
 #: columns of tables without names, by their number
@@ -38,6 +40,8 @@ ORDERS: dict[str, dict[int, tuple[str, ...]]] = {
     "sightings": {4: ("t", "id", "range", "bearing"), 5: ("t", "id", "range", "bearing", "orientation")},
     "truth": {3: ("t", "x", "y"), 4: ("t", "x", "y", "theta"), 8: _TUM},
     "map": {3: ("id", "x", "y"), 4: ("id", "x", "y", "theta")},
+    "relations": {8: ("t1", "t2", "dx", "dy", "dtheta", *DEVIATIONS)},
+    "positions": {4: ("t", "x", "y", "sigma")},
 }
 #: odometry with rows farther apart [s], faster [m/s] or turning faster [rad/s], and sightings from farther away [m], are
 #: refused unless their unit is stated
@@ -51,6 +55,7 @@ class Timed:
     """A table that has been read: times (N,) in nanoseconds, not decreasing, and rows (N, k); of sightings ids and classes.
 
     ``names`` are the ids of landmarks that have names, {name: id}.
+    ``ends`` (N,), of relations, are the times of their second poses.
     ``columns`` says which column was taken for what, and in which unit; ``notes`` and ``doubts`` are those of a `Log`.
     """
 
@@ -63,9 +68,10 @@ class Timed:
     doubts: tuple[Doubt, ...] = ()
     classes: np.ndarray | None = None
     names: Mapping[str, int] = field(default_factory=dict)
+    ends: np.ndarray | None = None
 
 
-class _Reader:
+class Reader:
     """The columns of one table, in metres, radians and nanoseconds."""
 
     def __init__(self, kind: str, table: Table, options: TableOptions) -> None:
@@ -134,8 +140,8 @@ class _Reader:
         faults: list[Fault] = []
         for role, values in columns.items():
             title = self.table.title(self.found[role].column)
-            if role == "t":
-                faults += time_faults(values, f"the time {title}", self._unit("t"))
+            if MEASURES.get(role) == "time":
+                faults += time_faults(values, f"the time {title}", self._unit(role))
             elif role == "id":
                 faults.append(id_fault(self.table, self.found[role].column, values))
             else:
@@ -152,10 +158,11 @@ class _Reader:
             self.table = Kept(self.table, np.flatnonzero(kept), notes)
         return self.table
 
-    def times(self) -> np.ndarray:
-        self.need("t")
-        column = self.found["t"].column
-        ns = nanoseconds(self.table, column, self._unit("t"))
+    def times(self, role: str = "t") -> np.ndarray:
+        """The times (N,) of a column in nanoseconds, by the clock of the table."""
+        self.need(role)
+        column = self.found[role].column
+        ns = nanoseconds(self.table, column, self._unit(role))
         if self.has("nanosec"):
             self.need("nanosec")
             ns = added(self.table, column, ns, nanoseconds(self.table, self.found["nanosec"].column, "ns"))
@@ -226,7 +233,7 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     Raises:
         LogError: a column is missing, a number is none, or the unit is almost certainly another one.
     """
-    reader = _Reader("odometry", table, options)
+    reader = Reader("odometry", table, options)
     reader.need("t")
     driven = reader.has("nu", "omega") or not reader.has("x", "y")
     table = reader.leave_out(*(("nu", "omega") if driven else _POSE))
@@ -238,7 +245,7 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
         rows = reader.poses()
         if rows.shape[1] == 2:
             reader.need("theta")
-    ns, order, notes = _ordered(reader, ns)
+    ns, order, notes = ordered(reader, ns)
     rows = rows[order]
     more, doubts = repeated_times("odometry", table, ns, rows, np.arange(len(ns))[order])
     notes += more
@@ -265,7 +272,7 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts)
 
 
-def _controls(reader: _Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.ndarray, tuple[Doubt, ...]]:
+def _controls(reader: Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.ndarray, tuple[Doubt, ...]]:
     """The controls between poses of odometry, their times, and doubts."""
     # of several rows with one time the last holds
     last = np.append(np.diff(ns) > 0, True)
@@ -299,7 +306,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     Raises:
         LogError: a column is missing, a number is none, or the unit is almost certainly another one.
     """
-    reader = _Reader("sightings", table, options)
+    reader = Reader("sightings", table, options)
     reader.need("t")
     third = ("x", "z") if options.axes == "optical" else ("x", "y")
     cartesian = reader.has("x", "y") and not reader.has("range")
@@ -329,7 +336,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
         rows = np.column_stack([rows, sign * reader.numbers("orientation")])
     if options.centre == "robot" and any(options.sensor_offset or ()):
         rows[:, :2] = _moved(rows[:, :2], np.array(options.sensor_offset))
-    ns, order, more = _ordered(reader, ns)
+    ns, order, more = ordered(reader, ns)
     ids, rows = found.numbers[order], rows[order]
     doubts = repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
     classes, remarks = reader.classes()
@@ -355,7 +362,7 @@ def _moved(rows: Array, offset: Array) -> Array:
     return np.column_stack([np.hypot(x, y), np.arctan2(y, x)])
 
 
-def _ids(reader: _Reader) -> Ids:
+def _ids(reader: Reader) -> Ids:
     """The ids of the sightings; `UNIDENTIFIED` where there is no column of them."""
     table = reader.table
     if not reader.has("id"):
@@ -371,7 +378,7 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
     Raises:
         LogError: a column is missing, or a number is none.
     """
-    reader = _Reader("truth", table, options)
+    reader = Reader("truth", table, options)
     reader.need("t")
     table = reader.leave_out()
     ns, rows = reader.times(), reader.poses(finite=False)
@@ -385,7 +392,7 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
             "degrees/radians",
         )  # fmt: skip
     kept = np.flatnonzero(known)
-    ns, order, more = _ordered(reader, ns[kept], kept)
+    ns, order, more = ordered(reader, ns[kept], kept)
     rows = rows[kept][order]
     few, doubts = repeated_times("truth", table, ns, rows, kept[order])
     return Timed(table, ns, rows, reader.described(), notes=(*notes, *more, *few), doubts=doubts)
@@ -399,7 +406,7 @@ def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None 
     Raises:
         LogError: a column is missing, a number is none, or two rows have one id.
     """
-    reader = _Reader("map", table, options)
+    reader = Reader("map", table, options)
     reader.need("id")
     column = reader.found["id"].column
     found = ids_of(table, column, names)
@@ -425,8 +432,8 @@ def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None 
     return {j: place if np.isnan(heading) else np.append(place, heading) for j, place, heading in rows}
 
 
-def _ordered(
-    reader: _Reader, ns: np.ndarray, rows: np.ndarray | None = None
+def ordered(
+    reader: Reader, ns: np.ndarray, rows: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray | slice, tuple[str, ...]]:
     """The times in order, their order, and notes; ``rows`` are the rows of the table, where it has others, too.
 
@@ -456,4 +463,15 @@ def _ordered(
 READERS: Mapping[str, Callable[[Table, TableOptions], Timed]] = {
     "odometry": odometry_of, "sightings": sightings_of, "truth": truth_of,
 }  # fmt: skip
-__all__ = ["READERS", "ROLES", "Chosen", "Timed", "map_of", "odometry_of", "sightings_of", "truth_of"]
+__all__ = [
+    "READERS",
+    "ROLES",
+    "Chosen",
+    "Reader",
+    "Timed",
+    "map_of",
+    "odometry_of",
+    "ordered",
+    "sightings_of",
+    "truth_of",
+]

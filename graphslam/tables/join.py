@@ -16,6 +16,7 @@ from ..reading import ReadOptions
 from ..se2 import Array
 from ..sources.streams import Stream, parts_of_streams
 from .drive import Timed, map_of, odometry_of, sightings_of, truth_of
+from .measured import positions_of, relations_of
 from .options import TableOptions
 from .repeats import Doubt
 from .sources import table_of
@@ -27,7 +28,7 @@ class Drive:
     """The streams of one drive that have been read, each with its own clock.
 
     Attributes:
-        odometry, sightings, truth: times in nanoseconds, rows in metres and radians.
+        odometry, sightings, truth, relations, positions: times in nanoseconds, rows in metres and radians.
         landmarks: the true map.
         sensor_offset: position of the sensor on the robot [m], None where nothing says it.
         notes: about the whole drive, one sentence each.
@@ -41,11 +42,14 @@ class Drive:
     sensor_offset: tuple[float, ...] | None = None
     notes: tuple[str, ...] = ()
     truth_offset: tuple[float, ...] | None = None
+    relations: Timed | None = None
+    positions: Timed | None = None
 
     @property
     def streams(self) -> dict[str, Timed]:
         """The streams by the name of their table."""
-        named = {"odometry": self.odometry, "sightings": self.sightings, "truth": self.truth}
+        names = ("odometry", "sightings", "truth", "relations", "positions")
+        named: dict[str, Timed | None] = {name: getattr(self, name) for name in names}
         return {name: stream for name, stream in named.items() if stream is not None}
 
     def _covered(self) -> list[Doubt]:
@@ -57,15 +61,26 @@ class Drive:
         message = f"the sightings cover {share}; the times of one of them may be in another unit, or count rows"
         return [("covered", message)]
 
+    def _measured(self, origin: int) -> dict[str, Any]:
+        """The relations and the positions as `parts_of_streams` takes them, with times from ``origin`` [ns] on."""
+        relations, positions = self.relations, self.positions
+        streams: dict[str, Stream | None] = {"relations": None, "positions": None}
+        if relations is not None and relations.ends is not None:
+            ends = seconds(relations.ends, origin)
+            streams["relations"] = Stream(seconds(relations.times, origin), np.column_stack([ends, relations.rows]))
+        if positions is not None:
+            streams["positions"] = Stream(seconds(positions.times, origin), positions.rows)
+        return streams
+
     def parts(self, reading: ReadOptions, name: str) -> dict[str, Any]:
         """The arguments of the `Log` of this drive.
 
         Raises:
             LogError: the clocks do not overlap, or the streams cannot be joined.
         """
-        for stream in (self.sightings, self.truth):
-            if stream is not None:
-                check_overlap(self.odometry, stream)
+        for kind, stream in self.streams.items():
+            if kind != "odometry":
+                check_overlap(self.odometry, stream, kind)
         origin = int(self.odometry.times[0])
         remarks = [note for stream in self.streams.values() for note in (*stream.table.notes, *stream.notes)]
         doubts = self._covered() + [doubt for stream in self.streams.values() for doubt in stream.doubts]
@@ -79,6 +94,7 @@ class Drive:
             self.sightings.ids,
             options=reading,
             truth=joined.get("truth"),
+            **self._measured(origin),
             truth_offset=(0.0, 0.0) if self.truth_offset is None else checked_offset("truth_offset", self.truth_offset),
             true_landmarks=self.landmarks,
             classes=self.sightings.classes,
@@ -91,7 +107,14 @@ class Drive:
 
 
 def read_drive(
-    odometry: Any, sightings: Any, *, truth: Any = None, map: Any = None, options: TableOptions | None = None
+    odometry: Any,
+    sightings: Any,
+    *,
+    truth: Any = None,
+    map: Any = None,
+    relations: Any = None,
+    positions: Any = None,
+    options: TableOptions | None = None,
 ) -> Drive:
     """Read the tables of a drive; the arguments are those of `Log.from_tables`.
 
@@ -110,14 +133,19 @@ def read_drive(
         None if map is None else map_of(table_of(map, "map"), options, seen.names),
         options.sensor_offset,
         truth_offset=options.truth_offset,
+        relations=None if relations is None else relations_of(table_of(relations, "relations"), options),
+        positions=None if positions is None else positions_of(table_of(positions, "positions"), options),
     )
 
 
 def parts_of_tables(
-    odometry: Any, sightings: Any, truth: Any, map: Any, name: str, keep_every: float | None,
+    odometry: Any, sightings: Any, others: Mapping[str, Any], name: str, keep_every: float | None,
     options: TableOptions | None, **changes: Any,
 ) -> dict[str, Any]:  # fmt: skip
-    """The arguments of the `Log` that `Log.from_tables` returns; its arguments and errors are the same."""
+    """The arguments of the `Log` that `Log.from_tables` returns; its arguments and errors are the same.
+
+    ``others`` are the other tables by name.
+    """
     check_type(TableOptions, options=options)
     if options is not None and changes:
         raise OptionError(f"give {next(iter(changes))} as a field of options, or leave out options")
@@ -126,7 +154,7 @@ def parts_of_tables(
             raise OptionError(
                 f"from_tables has no option {quoted(change)}{suggestion(change, names) or '; see TableOptions'}"
             )
-    drive = read_drive(odometry, sightings, truth=truth, map=map, options=options or TableOptions(**changes))
+    drive = read_drive(odometry, sightings, **others, options=options or TableOptions(**changes))
     return drive.parts(ReadOptions(keep_every=keep_every), name)
 
 
@@ -134,11 +162,10 @@ def parts_of_tables(
 _FEW, _LONGER = 0.1, 20.0
 
 
-def check_overlap(odometry: Timed, other: Timed) -> None:
+def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
     """Raise `LogError` where two clocks have no time in common; the message has both intervals and the likely cause."""
     begin, end = int(odometry.times[0]), int(odometry.times[-1])
     first, last = int(other.times[0]), int(other.times[-1])
-    kind = "sightings" if len(other.ids) else "truth"
     if len(odometry.times) == 1:
         raise odometry.table.error(None, "there is one row, but motion takes two")
     if begin == end:

@@ -16,6 +16,8 @@ TABLES = {
     "sightings": "the measured landmarks",
     "truth": "the true poses",
     "map": "the true landmarks",
+    "relations": "the measured relations between two poses",
+    "positions": "the measured absolute positions",
 }
 #: metres and radians of each unit
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}

@@ -118,7 +118,7 @@ def test_what_cannot_be(book_log):
         with pytest.raises(OptionError, match=message):
             solve(graph, **options, method="gnc")
     unseen = replace(graph, families=(graph.families[0], graph.families[2]))
-    with pytest.raises(GraphError, match="needs edges from sightings"):
+    with pytest.raises(GraphError, match="needs sightings, relations or positions"):
         solve(unseen, method="gnc")
     bad, _ = with_phantoms(book_log, 0.2, 1)
     early = solve(Graph.from_log(bad, edges="virtual+motion", kernel="none"), max_iterations=2, method="gnc")

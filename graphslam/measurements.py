@@ -1,0 +1,203 @@
+"""What other sensors measure of the robot itself: relations between two poses, and absolute positions.
+
+A relation is a pose measured from another one: by scan matching, a loop closure, or the odometry of a second source. An
+absolute position is the place of a point of the robot in the world: by GPS, motion capture, or a total station.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .checks import first
+from .errors import LogError
+from .log_arrays import finite_floats, whole_numbers
+from .se2 import Array, wrap
+
+
+class _Records:
+    """Rows that belong together, in arrays that cannot be written to."""
+
+    #: the fields that hold steps
+    ENDS: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(getattr(self, self.ENDS[0]))
+
+    def among(self, rows: np.ndarray) -> Self:
+        """Some of the rows, given by their numbers or a mask."""
+        return type(self)(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})  # type: ignore[arg-type]
+
+    def within(self, steps: np.ndarray) -> Self:
+        """The rows whose steps are all among increasing ``steps``, with the places of these in them as new steps."""
+        kept = self.among(np.all([np.isin(getattr(self, end), steps) for end in self.ENDS], axis=0))
+        return kept.moved({end: np.searchsorted(steps, getattr(kept, end)) for end in self.ENDS})
+
+    def moved(self, ends: dict[str, np.ndarray]) -> Self:
+        """The same with other steps."""
+        return type(self)(**{f.name: ends.get(f.name, getattr(self, f.name)) for f in fields(self)})  # type: ignore[arg-type]
+
+    def equals(self, other: object) -> bool:
+        """Whether the other holds exactly the same numbers."""
+        return type(other) is type(self) and all(
+            np.array_equal(getattr(self, f.name), getattr(other, f.name), equal_nan=f.name not in self.ENDS)
+            for f in fields(self)  # type: ignore[arg-type]
+        )
+
+    def check_steps(self, name: str, poses: int) -> None:
+        """Raise `LogError` where a step is none of a log with so many poses."""
+        for end in self.ENDS:
+            steps = getattr(self, end)
+            if (k := first((steps < 0) | (steps >= poses))) is not None:
+                raise LogError(
+                    f"row {k} of {name} has {end[:-1] if end == 'steps' else end} {steps[k]}, but the log has steps 0 to "
+                    f"{poses - 1}: are these times? A step counts poses from 0"
+                )
+
+    def _set(self, **values: Array) -> None:
+        for name, value in values.items():
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PoseRelations(_Records):
+    """R measured relations between two poses of a log each. All arrays are copied, checked and made read-only.
+
+    The motion z = (dx, dy, dtheta) is the pose at ``second`` in the axes of the pose at ``first``, with the residual
+    e = (R(theta_1)' (p_2 - p_1) - (dx, dy), theta_2 - theta_1 - dtheta) and the information C^-1.
+
+    Args:
+        first, second: (R,) the steps of both poses; ``second`` may come before ``first``.
+        motions: (R, 3) [m, m, rad]; headings are wrapped to [-pi, pi).
+        covariances: C (R, 3, 3) of the motions in the axes of the first pose [m², m rad, rad²]; one matrix is for all.
+
+    Raises:
+        LogError: an array has another shape, a relation ties a pose to itself, or a covariance is not positive definite.
+    """
+
+    ENDS = ("first", "second")
+
+    first: np.ndarray
+    second: np.ndarray
+    motions: Array
+    covariances: Array
+
+    def __post_init__(self) -> None:
+        motions = finite_floats("the motions of relations", self.motions, (None, 3))
+        motions[:, 2] = wrap(motions[:, 2])
+        count, noun = len(motions), "relation"
+        ends = {
+            end: whole_numbers(f"the steps {end} of relations", getattr(self, end), count, noun=noun)
+            for end in self.ENDS
+        }
+        if (k := first(ends["first"] == ends["second"])) is not None:
+            raise LogError(f"relation {k} goes from step {ends['first'][k]} to itself; it ties two poses")
+        self._set(**ends, motions=motions, covariances=checked_covariances("relations", self.covariances, count, 3))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AbsolutePositions(_Records):
+    """N measured places of a point of the robot in the world. All arrays are copied, checked and made read-only.
+
+    The residual is e = p + R(theta) a - (x, y), with a the lever, and theta - theta_z where the heading is measured, too.
+
+    Args:
+        steps: (N,) the step of each.
+        places: (N, 2) x and y [m], or (N, 3) with the heading of the robot [rad], NaN where it is not measured.
+        covariances: (N, 2, 2) or (N, 3, 3) in world axes [m², m rad, rad²]; one matrix is for all. Rows and columns of a
+            heading that is not measured are not used.
+        levers: a (N, 2), the point of the robot that is measured, (ahead, left) [m] of its pose; one point is for all.
+
+    Raises:
+        LogError: an array has another shape, or a covariance is not positive definite.
+    """
+
+    ENDS = ("steps",)
+
+    steps: np.ndarray
+    places: Array
+    covariances: Array
+    levers: Array = field(default_factory=lambda: np.zeros(2))
+
+    def __post_init__(self) -> None:
+        given = np.asarray(self.places)
+        columns = 2 if given.ndim == 2 and given.shape[1] == 2 else 3
+        places = np.full((len(given) if given.ndim else 0, 3), np.nan)
+        measured = (
+            ~np.isnan(given[:, 2].astype(float)) if given.ndim == 2 and columns == 3 else np.zeros(len(places), bool)
+        )
+        places[:, :2] = finite_floats(
+            "the places of positions", given[..., :2] if given.ndim == 2 else given, (None, 2)
+        )
+        if measured.any():
+            places[measured, 2] = wrap(finite_floats("the headings of positions", given[measured, 2], (None,)))
+        count = len(places)
+        steps = whole_numbers("the steps of positions", self.steps, count, noun="position")
+        covariances = np.full((count, 3, 3), np.nan)
+        shape = np.shape(self.covariances)
+        d = 3 if shape[-1:] == (3,) else 2
+        if measured.any() and d == 2:
+            raise LogError("positions with headings need covariances (N, 3, 3), of x, y and heading")
+        all_of_them = (
+            np.broadcast_to(_one_for_all(self.covariances, count), (count, d, d)) if shape[-2:] == (d, d) else None
+        )
+        if all_of_them is None or shape[:-2] not in ((), (count,)):
+            raise LogError(
+                f"the covariances of positions must have shape ({count}, 2, 2) or ({count}, 3, 3), not {shape}"
+            )
+        for rows, size in ((np.flatnonzero(~measured), 2), (np.flatnonzero(measured), 3)):
+            if len(rows):
+                covariances[rows, :size, :size] = checked_covariances(
+                    "positions", all_of_them[rows, :size, :size], len(rows), size, rows
+                )
+        levers = finite_floats("the levers of positions", np.broadcast_to(self.levers, (count, 2)), (count, 2))
+        self._set(steps=steps, places=places, covariances=covariances, levers=levers)
+
+    @property
+    def oriented(self) -> np.ndarray:
+        """Whether the heading is measured, too, (N,) bool."""
+        return np.isfinite(self.places[:, 2])
+
+
+def _one_for_all(covariances: ArrayLike, count: int) -> Array:
+    array = np.asarray(covariances)
+    return np.broadcast_to(array, (count, *array.shape)) if array.ndim == 2 else array
+
+
+def checked_covariances(name: str, value: Any, count: int, d: int, rows: np.ndarray | None = None) -> Array:
+    """Covariances (count, d, d) that are symmetric and positive definite; one matrix is for all.
+
+    Args:
+        name: what they are of, for messages.
+        rows: (count,) the numbers of the rows for messages; default: 0, 1, ...
+
+    Raises:
+        LogError: they are not.
+    """
+    covariances = finite_floats(f"the covariances of {name}", _one_for_all(value, count), (count, d, d))
+    if (k := first(not_positive(covariances))) is not None:
+        row = k if rows is None else rows[k]
+        raise LogError(f"the covariance of row {row} of {name} {NOT_POSITIVE}")
+    return (covariances + np.swapaxes(covariances, 1, 2)) / 2
+
+
+#: what is wrong with a covariance, and what to do
+NOT_POSITIVE = (
+    "is not symmetric and positive definite: its diagonal holds variances, above zero, and a covariance between two "
+    "coordinates is smaller than the product of their standard deviations; are these correlations, or columns in another "
+    "order?"
+)
+
+
+def not_positive(covariances: Array) -> np.ndarray:
+    """Which of the covariances (N, d, d) are not symmetric and positive definite to double precision, (N,) bool."""
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    size = np.sqrt(np.where(variances > 0, variances, 1.0))
+    unit = covariances / (size[:, :, None] * size[:, None, :])
+    wrong = np.any(variances <= 0, axis=1) | np.any(np.abs(unit - np.swapaxes(unit, 1, 2)) > 1e-6, axis=(1, 2))
+    smallest = np.linalg.eigvalsh(unit)[:, 0] if len(unit) else np.zeros(0)
+    return np.asarray(wrong | ~(smallest > 1e-13))
