@@ -1,0 +1,217 @@
+"""The figures that readers move, driven in a browser by mouse and keyboard, with numbers compared with Python."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from chromium import Chromium, find_browser
+
+from graphslam import Graph, Log, solve
+from graphslam.se2 import wrap
+
+ROOT = Path(__file__).parents[2]
+SITE = ROOT / "docs" / "_site"
+sys.path.insert(0, str(SITE))
+BROWSER = find_browser()
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.browser,
+    pytest.mark.skipif(BROWSER is None, reason="needs a browser: apt-get install chromium"),
+    pytest.mark.skipif(
+        importlib.util.find_spec("markdown") is None, reason="needs the packages of the site: make docs"
+    ),
+    pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="needs ziglang: make engine-wasm"),
+]
+FIGURE = "document.querySelector('figure.live')"
+PAGE = """<!doctype html><html lang="{language}"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<link rel="stylesheet" href="_site/extra.css"><link rel="icon" href="data:,"><body>{figure}
+<script src="_site/live.js"></script></body></html>"""
+Open = Callable[..., Chromium]
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    """A handler that writes no log."""
+
+    def log_message(self, *_: object) -> None:
+        """Write nothing."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A site of the scripts and the engine alone."""
+    import live
+
+    wasm = ["make", "-C", ROOT / "engine" / "wasm", "-j2", f"PYTHON={sys.executable}", f"BUILD={live.ENGINE[0].parent}"]
+    done = subprocess.run(wasm, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    site = tmp_path_factory.mktemp("site")
+    shutil.copytree(SITE, site / "_site", ignore=shutil.ignore_patterns("*.py", "katex", "__pycache__"))
+    live.copy_engine(site)
+    return site
+
+
+@pytest.fixture(scope="module")
+def open_page(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Open]:
+    """Open a page with one figure, given as in a marker, and wait until it is ready."""
+    import live
+
+    assert BROWSER is not None
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(folder)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    with Chromium(BROWSER, tmp_path_factory.mktemp("profile")) as browser:
+
+        def opened(*arguments: str, language: str = "en", until: str = f"{FIGURE}.matches('.ready')") -> Chromium:
+            figure = live.figure([*arguments, "A figure."])
+            (folder / "page.html").write_text(PAGE.format(language=language, figure=figure))
+            browser.events.clear()
+            browser.send("Network.setCacheDisabled", cacheDisabled=True)
+            browser.send("Page.navigate", url=f"http://127.0.0.1:{server.server_port}/page.html")
+            browser.wait_for(f"document.readyState === 'complete' && {FIGURE} && {until}")
+            return browser
+
+        yield opened
+    server.shutdown()
+    server.server_close()
+
+
+def graph_of(log: Log, shown: dict[str, Any], **options: Any) -> Graph:
+    """The graph that a figure shows, of a log with the sightings of the figure, as `vmslam.js` takes them."""
+    rows = np.array(shown["sightings"])
+    log = replace(log, sightings=rows[:, 2:], steps=rows[:, 0].astype(int), landmarks=rows[:, 1].astype(int))
+    return Graph.from_log(
+        log, **({"edges": "virtual+motion", "weight": "pairs", "frame": "body", "kernel": "none"} | options)
+    )
+
+
+def agrees(page: Chromium, log: Log, **options: Any) -> float:
+    """J of the figure, which Python computes for the same poses and measurements."""
+    poses = np.array(page.evaluate(f"{FIGURE}.live.state.poses"))
+    graph = graph_of(log, page.evaluate(f"{FIGURE}.live.log()"), **options)
+    shown = float(page.evaluate(f"{FIGURE}.dataset.cost"))
+    assert shown == pytest.approx(graph.cost(poses), rel=1e-9, abs=1e-9)
+    return shown
+
+
+def switch(page: Chromium, name: str) -> None:
+    page.click(f"figure.live input[data-name={name}]")
+
+
+def drag(page: Chromium, selector: str, dx: float, dy: float, *, touch: bool = False) -> None:
+    """Drag the middle of an element by pixels, with the mouse or a finger."""
+    x, y = page.evaluate(f"""(() => {{
+        const element = document.querySelector({selector!r});
+        element.scrollIntoView({{ block: "center" }});
+        const box = element.getBoundingClientRect();
+        return [box.x + box.width / 2, box.y + box.height / 2]; }})()""")
+    if touch:
+        page.send("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+        page.send("Input.dispatchTouchEvent", type="touchMove", touchPoints=[{"x": x + dx, "y": y + dy}])
+        page.send("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        return
+    page.move_mouse(x, y)
+    page.send("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, button="left", buttons=1, clickCount=1)
+    page.send("Input.dispatchMouseEvent", type="mouseMoved", x=x + dx, y=y + dy, button="left", buttons=1)
+    page.send("Input.dispatchMouseEvent", type="mouseReleased", x=x + dx, y=y + dy, button="left", clickCount=1)
+
+
+@pytest.mark.parametrize("name", ["three_poses", "loop"])
+def test_the_graph_has_the_numbers_of_python(open_page: Open, name: str) -> None:
+    import live
+
+    log = live.log(name)
+    page = open_page("graph", name)
+    start = agrees(page, log)
+    stepped = solve(Graph.from_log(log, edges="virtual+motion", kernel="none"), initialize="given", max_iterations=1)
+    page.click("figure.live button[data-name=step]")
+    poses = np.array(page.evaluate(f"{FIGURE}.live.state.poses"))
+    np.testing.assert_allclose(poses[:, :2], stepped.poses[:, :2], atol=1e-9)
+    np.testing.assert_allclose(wrap(poses[:, 2] - stepped.poses[:, 2]), 0, atol=1e-9)
+    # the page says that a step goes to where J is smaller
+    assert agrees(page, log) < start
+    page.click("figure.live button[data-name=all]")
+    best = agrees(page, log)
+    assert best == pytest.approx(solve(Graph.from_log(log, edges="virtual+motion", kernel="none")).cost, rel=1e-9)
+
+    switch(page, "wrong")
+    wrong = agrees(page, log)
+    assert wrong > 1.2 * best
+    switch(page, "kernel")
+    assert agrees(page, log, kernel="cauchy") < wrong
+    switch(page, "wrong")
+    switch(page, "kernel")
+    switch(page, "psi")
+    agrees(page, log, dimensions=2)
+    switch(page, "psi")
+    if name == "three_poses":  # the other log falls into pieces without motion edges
+        switch(page, "motions")
+        assert agrees(page, log, edges="virtual") < best
+        switch(page, "motions")
+    switch(page, "ellipses")
+    assert page.evaluate("document.querySelectorAll('.live-stage .ellipse').length") == log.num_poses
+    assert page.complaints() == []
+
+
+def test_poses_and_landmarks_move_by_mouse_finger_and_keys(open_page: Open) -> None:
+    import live
+
+    log = live.log("three_poses")
+    page = open_page("graph", "three_poses")
+    before = agrees(page, log)
+    poses = page.evaluate(f"{FIGURE}.live.state.poses")
+    last, star = ".handles g:last-of-type circle.pose", ".handles g:first-of-type path.landmark"
+    drag(page, last, 30, 10)
+    moved = page.evaluate(f"{FIGURE}.live.state.poses")
+    scale = page.evaluate(f"30 / ({FIGURE}.live.state.poses[2][0] - {poses[2][0]})")
+    assert moved[2][1] - poses[2][1] == pytest.approx(-10 / scale, rel=0.1)
+    assert agrees(page, log) != before
+    drag(page, last, -30, -10, touch=True)
+    assert page.evaluate(f"{FIGURE}.live.state.poses[2][0]") == pytest.approx(poses[2][0], abs=2 / scale)
+    agrees(page, log)
+
+    page.evaluate("document.querySelector('.handles g:last-of-type').focus()")
+    x, _, heading = page.evaluate(f"{FIGURE}.live.state.poses[2]")
+    page.press("ArrowRight", 39)
+    assert page.evaluate(f"{FIGURE}.live.state.poses[2][0]") == pytest.approx(x + 0.05)
+    page.send("Input.dispatchKeyEvent", type="rawKeyDown", key="ArrowLeft", windowsVirtualKeyCode=37, modifiers=8)
+    assert page.evaluate(f"{FIGURE}.live.state.poses[2][2]") == pytest.approx(heading + 0.05)
+
+    sightings = page.evaluate(f"{FIGURE}.live.log().sightings")
+    drag(page, star, 20, 20)
+    assert np.abs(np.array(page.evaluate(f"{FIGURE}.live.log().sightings")) - sightings).max() > 0.01
+    agrees(page, log)
+    assert page.complaints() == []
+
+
+def test_edges_that_leave_poses_free_are_said(open_page: Open) -> None:
+    page = open_page("graph", "three_poses", "psi=no", "motions=no", language="ja")
+    page.click("figure.live button[data-name=all]")
+    assert "一意に決まりません" in page.evaluate("document.querySelector('.live-status').textContent")
+
+
+def test_without_the_engine_the_text_remains(open_page: Open, folder: Path) -> None:
+    hidden = (folder / "engine").rename(folder / "hidden")
+    try:
+        page = open_page("graph", "loop", until="document.querySelector('.live-missing') !== null")
+        text = page.evaluate(f"{FIGURE}.innerText")
+        assert "A figure." in text and "make docs" in text
+    finally:
+        hidden.rename(folder / "engine")
+
+
+def test_figures_fit_on_a_phone(open_page: Open) -> None:
+    page = open_page("graph", "loop", language="ja")
+    page.resize(390, 844)
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    page.resize(1280, 900)
