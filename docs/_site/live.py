@@ -37,16 +37,22 @@ def log(name: str) -> Log:
         # a closed loop of ten poses, so that single edges can be seen
         landmarks = ((2.6, -2.4, 0.0), (2.2, 1.8, 0.0), (-2.4, 1.6, 0.0), (-2.2, -2.2, 0.0))
         return simulate(
-            seed=41, steps=9, dt=4.0, speed=0.35, turn_rate=2 * np.pi / 36, start=(0.0, -2.0, 0.0),
-            landmarks=landmarks, max_range=4.0, clean=True,
+            seed=25, steps=9, dt=4.0, speed=0.35, turn_rate=2 * np.pi / 36, start=(0.0, -2.0, 0.0),
+            landmarks=landmarks, max_range=5.0, clean=True,
         )  # fmt: skip
+    if name == "drive":
+        return simulate(seed=3, clean=True)
     raise LiveError(f"there is no log {name!r}")
 
 
 def rows(log: Log) -> dict[str, Any]:
-    """A log as `vmslam.js` takes it, with the default widths of Cauchy's kernel without and with psi."""
+    """A log as `vmslam.js` takes it, with the default widths of Cauchy's kernel without and with psi, and the truth."""
     assert log.controls is not None and log.dt is not None
-    return {
+    truth = {}
+    if log.true_poses is not None and log.true_landmarks is not None:
+        truth = {"truth": log.true_poses[:, :2].round(3).tolist()}
+        truth |= {"landmarks": [place[:2].round(3).tolist() for place in log.true_landmarks.values()]}
+    return truth | {
         "start": log.initial_poses[0].tolist(),
         "controls": np.column_stack([log.controls, log.dt]).tolist(),
         "sightings": np.column_stack([log.steps, log.landmarks, log.sightings]).tolist(),

@@ -18,7 +18,9 @@ import numpy as np
 import pytest
 from chromium import Chromium, find_browser
 
-from graphslam import Graph, Log, solve
+from fastslam import FastSLAM1, FastSLAM2
+from fastslam.noise import draw_key
+from graphslam import Graph, Log, MotionModel, SensorModel, solve, textbook
 from graphslam.se2 import wrap
 
 ROOT = Path(__file__).parents[2]
@@ -194,6 +196,24 @@ def test_poses_and_landmarks_move_by_mouse_finger_and_keys(open_page: Open) -> N
     assert page.complaints() == []
 
 
+def test_the_kernel_keeps_the_poses_as_the_page_says(open_page: Open) -> None:
+    page = open_page("graph", "loop", "mistaken=11")
+
+    def poses() -> np.ndarray:
+        page.click("figure.live button[data-name=all]")
+        return np.array(page.evaluate(f"{FIGURE}.live.state.poses"))[:, :2]
+
+    before = poses()
+    switch(page, "wrong")
+    assert round(np.linalg.norm(poses() - before, axis=1).max(), 1) == 0.7
+    switch(page, "kernel")
+    assert np.linalg.norm(poses() - before, axis=1).max() > 0.5  # another minimum
+    switch(page, "wrong")
+    assert np.linalg.norm(poses() - before, axis=1).max() < 0.3
+    switch(page, "wrong")
+    assert np.linalg.norm(poses() - before, axis=1).max() < 0.3
+
+
 def test_edges_that_leave_poses_free_are_said(open_page: Open) -> None:
     page = open_page("graph", "three_poses", "psi=no", "motions=no", language="ja")
     page.click("figure.live button[data-name=all]")
@@ -215,3 +235,76 @@ def test_figures_fit_on_a_phone(open_page: Open) -> None:
     page.resize(390, 844)
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     page.resize(1280, 900)
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_fastslam_has_the_numbers_of_python(open_page: Open, version: int) -> None:
+    import live
+
+    log, particles, seed, factor = live.log("drive"), 50, 3, 2
+    book = MotionModel()
+    motion = MotionModel(nn=book.nn * factor, no=book.no * factor, on=book.on * factor, oo=book.oo * factor)
+    filter_ = (FastSLAM1, FastSLAM2)[version - 1](
+        log, particles=particles, seed=seed, motion=motion, sensor=SensorModel(), ess_threshold=0.5
+    )
+    result = filter_.run()
+    assert any(result.resampled)
+    # the numbers that the filter has drawn, in its order
+    rng, keys, offsets = np.random.default_rng(seed), ["0"], []
+    for t, due in enumerate(result.resampled):
+        keys += [str(draw_key(rng))] if t else []
+        offsets += [rng.random()] if due else []
+
+    page = open_page("fastslam", "drive")
+    slam = f"{FIGURE}.live"
+    page.evaluate(f"""(() => {{ const keys = {keys[1:]}.map(BigInt), offsets = {offsets};
+        {slam}.random.key = () => keys.shift(); {slam}.random.offset = () => offsets.shift();
+        Object.assign({slam}.state, {{ noise: {factor}, version: {version} }}); {slam}.change("particles")({particles});
+        while ({slam}.step()); }})()""")
+    found = page.evaluate(f"{slam}.particles()")
+    state = filter_.state
+    np.testing.assert_allclose(np.array(found["poses"])[:, :2], state.poses[:, :2], atol=1e-9)
+    np.testing.assert_allclose(found["logWeights"], state.log_weights, atol=1e-9)
+    best = state.map()
+    names = page.evaluate(f"{slam}.names")
+    np.testing.assert_allclose(
+        [row[:2] for row in page.evaluate(f"{slam}.map()")], [best[j].mean[:2] for j in names], atol=1e-9
+    )
+    assert f"of {particles}" in page.evaluate("document.querySelector('.live-status').textContent")
+    assert page.complaints() == []
+
+
+def test_fastslam_runs_and_shows_the_particle_that_is_clicked(open_page: Open) -> None:
+    page = open_page("fastslam", "drive")
+    page.click("figure.live button[data-name=run]")
+    page.wait_for(f"{FIGURE}.live.state.t >= 3")
+    page.click("figure.live button[data-name=run]")
+    page.click("svg.live-stage")
+    assert page.evaluate(f"{FIGURE}.live.state.chosen") is not None
+    page.click("figure.live button[data-name=other]")
+    switch(page, "resampling")
+    assert page.evaluate(f"[{FIGURE}.live.state.t, {FIGURE}.live.state.resampling]") == [0, False]
+    assert page.complaints() == []
+
+
+def test_covariances_are_those_of_python(open_page: Open) -> None:
+    page = open_page("covariance", language="ja")
+
+    def agree(misprint: bool) -> None:
+        (x1, z1), (x2, z2) = (
+            (np.array(s["pose"]), np.array(s["z"])) for s in page.evaluate(f"{FIGURE}.live.state.seen")
+        )
+        R1, R2 = textbook.sighting_derivative(x1, z1), textbook.sighting_derivative(x2, z2)
+        Q1, Q2 = (textbook.sighting_covariance(z, SensorModel()) for z in (z1, z2))
+        R2 = R1 if misprint else R2
+        C = R1 @ Q1 @ R1.T + R2 @ Q2 @ R2.T
+        shown = page.evaluate(f"{FIGURE}.live.places().sum")
+        np.testing.assert_allclose(shown, C[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]], rtol=1e-9, atol=1e-12)
+
+    agree(misprint=False)
+    drag(page, ".handles g:nth-of-type(3) circle.end", 40, -25)
+    drag(page, ".handles g:nth-of-type(2) circle.end", -20, 15)
+    agree(misprint=False)
+    switch(page, "misprint")
+    agree(misprint=True)
+    assert page.complaints() == []

@@ -2,12 +2,12 @@
 //
 // Dragging a pose changes the estimate. Dragging a landmark changes the measurements: its sightings are measured anew from the
 // poses of the minimum, with the errors that they had.
-import { Controls, Stage, draggable, element, html } from "./stage.js";
+import { Controls, Stage, draggable, element, fill, html, place } from "./stage.js";
 
 /** Colours of edges are as many steps up to this distance. */
 const COLOURS = 8, REDDEST = 4;
 /** What a wrong sighting is off by: range [m], bearing [rad], psi. */
-const WRONG = [0.9, 0.5, 0];
+const WRONG = [1.5, 0.8, 0];
 /** How far an arrow key moves [m] and turns [rad]; length of the arrow of a pose [pixels]. */
 const NUDGE = 0.05, TURN = 0.05, ARROW = 24;
 
@@ -18,15 +18,14 @@ export function make(figure, engine, log, words) {
     oriented: on("psi", true), motions: on("motions", true), wrong: on("wrong", false), kernel: on("kernel", false),
     ellipses: on("ellipses", false),
   };
-  const pairs = pairsOf(log.sightings);
+  const pairs = pairsOf(log.sightings), mistaken = Number(given.mistaken ?? log.sightings.length - 1);
   const stage = new Stage(figure, words.graphLabel, draw);
   ["rays", "edges", "ellipses", "places", "handles"].forEach((name) => stage.layer(name));
   let graph = null, message = "";
 
   function measured() {
-    const last = state.sightings.length - 1;
     return state.sightings.map((row, k) =>
-      state.wrong && k === last ? row.map((number, c) => number + (c < 2 ? 0 : WRONG[c - 2])) : row);
+      state.wrong && k === mistaken ? row.map((number, c) => number + (c < 2 ? 0 : WRONG[c - 2])) : row);
   }
   function build() {
     graph?.free();
@@ -119,40 +118,29 @@ export function make(figure, engine, log, words) {
     const places = sightings.map((row) => engine.place(state.poses[row[0]], row.slice(2)).landmark);
     const motions = state.motions ? log.controls.map((_, t) => [state.poses[t], state.poses[t + 1]]) : [];
     const edges = [...motions, ...pairs.map(([a, b]) => {
-      const [p, q] = [a, b].map((k) => state.poses[sightings[k][0]]), place = places[a];
+      const [p, q] = [a, b].map((k) => state.poses[sightings[k][0]]), at = places[a];
       // bent towards the landmark, so that the edges of different landmarks differ
       return [p, ...[0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9].map((s) => [0, 1].map((c) =>
-        (1 - s) * p[c] + s * q[c] + 0.7 * s * (1 - s) * (place[c] - (p[c] + q[c]) / 2))), q];
+        (1 - s) * p[c] + s * q[c] + 0.7 * s * (1 - s) * (at[c] - (p[c] + q[c]) / 2))), q];
     })];
     const buckets = Array.from({ length: COLOURS + 1 }, () => "");
     edges.forEach((points, e) => {
       const distance = Math.sqrt(squares[e + 1]);  // the first one is the anchor
       buckets[Math.round(COLOURS * Math.min(distance / REDDEST, 1))] += stage.path(points);
     });
-    fill("edges", buckets, (path, k) => ({ d: path, class: "edge", style: `--part:${100 * k / COLOURS}%` }));
+    fill(stage, "edges", buckets, (path, k) => ({ d: path, class: "edge", style: `--part:${100 * k / COLOURS}%` }));
     const residuals = pairs.map(([a, b]) => stage.path([places[a], places[b]])).join("");
     const rays = sightings.map((row, k) => stage.path([state.poses[row[0]], places[k]])).join("");
-    fill("rays", [rays, residuals], (path, k) => ({ d: path, class: k ? "residual" : "ray" }));
-    fill("places", places.map((place) => stage.at(place)), ([x, y]) => ({ d: `M${x} ${y}h.01`, class: "place" }));
+    fill(stage, "rays", [rays, residuals], (path, k) => ({ d: path, class: k ? "residual" : "ray" }));
+    fill(stage, "places", places.map((at) => stage.at(at)), ([x, y]) => ({ d: `M${x} ${y}h.01`, class: "place" }));
     const blocks = state.ellipses ? graph.covariances(state.poses) : null;
-    fill("ellipses", blocks ?? [], (C, t) => ({ d: stage.ellipse(state.poses[t], [C[0], C[1], C[4]]), class: "ellipse" }));
+    fill(stage, "ellipses", blocks ?? [], (C, t) => ({ d: stage.ellipse(state.poses[t], [C[0], C[1], C[4]]), class: "ellipse" }));
 
-    landmarks.forEach((m, k) => place(handles.landmarks[k], m, 0, `${words.landmark} ${names[k]}`, words.moveLandmark));
-    state.poses.forEach((x, t) => place(handles.poses[t], x, x[2], `${words.pose} ${t}`, words.move));
+    landmarks.forEach((m, k) => place(stage, handles.landmarks[k], m, 0, `${words.landmark} ${names[k]}`, words.moveLandmark));
+    state.poses.forEach((x, t) => place(stage, handles.poses[t], x, x[2], `${words.pose} ${t}`, words.move));
     status.innerHTML = `<strong>J = ${J < 1e4 ? J.toFixed(3) : J.toExponential(3)}</strong> <span></span>`;
     status.lastChild.textContent = state.ellipses && !blocks ? words.ellipsesFree : message;
     figure.dataset.cost = J;
-  }
-  function fill(name, rows, attributes) {
-    const layer = stage.layer(name);
-    while (layer.childElementCount < rows.length) element("path", {}, layer);
-    while (layer.childElementCount > rows.length) layer.lastChild.remove();
-    rows.forEach((row, k) => { for (const [key, value] of Object.entries(attributes(row, k))) layer.children[k].setAttribute(key, value); });
-  }
-  function place(handle, [x, y], heading, name, how) {
-    const [px, py] = stage.at([x, y]);
-    handle.setAttribute("transform", `translate(${px.toFixed(1)} ${py.toFixed(1)}) rotate(${(-heading * 180 / Math.PI).toFixed(1)})`);
-    handle.setAttribute("aria-label", `${name}: ${x.toFixed(2)}, ${y.toFixed(2)}; ${how}`);
   }
   const drawn = log.sightings.map((row) => engine.place(state.poses[row[0]], row.slice(2)).landmark);
   stage.show([...state.poses, ...solved, ...landmarks, ...drawn], 0.4);

@@ -78,6 +78,21 @@ export function draggable(handle, stage, move, nudge = null) {
   });
 }
 
+/** Let a layer have one path for each row, with these attributes. */
+export function fill(stage, name, rows, attributes) {
+  const layer = stage.layer(name);
+  while (layer.childElementCount < rows.length) element("path", {}, layer);
+  while (layer.childElementCount > rows.length) layer.lastChild.remove();
+  rows.forEach((row, k) => { for (const [key, value] of Object.entries(attributes(row, k))) layer.children[k].setAttribute(key, value); });
+}
+
+/** Put a handle at a point, and say what it is and how it is moved. */
+export function place(stage, handle, [x, y], heading, name, how) {
+  const [px, py] = stage.at([x, y]);
+  handle.setAttribute("transform", `translate(${px.toFixed(1)} ${py.toFixed(1)}) rotate(${(-heading * 180 / Math.PI).toFixed(1)})`);
+  handle.setAttribute("aria-label", `${name}: ${x.toFixed(2)}, ${y.toFixed(2)}; ${how}`);
+}
+
 /** A bar with buttons, switches and sliders, of which only those that `names` has are made; null makes all. */
 export class Controls {
   constructor(figure, names = null) {

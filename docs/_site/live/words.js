@@ -16,6 +16,17 @@ const WORDS = {
     legend: "Arrows: estimated poses. Dots: the places of the landmarks according to each sighting. Stars: landmarks.",
     drag: "Drag poses, the tips of their arrows, and stars.",
     graphLabel: "graph of poses and landmarks",
+    covarianceLabel: "two sightings of a landmark with their covariances",
+    misprint: "as the slide prints it, with R₁ in both terms",
+    covarianceLegend: "Ellipses: two standard deviations of each sighting (blue and orange), and of the residual (violet, the sum). "
+      + "The grey line is the residual e. Drag the poses and the ends of the sightings.",
+    fastslamLabel: "particles of FastSLAM, with the map of one of them",
+    oneStep: "One step", run: "Run", pause: "Pause", restart: "From the start", other: "Next particle",
+    resampling: "resampling", motionNoise: "motion noise ×",
+    ess: (ess, n, resampled) => (ess === null ? "no landmark seen yet" : `effective sample size ${ess.toFixed(1)} of ${n}`)
+      + (resampled ? ", resampled" : ""),
+    fastslamLegend: "Dots: particles, larger with a larger weight. Thin lines: their trajectories. Click a particle to see its trajectory and "
+      + "its map (ellipses of two standard deviations); at first it is the one with the largest weight. Dashed line and crosses: ground truth.",
   },
   ja: {
     missing: "この図には、WebAssemblyにしたエンジンと、それを読み込めるブラウザが必要です。このサイトには見つかりませんでした。"
@@ -33,6 +44,16 @@ const WORDS = {
     legend: "矢印は推定した姿勢、点は各センサ値によるランドマークの位置、星はランドマークです。",
     drag: "姿勢、矢印の先端、星をドラッグできます。",
     graphLabel: "姿勢とランドマークのグラフ",
+    covarianceLabel: "1つのランドマークの2つのセンサ値とその共分散",
+    misprint: "スライドの印刷のとおり、両方の項をR₁にする",
+    covarianceLegend: "楕円は標準偏差の2倍で、青とオレンジは各センサ値、紫は残差（共分散の和）です。灰色の線が残差eです。姿勢とセンサ値の先端をドラッグできます。",
+    fastslamLabel: "FastSLAMのパーティクルと、そのうち1つの地図",
+    oneStep: "1ステップ", run: "走らせる", pause: "止める", restart: "最初から", other: "次のパーティクル",
+    resampling: "リサンプリング", motionNoise: "移動の雑音 ×",
+    ess: (ess, n, resampled) => (ess === null ? "まだランドマークを観測していません" : `有効サンプルサイズ ${ess.toFixed(1)}（N = ${n}）`)
+      + (resampled ? "、リサンプリングしました" : ""),
+    fastslamLegend: "点はパーティクルで、重みが大きいほど大きく描きます。細い線はその軌跡です。パーティクルをクリックすると、その軌跡と地図（標準偏差の2倍の楕円）を表示します。"
+      + "最初は重みが最大のパーティクルです。破線と十字は真の軌跡とランドマークです。",
   },
 };
 
