@@ -139,7 +139,7 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
 @event_priority(-101)  # after the plugin of the languages, which writes the index last
 def on_post_build(config: Any) -> None:
     """Copy figures and the engine into the site, write the notebooks, and give each language its index of the search."""
-    live.copy_engine(Path(config["site_dir"]))
+    live.copy_files(Path(config["site_dir"]))
     _split_index(Path(config["site_dir"]))
     for source in cells.sources():
         if cells.folder(source).exists():

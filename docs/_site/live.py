@@ -18,10 +18,13 @@ import numpy as np
 
 from graphslam import Log, load, simulate
 from graphslam.edges.robust import Cauchy
+from graphslam.tables import columns
 
-KINDS = {path.stem for path in (Path(__file__).parent / "live").glob("*.js")} - {"stage", "words"}
+KINDS = {path.stem for path in (Path(__file__).parent / "live").glob("*.js")} - {"stage", "tables", "words"}
 #: what `make engine-wasm` builds
 ENGINE = [cells.ROOT / "build" / "wasm" / name for name in ("vmslam.wasm", "vmslam.js")]
+
+TABLES = [cells.ROOT / "examples" / "own_robot" / name for name in ("odometry.csv", "sightings.csv")]
 
 
 class LiveError(ValueError):
@@ -46,7 +49,7 @@ def log(name: str) -> Log:
 
 
 def rows(log: Log) -> dict[str, Any]:
-    """A log as `vmslam.js` takes it, with the default widths of Cauchy's kernel without and with psi, and the truth."""
+    """A log as `vmslam.js` takes it, with the widths of its kernel, and the truth."""
     assert log.controls is not None and log.dt is not None
     truth = {}
     if log.true_poses is not None and log.true_landmarks is not None:
@@ -56,8 +59,20 @@ def rows(log: Log) -> dict[str, Any]:
         "start": log.initial_poses[0].tolist(),
         "controls": np.column_stack([log.controls, log.dt]).tolist(),
         "sightings": np.column_stack([log.steps, log.landmarks, log.sightings]).tolist(),
-        "widths": [Cauchy().of_dimension(d).width for d in (2, 3)],
+        "widths": widths(),
     }
+
+
+def widths() -> list[float | None]:
+    """The default widths of Cauchy's kernel without and with psi."""
+    return [Cauchy().of_dimension(d).width for d in (2, 3)]
+
+
+def table_names() -> dict[str, Any]:
+    """The names of columns and units that `graphslam` recognises, for the page that reads tables."""
+    roles = ("t", "nu", "omega", "id", "range", "bearing", "orientation")
+    names = {role: columns.NAMES[role] for role in roles}
+    return {"names": names, "units": columns.UNITS, "whole": columns.WHOLE, "widths": widths()}
 
 
 def figure(arguments: list[str]) -> str:
@@ -71,14 +86,16 @@ def figure(arguments: list[str]) -> str:
         raise LiveError(f"there is no live figure {kind!r}; there are {', '.join(sorted(KINDS))}")
     names = [option for option in options if "=" not in option]
     data = "".join(f' data-{key}="{value}"' for key, value in (o.split("=") for o in options if "=" in o))
-    script = f'<script type="application/json">{json.dumps(rows(log(names[0])))}</script>' if names else ""
+    given = rows(log(names[0])) if names else table_names() if kind == "own" else {}
+    script = f'<script type="application/json">{json.dumps(given)}</script>' if given else ""
     caption = markdown.markdown(text).removeprefix("<p>").removesuffix("</p>")
     return f'<figure class="live" data-kind="{kind}"{data}><figcaption>{caption}</figcaption>{script}</figure>'
 
 
-def copy_engine(site: Path) -> None:
-    """Copy the engine into the site, where it has been built."""
-    for file in ENGINE:
-        if file.exists():
-            (site / "engine").mkdir(parents=True, exist_ok=True)
-            shutil.copy(file, site / "engine")
+def copy_files(site: Path) -> None:
+    """Copy the engine into the site, where it has been built, and the tables of the example."""
+    for folder, files in (("engine", ENGINE), ("examples", TABLES)):
+        (site / folder).mkdir(parents=True, exist_ok=True)
+        for file in files:
+            if file.exists():
+                shutil.copy(file, site / folder)

@@ -55,7 +55,7 @@ struct LogGraph {
         solve::Graph graph(static_cast<solve::Place>(log.poses()));
         graph.add_anchor(0, {log.start[0], log.start[1], log.start[2]});
         for (solve::Place t = 0; motions && t + 1 < static_cast<solve::Place>(log.poses()); ++t) {
-            const auto [z, omega] = measured(log.controls[t], robot.motion);
+            const auto [z, omega] = measured(log.motion(t), robot.motion);
             graph.add_relative({{t, t + 1, z, omega}});
         }
         for (int k = 0; k < count; ++k) {
@@ -134,13 +134,14 @@ VMSLAM_EXPORT(vm_allocate) double* vm_allocate(int numbers) {
 }
 VMSLAM_EXPORT(vm_free) void vm_free(double* numbers) { std::free(numbers); }
 
-/// The graph of a log. `options`: whether orientations are measured, whether motion edges are used, kernel, its width.
+/// The graph of a log, whose motion t consists of the controls from starts[t] on. `options`: whether orientations are measured, whether motion edges are used, kernel, its width.
 VMSLAM_EXPORT(vm_graph)
-LogGraph* vm_graph(const double* start, const double* controls, int motions, const double* sightings, int count,
-                   const double* noise, const double* options, const double* pairs, int pair_count) {
+LogGraph* vm_graph(const double* start, const double* controls, const double* starts, int poses, const double* sightings,
+                   int count, const double* noise, const double* options, const double* pairs, int pair_count) {
     const Robot robot(noise, options[0] != 0);
     Log log{{start[0], start[1], start[2]}, {}, {}, robot.oriented};
-    for (int t = 0; t < motions; ++t) log.controls.push_back(control_of(controls + 3 * t));
+    for (int t = 0; t < poses; ++t) log.starts.push_back(static_cast<std::size_t>(starts[t]));
+    for (std::size_t k = 0; k < log.starts.back(); ++k) log.controls.push_back(control_of(controls + 3 * k));
     for (int k = 0; k < count; ++k) {
         const double* const row = sightings + 5 * k;
         log.sightings.push_back({static_cast<std::size_t>(row[0]), landmark_of(row + 1), sighting_of(row + 1)});

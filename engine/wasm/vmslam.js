@@ -69,19 +69,22 @@ class Engine {
 /**
  * The graph of a log. With `pairs`, a list of [sighting, sighting] of one landmark by their numbers in the log, the step of the
  * first one before that of the second, each pair is a virtual-motion edge, and motion edges are added if `motions` is true.
- * Without `pairs` each sighting counts once. `kernel`: "none", "huber", "cauchy" or "geman-mcclure", with its width.
+ * Without `pairs` each sighting counts once. Motions may consist of several controls: `starts` has the first control of each, and
+ * in the end the number of all controls. `kernel`: "none", "huber", "cauchy" or "geman-mcclure", with its width.
  */
 class Graph {
-  constructor(engine, { start, controls, sightings, oriented = true, noise = {}, pairs, motions = true, kernel = "none", width = 1 }) {
+  constructor(engine, log) {
+    const { start, controls, sightings, oriented = true, noise = {}, pairs, motions = true, kernel = "none", width = 1 } = log;
+    const starts = log.starts ?? [...controls.keys(), controls.length];
     this.engine = engine;
-    this.size = controls.length + 1;
-    this.members = pairs ? 1 + motions * controls.length + pairs.length : 3;
+    this.size = starts.length;
+    this.members = pairs ? 1 + motions * (starts.length - 1) + pairs.length : 3;
     this.landmarks = [...new Set(sightings.map((row) => row[1]))].sort((a, b) => a - b);
     const options = [+oriented, +motions, ["none", "huber", "cauchy", "geman-mcclure"].indexOf(kernel), width];
     if (options[2] < 0) throw new Error(`there is no kernel "${kernel}"`);
-    const rows = [start, controls.flat(), flat(sightings, 5), numbersOf(noise), options, (pairs ?? []).flat()];
-    this.own = engine.with(rows, (x, u, z, n, o, p) =>
-      engine.exports.vm_graph(x, u, controls.length, z, sightings.length, n, o, p, pairs ? pairs.length : -1));
+    const rows = [start, controls.flat(), starts, flat(sightings, 5), numbersOf(noise), options, (pairs ?? []).flat()];
+    this.own = engine.with(rows, (x, u, s, z, n, o, p) =>
+      engine.exports.vm_graph(x, u, s, starts.length, z, sightings.length, n, o, p, pairs ? pairs.length : -1));
   }
   /** The poses that follow from the controls alone. */
   deadReckoning() {

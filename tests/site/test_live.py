@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import shutil
 import subprocess
 import sys
@@ -20,7 +21,7 @@ from chromium import Chromium, find_browser
 
 from fastslam import FastSLAM1, FastSLAM2
 from fastslam.noise import draw_key
-from graphslam import Graph, Log, MotionModel, SensorModel, solve, textbook
+from graphslam import Graph, Log, MotionModel, SensorModel, load, solve, textbook
 from graphslam.se2 import wrap
 
 ROOT = Path(__file__).parents[2]
@@ -60,7 +61,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.returncode == 0, done.stdout + done.stderr
     site = tmp_path_factory.mktemp("site")
     shutil.copytree(SITE, site / "_site", ignore=shutil.ignore_patterns("*.py", "katex", "__pycache__"))
-    live.copy_engine(site)
+    live.copy_files(site)
     return site
 
 
@@ -307,4 +308,74 @@ def test_covariances_are_those_of_python(open_page: Open) -> None:
     agree(misprint=False)
     switch(page, "misprint")
     agree(misprint=True)
+    assert page.complaints() == []
+
+
+def own_log(folder: Path) -> Log:
+    """The log of the example's two tables alone, as Python reads them."""
+    import live
+
+    folder.mkdir()
+    for file in live.TABLES:
+        shutil.copy(file, folder)
+    return load(folder)
+
+
+@pytest.mark.parametrize("kernel", ["none", "cauchy"])
+def test_own_tables_have_the_solution_of_python(open_page: Open, tmp_path: Path, kernel: str) -> None:
+    log = own_log(tmp_path / "robot")
+    page = open_page("own")
+    if kernel == "none":
+        switch(page, "kernel")
+    page.click("figure.live button[data-name=example]")
+    page.wait_for(f"{FIGURE}.live.state.found != null")
+    found = page.evaluate(f"{FIGURE}.live.state.found")
+    graph = Graph.from_log(
+        log,
+        edges="virtual+motion",
+        weight="marginal",
+        frame="body",
+        kernel=kernel,
+        motion=MotionModel(),
+        sensor=SensorModel(),
+    )
+    np.testing.assert_allclose(np.array(found["raw"])[:, :2], log.initial_poses[:, :2], atol=1e-9)
+    poses = np.array(found["poses"])
+    assert found["converged"] and len(poses) == log.num_poses
+    assert found["J"] == pytest.approx(graph.cost(poses), rel=1e-9)
+    solution = solve(graph.with_initial(poses))
+    assert found["J"] == pytest.approx(solution.cost, rel=1e-9)
+    np.testing.assert_allclose(poses[:, :2], solution.poses[:, :2], atol=1e-7)
+    assert f"{log.num_poses} poses" in page.evaluate("document.querySelector('.live-status').textContent")
+    # nothing leaves the computer: the page loads its own files only, and sends nothing
+    requests = [e["params"]["request"] for e in page.events if e["method"] == "Network.requestWillBeSent"]
+    assert {request["method"] for request in requests} == {"GET"}
+    assert page.complaints() == []
+
+
+GOOD = "t,nu,omega\n0,1,0\n1,1,0\n2,1,0\n"
+
+
+@pytest.mark.parametrize(
+    ("odometry", "sightings", "message"),
+    [
+        (GOOD, "t;id;range;bearing\n0;7;2,5;0,1\n1,5;7;1,5;0,2\n", ""),
+        (GOOD, "t,id,range,bearing\n0,7,2,0.1\n1,7,x,0.2\n", 'z.csv:3: range is "x", which is no number'),
+        (GOOD, "t,id,range\n0,7,2\n", "z.csv:1: no column is recognised as bearing; the columns are t, id, range"),
+        (GOOD, "t,id,range,bearing\n0,7,2,30\n1,7,1,40\n", "z.csv:2: bearing is 30.0000 rad, beyond 2 pi"),
+        (GOOD, "t,id,range,bearing\n1,7,2,0\n0,7,1,0\n", "z.csv:3: the time is before that of the row above"),
+        (GOOD, "t,id,range,bearing\n100,7,2,0\n", "z.csv:2: no sighting of a landmark lies within the time"),
+        (GOOD, "t,id,range,bearing\n0,7,-2,0\n", "z.csv:2: the range is -2, but must be positive"),
+        ("t,nu,omega\n", "t,id,range,bearing\n0,7,2,0\n", "u.csv:1: a table needs a line with the names"),
+    ],
+)
+def test_a_table_that_cannot_be_read_is_said_with_its_line(
+    open_page: Open, odometry: str, sightings: str, message: str
+) -> None:
+    page = open_page("own")
+    page.evaluate(f"""(async () => {{ const live = {FIGURE}.live;
+        await live.take([new File([{json.dumps(odometry)}], "u.csv")]);
+        await live.take([new File([{json.dumps(sightings)}], "z.csv")]); }})()""")
+    status = page.evaluate("document.querySelector('.live-status').textContent")
+    assert status.startswith(message or "J = ")
     assert page.complaints() == []

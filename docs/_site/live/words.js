@@ -27,6 +27,19 @@ const WORDS = {
       + (resampled ? ", resampled" : ""),
     fastslamLegend: "Dots: particles, larger with a larger weight. Thin lines: their trajectories. Click a particle to see its trajectory and "
       + "its map (ellipses of two standard deviations); at first it is the one with the largest weight. Dashed line and crosses: ground truth.",
+    odometry: "Odometry (t, nu, omega):", sightings: "Sightings (t, id, range, bearing):", dropHere: "You can also drop both files here.",
+    example: "Take the example", ownLabel: "trajectory and map of your data",
+    needSightings: "Now the sightings.", needOdometry: "Now the odometry.",
+    noRows: "a table needs a line with the names of its columns, and rows below",
+    noColumn: (role, titles) => `no column is recognised as ${role}; the columns are ${titles}`,
+    noNumber: (title, cell) => `${title} is "${cell}", which is no number`,
+    backwards: "the time is before that of the row above",
+    degrees: (role, value) => `${role} is ${value.toPrecision(6)} rad, beyond 2 pi: if it is in degrees, name the column ${role}_deg`,
+    noOverlap: "no sighting of a landmark lies within the time of the odometry: do both files use the same clock and unit?",
+    noRange: (value) => `the range is ${value}, but must be positive`,
+    report: (poses, marks, seen, left, s) => `${poses} poses, ${marks} landmarks, ${seen} sightings (${left} left out), ${s.toFixed(2)} s.`,
+    ownNotConverged: "The iteration has not converged.",
+    ownLegend: "Line: the trajectory. Dashed: dead reckoning. Crosses: the landmarks. The noise is the book's, and each sighting counts once.",
   },
   ja: {
     missing: "この図には、WebAssemblyにしたエンジンと、それを読み込めるブラウザが必要です。このサイトには見つかりませんでした。"
@@ -54,6 +67,19 @@ const WORDS = {
       + (resampled ? "、リサンプリングしました" : ""),
     fastslamLegend: "点はパーティクルで、重みが大きいほど大きく描きます。細い線はその軌跡です。パーティクルをクリックすると、その軌跡と地図（標準偏差の2倍の楕円）を表示します。"
       + "最初は重みが最大のパーティクルです。破線と十字は真の軌跡とランドマークです。",
+    odometry: "オドメトリ（t, nu, omega）:", sightings: "センサ値（t, id, range, bearing）:", dropHere: "2つのファイルをここにドロップすることもできます。",
+    example: "例を使う", ownLabel: "あなたのデータの軌跡と地図",
+    needSightings: "次に、センサ値のファイルを選んでください。", needOdometry: "次に、オドメトリのファイルを選んでください。",
+    noRows: "列の名前の行と、その下のデータの行が必要です",
+    noColumn: (role, titles) => `${role} にあたる列がありません。列は ${titles} です`,
+    noNumber: (title, cell) => `${title} が「${cell}」となっていて、数値ではありません`,
+    backwards: "時刻が前の行より前です",
+    degrees: (role, value) => `${role} が ${value.toPrecision(6)} radで、2πを超えています。度の場合は、列の名前を ${role}_deg にしてください`,
+    noOverlap: "オドメトリの時間内に、ランドマークのセンサ値がありません。2つのファイルの時計と単位は同じですか？",
+    noRange: (value) => `距離が ${value} です。正の値でなければなりません`,
+    report: (poses, marks, seen, left, s) => `姿勢${poses}個、ランドマーク${marks}個、センサ値${seen}個（ほかに${left}個を除外）、${s.toFixed(2)}秒。`,
+    ownNotConverged: "反復は収束していません。",
+    ownLegend: "線は軌跡、破線はデッドレコニング、十字はランドマークです。雑音は書籍の値で、各センサ値を1回ずつ数えます。",
   },
 };
 

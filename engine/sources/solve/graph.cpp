@@ -98,9 +98,8 @@ Graph graph_of(const Log& log, const MotionNoise& noise, const edges::Sensor& se
     Graph graph(static_cast<Place>(log.poses()));
     graph.add_anchor(0, {log.start[0], log.start[1], log.start[2]});
     std::vector<edges::RelativeEdge> motions;
-    for (const Control& u : log.controls) {
-        const auto [z, omega] = measured(u, noise);
-        const auto t = static_cast<Place>(motions.size());
+    for (Place t = 0; t + 1 < static_cast<Place>(log.poses()); ++t) {
+        const auto [z, omega] = measured(log.motion(t), noise);
         motions.push_back({t, t + 1, z, omega});
     }
     graph.add_relative(std::move(motions));
