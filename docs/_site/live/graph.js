@@ -116,17 +116,16 @@ export function make(figure, engine, log, words) {
     if (!graph || !stage.size || !handles) return;
     const { J, squares } = graph.costs(state.poses), sightings = measured();
     const places = sightings.map((row) => engine.place(state.poses[row[0]], row.slice(2)).landmark);
-    const motions = state.motions ? log.controls.map((_, t) => [state.poses[t], state.poses[t + 1]]) : [];
+    const motions = state.motions ? log.controls.map((_, t) => stage.path([state.poses[t], state.poses[t + 1]])) : [];
     const edges = [...motions, ...pairs.map(([a, b]) => {
       const [p, q] = [a, b].map((k) => state.poses[sightings[k][0]]), at = places[a];
       // bent towards the landmark, so that the edges of different landmarks differ
-      return [p, ...[0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9].map((s) => [0, 1].map((c) =>
-        (1 - s) * p[c] + s * q[c] + 0.7 * s * (1 - s) * (at[c] - (p[c] + q[c]) / 2))), q];
+      return stage.curve(p, [0, 1].map((c) => 0.65 * (p[c] + q[c]) / 2 + 0.35 * at[c]), q);
     })];
     const buckets = Array.from({ length: COLOURS + 1 }, () => "");
-    edges.forEach((points, e) => {
+    edges.forEach((path, e) => {
       const distance = Math.sqrt(squares[e + 1]);  // the first one is the anchor
-      buckets[Math.round(COLOURS * Math.min(distance / REDDEST, 1))] += stage.path(points);
+      buckets[Math.round(COLOURS * Math.min(distance / REDDEST, 1))] += path;
     });
     fill(stage, "edges", buckets, (path, k) => ({ d: path, class: "edge", style: `--part:${100 * k / COLOURS}%` }));
     const residuals = pairs.map(([a, b]) => stage.path([places[a], places[b]])).join("");

@@ -28,7 +28,7 @@ export function make(figure, engine, data, words) {
   const status = html("p", { class: "live-status", role: "status" }, figure);
   const stage = new Stage(figure, words.ownLabel, draw);
   stage.svg.style.display = "none";
-  ["raw", "path", "marks"].forEach((name) => stage.layer(name));
+  ["raw", "line", "marks"].forEach((name) => stage.layer(name));
   const legend = html("p", { class: "live-legend" }, figure);
 
   /** Files by where they were dropped, else by their columns: only sightings have a bearing. */
@@ -79,7 +79,7 @@ export function make(figure, engine, data, words) {
     if (!stage.size || !state.found) return;
     const { poses, raw, map } = state.found;
     fill(stage, "raw", [stage.path(raw)], (d) => ({ d, class: "true-path" }));
-    fill(stage, "path", [stage.path(poses)], (d) => ({ d, class: "chosen-path" }));
+    fill(stage, "line", [stage.path(poses)], (d) => ({ d, class: "chosen-path" }));
     fill(stage, "marks", map.map((m) => stage.at(m)), ([x, y]) => ({ d: `M${x - 5} ${y}h10m-5 -5v10`, class: "true-landmark" }));
   }
   return { state, solve, take };

@@ -48,7 +48,11 @@ export class Stage {
     return [this.centre[0] + (event.clientX - box.x - this.size[0] / 2) / this.scale,
             this.centre[1] - (event.clientY - box.y - this.size[1] / 2) / this.scale];
   }
-  path(points) { return points.map((p, k) => `${k ? "L" : "M"}${this.at(p).map((n) => n.toFixed(1)).join(" ")}`).join(""); }
+  /** A point as a path has it, to a tenth of a pixel. */
+  text(point) { const [x, y] = this.at(point); return `${Math.round(10 * x) / 10} ${Math.round(10 * y) / 10}`; }
+  path(points) { return points.map((p, k) => `${k ? "L" : "M"}${this.text(p)}`).join(""); }
+  /** A curve that bends towards the second point. */
+  curve(p, to, q) { return `M${this.text(p)}Q${this.text(to)} ${this.text(q)}`; }
   /** The ellipse of so many standard deviations: the points mean + factor L (cos, sin), where L L' is the covariance. */
   ellipse([x, y], [xx, xy, yy], factor = 2) {
     const l = Math.sqrt(xx), m = xy / l, n = Math.sqrt(Math.max(yy - m * m, 0));
