@@ -62,8 +62,9 @@ struct LogGraph {
             const LandmarkSighting &a = log.sightings[pairs[2 * k]], &b = log.sightings[pairs[2 * k + 1]];
             const std::vector<edges::Place> starts{0, 2}, nodes = {place(a), place(b)};
             edges::Sightings seen{{a.z, b.z}, {a.z, b.z}, {1.0, 1.0}, robot.sensor, kernel, robot.oriented};
-            graph.add_groups(std::make_unique<edges::VirtualMotionEdges>(starts, nodes, std::move(seen), std::vector{1.0}, true),
-                             starts, nodes);
+            graph.add_groups(
+                std::make_unique<edges::VirtualMotionEdges>(starts, nodes, std::move(seen), std::vector{1.0}, true), starts,
+                nodes);
         }
         graph.state_dependent = !robot.oriented;
         graph.reweighted = static_cast<bool>(kernel);
@@ -198,8 +199,15 @@ void vm_place(const double* pose, const double* sighting, const double* noise, d
     sensor.range_constant = sensor.range(noise_range);
     sensor.range_by_square = 0.0;
     const edges::Symmetric C = edges::landmark_covariance(sensor, sighting[0], along, true);
-    const double numbers[] = {pose[0] + axes.c * z.x - axes.s * z.y, pose[1] + axes.s * z.x + axes.c * z.y,
-                              edges::wrap(pose[2] + z.t), C.xx, C.xy, C.yy, C.xt, C.yt, C.tt};
+    const double numbers[] = {pose[0] + axes.c * z.x - axes.s * z.y,
+                              pose[1] + axes.s * z.x + axes.c * z.y,
+                              edges::wrap(pose[2] + z.t),
+                              C.xx,
+                              C.xy,
+                              C.yy,
+                              C.xt,
+                              C.yt,
+                              C.tt};
     std::copy(std::begin(numbers), std::end(numbers), out);
 }
 /// Write the sighting (range, bearing, orientation) of a landmark (x, y, heading) from a pose without noise.
