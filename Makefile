@@ -97,7 +97,6 @@ engine-wasm: .venv/.engine-wasm
 # the documentation site in English and Japanese; results of its code are kept in .cache, and its pages are tested if it is built
 docs: .venv/.installed-docs .venv/.installed engine-wasm
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
-	mkdir -p site/engine && cp build/wasm/vmslam.wasm build/wasm/vmslam.js site/engine/
 	@echo "open site/index.html, or run: $(BIN)/mkdocs serve"
 
 # a quick check of the site: links, formulas, both languages, and the code of some pages, which the commit chooses

@@ -6,6 +6,7 @@ A page may have these lines, indented as the text around them:
     {{ cell NAME "alternative text" }}                     a cell's code, what it printed, and its figure
     {{ output NAME "alternative text" }}                   the same with the code folded
     {{ figure NAME "alternative text" }}                   only the figure, a slider if the cell drew several
+    {{ live KIND LOG key=value "text" }}                   a figure that the reader moves, see `live`
     {{ slides }}                                           where the site explains each formula of the lectures
 
 The cells are described in `cells`. The alternative text describes the figure for readers who do not see it.
@@ -29,12 +30,13 @@ import bundled
 import cells
 import formulas
 import listings
+import live
 import notebooks
 from mkdocs.exceptions import PluginError
 from mkdocs.plugins import event_priority
 from mkdocs.utils import get_relative_url
 
-_MARKER = re.compile(r"^([ \t]*)\{\{ (code|cell|output|figure|slides)(?: (.+?))? \}\}$", re.MULTILINE)
+_MARKER = re.compile(r"^([ \t]*)\{\{ (code|cell|output|figure|live|slides)(?: (.+?))? \}\}$", re.MULTILINE)
 #: the words on the page, by language
 WORDS = {
     "en": {
@@ -90,6 +92,11 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
                 made = listings.listing(*arguments, language=language)
             except listings.ListingError as error:
                 raise PageError(f"{page.file.src_uri}: {error}") from None
+        elif kind == "live":
+            try:
+                made = live.figure(arguments)
+            except live.LiveError as error:
+                raise PageError(f"{page.file.src_uri}: {error}") from None
         elif kind == "slides":
             made = _slides(Path(page.file.src_uri).parent, language)
         else:
@@ -131,7 +138,8 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
 
 @event_priority(-101)  # after the plugin of the languages, which writes the index last
 def on_post_build(config: Any) -> None:
-    """Copy the figures of all pages into the site, write the notebooks, and give each language its index of the search."""
+    """Copy figures and the engine into the site, write the notebooks, and give each language its index of the search."""
+    live.copy_files(Path(config["site_dir"]))
     _split_index(Path(config["site_dir"]))
     for source in cells.sources():
         if cells.folder(source).exists():

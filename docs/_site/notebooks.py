@@ -21,6 +21,8 @@ import formulas
 from cells import Cell
 
 _MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure|slides)(?: (.+?))? \}\}$", re.MULTILINE)
+#: figures that need the engine in the page
+_LIVE = re.compile(r"^[ \t]*\{\{ live .+ \}\}\n", re.MULTILINE)
 #: where Colab installs the project from, and finds the notebooks; the workflow that publishes the site sets it
 REPOSITORY = os.environ.get("SITE_REPOSITORY", "")
 INSTALL = f'''%matplotlib inline
@@ -47,6 +49,7 @@ def notebook(markdown: str, results: Mapping[str, Cell], folder: Path, code: Cal
     if any("slider(" in cell.code for cell in results.values()):
         made.append(_code_cell(SLIDER, []))
     end, waiting = 0, list(results)
+    markdown = _LIVE.sub("", markdown)
     for found in _MARKER.finditer(markdown):
         made += _text(markdown[end : found.start()])
         end = found.end()

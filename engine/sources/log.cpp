@@ -14,11 +14,27 @@ particles::ControlMotion MotionNoise::of(const Control& u) const {
             u.dt, epsilon};
 }
 
-Measured measured(const Control& u, const MotionNoise& noise) {
-    const auto [angle, mean, P, epsilon] = particles::predict({noise.of(u), 0}, false);
-    const Rotation chord(angle);
-    const Symmetric covariance = turned(chord, {P.xx, P.xy, P.yy, P.xt, P.yt, P.tt}) + epsilon * Symmetric{1, 0, 1, 0, 0, 1};
-    return {{chord.c * mean.x - chord.s * mean.y, chord.s * mean.x + chord.c * mean.y, mean.t}, inverse(covariance, true)};
+Measured measured(const Control& u, const MotionNoise& noise) { return measured(std::span(&u, 1), noise); }
+
+Measured measured(std::span<const Control> controls, const MotionNoise& noise) {
+    edges::Vector end{};
+    Symmetric P{};
+    for (const Control& u : controls) {
+        const auto [angle, mean, each, epsilon] = particles::predict({noise.of(u), 0}, false);
+        const Rotation chord(end.t + angle);
+        const edges::Vector d{chord.c * mean.x - chord.s * mean.y, chord.s * mean.x + chord.c * mean.y, mean.t};
+        // F = [I, f; 0, 1], f the motion turned by a quarter
+        const edges::Lever f{-d.y, d.x};
+        P = Symmetric{P.xx + 2 * f.x * P.xt + f.x * f.x * P.tt,
+                      P.xy + f.x * P.yt + f.y * P.xt + f.x * f.y * P.tt,
+                      P.yy + 2 * f.y * P.yt + f.y * f.y * P.tt,
+                      P.xt + f.x * P.tt,
+                      P.yt + f.y * P.tt,
+                      P.tt} +
+            turned(chord, {each.xx, each.xy, each.yy, each.xt, each.yt, each.tt});
+        end = {end.x + d.x, end.y + d.y, end.t + d.t};
+    }
+    return {end, inverse(P + noise.epsilon * Symmetric{1, 0, 1, 0, 0, 1}, true)};
 }
 
 Measured measured(const edges::Sighting& z, bool oriented, const edges::Sensor& sensor) {
@@ -29,11 +45,14 @@ Measured measured(const edges::Sighting& z, bool oriented, const edges::Sensor& 
 
 std::vector<double> dead_reckoning(const Log& log) {
     std::vector<double> poses(log.start.begin(), log.start.end());
-    for (const Control& u : log.controls) {
-        const double* const x = poses.data() + poses.size() - 3;
-        const auto f = particles::chord(u.nu, u.omega, u.dt);
-        const Rotation axes(x[2] + f.angle);
-        poses.insert(poses.end(), {x[0] + axes.c * f.mean.x, x[1] + axes.s * f.mean.x, x[2] + f.mean.t});
+    std::array<double, 3> x = log.start;
+    for (std::size_t t = 0; t + 1 < log.poses(); ++t) {
+        for (const Control& u : log.motion(t)) {
+            const auto f = particles::chord(u.nu, u.omega, u.dt);
+            const Rotation axes(x[2] + f.angle);
+            x = {x[0] + axes.c * f.mean.x, x[1] + axes.s * f.mean.x, x[2] + f.mean.t};
+        }
+        poses.insert(poses.end(), x.begin(), x.end());
     }
     return poses;
 }

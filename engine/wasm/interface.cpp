@@ -6,6 +6,8 @@
 #include <map>
 #include <numeric>
 
+#include "vmslam/edges/marginal.hpp"
+#include "vmslam/edges/virtual_motion.hpp"
 #include "vmslam/online/system.hpp"
 #include "vmslam/particles/filter.hpp"
 #include "vmslam/particles/weights.hpp"
@@ -32,6 +34,49 @@ struct Robot {
 Control control_of(const double* row) { return {row[0], row[1], row[2]}; }
 edges::Sighting sighting_of(const double* row) { return {row[1], row[2], row[3]}; }
 std::int64_t landmark_of(const double* row) { return static_cast<std::int64_t>(row[0]); }
+
+/// The graph of a log whose edges are members of their own, so that each has its cost: the anchor, the motion edges if wanted,
+/// and a virtual-motion edge for each pair of sightings given. A negative number of pairs is the graph of `graph_of`, with one
+/// member for all motion edges and one for all landmarks.
+struct LogGraph {
+    Log log;
+    solve::Graph graph, plain;  ///< with the kernel and without
+    edges::MarginalEdges map;
+
+    LogGraph(Log log, const Robot& robot, const edges::Kernel& kernel, bool motions, const int* pairs, int count)
+        : log(std::move(log)),
+          graph(made(robot, kernel, motions, pairs, count)),
+          plain(made(robot, {}, motions, pairs, count)),
+          map(landmarks(robot, kernel)) {}
+
+   private:
+    solve::Graph made(const Robot& robot, const edges::Kernel& kernel, bool motions, const int* pairs, int count) const {
+        if (count < 0) return solve::graph_of(log, robot.motion, robot.sensor, kernel);
+        solve::Graph graph(static_cast<solve::Place>(log.poses()));
+        graph.add_anchor(0, {log.start[0], log.start[1], log.start[2]});
+        for (solve::Place t = 0; motions && t + 1 < static_cast<solve::Place>(log.poses()); ++t) {
+            const auto [z, omega] = measured(log.motion(t), robot.motion);
+            graph.add_relative({{t, t + 1, z, omega}});
+        }
+        for (int k = 0; k < count; ++k) {
+            const LandmarkSighting &a = log.sightings[pairs[2 * k]], &b = log.sightings[pairs[2 * k + 1]];
+            const std::vector<edges::Place> starts{0, 2}, nodes = {place(a), place(b)};
+            edges::Sightings seen{{a.z, b.z}, {a.z, b.z}, {1.0, 1.0}, robot.sensor, kernel, robot.oriented};
+            graph.add_groups(
+                std::make_unique<edges::VirtualMotionEdges>(starts, nodes, std::move(seen), std::vector{1.0}, true), starts,
+                nodes);
+        }
+        graph.state_dependent = !robot.oriented;
+        graph.reweighted = static_cast<bool>(kernel);
+        return graph;
+    }
+    static edges::Place place(const LandmarkSighting& sighting) { return static_cast<edges::Place>(sighting.step); }
+
+    edges::MarginalEdges landmarks(const Robot& robot, const edges::Kernel& kernel) const {
+        auto [starts, nodes, sightings] = solve::by_landmark(log, robot.sensor, kernel);
+        return {std::move(starts), std::move(nodes), std::move(sightings), true};
+    }
+};
 
 /// Poses and landmarks of the online solver by their names.
 struct Online {
@@ -90,22 +135,86 @@ VMSLAM_EXPORT(vm_allocate) double* vm_allocate(int numbers) {
 }
 VMSLAM_EXPORT(vm_free) void vm_free(double* numbers) { std::free(numbers); }
 
-/// Write the poses (motions + 1, 3) of the graph of a log, J and the number of steps; returns whether they converged.
-VMSLAM_EXPORT(vm_solve)
-int vm_solve(const double* start, const double* controls, int motions, const double* sightings, int count,
-             const double* noise, int oriented, double* poses, double* summary) {
-    const Robot robot(noise, oriented);
+/// The graph of a log, whose motion t consists of the controls from starts[t] on. `options`: whether orientations are measured, whether motion edges are used, kernel, its width.
+VMSLAM_EXPORT(vm_graph)
+LogGraph* vm_graph(const double* start, const double* controls, const double* starts, int poses, const double* sightings,
+                   int count, const double* noise, const double* options, const double* pairs, int pair_count) {
+    const Robot robot(noise, options[0] != 0);
     Log log{{start[0], start[1], start[2]}, {}, {}, robot.oriented};
-    for (int t = 0; t < motions; ++t) log.controls.push_back(control_of(controls + 3 * t));
+    for (int t = 0; t < poses; ++t) log.starts.push_back(static_cast<std::size_t>(starts[t]));
+    for (std::size_t k = 0; k < log.starts.back(); ++k) log.controls.push_back(control_of(controls + 3 * k));
     for (int k = 0; k < count; ++k) {
         const double* const row = sightings + 5 * k;
         log.sightings.push_back({static_cast<std::size_t>(row[0]), landmark_of(row + 1), sighting_of(row + 1)});
     }
-    solve::Run run{{.tolerance = 1e-9}, dead_reckoning(log)};
-    solve::graph_of(log, robot.motion, robot.sensor).solve(run);
+    std::vector<int> listed;  // JavaScript gives doubles
+    for (int k = 0; k < 2 * pair_count; ++k) listed.push_back(static_cast<int>(pairs[k]));
+    const edges::Kernel kernel{static_cast<edges::Robust>(options[2]), options[3]};
+    return new LogGraph(std::move(log), robot, kernel, options[1] != 0, listed.data(), pair_count);
+}
+VMSLAM_EXPORT(vm_graph_free) void vm_graph_free(LogGraph* graph) { delete graph; }
+/// Write the poses (T + 1, 3) that follow from the controls alone.
+VMSLAM_EXPORT(vm_graph_dead_reckoning) void vm_graph_dead_reckoning(const LogGraph* graph, double* poses) {
+    const std::vector<double> found = dead_reckoning(graph->log);
+    std::copy(found.begin(), found.end(), poses);
+}
+/// Write what each member contributes to J, and e' Omega e without the kernel; returns the number of members.
+VMSLAM_EXPORT(vm_graph_costs) int vm_graph_costs(const LogGraph* graph, const double* poses, double* costs, double* squares) {
+    const std::span<const double> state(poses, 3 * graph->log.poses());
+    const std::vector<double> robust = graph->graph.costs(state), plain = graph->plain.costs(state);
+    std::copy(robust.begin(), robust.end(), costs);
+    std::copy(plain.begin(), plain.end(), squares);
+    return static_cast<int>(robust.size());
+}
+/// At most so many Gauss-Newton steps from the poses, which they replace. Write the norm of the last one and the number of
+/// steps. Returns 0: not converged, 1: converged, 2: the edges do not determine the poses.
+VMSLAM_EXPORT(vm_graph_solve) int vm_graph_solve(const LogGraph* graph, double* poses, int most_steps, double* summary) {
+    const auto size = 3 * graph->log.poses();
+    solve::Run run{{.tolerance = 1e-9, .most_steps = most_steps}, {poses, poses + size}};
+    graph->graph.solve(run);
     std::copy(run.state.begin(), run.state.end(), poses);
-    summary[0] = run.costs.back(), summary[1] = run.steps();
-    return run.converged;
+    summary[0] = run.norms.empty() ? 0.0 : run.norms.back(), summary[1] = run.steps();
+    return run.converged ? 1 : run.end == solve::End::not_determined ? 2 : 0;
+}
+/// Write the covariances (T + 1, 3, 3) at the poses; returns 0 where the edges do not determine the poses.
+VMSLAM_EXPORT(vm_graph_covariances) int vm_graph_covariances(const LogGraph* graph, const double* poses, double* blocks) {
+    const std::vector<double> found = graph->graph.covariances({poses, 3 * graph->log.poses()});
+    std::copy(found.begin(), found.end(), blocks);
+    return !found.empty();
+}
+/// Write the most probable landmarks (x, y, heading) for the poses, by increasing name.
+VMSLAM_EXPORT(vm_graph_map) void vm_graph_map(const LogGraph* graph, const double* poses, double* landmarks) {
+    for (const edges::Vector& m : graph->map.around_means({poses, poses}).means) {
+        *landmarks++ = m.x, *landmarks++ = m.y, *landmarks++ = m.t;
+    }
+}
+
+/// Write h^-1(x, z) (3) and R Q R' (xx, xy, yy, xt, yt, tt), where Q is the noise at a range that need not be that of z.
+VMSLAM_EXPORT(vm_place)
+void vm_place(const double* pose, const double* sighting, const double* noise, double noise_range, double* out) {
+    const Robot robot(noise, true);
+    const auto [z, omega] = measured(edges::Sighting{sighting[0], sighting[1], sighting[2]}, true, robot.sensor);
+    const edges::Rotation axes(pose[2]), along(pose[2] + sighting[1]);
+    edges::Sensor sensor = robot.sensor;
+    sensor.range_constant = sensor.range(noise_range);
+    sensor.range_by_square = 0.0;
+    const edges::Symmetric C = edges::landmark_covariance(sensor, sighting[0], along, true);
+    const double numbers[] = {pose[0] + axes.c * z.x - axes.s * z.y,
+                              pose[1] + axes.s * z.x + axes.c * z.y,
+                              edges::wrap(pose[2] + z.t),
+                              C.xx,
+                              C.xy,
+                              C.yy,
+                              C.xt,
+                              C.yt,
+                              C.tt};
+    std::copy(std::begin(numbers), std::end(numbers), out);
+}
+/// Write the sighting (range, bearing, orientation) of a landmark (x, y, heading) from a pose without noise.
+VMSLAM_EXPORT(vm_sight) void vm_sight(const double* pose, const double* landmark, double* sighting) {
+    const double dx = landmark[0] - pose[0], dy = landmark[1] - pose[1], direction = std::atan2(dy, dx);
+    sighting[0] = std::hypot(dx, dy);
+    sighting[1] = edges::wrap(direction - pose[2]), sighting[2] = edges::wrap(direction - landmark[2]);
 }
 
 VMSLAM_EXPORT(vm_online) Online* vm_online(const double* start, const double* noise, int oriented) {
@@ -155,12 +264,14 @@ VMSLAM_EXPORT(vm_fastslam_weigh) double vm_fastslam_weigh(FastSlam* slam, const 
     const auto [possible, log_evidence, ess] = slam->filter.reweigh();
     return possible ? ess : -1.0;
 }
-/// Systematic resampling from an offset in [0, 1).
-VMSLAM_EXPORT(vm_fastslam_resample) void vm_fastslam_resample(FastSlam* slam, double offset) {
+/// Systematic resampling from an offset in [0, 1); write the ancestor of each particle.
+VMSLAM_EXPORT(vm_fastslam_resample) void vm_fastslam_resample(FastSlam* slam, double offset, double* ancestors) {
     std::vector<double> sums(slam->filter.particles());
     const std::span<const double> weights = slam->filter.weights();
     std::partial_sum(weights.begin(), weights.end(), sums.begin());
-    slam->filter.branch(particles::evenly_spaced(sums, offset));
+    const auto chosen = particles::evenly_spaced(sums, offset);
+    std::copy(chosen.begin(), chosen.end(), ancestors);
+    slam->filter.branch(chosen);
 }
 VMSLAM_EXPORT(vm_fastslam_best) int vm_fastslam_best(FastSlam* slam) { return static_cast<int>(slam->filter.best()); }
 /// Write the poses (3, N): all x, all y, all headings; and the log weights (N).
@@ -169,13 +280,14 @@ VMSLAM_EXPORT(vm_fastslam_particles) void vm_fastslam_particles(FastSlam* slam, 
     for (int k = 0; k < 3; ++k) std::copy_n(slam->filter.poses()->row(k), count, poses + k * count);
     std::copy_n(slam->filter.log_weights()->row(0), count, log_weights);
 }
-/// Write x and y of a landmark in the map of a particle; returns 0 if there is none of this name.
+/// Write x and y of a landmark in the map of a particle and their covariance (xx, xy, yy); returns 0 if there is none of this name.
 VMSLAM_EXPORT(vm_fastslam_landmark)
 int vm_fastslam_landmark(FastSlam* slam, int particle, double name, double* landmark) {
     particles::IdentifiedMap& map = *slam->filter.identified();
     if (!map.has(static_cast<std::int64_t>(name))) return 0;
     const auto [numbers, ancestors] = map.view(static_cast<std::int64_t>(name));
     const auto at = static_cast<std::size_t>(ancestors ? ancestors[particle] : particle);
-    landmark[0] = numbers->at(0, at), landmark[1] = numbers->at(1, at);
+    const auto rows = slam->robot.oriented ? std::array{0, 1, 3, 4, 6} : std::array{0, 1, 2, 3, 4};
+    for (const int row : rows) *landmark++ = numbers->at(row, at);
     return 1;
 }

@@ -38,17 +38,94 @@ class Engine {
   view(place, length) { return new Float64Array(this.exports.memory.buffer, place, length); }
 
   /** The poses [x, y, heading] of the graph of a log, J, the number of steps, and whether they converged. */
-  solve({ start, controls, sightings, oriented = true, noise = {} }) {
-    const poses = new Array(3 * (controls.length + 1)).fill(0), summary = [0, 0];
-    const rows = [start, controls.flat(), flat(sightings, 5), numbersOf(noise), poses, summary];
-    return this.with(rows, (x, u, z, n, out, last) => {
-      const converged = this.exports.vm_solve(x, u, controls.length, z, sightings.length, n, +oriented, out, last) === 1;
-      const [cost, steps] = this.view(last, 2);
-      return { poses: triples(this.view(out, poses.length)), cost, steps, converged };
+  solve(log) {
+    const graph = this.graph(log);
+    try {
+      const { poses, steps, converged } = graph.solve(graph.deadReckoning());
+      return { poses, steps, converged, cost: graph.costs(poses).J };
+    } finally { graph.free(); }
+  }
+  /** Where a sighting [range, bearing, orientation] places its landmark, h^-1(x, z), and its covariance R Q R' as
+   *  [xx, xy, yy, xt, yt, tt]. `noiseRange`: the range at which Q is taken, if it is not that of the sighting. */
+  place(pose, sighting, { noise = {}, noiseRange = sighting[0] } = {}) {
+    return this.with([pose, sighting, numbersOf(noise), new Array(9).fill(0)], (x, z, n, out) => {
+      this.exports.vm_place(x, z, n, noiseRange, out);
+      const numbers = [...this.view(out, 9)];
+      return { landmark: numbers.slice(0, 3), covariance: numbers.slice(3) };
     });
   }
+  /** The sighting [range, bearing, orientation] of a landmark [x, y, heading] from a pose, without noise. */
+  sight(pose, landmark) {
+    return this.with([pose, landmark, [0, 0, 0]], (x, m, z) => {
+      this.exports.vm_sight(x, m, z);
+      return [...this.view(z, 3)];
+    });
+  }
+  graph(log) { return new Graph(this, log); }
   online(options) { return new Online(this, options); }
   fastslam(options) { return new FastSlam(this, options); }
+}
+
+/**
+ * The graph of a log. With `pairs`, a list of [sighting, sighting] of one landmark by their numbers in the log, the step of the
+ * first one before that of the second, each pair is a virtual-motion edge, and motion edges are added if `motions` is true.
+ * Without `pairs` each sighting counts once. Motions may consist of several controls: `starts` has the first control of each, and
+ * in the end the number of all controls. `kernel`: "none", "huber", "cauchy" or "geman-mcclure", with its width.
+ */
+class Graph {
+  constructor(engine, log) {
+    const { start, controls, sightings, oriented = true, noise = {}, pairs, motions = true, kernel = "none", width = 1 } = log;
+    const starts = log.starts ?? [...controls.keys(), controls.length];
+    this.engine = engine;
+    this.size = starts.length;
+    this.members = pairs ? 1 + motions * (starts.length - 1) + pairs.length : 3;
+    this.landmarks = [...new Set(sightings.map((row) => row[1]))].sort((a, b) => a - b);
+    const options = [+oriented, +motions, ["none", "huber", "cauchy", "geman-mcclure"].indexOf(kernel), width];
+    if (options[2] < 0) throw new Error(`there is no kernel "${kernel}"`);
+    const rows = [start, controls.flat(), starts, flat(sightings, 5), numbersOf(noise), options, (pairs ?? []).flat()];
+    this.own = engine.with(rows, (x, u, s, z, n, o, p) =>
+      engine.exports.vm_graph(x, u, s, starts.length, z, sightings.length, n, o, p, pairs ? pairs.length : -1));
+  }
+  /** The poses that follow from the controls alone. */
+  deadReckoning() {
+    return this.engine.with([new Array(3 * this.size).fill(0)], (out) => {
+      this.engine.exports.vm_graph_dead_reckoning(this.own, out);
+      return triples(this.engine.view(out, 3 * this.size));
+    });
+  }
+  /** J at poses, and e' Omega e without the kernel of the anchor, the motion edges and the pairs, in this order. */
+  costs(poses) {
+    const zeros = new Array(this.members).fill(0);
+    return this.engine.with([poses.flat(), zeros, zeros], (x, costs, squares) => {
+      const count = this.engine.exports.vm_graph_costs(this.own, x, costs, squares);
+      const J = this.engine.view(costs, count).reduce((sum, cost) => sum + cost, 0);
+      return { J, squares: [...this.engine.view(squares, count)] };
+    });
+  }
+  /** At most so many Gauss-Newton steps from poses. `determined` is false where the edges leave a pose free. */
+  solve(poses, mostSteps = 100) {
+    return this.engine.with([poses.flat(), [0, 0]], (x, out) => {
+      const end = this.engine.exports.vm_graph_solve(this.own, x, mostSteps, out);
+      const [norm, steps] = this.engine.view(out, 2);
+      return { poses: triples(this.engine.view(x, 3 * this.size)), norm, steps, converged: end === 1, determined: end !== 2 };
+    });
+  }
+  /** The covariance of each pose, by rows, at poses; null where the edges leave a pose free. */
+  covariances(poses) {
+    return this.engine.with([poses.flat(), new Array(9 * this.size).fill(0)], (x, out) => {
+      if (!this.engine.exports.vm_graph_covariances(this.own, x, out)) return null;
+      const numbers = [...this.engine.view(out, 9 * this.size)];
+      return poses.map((_, k) => numbers.slice(9 * k, 9 * k + 9));
+    });
+  }
+  /** The most probable landmarks [x, y, heading] for poses, in the order of `landmarks`. */
+  map(poses) {
+    return this.engine.with([poses.flat(), new Array(3 * this.landmarks.length).fill(0)], (x, out) => {
+      this.engine.exports.vm_graph_map(this.own, x, out);
+      return triples(this.engine.view(out, 3 * this.landmarks.length));
+    });
+  }
+  free() { this.engine.exports.vm_graph_free(this.own); }
 }
 
 /** Graph SLAM while the robot drives. */
@@ -91,8 +168,13 @@ class FastSlam {
     return this.engine.with([flat(sightings, 4)], (z) =>
       this.engine.exports.vm_fastslam_weigh(this.own, z, sightings.length, this.version));
   }
-  /** Systematic resampling from an offset in [0, 1). */
-  resample(offset) { this.engine.exports.vm_fastslam_resample(this.own, offset); }
+  /** Systematic resampling from an offset in [0, 1); returns the ancestor of each particle. */
+  resample(offset) {
+    return this.engine.with([new Float64Array(this.count)], (out) => {
+      this.engine.exports.vm_fastslam_resample(this.own, offset, out);
+      return [...this.engine.view(out, this.count)];
+    });
+  }
   /** The number of the particle of the largest weight. */
   get best() { return this.engine.exports.vm_fastslam_best(this.own); }
   /** Poses [x, y, heading] and log weights of all particles. */
@@ -104,10 +186,10 @@ class FastSlam {
       return { poses: Array.from(x, (_, i) => [x[i], y[i], heading[i]]), logWeights: [...this.engine.view(weights, N)] };
     });
   }
-  /** The place [x, y] of a landmark in the map of a particle, or null. */
+  /** A landmark in the map of a particle, [x, y] and its covariance [xx, xy, yy] in one list, or null. */
   landmark(name, particle = this.best) {
-    return this.engine.with([[0, 0]], (out) =>
-      this.engine.exports.vm_fastslam_landmark(this.own, particle, name, out) ? [...this.engine.view(out, 2)] : null);
+    return this.engine.with([new Array(5).fill(0)], (out) =>
+      this.engine.exports.vm_fastslam_landmark(this.own, particle, name, out) ? [...this.engine.view(out, 5)] : null);
   }
   free() { this.engine.exports.vm_fastslam_free(this.own); }
 }

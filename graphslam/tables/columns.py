@@ -64,9 +64,9 @@ NAMES: dict[str, tuple[str, ...]] = {
     "lever_y": ("lever_y", "lever_left", "antenna_y", "offset_y"),
 }  # fmt: skip
 #: names too short or too general to be recognised at the end of a longer one
-_WHOLE = ("v", "w", "r", "l", "d", "b", "kind", "type", "from", "to", "std", "sx", "sy", "t1", "t2")
+WHOLE = ("v", "w", "r", "l", "d", "b", "kind", "type", "from", "to", "std", "sx", "sy", "t1", "t2")
 #: words at the end of a name that say its unit -> the unit
-_UNITS = {
+UNITS = {
     "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms", "milliseconds": "ms",
     "us": "us", "usec": "us", "micros": "us", "microseconds": "us", "ns": "ns", "nanos": "ns",
     "nanoseconds": "ns", "m": "m", "meters": "m", "metres": "m", "cm": "cm", "mm": "mm", "rad": "radians",
@@ -96,14 +96,14 @@ def plain(name: str) -> tuple[str, str | None]:
     """A column's name in small letters and underscores, without its unit; and the unit."""
     name, unit = name.strip().strip("\"'#").strip().lower(), None
     if match := re.search(r"[\[(]\s*([^\])]*?)\s*[\])]\s*$", name):
-        unit, name = _UNITS.get(match[1]), name[: match.start()]
+        unit, name = UNITS.get(match[1]), name[: match.start()]
     words = [word for word in re.split(r"[^0-9a-z°%]+", name.replace("%", "")) if word]
-    if len(words) > 1 and unit is None and words[-1] in _UNITS:
+    if len(words) > 1 and unit is None and words[-1] in UNITS:
         # "v_m_s" and "omega_rad_s" end in two words
-        if words[-1] == "s" and len(words) > 2 and _UNITS.get(words[-2]) in ("m", "mm", "cm", "radians", "degrees"):
-            words, unit = words[:-2], _UNITS[words[-2]]
+        if words[-1] == "s" and len(words) > 2 and UNITS.get(words[-2]) in ("m", "mm", "cm", "radians", "degrees"):
+            words, unit = words[:-2], UNITS[words[-2]]
         else:
-            words, unit = words[:-1], _UNITS[words[-1]]
+            words, unit = words[:-1], UNITS[words[-1]]
     return "_".join(words), unit
 
 
@@ -142,7 +142,7 @@ def find(
                 fits = [
                     k
                     for k, (own, _) in enumerate(names)
-                    if k not in taken and (own == name or (tail and name not in _WHOLE and own.endswith(f"_{name}")))
+                    if k not in taken and (own == name or (tail and name not in WHOLE and own.endswith(f"_{name}")))
                 ]
                 if len(fits) > 1:
                     titles = " and ".join(table.title(k) for k in fits[:2])

@@ -112,6 +112,10 @@ def test_page(page: str, address: str, browser: Chromium) -> None:
         for scheme in ("light", "dark"):
             browser.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
             assert browser.evaluate(FAULTS) == [], (scheme, width)
+    if browser.evaluate("document.querySelector('figure.live') !== null"):
+        # such a figure loads the engine when it comes into view
+        browser.evaluate("document.querySelector('figure.live').scrollIntoView()")
+        browser.wait_for("document.querySelector('figure.live.ready, .live-missing') !== null")
     # the theme looks for a site map beside each page, to find the translation, and does without it
     assert [complaint for complaint in browser.complaints() if "sitemap.xml" not in complaint] == []
     assert browser.evaluate(LOADED) < LARGEST

@@ -22,7 +22,7 @@ PAGES = sorted(
 )
 #: pages of which both languages exist, besides those above
 TRANSLATED = [DOCS / f"{name}.md" for name in ("index", "gallery", "films", "sample_log", "command-line", "own_robot")]
-MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure) (.+?) \}\}$", re.MULTILINE)
+MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure|live) (.+?) \}\}$", re.MULTILINE)
 
 
 def markers(page: Path) -> list[tuple[str, ...]]:

@@ -31,6 +31,18 @@ for length in (4.0, 1.0):
     _, Omega, *_ = textbook.virtual_motion_edge(np.zeros(3), z, np.array([0.5, 0.0, 0.2]), z, sensor)
     print(f"landmark {length:g} m away: e'e = {e @ e:.2f}, e' Omega e = {e @ Omega @ e:6.2f}")
 
+# %% three
+three = load("examples/three_poses.txt")
+J_3 = 0.0
+for a_3, b_3 in ((0, 1), (0, 2), (1, 2)):
+    (x_a, x_b), (z_a, z_b) = three.initial_poses[[a_3, b_3]], three.sightings[[a_3, b_3]]
+    e_3, Omega_3, *_ = textbook.virtual_motion_edge(x_a, z_a, x_b, z_b, sensor)
+    print(f"edge {a_3}, {b_3}: squared Mahalanobis distance {e_3 @ Omega_3 @ e_3:.3f}")
+    J_3 += e_3 @ Omega_3 @ e_3
+body_3 = Graph.from_log(three, edges="virtual", kernel="none")
+print(f"J = {J_3:.3f}, in the body frame {body_3.cost(body_3.initial):.3f}")
+assert e_3 @ Omega_3 @ e_3 > 2 and body_3.cost(body_3.initial) < J_3
+
 # %% product
 # the product of densities and J order trajectories in the same way
 graph = Graph.from_log(log, edges="virtual+motion", weight="pairs", kernel="none")

@@ -42,6 +42,14 @@ print("from pose 1 the landmark is at", np.round(textbook.inverse_observation(x1
 print("from pose 2 the landmark is at", np.round(textbook.inverse_observation(x2, z2), 3))
 print("residual", np.round(e, 3))
 
+# %% three
+three = load("examples/three_poses.txt")
+for a_3, b_3 in ((0, 1), (0, 2), (1, 2)):
+    (x_a, x_b), (z_a, z_b) = three.initial_poses[[a_3, b_3]], three.sightings[[a_3, b_3]]
+    e_3, *_ = textbook.virtual_motion_edge(x_a, z_a, x_b, z_b, SensorModel())
+    print(f"e_{a_3}{b_3} =", np.round(e_3, 4))
+np.testing.assert_allclose(e_3, [-0.2, 0, 0.1], atol=1e-12)
+
 # %% wrapped
 x1, z1 = np.array([0.0, 0.0, 3.1]), np.array([1.0, 0.0, 0.0])
 x2, z2 = np.array([0.0, 0.0, -3.1]), np.array([1.0, 0.0, 0.0])

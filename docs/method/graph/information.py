@@ -48,6 +48,14 @@ ax.annotate(
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=(-0.5, 8))
 ax.legend(loc="lower right")
 
+# %% three
+from graphslam import load
+
+three = load("examples/three_poses.txt")
+sum_3 = sum(covariance(three.initial_poses[t], three.sightings[t]) for t in (1, 2))
+print(np.round(sum_3, 4))
+np.testing.assert_allclose(np.diag(sum_3), [0.05**2 + (0.14 * 1.2) ** 2, 0.14**2 + (0.05 * 1.2) ** 2, 4 * 0.05**2])
+
 # %% sampled
 rng = np.random.default_rng(0)
 

@@ -41,6 +41,15 @@ print(
     textbook.solve(log, edges="virtual+motion").estimated.sum(),
 )
 
+# %% three
+from graphslam import load
+
+three = load("examples/three_poses.txt")
+solution_3 = textbook.solve(three, edges="virtual", threshold=1e-9)
+print("J before each step:", [f"{cost:.3g}" for cost in solution_3.costs])
+print(np.round(solution_3.poses, 4) + 0.0)
+assert solution_3.converged and solution_3.iterations == 3 and solution_3.costs[1] > 0.01 > 1e-20 > solution_3.costs[2]
+
 # %% drift
 # the book's anchor is reset at every step: the graph drifts by a constant step
 long = textbook.solve(log, edges="virtual", threshold=1e-9, max_iterations=60)

@@ -23,6 +23,16 @@ ax.axvline(0, color="k", lw=0.5)
 ax.set(xlabel="turn of pose 2 [rad]", ylabel="residual in x [m]")
 ax.legend()
 
+# %% three
+from graphslam import load
+
+three = load("examples/three_poses.txt")
+(_, x_a, x_b), (_, z_a, z_b) = three.initial_poses, three.sightings
+_, _, B_a, B_b = textbook.virtual_motion_edge(x_a, z_a, x_b, z_b, SensorModel())
+print("B_1 =\n", np.round(B_a, 3) + 0.0)
+print("B_2 =\n", np.round(B_b, 3) + 0.0)
+np.testing.assert_allclose([B_a[:, 2], B_b[:, 2]], [[1, 0, -1], [0, -1.2, 1]], atol=1e-12)
+
 
 # %% differences
 # central differences of the residual, one column for each component of a pose

@@ -57,6 +57,11 @@ for j, seen in list(by_landmark.items())[:3]:
     print(f"landmark {j}: seen {len(seen)} times, {len(list(combinations(seen, 2)))} virtual-motion edges")
 print("all:", sum(len(list(combinations(seen, 2))) for seen in by_landmark.values()))
 
+# %% three
+three = load("examples/three_poses.txt")
+for t, z_3 in zip(three.steps, three.sightings):
+    print(f"from pose {t} the landmark is at", np.round(textbook.inverse_observation(three.initial_poses[t], z_3), 4))
+
 # %% spread
 # how far apart are the places of one landmark, for dead reckoning and for the true poses?
 for name, poses in (("dead reckoning", log.initial_poses), ("true poses", log.true_poses)):

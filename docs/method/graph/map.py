@@ -33,6 +33,16 @@ ax.plot([], [], "C1-", label="sightings, one standard deviation")
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 ax.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
+# %% three
+from graphslam import load
+
+three = load("examples/three_poses.txt")
+solution_3 = textbook.solve(three, edges="virtual", threshold=1e-9)
+places_3 = np.array([textbook.inverse_observation(x_3, z_3) for x_3, z_3 in zip(solution_3.poses, three.sightings)])
+print(np.round(places_3, 4))
+print("m* =", np.round(solution_3.landmarks[1][:2], 4))
+assert np.ptp(places_3, axis=0).max() < 1e-9
+
 # %% mean
 weighted, plain = [], []
 for j in solution.landmarks:

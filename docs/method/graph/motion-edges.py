@@ -61,6 +61,20 @@ for name, model in (("without slip", motion), ("with slip", slipping)):
 S = slipping.sideways(x1, u, dt)
 print("F S F' = S:", np.allclose(motion.F(x1, u, dt) @ S @ motion.F(x1, u, dt).T, S))
 
+# %% three
+from graphslam import Graph, load, solve
+
+three = load("examples/three_poses.txt")
+x_a, x_b, _ = three.initial_poses
+_, Omega_3, *_ = textbook.motion_edge(x_a, x_b, three.controls[0], three.dt[0], MotionModel())
+print(np.round(np.linalg.inv(Omega_3), 4) + 0.0)
+solution_3 = solve(Graph.from_log(three, edges="virtual+motion", kernel="none"))
+print(f"J = {solution_3.cost:.3f} at", np.round(solution_3.poses[1:], 3).tolist())
+np.testing.assert_allclose(
+    np.linalg.inv(Omega_3)[[0, 1, 1, 2], [0, 1, 2, 2]], [0.0362, 0.004325, 0.00845, 0.017], rtol=1e-4
+)
+assert 1.7 < solution_3.cost < 1.8
+
 # %% epsilon
 for epsilon in (1e-2, 1e-4, 1e-6):
     solution = textbook.solve(log, edges="virtual+motion", motion=MotionModel(epsilon=epsilon))

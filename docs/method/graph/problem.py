@@ -30,3 +30,11 @@ poses, landmarks = log.num_poses - 1, len(log.landmark_ids)
 print(f"unknown: {poses} poses and {landmarks} landmarks, {3 * (poses + landmarks)} numbers")
 print(f"without the landmarks: {3 * poses} numbers")
 print(f"measured: {log.controls.size + log.sightings.size} numbers")
+
+# %% three
+from graphslam import load
+
+three = load("examples/three_poses.txt")
+print("controls (nu, omega):", np.round(three.controls, 4).tolist())
+for t, (length, bearing, psi) in zip(three.steps, three.sightings):
+    print(f"from pose {t}: range {length:.2f} m, bearing {bearing:.4f} rad, psi {psi:.4f} rad")

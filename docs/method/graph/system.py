@@ -49,6 +49,19 @@ for ax in axes:
     ax.grid(False)
     ax.set(xlabel="pose", ylabel="pose")
 
+# %% three
+from graphslam import load
+
+three = load("examples/three_poses.txt")
+Omega_3, xi_3 = np.zeros((9, 9)), np.zeros(9)
+Omega_3[:3, :3] += textbook.OMEGA_0
+for a_3, b_3 in edges:
+    (x_a, x_b), (z_a, z_b) = three.initial_poses[[a_3, b_3]], three.sightings[[a_3, b_3]]
+    textbook._add(Omega_3, xi_3, 3 * a_3, 3 * b_3, *textbook.virtual_motion_edge(x_a, z_a, x_b, z_b, sensor))
+Delta_3 = np.linalg.solve(Omega_3, xi_3).reshape(3, 3)
+print(np.round(Delta_3, 4) + 0.0)
+np.testing.assert_allclose(Delta_3[1], [0.0475, 0.0225, -0.05], atol=1e-4)
+
 
 # %% gaussian
 # J along the line through the minimum of the quadratic function: exact, and as the polynomial in Delta

@@ -40,6 +40,19 @@ fast = solve(Graph.from_log(log, edges="landmark+motion", kernel="none"))
 print(f"landmarks as nodes: {fast.iterations} iterations, error {ate(log.true_poses, fast.poses):.3f} m")
 assert ate(log.true_poses, fast.poses) < error
 
+# %% three
+from graphslam import GraphError, load
+
+three = load("examples/three_poses.txt")
+try:
+    textbook.solve(three, edges="virtual", dimensions=2)
+except GraphError as error:
+    print(error)
+else:
+    raise AssertionError("the poses are determined")
+solution_3 = textbook.solve(three, edges="virtual+motion", dimensions=2)
+print("with motion edges:", np.round(solution_3.poses[1:], 3).tolist())
+
 # %% copies
 errors, odometry = {}, {}
 for copies in (1, 10, 100):

@@ -6,6 +6,7 @@
 
 #include <array>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "vmslam/edges/sightings.hpp"
@@ -27,11 +28,19 @@ struct LandmarkSighting {
 
 struct Log {
     std::array<double, 3> start{};      ///< the first pose [m, m, rad]
-    std::vector<Control> controls;      ///< control t leads from pose t to pose t + 1
+    std::vector<Control> controls;      ///< control t leads from pose t to pose t + 1, unless there are `starts`
     std::vector<LandmarkSighting> sightings;
     bool oriented = true;               ///< whether orientations are measured
 
-    std::size_t poses() const { return controls.size() + 1; }
+    /// Of motions that consist of several controls: the first control of each, and the number of all controls.
+    std::vector<std::size_t> starts{};
+
+    std::size_t poses() const { return starts.empty() ? controls.size() + 1 : starts.size(); }
+    /// The controls that lead from pose t to pose t + 1.
+    std::span<const Control> motion(std::size_t t) const {
+        if (starts.empty()) return {&controls[t], 1};
+        return std::span(controls).subspan(starts[t], starts[t + 1] - starts[t]);
+    }
 };
 
 /// Standard deviations of the speed per root of distance driven and of angle turned (nn, no), those of the turn rate (on,
@@ -54,6 +63,8 @@ struct Measured {
 
 /// The relative pose f(0, u), Omega^-1 = A M A' + epsilon I.
 Measured measured(const Control& u, const MotionNoise& noise = {});
+/// The same of controls that follow one another: P <- F P F' + A M A' for each, and epsilon I once.
+Measured measured(std::span<const Control> controls, const MotionNoise& noise = {});
 /// The landmark h^-1(0, z) = (l cos phi, l sin phi, phi - psi), Omega^-1 = R Q R'; without a heading unless `oriented`.
 Measured measured(const edges::Sighting& z, bool oriented, const edges::Sensor& sensor = book_sensor);
 

@@ -34,11 +34,11 @@ void Graph::add_groups(std::unique_ptr<const edges::Family> family, std::span<co
     members_.push_back({std::move(family), {}, {}});
 }
 
-void Graph::solve(Run& run, int threads) const {
+void Graph::assemble(int threads, const std::function<void(GraphObjective&, Factor&)>& work) const {
     const sparse::WidePattern pattern = sparse::pattern_of_groups(nodes_, sizes_, grouped_);
     const std::vector<sparse::Node> rows(pattern.rows.begin(), pattern.rows.end());
     const sparse::Pattern narrow{pattern.start, rows};
-    sparse::Factor<sparse::Real3> factor(std::make_shared<const sparse::Symbolic>(
+    Factor factor(std::make_shared<const sparse::Symbolic>(
         analyze(narrow, fill_reducing(narrow), {sparse::Real3::rows, sparse::Real3::columns}, threads)));
 
     std::vector<std::vector<Place>> pairs;
@@ -56,33 +56,54 @@ void Graph::solve(Run& run, int threads) const {
                              {}, 0.0, factor);
     objective.state_dependent = state_dependent;
     objective.reweighted = reweighted;
-    gauss_newton(objective, run);
+    work(objective, factor);
+}
+
+void Graph::solve(Run& run, int threads) const {
+    assemble(threads, [&run](GraphObjective& objective, Factor&) { gauss_newton(objective, run); });
+}
+
+std::vector<double> Graph::costs(std::span<const double> state) const {
+    std::vector<double> costs;
+    for (const Member& m : members_) costs.push_back(m.family->accumulate({state.data(), state.data()}, nullptr, {}));
+    return costs;
+}
+
+std::vector<double> Graph::covariances(std::span<const double> state) const {
+    std::vector<double> blocks;
+    assemble(1, [&](GraphObjective& objective, Factor& factor) {
+        objective.linearize(state, state);
+        if (objective.factorize(0.0)) blocks = sparse::SelectedInverse(factor).diagonal();
+    });
+    return blocks;
+}
+
+ByLandmark by_landmark(const Log& log, const edges::Sensor& sensor, const edges::Kernel& kernel) {
+    std::vector<LandmarkSighting> seen = log.sightings;
+    std::stable_sort(seen.begin(), seen.end(), [](const LandmarkSighting& a, const LandmarkSighting& b) {
+        return a.landmark != b.landmark ? a.landmark < b.landmark : a.step < b.step;
+    });
+    ByLandmark made{{}, {}, {{}, {}, std::vector<double>(seen.size(), 1.0), sensor, kernel, log.oriented}};
+    for (std::size_t k = 0; k < seen.size(); ++k) {
+        if (k == 0 || seen[k].landmark != seen[k - 1].landmark) made.starts.push_back(static_cast<Place>(k));
+        made.nodes.push_back(static_cast<Place>(seen[k].step));
+        made.sightings.z.push_back(seen[k].z);
+    }
+    made.starts.push_back(static_cast<Place>(seen.size()));
+    made.sightings.noisy = made.sightings.z;
+    return made;
 }
 
 Graph graph_of(const Log& log, const MotionNoise& noise, const edges::Sensor& sensor, const edges::Kernel& kernel) {
     Graph graph(static_cast<Place>(log.poses()));
     graph.add_anchor(0, {log.start[0], log.start[1], log.start[2]});
     std::vector<edges::RelativeEdge> motions;
-    for (const Control& u : log.controls) {
-        const auto [z, omega] = measured(u, noise);
-        const auto t = static_cast<Place>(motions.size());
+    for (Place t = 0; t + 1 < static_cast<Place>(log.poses()); ++t) {
+        const auto [z, omega] = measured(log.motion(t), noise);
         motions.push_back({t, t + 1, z, omega});
     }
     graph.add_relative(std::move(motions));
-
-    std::vector<LandmarkSighting> seen = log.sightings;
-    std::stable_sort(seen.begin(), seen.end(), [](const LandmarkSighting& a, const LandmarkSighting& b) {
-        return a.landmark != b.landmark ? a.landmark < b.landmark : a.step < b.step;
-    });
-    std::vector<Place> starts, nodes;
-    edges::Sightings sightings{{}, {}, std::vector<double>(seen.size(), 1.0), sensor, kernel, log.oriented};
-    for (std::size_t k = 0; k < seen.size(); ++k) {
-        if (k == 0 || seen[k].landmark != seen[k - 1].landmark) starts.push_back(static_cast<Place>(k));
-        nodes.push_back(static_cast<Place>(seen[k].step));
-        sightings.z.push_back(seen[k].z);
-    }
-    starts.push_back(static_cast<Place>(seen.size()));
-    sightings.noisy = sightings.z;
+    auto [starts, nodes, sightings] = by_landmark(log, sensor, kernel);
     graph.add_groups(std::make_unique<edges::MarginalEdges>(starts, nodes, std::move(sightings), true), starts, nodes);
     // only with orientations do the sightings alone give their information
     graph.state_dependent = !log.oriented;

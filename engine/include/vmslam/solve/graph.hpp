@@ -1,6 +1,7 @@
 // A graph that owns its edges, its linear system and the factor, for programs without Python.
 #pragma once
 
+#include <functional>
 #include <memory>
 
 #include "vmslam/edges/relative.hpp"
@@ -26,8 +27,16 @@ class Graph {
 
     /// Minimise J from run.state by `gauss_newton`.
     void solve(Run& run, int threads = 1) const;
+    /// What each call of `add_` contributes to J at a state.
+    std::vector<double> costs(std::span<const double> state) const;
+    /// The blocks (n, 3, 3) of Omega^-1 on the diagonal at a state; none where Omega has no factor.
+    std::vector<double> covariances(std::span<const double> state) const;
 
    private:
+    using Factor = sparse::Factor<sparse::Real3>;
+    /// Call work with the linear system of the graph.
+    void assemble(int threads, const std::function<void(GraphObjective&, Factor&)>& work) const;
+
     struct Member {
         std::unique_ptr<const edges::Family> family;
         std::vector<Place> first, second;  ///< the ends of pairs, for the families that list their edges
@@ -37,6 +46,13 @@ class Graph {
     /// the groups of nodes of all families, one after another
     std::vector<Place> sizes_, grouped_;
 };
+
+/// The sightings of a log by increasing landmark and step, as the families of `edges/` take them.
+struct ByLandmark {
+    std::vector<Place> starts, nodes;
+    edges::Sightings sightings;
+};
+ByLandmark by_landmark(const Log& log, const edges::Sensor& sensor, const edges::Kernel& kernel);
 
 /// The graph of a log: an anchor on its first pose, a motion edge for each control, and the sightings of each landmark as one
 /// marginal edge (`edges/marginal.hpp`) with a robust kernel, all in the body frame.

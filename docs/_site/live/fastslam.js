@@ -1,0 +1,119 @@
+// FastSLAM on a simulated drive: the particles, the ancestors of each, and the map of the one that is chosen.
+import { Controls, Stage, element, fill, html } from "./stage.js";
+
+const NUMBERS = [1, 5, 10, 20, 50, 100, 200, 500, 1000], FACTORS = [0.25, 0.5, 1, 2, 4];
+/** Groups of weights that are drawn in sizes of their own; trajectories shown at most; time of a step in a run [ms]. */
+const SIZES = 5, SHOWN = 100, PERIOD = 150;
+
+export function make(figure, engine, log, words, book) {
+  const state = { particles: 100, version: 1, noise: 1, resampling: true, chosen: null, t: -1, ess: null };
+  // a test replaces these
+  const random = { key: () => BigInt(Math.floor(Math.random() * 2 ** 53)) << 11n, offset: Math.random };
+  const seen = [...log.controls, 0].map(() => []);
+  for (const [step, ...sighting] of log.sightings) seen[step].push(sighting);
+  const names = [...new Set(log.sightings.map((row) => row[1]))];
+  const stage = new Stage(figure, words.fastslamLabel, draw);
+  ["truth", "paths", "ellipses", "particles", "chosen"].forEach((name) => stage.layer(name));
+  let slam = null, history = [], timer = null;
+
+  function restart() {
+    slam?.free();
+    const motion = ["nn", "no", "on", "oo"].map((name) => [name, book[name] * state.noise]);
+    slam = engine.fastslam({ start: log.start, particles: state.particles, version: state.version, noise: Object.fromEntries(motion) });
+    history = [];
+    Object.assign(state, { t: -1, ess: null, chosen: null, resampled: false });
+    step();
+  }
+  /** Move, weigh and, if the effective sample size is at most half of N, resample. Returns false at the end of the drive. */
+  function step() {
+    if (state.t + 1 >= seen.length) return false;
+    ++state.t;
+    if (state.t > 0) slam.move(log.controls[state.t - 1], random.key());
+    const ess = seen[state.t].length ? slam.weigh(seen[state.t]) : -1;
+    if (ess >= 0) state.ess = ess;
+    state.resampled = state.resampling && ess >= 0 && ess <= state.particles / 2;
+    const ancestors = state.resampled ? slam.resample(random.offset()) : null;
+    history.push({ ...slam.particles(), ancestors });
+    if (ancestors) state.chosen = null;
+    draw();
+    return true;
+  }
+  /** The poses of a particle from now back to the start. */
+  function trajectory(i) {
+    const poses = [];
+    for (let t = history.length - 1; t >= 0; --t) {
+      poses.push(history[t].poses[i]);
+      if (history[t].ancestors) i = history[t].ancestors[i];
+    }
+    return poses;
+  }
+  function run() {
+    if (timer) return stop();
+    if (state.t + 1 >= seen.length) restart();
+    timer = setInterval(() => { if (!step() || !figure.isConnected) stop(); }, PERIOD);
+    button.textContent = words.pause;
+  }
+  function stop() {
+    clearInterval(timer);
+    timer = null;
+    button.textContent = words.run;
+  }
+  const change = (name) => (value) => { state[name] = value; restart(); };
+  const controls = new Controls(figure);
+  controls.button("step", words.oneStep, () => { stop(); step(); });
+  const button = controls.button("run", words.run, run);
+  controls.button("restart", words.restart, () => { stop(); restart(); });
+  controls.button("other", words.other, () => choose((chosen() + 1) % state.particles));
+  controls.toggle("version", "FastSLAM 2.0", false, (on) => change("version")(on ? 2 : 1));
+  controls.toggle("resampling", words.resampling, true, change("resampling"));
+  controls.slider("particles", "N =", NUMBERS, 100, change("particles"));
+  controls.slider("noise", words.motionNoise, FACTORS, 1, change("noise"));
+  const status = html("p", { class: "live-status", role: "status" }, figure);
+  html("p", { class: "live-legend" }, figure).textContent = words.fastslamLegend;
+
+  const chosen = () => state.chosen ?? slam.best;
+  function choose(i) { state.chosen = i; draw(); }
+  stage.svg.addEventListener("click", (event) => {
+    const [x, y] = stage.point(event), squares = history.at(-1).poses.map((p) => (p[0] - x) ** 2 + (p[1] - y) ** 2);
+    choose(squares.indexOf(Math.min(...squares)));
+  });
+
+  function draw() {
+    if (!stage.size || !history.length) return;
+    const { poses, logWeights } = history.at(-1), most = Math.max(...logWeights), i = chosen();
+    const stars = log.landmarks.map((m) => stage.at(m));
+    fill(stage, "truth", [stage.path(log.truth), ...stars.map(([x, y]) => `M${x - 5} ${y}h10m-5 -5v10`)], (d, k) =>
+      ({ d, class: k ? "true-landmark" : "true-path" }));
+    // common ancestors are drawn once
+    const every = Math.ceil(state.particles / SHOWN), segments = new Set();
+    for (let p = 0; p < state.particles; p += every) {
+      for (let t = history.length - 1, at = p; t > 0; --t) {
+        const before = history[t].ancestors ? history[t].ancestors[at] : at;
+        const key = t * 1024 + at;
+        if (segments.has(key)) break;
+        segments.add(key);
+        at = before;
+      }
+    }
+    const lines = [...segments].map((key) => {
+      const t = Math.floor(key / 1024), at = key % 1024, { ancestors } = history[t];
+      return stage.path([history[t].poses[at], history[t - 1].poses[ancestors ? ancestors[at] : at]]);
+    });
+    fill(stage, "paths", [lines.join("")], (d) => ({ d, class: "path" }));
+    const sizes = Array.from({ length: SIZES }, () => "");
+    poses.forEach((pose, p) => {
+      const [x, y] = stage.at(pose), size = Math.ceil((SIZES - 1) * Math.exp(logWeights[p] - most));
+      sizes[size] += `M${x.toFixed(1)} ${y.toFixed(1)}h.01`;
+    });
+    fill(stage, "particles", sizes, (d, size) => ({ d, class: "particle", "stroke-width": 2 + 1.5 * size }));
+    const map = names.map((name) => slam.landmark(name, i)).filter((m) => m);
+    fill(stage, "ellipses", map, (m) => ({ d: stage.ellipse(m, m.slice(2)), class: "ellipse" }));
+    const [x, y] = stage.at(poses[i]);
+    fill(stage, "chosen", [stage.path(trajectory(i)), `M${x} ${y}h.01`], (d, k) => ({ d, class: k ? "chosen-pose" : "chosen-path" }));
+    status.innerHTML = `<strong>t = ${state.t}</strong>, <span></span>`;
+    status.lastChild.textContent = words.ess(state.ess, state.particles, state.resampled);
+  }
+  restart();
+  stage.show([...log.truth, ...log.landmarks], 0.8);
+  return { state, random, step, restart, change, choose, particles: () => slam.particles(), map: () => names.map((name) => slam.landmark(name)), names };
+}

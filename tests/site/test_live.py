@@ -1,0 +1,381 @@
+"""The figures that readers move, driven in a browser by mouse and keyboard, with numbers compared with Python."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from chromium import Chromium, find_browser
+
+from fastslam import FastSLAM1, FastSLAM2
+from fastslam.noise import draw_key
+from graphslam import Graph, Log, MotionModel, SensorModel, load, solve, textbook
+from graphslam.se2 import wrap
+
+ROOT = Path(__file__).parents[2]
+SITE = ROOT / "docs" / "_site"
+sys.path.insert(0, str(SITE))
+BROWSER = find_browser()
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.browser,
+    pytest.mark.skipif(BROWSER is None, reason="needs a browser: apt-get install chromium"),
+    pytest.mark.skipif(
+        importlib.util.find_spec("markdown") is None, reason="needs the packages of the site: make docs"
+    ),
+    pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="needs ziglang: make engine-wasm"),
+]
+FIGURE = "document.querySelector('figure.live')"
+PAGE = """<!doctype html><html lang="{language}"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<link rel="stylesheet" href="_site/extra.css"><link rel="icon" href="data:,"><body>{figure}
+<script src="_site/live.js"></script></body></html>"""
+Open = Callable[..., Chromium]
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    """A handler that writes no log."""
+
+    def log_message(self, *_: object) -> None:
+        """Write nothing."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A site of the scripts and the engine alone."""
+    import live
+
+    wasm = ["make", "-C", ROOT / "engine" / "wasm", "-j2", f"PYTHON={sys.executable}", f"BUILD={live.ENGINE[0].parent}"]
+    done = subprocess.run(wasm, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    site = tmp_path_factory.mktemp("site")
+    shutil.copytree(SITE, site / "_site", ignore=shutil.ignore_patterns("*.py", "katex", "__pycache__"))
+    live.copy_files(site)
+    return site
+
+
+@pytest.fixture(scope="module")
+def open_page(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Open]:
+    """Open a page with one figure, given as in a marker, and wait until it is ready."""
+    import live
+
+    assert BROWSER is not None
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(folder)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    with Chromium(BROWSER, tmp_path_factory.mktemp("profile")) as browser:
+
+        def opened(*arguments: str, language: str = "en", until: str = f"{FIGURE}.matches('.ready')") -> Chromium:
+            figure = live.figure([*arguments, "A figure."])
+            (folder / "page.html").write_text(PAGE.format(language=language, figure=figure))
+            browser.events.clear()
+            browser.send("Network.setCacheDisabled", cacheDisabled=True)
+            browser.send("Page.navigate", url=f"http://127.0.0.1:{server.server_port}/page.html")
+            browser.wait_for(f"document.readyState === 'complete' && {FIGURE} && {until}")
+            return browser
+
+        yield opened
+    server.shutdown()
+    server.server_close()
+
+
+def graph_of(log: Log, shown: dict[str, Any], **options: Any) -> Graph:
+    """The graph that a figure shows, of a log with the sightings of the figure, as `vmslam.js` takes them."""
+    rows = np.array(shown["sightings"])
+    log = replace(log, sightings=rows[:, 2:], steps=rows[:, 0].astype(int), landmarks=rows[:, 1].astype(int))
+    return Graph.from_log(
+        log, **({"edges": "virtual+motion", "weight": "pairs", "frame": "body", "kernel": "none"} | options)
+    )
+
+
+def agrees(page: Chromium, log: Log, **options: Any) -> float:
+    """J of the figure, which Python computes for the same poses and measurements."""
+    poses = np.array(page.evaluate(f"{FIGURE}.live.state.poses"))
+    graph = graph_of(log, page.evaluate(f"{FIGURE}.live.log()"), **options)
+    shown = float(page.evaluate(f"{FIGURE}.dataset.cost"))
+    assert shown == pytest.approx(graph.cost(poses), rel=1e-9, abs=1e-9)
+    return shown
+
+
+def switch(page: Chromium, name: str) -> None:
+    page.click(f"figure.live input[data-name={name}]")
+
+
+def drag(page: Chromium, selector: str, dx: float, dy: float, *, touch: bool = False) -> None:
+    """Drag the middle of an element by pixels, with the mouse or a finger."""
+    x, y = page.evaluate(f"""(() => {{
+        const element = document.querySelector({selector!r});
+        element.scrollIntoView({{ block: "center" }});
+        const box = element.getBoundingClientRect();
+        return [box.x + box.width / 2, box.y + box.height / 2]; }})()""")
+    if touch:
+        page.send("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+        page.send("Input.dispatchTouchEvent", type="touchMove", touchPoints=[{"x": x + dx, "y": y + dy}])
+        page.send("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        return
+    page.move_mouse(x, y)
+    page.send("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, button="left", buttons=1, clickCount=1)
+    page.send("Input.dispatchMouseEvent", type="mouseMoved", x=x + dx, y=y + dy, button="left", buttons=1)
+    page.send("Input.dispatchMouseEvent", type="mouseReleased", x=x + dx, y=y + dy, button="left", clickCount=1)
+
+
+@pytest.mark.parametrize("name", ["three_poses", "loop"])
+def test_the_graph_has_the_numbers_of_python(open_page: Open, name: str) -> None:
+    import live
+
+    log = live.log(name)
+    page = open_page("graph", name)
+    start = agrees(page, log)
+    stepped = solve(Graph.from_log(log, edges="virtual+motion", kernel="none"), initialize="given", max_iterations=1)
+    page.click("figure.live button[data-name=step]")
+    poses = np.array(page.evaluate(f"{FIGURE}.live.state.poses"))
+    np.testing.assert_allclose(poses[:, :2], stepped.poses[:, :2], atol=1e-9)
+    np.testing.assert_allclose(wrap(poses[:, 2] - stepped.poses[:, 2]), 0, atol=1e-9)
+    # the page says that a step goes to where J is smaller
+    assert agrees(page, log) < start
+    page.click("figure.live button[data-name=all]")
+    best = agrees(page, log)
+    assert best == pytest.approx(solve(Graph.from_log(log, edges="virtual+motion", kernel="none")).cost, rel=1e-9)
+
+    switch(page, "wrong")
+    wrong = agrees(page, log)
+    assert wrong > 1.2 * best
+    switch(page, "kernel")
+    assert agrees(page, log, kernel="cauchy") < wrong
+    switch(page, "wrong")
+    switch(page, "kernel")
+    switch(page, "psi")
+    agrees(page, log, dimensions=2)
+    switch(page, "psi")
+    if name == "three_poses":  # the other log falls into pieces without motion edges
+        switch(page, "motions")
+        assert agrees(page, log, edges="virtual") < best
+        switch(page, "motions")
+    switch(page, "ellipses")
+    assert page.evaluate("document.querySelectorAll('.live-stage .ellipse').length") == log.num_poses
+    assert page.complaints() == []
+
+
+def test_poses_and_landmarks_move_by_mouse_finger_and_keys(open_page: Open) -> None:
+    import live
+
+    log = live.log("three_poses")
+    page = open_page("graph", "three_poses")
+    before = agrees(page, log)
+    poses = page.evaluate(f"{FIGURE}.live.state.poses")
+    last, star = ".handles g:last-of-type circle.pose", ".handles g:first-of-type path.landmark"
+    drag(page, last, 30, 10)
+    moved = page.evaluate(f"{FIGURE}.live.state.poses")
+    scale = page.evaluate(f"30 / ({FIGURE}.live.state.poses[2][0] - {poses[2][0]})")
+    assert moved[2][1] - poses[2][1] == pytest.approx(-10 / scale, rel=0.1)
+    assert agrees(page, log) != before
+    drag(page, last, -30, -10, touch=True)
+    assert page.evaluate(f"{FIGURE}.live.state.poses[2][0]") == pytest.approx(poses[2][0], abs=2 / scale)
+    agrees(page, log)
+
+    page.evaluate("document.querySelector('.handles g:last-of-type').focus()")
+    x, _, heading = page.evaluate(f"{FIGURE}.live.state.poses[2]")
+    page.press("ArrowRight", 39)
+    assert page.evaluate(f"{FIGURE}.live.state.poses[2][0]") == pytest.approx(x + 0.05)
+    page.send("Input.dispatchKeyEvent", type="rawKeyDown", key="ArrowLeft", windowsVirtualKeyCode=37, modifiers=8)
+    assert page.evaluate(f"{FIGURE}.live.state.poses[2][2]") == pytest.approx(heading + 0.05)
+
+    sightings = page.evaluate(f"{FIGURE}.live.log().sightings")
+    drag(page, star, 20, 20)
+    assert np.abs(np.array(page.evaluate(f"{FIGURE}.live.log().sightings")) - sightings).max() > 0.01
+    agrees(page, log)
+    assert page.complaints() == []
+
+
+def test_the_kernel_keeps_the_poses_as_the_page_says(open_page: Open) -> None:
+    page = open_page("graph", "loop", "mistaken=11")
+
+    def poses() -> np.ndarray:
+        page.click("figure.live button[data-name=all]")
+        return np.array(page.evaluate(f"{FIGURE}.live.state.poses"))[:, :2]
+
+    before = poses()
+    switch(page, "wrong")
+    assert round(np.linalg.norm(poses() - before, axis=1).max(), 1) == 0.7
+    switch(page, "kernel")
+    assert np.linalg.norm(poses() - before, axis=1).max() > 0.5  # another minimum
+    switch(page, "wrong")
+    assert np.linalg.norm(poses() - before, axis=1).max() < 0.3
+    switch(page, "wrong")
+    assert np.linalg.norm(poses() - before, axis=1).max() < 0.3
+
+
+def test_edges_that_leave_poses_free_are_said(open_page: Open) -> None:
+    page = open_page("graph", "three_poses", "psi=no", "motions=no", language="ja")
+    page.click("figure.live button[data-name=all]")
+    assert "一意に決まりません" in page.evaluate("document.querySelector('.live-status').textContent")
+
+
+def test_without_the_engine_the_text_remains(open_page: Open, folder: Path) -> None:
+    hidden = (folder / "engine").rename(folder / "hidden")
+    try:
+        page = open_page("graph", "loop", until="document.querySelector('.live-missing') !== null")
+        text = page.evaluate(f"{FIGURE}.innerText")
+        assert "A figure." in text and "make docs" in text
+    finally:
+        hidden.rename(folder / "engine")
+
+
+def test_figures_fit_on_a_phone(open_page: Open) -> None:
+    page = open_page("graph", "loop", language="ja")
+    page.resize(390, 844)
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    page.resize(1280, 900)
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_fastslam_has_the_numbers_of_python(open_page: Open, version: int) -> None:
+    import live
+
+    log, particles, seed, factor = live.log("drive"), 50, 3, 2
+    book = MotionModel()
+    motion = MotionModel(nn=book.nn * factor, no=book.no * factor, on=book.on * factor, oo=book.oo * factor)
+    filter_ = (FastSLAM1, FastSLAM2)[version - 1](
+        log, particles=particles, seed=seed, motion=motion, sensor=SensorModel(), ess_threshold=0.5
+    )
+    result = filter_.run()
+    assert any(result.resampled)
+    # the numbers that the filter has drawn, in its order
+    rng, keys, offsets = np.random.default_rng(seed), ["0"], []
+    for t, due in enumerate(result.resampled):
+        keys += [str(draw_key(rng))] if t else []
+        offsets += [rng.random()] if due else []
+
+    page = open_page("fastslam", "drive")
+    slam = f"{FIGURE}.live"
+    page.evaluate(f"""(() => {{ const keys = {keys[1:]}.map(BigInt), offsets = {offsets};
+        {slam}.random.key = () => keys.shift(); {slam}.random.offset = () => offsets.shift();
+        Object.assign({slam}.state, {{ noise: {factor}, version: {version} }}); {slam}.change("particles")({particles});
+        while ({slam}.step()); }})()""")
+    found = page.evaluate(f"{slam}.particles()")
+    state = filter_.state
+    np.testing.assert_allclose(np.array(found["poses"])[:, :2], state.poses[:, :2], atol=1e-9)
+    np.testing.assert_allclose(found["logWeights"], state.log_weights, atol=1e-9)
+    best = state.map()
+    names = page.evaluate(f"{slam}.names")
+    np.testing.assert_allclose(
+        [row[:2] for row in page.evaluate(f"{slam}.map()")], [best[j].mean[:2] for j in names], atol=1e-9
+    )
+    assert f"of {particles}" in page.evaluate("document.querySelector('.live-status').textContent")
+    assert page.complaints() == []
+
+
+def test_fastslam_runs_and_shows_the_particle_that_is_clicked(open_page: Open) -> None:
+    page = open_page("fastslam", "drive")
+    page.click("figure.live button[data-name=run]")
+    page.wait_for(f"{FIGURE}.live.state.t >= 3")
+    page.click("figure.live button[data-name=run]")
+    page.click("svg.live-stage")
+    assert page.evaluate(f"{FIGURE}.live.state.chosen") is not None
+    page.click("figure.live button[data-name=other]")
+    switch(page, "resampling")
+    assert page.evaluate(f"[{FIGURE}.live.state.t, {FIGURE}.live.state.resampling]") == [0, False]
+    assert page.complaints() == []
+
+
+def test_covariances_are_those_of_python(open_page: Open) -> None:
+    page = open_page("covariance", language="ja")
+
+    def agree(misprint: bool) -> None:
+        (x1, z1), (x2, z2) = (
+            (np.array(s["pose"]), np.array(s["z"])) for s in page.evaluate(f"{FIGURE}.live.state.seen")
+        )
+        R1, R2 = textbook.sighting_derivative(x1, z1), textbook.sighting_derivative(x2, z2)
+        Q1, Q2 = (textbook.sighting_covariance(z, SensorModel()) for z in (z1, z2))
+        R2 = R1 if misprint else R2
+        C = R1 @ Q1 @ R1.T + R2 @ Q2 @ R2.T
+        shown = page.evaluate(f"{FIGURE}.live.places().sum")
+        np.testing.assert_allclose(shown, C[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]], rtol=1e-9, atol=1e-12)
+
+    agree(misprint=False)
+    drag(page, ".handles g:nth-of-type(3) circle.end", 40, -25)
+    drag(page, ".handles g:nth-of-type(2) circle.end", -20, 15)
+    agree(misprint=False)
+    switch(page, "misprint")
+    agree(misprint=True)
+    assert page.complaints() == []
+
+
+def own_log(folder: Path) -> Log:
+    """The log of the example's two tables alone, as Python reads them."""
+    import live
+
+    folder.mkdir()
+    for file in live.TABLES:
+        shutil.copy(file, folder)
+    return load(folder)
+
+
+@pytest.mark.parametrize("kernel", ["none", "cauchy"])
+def test_own_tables_have_the_solution_of_python(open_page: Open, tmp_path: Path, kernel: str) -> None:
+    log = own_log(tmp_path / "robot")
+    page = open_page("own")
+    if kernel == "none":
+        switch(page, "kernel")
+    page.click("figure.live button[data-name=example]")
+    page.wait_for(f"{FIGURE}.live.state.found != null")
+    found = page.evaluate(f"{FIGURE}.live.state.found")
+    graph = Graph.from_log(
+        log,
+        edges="virtual+motion",
+        weight="marginal",
+        frame="body",
+        kernel=kernel,
+        motion=MotionModel(),
+        sensor=SensorModel(),
+    )
+    np.testing.assert_allclose(np.array(found["raw"])[:, :2], log.initial_poses[:, :2], atol=1e-9)
+    poses = np.array(found["poses"])
+    assert found["converged"] and len(poses) == log.num_poses
+    assert found["J"] == pytest.approx(graph.cost(poses), rel=1e-9)
+    solution = solve(graph.with_initial(poses))
+    assert found["J"] == pytest.approx(solution.cost, rel=1e-9)
+    np.testing.assert_allclose(poses[:, :2], solution.poses[:, :2], atol=1e-7)
+    assert f"{log.num_poses} poses" in page.evaluate("document.querySelector('.live-status').textContent")
+    # nothing leaves the computer: the page loads its own files only, and sends nothing
+    requests = [e["params"]["request"] for e in page.events if e["method"] == "Network.requestWillBeSent"]
+    assert {request["method"] for request in requests} == {"GET"}
+    assert page.complaints() == []
+
+
+GOOD = "t,nu,omega\n0,1,0\n1,1,0\n2,1,0\n"
+
+
+@pytest.mark.parametrize(
+    ("odometry", "sightings", "message"),
+    [
+        (GOOD, "t;id;range;bearing\n0;7;2,5;0,1\n1,5;7;1,5;0,2\n", ""),
+        (GOOD, "t,id,range,bearing\n0,7,2,0.1\n1,7,x,0.2\n", 'z.csv:3: range is "x", which is no number'),
+        (GOOD, "t,id,range\n0,7,2\n", "z.csv:1: no column is recognised as bearing; the columns are t, id, range"),
+        (GOOD, "t,id,range,bearing\n0,7,2,30\n1,7,1,40\n", "z.csv:2: bearing is 30.0000 rad, beyond 2 pi"),
+        (GOOD, "t,id,range,bearing\n1,7,2,0\n0,7,1,0\n", "z.csv:3: the time is before that of the row above"),
+        (GOOD, "t,id,range,bearing\n100,7,2,0\n", "z.csv:2: no sighting of a landmark lies within the time"),
+        (GOOD, "t,id,range,bearing\n0,7,-2,0\n", "z.csv:2: the range is -2, but must be positive"),
+        ("t,nu,omega\n", "t,id,range,bearing\n0,7,2,0\n", "u.csv:1: a table needs a line with the names"),
+    ],
+)
+def test_a_table_that_cannot_be_read_is_said_with_its_line(
+    open_page: Open, odometry: str, sightings: str, message: str
+) -> None:
+    page = open_page("own")
+    page.evaluate(f"""(async () => {{ const live = {FIGURE}.live;
+        await live.take([new File([{json.dumps(odometry)}], "u.csv")]);
+        await live.take([new File([{json.dumps(sightings)}], "z.csv")]); }})()""")
+    status = page.evaluate("document.querySelector('.live-status').textContent")
+    assert status.startswith(message or "J = ")
+    assert page.complaints() == []
