@@ -25,6 +25,7 @@ from .edges import (
     PriorEdges,
     SightingEdges,
 )
+from .edges.doubted import expected_cost
 from .edges.robust import Kernel, kernel_of
 from .errors import GraphError, OptionError, quoted
 from .files import path_of
@@ -404,7 +405,7 @@ class Graph:
         Pairs count every sighting of a landmark up to K/2 times, and their J grows likewise.
         """
         rows = sum(family.numbers[0] for family in self.families) + self._priors
-        expected = sum(_expected_cost(family) for family in self.families) + self._priors
+        expected = sum(expected_cost(family) for family in self.families) + self._priors
         return expected * max(self.degrees_of_freedom / max(rows, 1), 1e-3)
 
     def linearize(self, state: Array, reference: Array | None = None) -> tuple[BlockSystem, float]:
@@ -495,14 +496,6 @@ def check_graph(graph: object, name: str = "graph") -> None:
     if not isinstance(graph, Graph):
         given = type(graph).__name__
         raise OptionError(f"{name} must be a Graph, not a {given}; Graph.from_log and Graph.from_g2o make graphs")
-
-
-def _expected_cost(family: EdgeFamily) -> float:
-    """The mean cost of the edges at the true state; a robust kernel lowers it even where the noise is Gaussian."""
-    mean, kernel = family.numbers[1], getattr(family, "kernel", None)
-    if kernel is None or not isinstance(family, DoubtedEdges):
-        return mean
-    return mean * float(kernel.mean_loss(family.dimension)) / family.dimension
 
 
 def _with_dimensions(log: Log, dimensions: int | None) -> Log:

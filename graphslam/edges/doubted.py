@@ -95,3 +95,11 @@ class SingleEdges(DoubtedEdges):
     def squares(self, state: Array) -> Array:
         """r² (E,) of every edge at a state, as if it were fully trusted."""
         return self.linearize(state, state).mahalanobis / self.trusted
+
+
+def expected_cost(family: EdgeFamily) -> float:
+    """The mean cost of the edges at the true state; a robust kernel lowers it even where the noise is Gaussian."""
+    mean, kernel = family.numbers[1], getattr(family, "kernel", None)
+    if kernel is None or not isinstance(family, DoubtedEdges):
+        return mean
+    return mean * float(kernel.mean_loss(family.dimension)) / family.dimension
