@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from .edges import (
     motion_edges,
 )
 from .edges.robust import Kernel
-from .errors import GraphError
+from .errors import GraphError, OptionError, quoted
 from .formats.pose_graph import PoseGraphFile
 from .landmark_map import LandmarkMap
 from .log import Log
@@ -383,3 +384,14 @@ def _check_determined(
             f"without psi one landmark does not fix a pose: {listed('pose', loose)} {share} only one with the rest; "
             "use edges='virtual+motion' or a sensor with psi"
         )
+
+
+def with_dimensions(log: Log, dimensions: int | None) -> Log:
+    """The log whose sightings have so many numbers; None for those that it has."""
+    if dimensions is not None and (not isinstance(dimensions, Integral) or dimensions not in (2, 3)):
+        raise OptionError(f"dimensions must be 2 or 3, not {quoted(dimensions)}")
+    if dimensions == 3 and not log.has_orientation:
+        raise GraphError(
+            f"{log.name} has sightings without psi, but 3-D sensor values were asked for; use dimensions=2"
+        )
+    return log.without_orientation() if dimensions == 2 and log.has_orientation else log

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
-from numbers import Integral
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from .build import file_of_parts, node_names, parts_of_file, parts_of_log, with_closures
+from .build import file_of_parts, node_names, parts_of_file, parts_of_log, with_closures, with_dimensions
 from .checks import array_of, check_choice, check_positive, check_type, make_read_only
 from .defaults import edges_for_map, pairs_overweight, suitable_edges, suitable_kernel
 from .edges import (
@@ -27,7 +26,7 @@ from .edges import (
 )
 from .edges.doubted import expected_cost
 from .edges.robust import Kernel, kernel_of
-from .errors import GraphError, OptionError, quoted
+from .errors import GraphError, OptionError
 from .files import path_of
 from .formats.pose_graph import read_pose_graph, write_g2o
 from .identification.robot import AUTO, BOOK, known_robot
@@ -172,7 +171,7 @@ class Graph:
         check_positive(motion_weight=motion_weight)
         if noise is not None:
             check_choice("noise", noise, (AUTO, BOOK))
-        log = _with_dimensions(log, dimensions)
+        log = with_dimensions(log, dimensions)
         if motion is None and sensor is None:
             log, _ = known_robot(log, noise)
         motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
@@ -496,13 +495,3 @@ def check_graph(graph: object, name: str = "graph") -> None:
     if not isinstance(graph, Graph):
         given = type(graph).__name__
         raise OptionError(f"{name} must be a Graph, not a {given}; Graph.from_log and Graph.from_g2o make graphs")
-
-
-def _with_dimensions(log: Log, dimensions: int | None) -> Log:
-    if dimensions is not None and (not isinstance(dimensions, Integral) or dimensions not in (2, 3)):
-        raise OptionError(f"dimensions must be 2 or 3, not {quoted(dimensions)}")
-    if dimensions == 3 and not log.has_orientation:
-        raise GraphError(
-            f"{log.name} has sightings without psi, but 3-D sensor values were asked for; use dimensions=2"
-        )
-    return log.without_orientation() if dimensions == 2 and log.has_orientation else log
