@@ -1,0 +1,104 @@
+"""Several drives of one place as one log."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from graphslam import (
+    AbsolutePositions,
+    Graph,
+    GraphError,
+    Log,
+    LogError,
+    MotionModel,
+    OptionError,
+    PoseRelations,
+    join_logs,
+    simulate,
+    solve,
+    solve_with_gtsam,
+)
+from graphslam.metrics import ate
+from graphslam.se2 import between
+
+QUIET = MotionModel(nn=0.05, no=0.001, on=0.03, oo=0.05)
+
+
+@cache
+def drive() -> Log:
+    return simulate(seed=11, steps=90, clean=True, motion=QUIET)
+
+
+def cut(log: Log, count: int) -> list[Log]:
+    """Parts without the motions between them, each in a frame of its own."""
+    ends = np.linspace(0, log.num_poses, count + 1).astype(int)
+    parts = [log.at_steps(np.arange(*pair)) for pair in zip(ends[:-1], ends[1:])]
+    return [part.replace(initial_poses=between(part.initial_poses[0], part.initial_poses)) for part in parts]
+
+
+def graph(log: Log) -> Graph:
+    return Graph.from_log(log, edges="landmark+motion")
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_a_drive_that_was_cut_is_joined_again(count: int) -> None:
+    log = drive()
+    assert log.true_poses is not None
+    joined = join_logs(cut(log, count))
+    assert joined.log.true_poses is not None and joined.log.num_poses == log.num_poses
+    found = solve(graph(joined.log))
+    assert found.converged
+    assert ate(joined.log.true_poses, found.poses) < 1.1 * ate(log.true_poses, solve(graph(log)).poses)
+    assert solve_with_gtsam(graph(joined.log)).cost == pytest.approx(found.cost, rel=1e-8)
+    assert found.certificate.status.startswith("global")
+    parts = joined.split(found.poses)
+    assert [len(part) for part in parts] == [len(part.initial_poses) for part in cut(log, count)]
+    assert np.array_equal(np.concatenate(parts), found.poses)
+
+
+def test_where_the_motion_between_is_known_the_solution_is_the_uncut_one() -> None:
+    log = drive()
+    joined = join_logs(cut(log, 2))
+    k = joined.starts[1] - 1
+    motions, covariances = log.motions()
+    tie = PoseRelations(first=[k], second=[k + 1], motions=motions[k : k + 1], covariances=covariances[k : k + 1])
+    whole = solve(graph(log), tolerance=1e-10)
+    found = solve(graph(joined.log.replace(relations=tie)), tolerance=1e-10)
+    # both from the first pose; the motion that says nothing still has a weight of 1e-6
+    assert np.abs(between(found.poses[0], found.poses) - between(whole.poses[0], whole.poses)).max() < 1e-4
+
+
+def test_measurements_of_a_later_log_keep_their_poses() -> None:
+    first, second = cut(drive(), 2)
+    tie = PoseRelations(first=[0], second=[4], motions=[[1.0, 0.0, 0.1]], covariances=np.eye(3))
+    place = AbsolutePositions(steps=[3], places=[[1.0, 2.0]], covariances=np.eye(2))
+    log = join_logs([first.replace(relations=tie), second.replace(relations=tie, positions=place)]).log
+    n = first.num_poses
+    assert log.relations is not None and log.positions is not None
+    assert log.relations.first.tolist() == [0, n]
+    assert log.relations.second.tolist() == [4, n + 4]
+    assert log.positions.steps.tolist() == [n + 3]
+
+
+def test_one_log_is_itself() -> None:
+    joined = join_logs([drive()])
+    assert joined.log == drive()
+    assert joined.starts == (0, drive().num_poses)
+
+
+def test_logs_that_cannot_be_joined() -> None:
+    first, second = cut(drive(), 2)
+    with pytest.raises(GraphError, match="share no landmark"):
+        join_logs([first, second.replace(landmarks=second.landmarks + 100)])
+    with pytest.raises(LogError, match="differ in motion"):
+        join_logs([first, second.replace(motion=MotionModel(nn=0.3))])
+    with pytest.raises(LogError, match="sightings of 2 numbers"):
+        join_logs([first, second.without_orientation()])
+    with pytest.raises(LogError, match="has no controls"):
+        join_logs([first.replace(controls=None, dt=None, control_starts=None, recorded_dt=None), second])
+    for wrong in (first, [first, "log"], []):
+        with pytest.raises(OptionError, match="join_logs"):
+            join_logs(wrong)  # type: ignore[arg-type]
