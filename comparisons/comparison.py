@@ -261,7 +261,9 @@ class Comparison(Displayed):
             told += f"; in the median it is {shown}"
         if max(medians.values(), default=ratio) > DOUBTFUL:
             whose = (
-                "that of odometry and that of sightings cannot both be right" if len(medians) > 1 else "it is too small"
+                "the noise of odometry and that of sightings cannot both be right"
+                if len(medians) > 1
+                else "they are too small"
             )
             yield Finding(
                 "too little noise",

@@ -44,8 +44,7 @@ Given = TypeVar("Given", bound=LogOptions)
 DIFFERENT = 6.0
 #: where noise options are given for a log whose noise is not known
 NOT_ESTIMATED = (
-    "noise options are given, so that no noise and no biases are estimated from this log; with --noise auto, all that is not "
-    "given is"
+    "noise or biases are given by options, so that nothing is estimated from this log; --noise auto estimates the rest"
 )
 #: options that only a file or folder has; a `Log` has been read already
 OF_FILES = ("format", "robot", "strict")
@@ -144,7 +143,7 @@ def _with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log
     try:
         return with_checked_ids(log, motion, sensor)
     except (GraphError, LogError) as error:
-        return log.replace(notes=(*log.notes, f"the ids were not checked: {error}"))
+        return log.replace(notes=(*log.notes, f"the ids were not checked, because {str(error).rstrip('.')}"))
 
 
 def _compared_with_estimate(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:

@@ -6,7 +6,9 @@ covariance of the prediction, its log density is that of Student's t with nu deg
 
     log p(e) = log Gamma((nu + d)/2) - log Gamma(nu/2) - d/2 log(nu pi) - 1/2 log|S| - (nu + d)/2 log(1 + e' S^-1 e / nu).
 
-All candidates predict the same sightings, as they were recorded, so that a candidate with wide noise gains nothing from it.
+All candidates predict the same sightings with the same ids, as recorded but for ids that were corrected, so that a candidate
+with wide noise gains nothing from it. Sightings of one part share the error of its odometry, so that their sum says less than
+that of as many independent ones.
 """
 
 from __future__ import annotations
@@ -23,8 +25,9 @@ from ..se2 import Array
 from .sighting_errors import Predictions
 from .unknowns import DEGREES_SIGHTINGS, Unknowns
 
-#: the duration of a part that is left out [s], every which part is left out at once, and the steps to the new solution
-DURATION, FOLDS, STEPS = 10.0, 3, 3
+#: the duration of a part that is left out [s], every which part is left out at once, and the steps to the new solution,
+#: before and after what edges hide is known
+DURATION, FOLDS, STEPS = 10.0, 3, (3, 2)
 #: a drive with fewer parts tells nothing
 FEWEST_PARTS = 6
 
@@ -42,8 +45,9 @@ class LeftOut:
     densities: Mapping[str, float]
 
     def gain(self, name: str, over: str) -> float:
-        """How much more probable all these sightings are with one candidate than with another, as a logarithm."""
-        return self.count * (self.densities[name] - self.densities[over]) if self.count else 0.0
+        """The sum of the log densities with one candidate minus that with another."""
+        both = self.count and name in self.densities and over in self.densities
+        return self.count * (self.densities[name] - self.densities[over]) if both else 0.0
 
     @property
     def best(self) -> str:
@@ -70,7 +74,10 @@ def left_out(drive: Log, candidates: Mapping[str, Unknowns], rng: np.random.Gene
     assert drive.times is not None
     if drive.times[-1] - drive.times[0] < FEWEST_PARTS * DURATION:
         return LeftOut(0, dict.fromkeys(candidates, 0.0))
-    each = {name: _log_densities(drive, candidate, rng) for name, candidate in candidates.items()}
+    seed = int(rng.integers(2**32))
+    # the same random signs for all
+    each = {name: _log_densities(drive, one, np.random.default_rng(seed)) for name, one in candidates.items()}
+    each = {name: values for name, values in each.items() if np.isfinite(values).any()}
     told = np.isfinite(sum(each.values(), np.zeros(len(drive.steps))))
     count = int(np.count_nonzero(told))
     return LeftOut(count, {name: float(np.mean(values[told])) if count else 0.0 for name, values in each.items()})
@@ -88,16 +95,18 @@ def _log_densities(drive: Log, candidate: Unknowns, rng: np.random.Generator) ->
         own = len(names) + np.arange(len(landmarks))
         try:
             rest = Unknowns(drive, np.where(fold == k, own, landmarks.ravel()), candidate.sensor, candidate)
-            rest.iterate(STEPS)
+            rest.iterate(STEPS[0])
+            rest.hide(rest.linearized())
+            rest.iterate(STEPS[1])
             rows = np.flatnonzero((fold == k) & np.isin(landmarks.ravel(), rest.ids))
             edges, errors = Predictions(rest, rng).compare(
                 drive, rows, np.searchsorted(rest.ids, landmarks.ravel()[rows])
             )
+            covariances = rest.covariances(edges) + errors @ np.swapaxes(errors, 1, 2) / errors.shape[2]
+            found[rows] = student_t(edges.residuals, covariances)
         except (GraphError, np.linalg.LinAlgError):
+            # this part tells nothing with this candidate
             continue
-        found[rows] = student_t(
-            edges.residuals, rest.covariances(edges) + errors @ np.swapaxes(errors, 1, 2) / errors.shape[2]
-        )
     return found
 
 

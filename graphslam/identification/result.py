@@ -20,7 +20,7 @@ KINDS = {
 }
 #: what predicts sightings that are left out, as `LeftOut` names it
 ESTIMATE, DEAD_RECKONING, BOOK_NOISE, GIVEN_NOISE = (
-    "the estimate from this log", "dead reckoning", "the book's noise", "the given noise"
+    "the estimate from this log", "dead reckoning", "the book's noise", "the noise that was given"
 )  # fmt: skip
 #: a log tells a bias where its standard deviation is below so many times that of the prior
 TOLD = 0.7
@@ -147,7 +147,8 @@ class RobotEstimate:
             lines.append(self.left_out.sentence)
         if self.basis == DEAD_RECKONING:
             lines.append(
-                "dead reckoning predicts them as well or better: the odometry is taken as it is, with hardly any noise"
+                "dead reckoning predicts these sightings as well or better: the odometry is taken as it is, with hardly any "
+                "noise"
             )
         elif self.nearly_exact:
             lines.append(

@@ -34,7 +34,7 @@ from .left_out import LeftOut, left_out
 from .restricted_likelihood import improve_variances, log_likelihood
 from .result import BOOK_NOISE, DEAD_RECKONING, ESTIMATE, GIVEN_NOISE, KINDS, MANY_MISREAD, RobotEstimate
 from .sighting_errors import LAGS, SHORT, Ids, checked_ids, correlations, inflation, smoothed
-from .unknowns import HELD, Unknowns
+from .unknowns import Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
 PAUSES = (2.0, 10.0)
@@ -57,9 +57,8 @@ CONVINCING = 1.0
 #: below this gain of the log likelihood, divided by the sightings that count as one, odometry counts as nearly exact; and the
 #: seconds for one sighting of each landmark in the second test
 NEEDED, MORE = 8.0, 1.0
-#: dead reckoning has this part of the standard deviations of typical noise; where the estimate makes the sightings that are
-#: left out less than exp(`NEEDED`) times as probable, odometry counts as nearly exact, and another candidate is taken where
-#: it makes them more than exp(`CLEARLY`) times as probable
+#: dead reckoning has this part of the standard deviations of typical noise; sums of log densities that differ by less than
+#: this are alike
 HARDLY_ANY, CLEARLY = 1 / 100, 2.0
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = {"sightings": 60, "poses": 20}
@@ -158,18 +157,20 @@ def _estimate(
     dead_reckoning = _fitted(_with_dead_reckoning(second), ROUNDS[2])[0]
     compared = _compared(sparse, second, dead_reckoning, *other, rng)
     nearly_exact = _is_exact(named, sparse, used, second, exact, rng)
-    if nearly_exact or (compared.count and compared.gain(ESTIMATE, DEAD_RECKONING) < NEEDED):
-        nearly_exact, second, held = True, exact, held_with_exact
+    if nearly_exact:
+        second, held = exact, held_with_exact
         compared = _compared(sparse, second, dead_reckoning, *other, rng)
-    basis = compared.best if compared.gain(compared.best, ESTIMATE) > CLEARLY else ESTIMATE
-    if compared.count and set(KINDS["odometry"]) <= set(held) and compared.gain(ESTIMATE, DEAD_RECKONING) < CLEARLY:
-        # a robot whose odometry shows neither biases nor noise
+    basis = ESTIMATE
+    if compared.count >= ENOUGH and compared.gain(other[0], ESTIMATE) > CLEARLY:
+        basis = other[0]
+    # few sightings predict well from odometry with biases, too: only where the log shows neither these nor noise
+    exact_and_unbiased = nearly_exact and set(KINDS["odometry"]) <= set(held)
+    if exact_and_unbiased and compared.count and compared.gain(ESTIMATE, DEAD_RECKONING) < CLEARLY:
         basis = DEAD_RECKONING
     if basis == other[0]:
         return _known(log, ids, *other, compared)
     if basis == DEAD_RECKONING:
         second = dead_reckoning
-        held = dict.fromkeys(KINDS["odometry"], HELD) | held
     rho = _correlations(named, sparse, used, second, rng)
     factor = COMMON * inflation(named, rho) if rho[:SHORT].max() >= HARDLY else 1.0
     if factor > 1:
