@@ -27,6 +27,7 @@ from graphslam.calibration import Calibration
 from graphslam.calibration.unidentified import robot_of
 from graphslam.errors import quoted
 from graphslam.files import check_file
+from graphslam.identification.result import ESTIMATE
 from graphslam.identification.robot import enough_ids, estimate_robot, known_robot, unknown_noise, with_checked_ids
 from graphslam.keyframes import with_poses_every
 from graphslam.landmark_map import as_map
@@ -40,8 +41,9 @@ from .options import AUTO, BOOK, CalibrationOptions, LogOptions, MapOptions, Noi
 
 Given = TypeVar("Given", bound=LogOptions)
 
-#: a noise file does not fit a log that shows biases of so many standard errors after its corrections
-DIFFERENT = 6.0
+#: a noise file does not fit a log that shows biases of so many standard errors after its corrections, or motions with so many
+#: times its noise, or an n-th of it
+DIFFERENT, TIMES = 6.0, 4.0
 #: where noise options are given for a log whose noise is not known
 NOT_ESTIMATED = (
     "noise or biases are given by options, so that nothing is estimated from this log; --noise auto estimates the rest"
@@ -157,12 +159,24 @@ def _compared_with_estimate(log: Log, motion: MotionModel, sensor: SensorModel) 
         log = log.replace(notes=(*log.notes, found.left_out.sentence))
     p = found.parameters
     away = zip(p.names, p.values.tolist())
-    left = [name for name, value in away if abs(value - p.priors[name][0]) > DIFFERENT * p.deviations[name]]
-    if not left:
+    shown = []
+    if left := [name for name, value in away if abs(value - p.priors[name][0]) > DIFFERENT * p.deviations[name]]:
+        shown.append(f"{p.sentence_of(left)} after its corrections")
+    # standard deviations of the usual motion, (x, y, heading), and which of them differ
+    found_by, of_file = (np.diagonal(log.motions(each)[1], axis1=1, axis2=2) for each in (found.motion, motion))
+    ratios = np.sqrt(np.median(found_by / of_file, axis=0))
+    if found.left_out.best == ESTIMATE and not found.nearly_exact:
+        differ = [
+            f"{ratio:.2g} times that of the file in the {name}"
+            for name, ratio in zip(("distance", "heading"), ratios[[0, 2]].tolist())
+            if max(ratio, 1 / ratio) > TIMES
+        ]
+        shown += [f"noise of the motion that is {' and '.join(differ)}"] if differ else []
+    if not shown:
         return log
     doubt = (
-        f"the noise file does not fit this log, which shows {p.sentence_of(left)} after its corrections. Is the file of "
-        "another robot, or has the robot changed? Compare with --noise auto"
+        f"the noise file does not fit this log, which shows {' and '.join(shown)}. Is the file of another robot, or has the "
+        "robot changed? Compare with --noise auto"
     )
     return log.replace(doubts=(*log.doubts, ("another robot's noise", doubt)))
 

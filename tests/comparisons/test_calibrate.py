@@ -329,13 +329,21 @@ def test_a_noise_file_of_the_robot_corrects_misread_ids(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again["graph"].poses, with_file["graph"].poses)
 
 
-def test_a_noise_file_with_wrong_biases_is_doubted(tmp_path: Path) -> None:
+def test_a_noise_file_of_another_robot_is_doubted(tmp_path: Path) -> None:
     log = Drive(seed=5, duration=150.0, landmarks=20).simulate()[0]
     right = Calibration.of(estimate_robot(log))
-    for scale, doubted in ((1.0, False), (1.03, True)):
-        write_noise(replace(right, wheel_scale=scale * right.wheel_scale), tmp_path / "noise.toml", "drive")
-        found = run(log, estimators=["graph"], noise=tmp_path / "noise.toml").findings
-        assert any("does not fit this log" in each.message for each in found) is doubted
+    assert right.motion is not None
+    slight = MotionModel(**{name: value / 10 for name, value in vars(right.motion).items()})
+    for file, doubt in (
+        (right, None),
+        (replace(right, wheel_scale=1.03 * right.wheel_scale), "wheel_scale"),
+        (replace(right, motion=slight), "noise of the motion that is"),
+    ):
+        write_noise(file, tmp_path / "noise.toml", "drive")
+        found = run(log, estimators=["graph"], noise=tmp_path / "noise.toml")
+        doubts = [each.message for each in found.findings if "does not fit this log" in each.message]
+        assert [doubt is not None and doubt in each for each in doubts] == ([] if doubt is None else [True])
+        assert any("mean log density" in note and "the noise that was given" in note for note in found.log.notes)
 
 
 def test_ids_that_are_not_checked(invoke: Invoke, tmp_path: Path) -> None:
