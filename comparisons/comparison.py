@@ -124,8 +124,13 @@ class Comparison(Displayed):
     @property
     def noise_source(self) -> dict[str, str]:
         """Where each noise model comes from: "book", "log" (or its reader), "file", "estimated" from this log, or "given"."""
+        found = self.options.calibration
+        if self.options.noise == AUTO and found is not None:
+            # numbers beside --noise auto come first
+            same = {name: _noise(used) == _noise(getattr(found, name) or used) for name, used in self.models.items()}
+            return {name: "estimated" if as_found else "given" for name, as_found in same.items()}
         if self.options.noise is not None:
-            return dict.fromkeys(self.models, "estimated" if self.options.noise == AUTO else "file")
+            return dict.fromkeys(self.models, "file")
         return {
             name: "book"
             if _noise(used) == _noise(MODELS[name]())

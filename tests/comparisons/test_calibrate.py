@@ -363,3 +363,13 @@ def test_ids_that_are_not_checked(invoke: Invoke, tmp_path: Path) -> None:
     )
     with pytest.raises(OptionError, match="always checks ids"):
         run(log, estimators=["graph"], check_ids=False)
+
+
+def test_options_beside_the_estimate_are_given_and_alone_switch_it_off() -> None:
+    log = Drive(seed=5, duration=70.0, landmarks=20).simulate()[0]
+    beside = run(log, estimators=["dead-reckoning"], noise="auto", nn=0.01)
+    assert beside.noise_source == {"motion": "given", "sensor": "estimated"}
+    assert beside.models["motion"].nn == 0.01
+    alone = run(log, estimators=["dead-reckoning"], nn=0.01)
+    assert alone.noise_source == {"motion": "given", "sensor": "book"}
+    assert any("--noise auto estimates the rest" in note for note in alone.log.notes)
