@@ -62,8 +62,9 @@ NEEDED, MORE = 8.0, 1.0
 HARDLY_ANY, CLEARLY = 1 / 100, 2.0
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = {"sightings": 60, "poses": 20}
-#: of longer logs only so many sightings are used at once where this is enough, and so many for correlations
-MOST, MOST_CORRELATED = 6000, 12_000
+#: of longer logs only so many sightings are used at once where this is enough, so many for correlations, and so many of the
+#: few that are far apart to compare candidates
+MOST, MOST_CORRELATED, MOST_COMPARED = 6000, 12_000, 500
 
 
 #: the choices of the option ``noise``: from the log, or the lectures' values
@@ -154,12 +155,14 @@ def _estimate(
     held, held_with_exact = _hold_needless(second), _hold_needless(exact)
     place = {name: getattr(sensor, name) for name in SensorModel.GEOMETRY}
     other = (GIVEN_NOISE, given) if given else (BOOK_NOISE, (MotionModel(), SensorModel(**place)))
-    dead_reckoning = _fitted(_with_dead_reckoning(second), ROUNDS[2])[0]
-    compared = _compared(sparse, second, dead_reckoning, *other, rng)
+    part = _beginning(sparse, MOST_COMPARED)
+    begun = second if part is sparse else Unknowns(part, part.landmarks, sensor, second)
+    dead_reckoning = _fitted(_with_dead_reckoning(begun), ROUNDS[1])[0]
+    compared = _compared(part, second, dead_reckoning, *other, rng)
     nearly_exact = _is_exact(named, sparse, used, second, exact, rng)
     if nearly_exact:
         second, held = exact, held_with_exact
-        compared = _compared(sparse, second, dead_reckoning, *other, rng)
+        compared = _compared(part, second, dead_reckoning, *other, rng)
     basis = ESTIMATE
     if compared.count >= ENOUGH and compared.gain(other[0], ESTIMATE) > CLEARLY:
         basis = other[0]
