@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .measurements import AbsolutePositions, PoseRelations
     from .models import MotionModel, SensorModel
     from .online import OnlineSolver, solve_online
-    from .sessions import Sessions, join_logs
+    from .sessions import join_logs
     from .simulation.drives import Drive
     from .simulation.simulator import simulate
     from .simulation.worlds import World, sample_log_path
@@ -67,7 +67,7 @@ _PUBLIC = {
     "simulation.simulator": "simulate",
     "sources.streams": "Stream",
     "formats.synchronize": "synchronize",
-    "sessions": "Sessions join_logs",
+    "sessions": "join_logs",
     "simulation.worlds": "World sample_log_path",
 }
 __getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)
