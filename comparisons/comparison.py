@@ -35,9 +35,10 @@ from .failures import noted
 from .memory import Announce, announce_memory
 from .noise_files import write_noise
 from .options import AUTO, DOUBTFUL, MODELS, LimitOptions, OutputOptions, RunOptions
-from .reading import prepare
+from .reading import LogOrPath, prepare
 from .results import EstimatorResult, typical_costs
 from .saving import SavedFiles, fill_results, new_directory, write_json
+from .sessions import documents_of_sessions
 from .sightings import association_document
 
 
@@ -98,7 +99,7 @@ class Comparison(Displayed):
         results: in the order of the estimators.
         skipped: the estimators that failed, and those of the default list that cannot run on this log or would take too
             long, with the reason.
-        source: the file or folder of the log, where there is one.
+        source: the file or folder of the log, where there is one; of several logs that of each.
         options: of the run, noise models filled in.
         estimators: the names that were asked for; None for all.
         time_limit: of each estimator [s]; None for none.
@@ -107,7 +108,7 @@ class Comparison(Displayed):
     log: Log
     results: tuple[EstimatorResult, ...]
     skipped: tuple[Skipped, ...] = ()
-    source: Path | None = None
+    source: Path | tuple[Path | None, ...] | None = None
     options: RunOptions = field(default_factory=RunOptions)
     estimators: tuple[str, ...] | None = None
     time_limit: float | None = None
@@ -125,9 +126,9 @@ class Comparison(Displayed):
     def noise_source(self) -> dict[str, str]:
         """Where each noise model comes from: "book", "log" (or its reader), "file", "estimated" from this log, or "given"."""
         found = self.options.calibration
-        if self.options.noise == AUTO and found is not None:
-            # numbers beside --noise auto come first
-            same = {name: _noise(used) == _noise(getattr(found, name) or used) for name, used in self.models.items()}
+        if self.options.noise == AUTO:
+            # numbers beside --noise auto come first; of several logs no estimate is that of all
+            same = {n: _noise(used) == _noise(getattr(found, n, None) or used) for n, used in self.models.items()}
             return {name: "estimated" if as_found else "given" for name, as_found in same.items()}
         if self.options.noise is not None:
             return dict.fromkeys(self.models, "file")
@@ -150,10 +151,16 @@ class Comparison(Displayed):
     def metrics(self) -> dict[str, Metrics]:
         """The metrics of every result against the ground truth, by name."""
         truth, landmarks = self.log.true_poses, self.log.true_landmarks
+        # a row that does not count between two sessions, so that no motion leads from the one to the other
+        ends = [drive.start for drive in self.log.drives[1:]]
+        truth = None if truth is None else np.insert(truth, ends, np.nan, axis=0)
         return {
-            r.name: evaluate(truth, landmarks, self.log.at_truth(r.poses), r.landmarks, mask=r.estimated, named=r.named)
+            r.name: evaluate(
+                truth, landmarks, np.insert(self.log.at_truth(r.poses), ends, 0.0, axis=0), r.landmarks,
+                mask=np.insert(r.estimated, ends, False), named=r.named,
+            )
             for r in self.results
-        }
+        }  # fmt: skip
 
     @cached_property
     def nees(self) -> dict[str, float | None]:
@@ -232,7 +239,8 @@ class Comparison(Displayed):
         by_name |= {entry.name: _SKIPPED | {"name": entry.name, "reason": entry.reason} for entry in self.skipped}
         return document(
             RunDocument,
-            log=describe(self.log, self.source),
+            log=describe(self.log, None if isinstance(self.source, tuple) else self.source),
+            sessions=documents_of_sessions(self),
             noise={n: {"source": self.noise_source[n], "model": asdict(model)} for n, model in self.models.items()},
             robot=None if self.options.calibration is None else self.options.calibration.to_json(),
             estimators=[by_name[row.name] for row in self.table],
@@ -358,7 +366,7 @@ Progress = Callable[[str, EstimatorResult | Skipped | None], None]
 
 
 def run(
-    log: Log | str | PathLike[str] | None = None,
+    log: LogOrPath | Sequence[LogOrPath] = None,
     *,
     estimators: Sequence[str] | str | None = None,
     time_limit: float | None = None,
@@ -368,7 +376,8 @@ def run(
     """Run estimators on a log: ``run().table``, ``run("my.npz", estimators=["graph", "gtsam"], edges="virtual")``.
 
     Args:
-        log: a log, the file or folder of one, or None for the sample log of the package.
+        log: a log, the file or folder of one, or None for the sample log of the package; or a list of several logs of one
+            place, which are joined (`graphslam.join_logs`).
         estimators: names from `estimators.ESTIMATORS`; default: all. One that fails or cannot run on this log becomes a
             row with the reason, as does one that is not named and would take too long or repeat another.
         time_limit: of each estimator [s], without compiling. One that takes longer is stopped and becomes a row with the
@@ -386,7 +395,7 @@ def run(
 
 
 def compare(
-    log: Log | str | PathLike[str] | None,
+    log: LogOrPath | Sequence[LogOrPath],
     options: RunOptions,
     *,
     estimators: Sequence[str] | str | None = None,

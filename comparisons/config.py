@@ -27,12 +27,21 @@ from .toml_files import TomlFile, to_toml
 
 
 def config_text(
-    source: Path | None, estimators: Sequence[str] | None, options: RunOptions, *, time_limit: float | None = None
+    source: Path | tuple[Path | None, ...] | None,
+    estimators: Sequence[str] | None,
+    options: RunOptions,
+    *,
+    time_limit: float | None = None,
 ) -> str:
     """The configuration of a run as TOML; options that were chosen by the log are left out."""
+    paths = [path for path in (source if isinstance(source, tuple) else (source,)) if path is not None]
+    # logs that come from no file cannot be named
+    named = bool(paths) and (not isinstance(source, tuple) or len(paths) == len(source))
+    names = [_path_text(path.absolute()) for path in paths] if named else []
     table: dict[str, Any] = {
-        "log": None if source in (None, sample_log_path()) else _path_text(Path(source).absolute()),
-        "log_sha256": None if source is None else sha256_of(source),
+        "log": None if not named or paths == [sample_log_path()] else names[0],
+        "others": names[1:] or None,
+        "log_sha256": sha256_of(*paths) if named else None,
         "estimators": estimators,
         "time_limit": time_limit,
         **{each.name: value for each, value in options.changed() if each.only != "python"},
@@ -58,7 +67,7 @@ def read_config(path: Path) -> dict[str, Any]:
         FormatError: the file is not valid TOML, has an unknown key, or an impossible value; with the line.
     """
     file = TomlFile(path)
-    of_run = {"log": str, "log_sha256": str, "estimators": list, "time_limit": float}
+    of_run = {"log": str, "others": list, "log_sha256": str, "estimators": list, "time_limit": float}
     values = {key: file.value(file.table, key, kind) for key, kind in of_run.items() if key in file.table}
     known = options_of(RunOptions)
     rest = {key: value for key, value in file.table.items() if key not in of_run}
@@ -72,6 +81,8 @@ def read_config(path: Path) -> dict[str, Any]:
     for key in ("log", "noise", "map"):
         if key in values and (key == "log" or Path(values[key]) not in (AUTO, BOOK)):
             values[key] = path.parent / _path_of(values[key])
+    if "others" in values:
+        values["others"] = [path.parent / _path_of(str(each)) for each in values["others"]]
     return values
 
 
@@ -86,15 +97,16 @@ def _path_of(text: str | Path) -> Path:
     return Path(os.fsdecode(unquote_to_bytes(uri[7:])) if uri.startswith("file:///") else text)
 
 
-def check_unchanged(log: Path | None, sha256: str) -> None:
-    """Raise `OptionError` unless the content of a log (None: the sample log) has this SHA-256."""
-    path = sample_log_path() if log is None else log
-    if not path.is_dir():
-        check_file(path)
-    if sha256_of(path) != sha256:
+def check_unchanged(logs: Sequence[Path | None], sha256: str) -> None:
+    """Raise `OptionError` unless the content of logs (None: the sample log) has this SHA-256."""
+    paths = [sample_log_path() if log is None else log for log in logs]
+    for path in paths:
+        if not path.is_dir():
+            check_file(path)
+    if sha256_of(*paths) != sha256:
         raise OptionError(
-            f"{path} has changed since the configuration was saved (SHA-256); take the key log_sha256 out of the "
-            "configuration to run on the file as it is"
+            f"{' or '.join(map(str, paths))} has changed since the configuration was saved (SHA-256); take the key "
+            "log_sha256 out of the configuration to run on the file as it is"
         )
 
 

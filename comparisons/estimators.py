@@ -27,7 +27,7 @@ from graphslam.se2 import wrap
 
 from .association import identified
 from .failures import noted
-from .filters import FILTER, LOCALISATION, fastslam1, fastslam2, mcl
+from .filters import FILTER, LOCALISATION, check_one_drive, fastslam1, fastslam2, mcl
 from .option import options_of
 from .options import FrontEndOptions, GraphOptions, RunOptions
 from .results import EstimatorResult
@@ -117,6 +117,7 @@ def dead_reckoning(log: Log, options: RunOptions) -> EstimatorResult:
 def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """The lectures' program as it stands, with the book's threshold; J is the world-frame cost that it works on."""
     _no_map("textbook", options)
+    check_one_drive("textbook", log)
     edges = options.edges
     if edges not in graphslam.textbook.THRESHOLDS:
         edges = "virtual" if log.controls is None else "virtual+motion"
@@ -245,6 +246,7 @@ def _no_gnc(options: RunOptions) -> None:
 def particle_gibbs(log: Log, options: RunOptions) -> EstimatorResult:
     """Particle Gibbs: the means of sampled trajectories and maps, with the covariances of the samples."""
     _no_map("particle-gibbs", options)
+    check_one_drive("particle-gibbs", log)
     sampler = fastslam.ParticleGibbs(
         log, seed=options.filter.seed, threads=options.filter.threads, options=options.gibbs, motion=options.motion,
         sensor=options.sensor,

@@ -1,5 +1,7 @@
 """Trajectories and maps in files that other programs read.
 
+Of several logs that were joined each has its trajectories in files of its own, with its own clock.
+
 Trajectories are in the text format of the TUM RGB-D benchmark, one pose per line,
 
     timestamp x y z qx qy qz qw        [s, m, quaternion]; here z = qx = qy = 0, qz = sin(theta / 2), qw = cos(theta / 2)
@@ -75,30 +77,42 @@ def tum_text(times: Array, poses: Array, note: str = "") -> str:
 def texts(comparison: Comparison) -> Iterator[tuple[str, Callable[[], str]]]:
     """Every trajectory and map: the name of its file, and the function that makes its text.
 
-    They are NAME.tum and NAME-map.csv of each estimator, NAME-sightings.csv of those that gave sightings ids themselves, and
-    those of the ground truth. truth.tum has the poses at which
-    errors are measured, so that other programs find the same errors.
+    They are NAME.tum (of joined logs NAME-1.tum, NAME-2.tum, ...) and NAME-map.csv of each estimator, NAME-sightings.csv of
+    those that gave sightings ids themselves, and those of the ground truth. truth.tum has the poses at which errors are
+    measured, so that other programs find the same errors.
     """
     log = comparison.log
     times, between = times_of(log), control_path(log, comparison.options.motion, interval=INTERVAL)
     if log.true_poses is not None:
         where = log.truth_place
         note = f"positions of the point {where} of the robot's pose, which the other files hold" if where else ""
-        yield "truth.tum", partial(tum_text, times[log.covered], log.true_poses[log.covered], note)
+        for number, drive, late in _clocks(log):
+            known = np.flatnonzero(log.covered[drive]) + drive.start
+            yield f"truth{number}.tum", partial(tum_text, times[known] + late, log.true_poses[known], note)
     if log.true_landmarks:
         yield "truth-map.csv", partial(map_text, log.true_landmarks, {})
     for result in comparison.results:
-        yield f"{result.name}.tum", partial(_path_text, between, result)
+        for number, drive, late in _clocks(log):
+            yield f"{result.name}{number}.tum", partial(_path_text, between, result, drive, late)
         if result.association is not None:
             yield f"{result.name}-sightings.csv", partial(sightings_text, log, result)
         if result.landmarks:
             yield f"{result.name}-map.csv", partial(map_text, result.landmarks, result.landmark_covariances)
 
 
-def _path_text(between: ControlPath, result: EstimatorResult) -> str:
+def _clocks(log: Log) -> Iterator[tuple[str, slice, float]]:
+    """For each of several joined logs its number in names of files, its steps, and how late its own clock is [s]."""
+    if not log.sessions:
+        yield "", slice(0, log.num_poses), 0.0
+    for k, (session, drive) in enumerate(zip(log.sessions, log.drives), start=1):
+        yield f"-{k}", drive, session.start_time - float(times_of(log)[drive.start])
+
+
+def _path_text(between: ControlPath, result: EstimatorResult, drive: slice, late: float) -> str:
     path = between.through(np.where(result.estimated[:, None], result.poses, np.nan))
-    known = np.isfinite(path[:, 0])
-    return tum_text(between.times[known], path[known])
+    rows = np.arange(between.rows[drive.start], between.rows[drive.stop - 1] + 1)
+    known = rows[np.isfinite(path[rows, 0])]
+    return tum_text(between.times[known] + late, path[known])
 
 
 def write_pose_graph(comparison: Comparison, path: Path) -> str | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 import fastslam
 from fastslam.samples import Samples
-from graphslam import Log, OptionError, first_fix
+from graphslam import GraphError, Log, OptionError, first_fix
 from graphslam.metrics import evaluate
 
 from .association import unused_ids
@@ -64,12 +64,22 @@ def fastslam2(log: Log, options: RunOptions) -> EstimatorResult:
 FILTERS = {"mcl": "MonteCarloLocalization", "fastslam1": "FastSLAM1", "fastslam2": "FastSLAM2"}
 
 
+def check_one_drive(name: str, log: Log) -> None:
+    """Raise `GraphError` where a log consists of several, for an estimator that follows one robot from its start."""
+    if log.sessions:
+        raise GraphError(
+            f"{name} follows one robot from its start, and these are {len(log.sessions)} logs; graph, gtsam and isam2 solve "
+            "them together"
+        )
+
+
 def particle_filter(name: str, log: Log, options: RunOptions) -> fastslam.ParticleFilter:
     """A particle filter on a log, with the options that it uses.
 
     Raises:
         SlamError: it cannot run on this log.
     """
+    check_one_drive(name, log)
     filter_class: type[fastslam.ParticleFilter] = getattr(fastslam, FILTERS[name])
     models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
     if (known := options.landmark_map) is None:

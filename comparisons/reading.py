@@ -1,13 +1,17 @@
-"""The log that the estimators work on, made from the reading and noise options; `calibrate` estimates the noise of logs."""
+"""The log that the estimators work on, made from the reading and noise options; `calibrate` estimates the noise of logs.
+
+Several logs of one place become one (`graphslam.join_logs`).
+"""
 
 from __future__ import annotations
 
 import hashlib
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
 
@@ -20,6 +24,7 @@ from graphslam import (
     MotionModel,
     OptionError,
     SensorModel,
+    join_logs,
     load,
     sample_log_path,
 )
@@ -34,12 +39,16 @@ from graphslam.landmark_map import as_map
 from graphslam.localization import in_frame_of
 from graphslam.parameters.corrections import without_biases
 from graphslam.parameters.declared import CORRECTIONS, of_sensor_alone
+from graphslam.sessions import with_common_noise
 
 from .noise_files import read_noise
 from .option import options_of
 from .options import AUTO, BOOK, CalibrationOptions, LogOptions, MapOptions, NoiseOptions, ReadingOptions
 
 Given = TypeVar("Given", bound=LogOptions)
+
+#: a log, or the file or folder of one; None is the sample log
+LogOrPath = Log | str | PathLike[str] | None
 
 #: a noise file does not fit a log that shows biases of so many standard errors after its corrections, or motions with so many
 #: times its noise, or an n-th of it
@@ -52,37 +61,47 @@ NOT_ESTIMATED = (
 OF_FILES = ("format", "robot", "strict")
 
 
-def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log, Path | None, Given]:
+def prepare(
+    log: LogOrPath | Sequence[LogOrPath], options: Given
+) -> tuple[Log, Path | tuple[Path | None, ...] | None, Given]:
     """The log with the changes that the options ask for, its file or folder, and the options with the noise models filled in.
 
     Args:
-        log: a log, a file or folder, or None for the sample log of the package.
+        log: a log, a file or folder, or None for the sample log of the package; or several logs of one place, which are
+            joined.
         options: their reading and noise options are applied.
 
     Returns:
-        The log; where it came from, None for a `Log`; the options, whose noise models are those of the options, else
-        those of the noise file, else those of the log, else those estimated from it, else the book's. Its ``noise`` is
-        `AUTO` where they were estimated, with what was found as its ``calibration``, or the noise file; its ``numbers``
-        are those of the filters. With a map the log is in its frame, and the map its ``landmark_map``.
+        The log; where it came from, None for a `Log`, or that of each of several; the options, whose noise models are those
+        of the options, else those of the noise file, else those of the log, else those estimated from it, else the book's.
+        Its ``noise`` is `AUTO` where they were estimated, with what was found as its ``calibration`` where there is one log,
+        or the noise file; its ``numbers`` are those of the filters. With a map the log is in its frame, and the map its
+        ``landmark_map``.
 
     Raises:
         FormatError: a file cannot be read.
         LogError: the log lacks what is asked for, or a corrected range would not be above zero.
         OptionError: an option does not apply to this log.
-        GraphError: the log does not fit the map.
+        GraphError: the log does not fit the map, or logs share no landmarks.
     """
-    data, source = read_log(log, options)
-    data, values, found = _with_noise(data, options)
+    found: Calibration | None = None
+    source: Path | tuple[Path | None, ...] | None
+    if several(log):
+        data, source, values, estimated = _joined(log, options)
+    else:
+        data, source = read_log(log, options)
+        data, values, found = _with_noise(data, options)
+        estimated = found is not None
     values |= {name: value for name in values if (value := getattr(options, name)) is not None}
     corrected: dict[str, Any] = {n: None if value == CORRECTIONS[n] else value for n, value in values.items()}
     # the place of the sensor that was given is where the estimate began
-    numbers = {n: v for n, v in options.numbers.items() if not (found and n in SensorModel.GEOMETRY)}
+    numbers = {n: v for n, v in options.numbers.items() if not (estimated and n in SensorModel.GEOMETRY)}
     motion, sensor = replace(options, numbers=numbers).models(data.motion, data.sensor)
     data = without_biases(data, motion=motion, sensor=sensor, **values)
     of_file = options.noise not in (None, AUTO, BOOK)
-    if check_ids := (of_file if options.check_ids is None else options.check_ids) and found is None:
+    if check_ids := (of_file if options.check_ids is None else options.check_ids) and not estimated:
         data = _with_checked_ids(data, motion, sensor)
-    if options.check_ids is False and found is not None:
+    if options.check_ids is False and estimated:
         raise OptionError(
             "the estimate from the log always checks ids; without it, name the noise (--noise FILE, --noise book)"
         )
@@ -99,13 +118,29 @@ def prepare(log: Log | str | PathLike[str] | None, options: Given) -> tuple[Log,
         in_map = {"landmark_map": landmark_map}
     filled: dict[str, Any] = {
         "numbers": {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)},
-        "noise": AUTO if found else options.noise if of_file else None,
+        "noise": AUTO if estimated else options.noise if of_file else None,
         "motion": motion,
         "sensor": sensor,
         "calibration": found,
         "check_ids": check_ids or None,
     }
     return data, source, replace(options, **filled, **corrected, **in_map)
+
+
+def several(log: LogOrPath | Sequence[LogOrPath]) -> TypeGuard[Sequence[LogOrPath]]:
+    """Whether this is a list of logs."""
+    return isinstance(log, (list, tuple))
+
+
+def _joined(
+    logs: Sequence[LogOrPath], options: LogOptions
+) -> tuple[Log, tuple[Path | None, ...], dict[str, float], bool]:
+    """Several logs as one with the same noise models for all, their files, biases, and whether noise was estimated."""
+    read = [read_log(each, options) for each in logs]
+    known = [_with_noise(data, options) for data, _ in read]
+    joined = join_logs(with_common_noise([data for data, _, _ in known])).log
+    # biases of options and of a noise file are the same for all
+    return joined, tuple(source for _, source in read), known[0][1], any(found is not None for _, _, found in known)
 
 
 def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], Calibration | None]:
@@ -192,7 +227,7 @@ def _kept(log: Log) -> str:
     return "the noise models of the log" if log.motion or log.sensor else "the book's noise models"
 
 
-def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> tuple[Log, Path | None]:
+def read_log(log: LogOrPath | Sequence[LogOrPath], options: ReadingOptions) -> tuple[Log, Path | None]:
     """The log that the reading options ask for, and its file or folder; None for a `Log`."""
     source = None
     if isinstance(log, Log):
@@ -229,12 +264,16 @@ def read_log(log: Log | str | PathLike[str] | None, options: ReadingOptions) -> 
     return (data.without_orientation() if options.dimensions == 2 else data), source
 
 
-def sha256_of(path: Path) -> str:
+def sha256_of(path: Path, *others: Path) -> str:
     """The SHA-256 of a file's content, in hexadecimal digits; of a folder, of the names and contents of its files.
+
+    That of several is the SHA-256 of theirs, one a line.
 
     Raises:
         FormatError: a file cannot be read.
     """
+    if others:
+        return hashlib.sha256("".join(f"{sha256_of(each)}\n" for each in (path, *others)).encode()).hexdigest()
     try:
         if path.is_dir():
             whole = hashlib.sha256()

@@ -36,6 +36,8 @@ def with_poses_every(log: Log, seconds: float) -> Log:
     old = ends[log.control_starts]
     lasting = np.diff(old)
     parts = pieces_of(lasting, seconds)
+    # between two sessions there is nothing to keep
+    parts[[each.start - 1 for each in log.sessions[1:]]] = 1
     if np.all(parts == 1):
         return log
     motion = np.repeat(np.arange(len(parts)), parts)
@@ -64,7 +66,9 @@ def with_poses_every(log: Log, seconds: float) -> Log:
     }
     finer = replace(finer, relations=None, positions=None)
     return replace(
-        finer, **measured, control_starts=starts, steps=kept[log.steps], true_poses=true_poses,
+        finer, **measured, control_starts=starts,
+        sessions=tuple(replace(each, start=int(kept[each.start])) for each in log.sessions),
+        steps=kept[log.steps], true_poses=true_poses,
         initial_poses=control_path(finer).through(log.initial_poses)[starts],
     )  # fmt: skip
 

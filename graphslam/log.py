@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike
 from .checks import array_of, check_positive, check_type, checked_deviations, checked_offset, first
 from .errors import LogError, OptionError, printable, quoted
 from .log_arrays import (
+    Session,
+    check_sessions,
     checked_classes,
     checked_landmarks,
     checked_starts,
@@ -69,6 +71,8 @@ class Log:
         uncertain: {name of a bias of `PARAMETERS`: standard deviation of its prior} of the biases that were
             estimated and taken out of this log. Covariances of graphs then contain what is still unknown of them.
         simulated: whether `simulate` made the log. All other logs count as real data, whose sightings may be wrong.
+        sessions: the drives or robots that the log was joined from (`graphslam.join_logs`); empty for one drive. Nothing is
+            known of the way from the end of one to the start of the next.
         name: the name of the log in messages and tables.
         notes: remarks of the reader about the data, one sentence each.
         doubts: probable mistakes that the reader found, (name of the check, sentence) each; `check_log` returns them.
@@ -99,6 +103,7 @@ class Log:
     sensor: SensorModel | None = None
     uncertain: Mapping[str, float] | None = field(default=None, compare=False)
     simulated: bool = field(default=False, compare=False)
+    sessions: tuple[Session, ...] = field(default=(), compare=False)
     name: str = field(default="log", compare=False)
     notes: tuple[str, ...] = field(default=(), compare=False)
     doubts: tuple[tuple[str, str], ...] = field(default=(), compare=False)
@@ -129,6 +134,7 @@ class Log:
         check_type(AbsolutePositions, positions=self.positions)
         for kind, measured in self.measured.items():
             measured.check_steps(kind, len(initial))
+        check_sessions(self.sessions, len(initial))
         values["truth_offset"] = checked_offset("truth_offset", self.truth_offset)
         if self.true_landmarks is not None:
             values["true_landmarks"] = checked_landmarks(self.true_landmarks)
@@ -283,6 +289,12 @@ class Log:
         return len(self.initial_poses)
 
     @property
+    def drives(self) -> list[slice]:
+        """The steps of each of the ``sessions``; all steps where there is one drive."""
+        starts = [each.start for each in self.sessions] or [0]
+        return [slice(*pair) for pair in zip(starts, [*starts[1:], self.num_poses])]
+
+    @property
     def has_orientation(self) -> bool:
         """Whether the sightings have psi."""
         return self.sightings.shape[1] == 3
@@ -359,13 +371,20 @@ class Log:
         return poses
 
     def dead_reckoning(self, motion: MotionModel | None = None) -> Array:
-        """The poses (T+1, 3) that follow from the controls and the first initial pose, noise-free.
+        """The poses (T+1, 3) that follow from the controls and the first initial pose of each session, noise-free.
 
         Raises:
             LogError: the log has no controls.
         """
         controls, dt, motion = self._driven(motion)
-        return motion.dead_reckoning(self.initial_poses[0], controls, dt)[self.control_starts]
+        drives = []
+        for drive in self.drives:
+            ends = self.control_starts[drive]
+            rows = slice(ends[0], ends[-1])
+            drives.append(
+                motion.dead_reckoning(self.initial_poses[drive.start], controls[rows], dt[rows])[ends - ends[0]]
+            )
+        return np.concatenate(drives)
 
     def motions(self, motion: MotionModel | None = None) -> tuple[Array, Array]:
         """Each motion (T, 3) and its covariance (T, 3, 3), in the frame of the pose at its start.
@@ -433,6 +452,10 @@ class Log:
             if left_out := len(measured) - len(changes[name]):
                 note = f"{left_out:,} of {len(measured):,} {name} are left out with their poses"
                 changes["notes"] = (*changes.get("notes", self.notes), note)
+        moved = [replace(each, start=int(np.searchsorted(kept, each.start))) for each in self.sessions]
+        # a session of which no pose is left ends where it starts
+        ends = [*(each.start for each in moved[1:]), len(kept)]
+        changes["sessions"] = tuple(each for each, end in zip(moved, ends) if each.start < end)
         seen = np.isin(self.steps, kept)
         changes["steps"] = np.searchsorted(kept, self.steps[seen])
         return self.with_sightings(seen, **changes)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -116,3 +117,19 @@ def whole_numbers(
     if not np.array_equal(whole, array):
         raise LogError(f"{name} must be {wanted}")
     return whole.copy()
+
+
+@dataclass(frozen=True)
+class Session:
+    """One of the drives, or robots, that a log was joined from: its name, its first step, and the time of that [s]."""
+
+    name: str
+    start: int
+    start_time: float
+
+
+def check_sessions(sessions: Sequence[Session], poses: int) -> None:
+    """Raise `LogError` unless the first steps of sessions, if there are any, increase from 0 and are below ``poses``."""
+    starts = [each.start for each in sessions]
+    if starts and (starts[0] != 0 or np.any(np.diff([*starts, poses]) <= 0)):
+        raise LogError(f"sessions start at the steps {starts}; these must increase from 0 and be below {poses}")

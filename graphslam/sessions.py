@@ -1,23 +1,27 @@
 """Several drives of one place as one log: their common landmarks tie them, and each keeps its own odometry.
 
 Between the end of a drive and the start of the next, the robot may have gone anywhere. The log has a control there that
-says nothing, with the variances `ANYWHERE`, so that all solvers, filters and checks take it like any other log. The start
-values matter: each drive is put where its first sightings fit the map of those before (`first_fix`).
+says nothing, with the variances `ANYWHERE`, so that all solvers of graphs and all checks take it like any other log, and it
+knows its `Log.sessions`. The start values matter: each drive is put where its first sightings fit the map of those before
+(`first_fix`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
 from .errors import GraphError, LogError, OptionError
 from .graph import Graph
+from .identification.robot import known_robot
 from .localization import first_fix
 from .log import Log
+from .log_arrays import Session
 from .measurements import AbsolutePositions, PoseRelations
-from .models import additional_variances
+from .models import MotionModel, SensorModel, additional_variances
 from .se2 import Array, between, compose
 from .solvers.solve import solve
 
@@ -62,10 +66,45 @@ def join_logs(logs: Sequence[Log]) -> Sessions:
     for each in logs:
         _check(each, logs[0])
     joined, starts = logs[0], [0]
+    if len(logs) > 1:
+        known = known_robot(logs[0])[0]
+        models = {"motion": known.motion or MotionModel(), "sensor": known.sensor or SensorModel()}
     for each in logs[1:]:
         starts.append(joined.num_poses)
-        joined = _joined(joined, _placed(each, joined))
+        joined = _joined(joined, _placed(each, joined, models))
     return Sessions(joined, (*starts, joined.num_poses))
+
+
+def with_common_noise(logs: Sequence[Log]) -> list[Log]:
+    """The logs with noise models that are the same in all, as one graph needs them.
+
+    Variances are the means of those of the logs, of which the ones that bring no models count with the book's. Where the
+    sensors sit in different places, sightings are given as from the mean of these.
+    """
+    motions, sensors = [each.motion or MotionModel() for each in logs], [each.sensor or SensorModel() for each in logs]
+    if len(set(motions)) == len(set(sensors)) == 1:
+        return list(logs)
+
+    def squares(models: Sequence[MotionModel | SensorModel]) -> dict[str, float]:
+        rows = [vars(each) for each in models]
+        geometry = (*SensorModel.GEOMETRY, "epsilon")
+        return {
+            name: float(np.sqrt(np.mean([row[name] ** 2 for row in rows]))) for name in rows[0] if name not in geometry
+        }
+
+    motion = MotionModel(**squares(motions), epsilon=float(np.mean([each.epsilon for each in motions])))
+    ahead, left = np.mean([each.offset for each in sensors], axis=0).tolist()
+    sensor = SensorModel(
+        **squares(sensors), offset=(ahead, left), min_range=min(each.min_range for each in sensors),
+        max_range=max(each.max_range for each in sensors), field_of_view=max(each.field_of_view for each in sensors),
+    )  # fmt: skip
+    note = f"its noise models are the means of those of {len(logs)} logs"
+    common = []
+    for log, own in zip(logs, sensors):
+        robot = np.zeros((len(log.sightings), 3))
+        seen = log.sightings if own.offset == sensor.offset else sensor.h(robot, own.h_inverse(robot, log.sightings))
+        common.append(log.replace(motion=motion, sensor=sensor, sightings=seen, notes=(*log.notes, note)))
+    return common
 
 
 def _check(log: Log, first: Log) -> None:
@@ -82,20 +121,26 @@ def _check(log: Log, first: Log) -> None:
             raise LogError(
                 f"{log.name} and {first.name} differ in {name}: {getattr(log, name)} and {getattr(first, name)}. One graph "
                 f"has one; make them the same with Log.replace({name}=...)"
+                + (", or take graphslam.sessions.with_common_noise(logs)" if name != "truth_offset" else "")
             )
+    if not log.identified:
+        raise LogError(
+            f"{log.name} has sightings without ids, and drives are joined by landmarks that are the same in all of them"
+        )
 
 
-def _placed(log: Log, before: Log) -> Log:
+def _placed(log: Log, before: Log, models: dict[str, Any]) -> Log:
     """The log with its initial poses in the frame of those before, by the map that these give."""
     if not set(log.landmark_ids.tolist()) & set(before.landmark_ids.tolist()):
-        raise GraphError(f"{log.name} and {before.name} share no landmark: do the ids mean the same ones in both?")
-    solution = solve(Graph.from_log(before, edges="landmark+motion"))
-    fix = first_fix(log, solution.map)
+        others = _listed([each.name for each in before.sessions] or [before.name])
+        raise GraphError(f"{log.name} and {others} share no landmark: do the ids mean the same ones in all of them?")
+    solution = solve(Graph.from_log(before, edges="landmark+motion", **models))
+    fix = first_fix(log, solution.map, **models)
     start = log.initial_poses[0]
     initial = compose(fix.pose, between(start, log.initial_poses))
     # without jumps of a full turn
     initial[:, 2] = fix.pose[2] + log.initial_poses[:, 2] - start[2]
-    return log.replace(initial_poses=initial, notes=(*log.notes, f"{log.name} joined: {fix.sentence}"))
+    return log.replace(initial_poses=initial, notes=(*log.notes, f"joined where {fix.sentence}"))
 
 
 def _joined(first: Log, second: Log) -> Log:
@@ -127,10 +172,27 @@ def _joined(first: Log, second: Log) -> Log:
         true_landmarks=None if truth is None else {**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,
         relations=_shifted(a.relations, b.relations, poses),
         positions=_shifted(a.positions, b.positions, poses),
-        notes=(*a.notes, *b.notes),
+        notes=(*_of_each(a, a.notes), *_of_each(b, b.notes)),
         doubts=(*a.doubts, *b.doubts),
-        name=f"{a.name} and {b.name}",
+        sessions=(
+            *(a.sessions or (Session(a.name, 0, a.start_time),)),
+            *(
+                replace(each, start=poses + each.start)
+                for each in b.sessions or (Session(b.name, 0, b.start_time),)
+            ),
+        ),
+        name=f"{a.sessions[0].name} and {len(a.sessions)} more" if a.sessions else f"{a.name} and {b.name}",
     )  # fmt: skip
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names in a sentence: A, B and C."""
+    return " and ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
+
+
+def _of_each(log: Log, remarks: Iterable[str]) -> Iterator[str]:
+    """Remarks about a log, with its name; those about logs that were joined have it already."""
+    yield from remarks if log.sessions else (f"{log.name}: {remark}" for remark in remarks)
 
 
 Records = PoseRelations | AbsolutePositions

@@ -47,6 +47,7 @@ VERBS: dict[Callable[..., None], tuple[str, ...]] = {
         "slam-compare run LOG --estimators graph,fastslam1 --particles 5000",
         "slam-compare run LOG --edges virtual --frame world --json -",
         "slam-compare run LOG --noise noise.toml --kernel huber",
+        "slam-compare run MONDAY TUESDAY WEDNESDAY",
         "slam-compare run --config results/latest/config.toml",
     ),
     report: (

@@ -22,9 +22,18 @@ if TYPE_CHECKING:
 
 
 def run(
-    output: Output, log: LogFile = None, *, chosen: EstimatorOptions, options: RunOptions, saving: OutputOptions
+    output: Output,
+    log: LogFile = None,
+    others: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="LOG ...", help="More logs of the same place, solved together.", show_default=False),
+    ] = None,
+    *,
+    chosen: EstimatorOptions,
+    options: RunOptions,
+    saving: OutputOptions,
 ) -> None:
-    """Run all estimators on one log: a table, a figure and the results as JSON."""
+    """Run all estimators on one log, or on several logs of one place: a table, a figure and the results as JSON."""
     from ..exchange import reason_without_graph
     from ..failures import noted
     from ..saving import RESULTS, check_can_make
@@ -36,8 +45,8 @@ def run(
         check_page(saving.html)
     writers = _recordings(saving)
     if saving.live:
-        _draw_live(output, log, options)
-    outcome = _compared(output, log, chosen, options)
+        _draw_live(output, [log, *others] if others else log, options)
+    outcome = _compared(output, [log, *others] if others else log, chosen, options)
     files = outcome.save(saving.out, figures=saving.figures)
     output.show(outcome)
     if saving.html is not None:
@@ -77,12 +86,13 @@ def run(
     )
     if plotly:
         output.hint(plotly)
-    output.hint(f"Interactive report:  {command('report', log, 'report.html', options=(chosen, options))}")
-    if (advice := _noise_advice(outcome, log, options)) is not None:
+    if not others:
+        output.hint(f"Interactive report:  {command('report', log, 'report.html', options=(chosen, options))}")
+    if not others and (advice := _noise_advice(outcome, log, options)) is not None:
         output.hint(advice)
     if "graph-map.npz" in files:
         output.hint(f"Localise in this map: {command('run', 'OTHER_LOG', '--map', files['graph-map.npz'])}")
-    if options.kernel != "gnc":
+    if options.kernel != "gnc" and not others:
         output.hint(f"Animation:           {command('animate', log, 'animation.gif', options=options)}")
     if "graph" in outcome and (reason := reason_without_graph(outcome)):
         output.hint(f"There is no graph.g2o: {reason}.")
@@ -180,7 +190,9 @@ def log_and_file(words: list[str], form: str) -> tuple[Path | None, Path]:
     return (Path(words[0]) if len(words) == 2 else None), Path(words[-1])
 
 
-def _compared(output: Output, log: Path | None, chosen: EstimatorOptions, options: RunOptions) -> Comparison:
+def _compared(
+    output: Output, log: Path | list[Path | None] | None, chosen: EstimatorOptions, options: RunOptions
+) -> Comparison:
     from ..comparison import compare
     from ..estimators import default_estimators
 
@@ -206,7 +218,7 @@ def _progress(output: Output, advance: Advance) -> Progress:
     return report
 
 
-def _draw_live(output: Output, log: Path | None, options: RunOptions) -> None:
+def _draw_live(output: Output, log: Path | list[Path | None] | None, options: RunOptions) -> None:
     from ..failures import noted
     from ..reading import prepare
     from ..show.text_plots import pictures

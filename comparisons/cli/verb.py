@@ -63,7 +63,7 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
         with sentences(verbose, lambda text: hint_of_import(text, options)):
             values = _without_outranked(ctx, values, options)
             if config is not None:
-                _check_log(ctx, values.get("log"))
+                _check_logs(ctx, [values.get("log"), *(values.get("others") or ())])
                 if "log" in ctx.meta[_META] and len(values.get("words") or ()) == 1:
                     # of the words [LOG] OUT
                     values["words"] = [str(ctx.meta[_META]["log"]), *values["words"]]
@@ -156,7 +156,8 @@ def _read_config(ctx: typer.Context, path: Path | None) -> Path | None:
             values = read_config(path)
         ctx.meta[_META] = values
         ctx.default_map = {
-            name: ",".join(map(str, value)) if isinstance(value, (list, tuple)) else value
+            # the other logs are several words
+            name: ",".join(map(str, value)) if isinstance(value, (list, tuple)) and name != "others" else value
             for name, value in values.items()
         }
     return path
@@ -175,13 +176,13 @@ _CONFIG = inspect.Parameter(
 )  # fmt: skip
 
 
-def _check_log(ctx: typer.Context, log: Path | None) -> None:
-    """Raise `OptionError` where the log of the configuration has changed since it was saved."""
+def _check_logs(ctx: typer.Context, logs: list[Path | None]) -> None:
+    """Raise `OptionError` where the logs of the configuration have changed since it was saved."""
     values = ctx.meta[_META]
-    if "log_sha256" in values and log == values.get("log"):
+    if "log_sha256" in values and logs == [values.get("log"), *values.get("others", ())]:
         from ..config import check_unchanged
 
-        check_unchanged(log, values["log_sha256"])
+        check_unchanged(logs, values["log_sha256"])
 
 
 def _without_outranked(ctx: typer.Context, values: dict[str, Any], options: dict[str, Option]) -> dict[str, Any]:

@@ -13,6 +13,8 @@ from .runs import (
     EvaluatedDocument,
     EvaluateDocument,
     RunDocument,
+    SessionDocument,
+    SessionErrorsDocument,
     VerdictDocument,
     certificate_document,
     parameters_document,
@@ -40,7 +42,7 @@ DOCUMENTS: dict[str, type[Document]] = {
 
 __all__ = [
     "DOCUMENTS", "AssociationDocument", "Document", "DoubtDocument", "EstimatorDocument", "EvaluateDocument",
-    "EvaluatedDocument", "VerdictDocument",
+    "EvaluatedDocument", "SessionDocument", "SessionErrorsDocument", "VerdictDocument",
     "certificate_document", "describe",
     "document", "parameters_document",
 ]  # fmt: skip

@@ -197,11 +197,38 @@ class NoiseDocument(Document):
     model: Annotated[dict[str, Any], about("fields of `graphslam.MotionModel` or `graphslam.SensorModel`")]
 
 
+class SessionErrorsDocument(Document):
+    """The errors of one estimator in one of several logs; null where the ground truth is not known."""
+
+    ate_m: Annotated[float | None, about("absolute trajectory error after the alignment of this log alone [m]")]
+    together_m: Annotated[float | None, about("the same after the common alignment of all logs [m]")]
+    rpe_m: Annotated[float | None, about("relative pose error per step [m]")]
+    rpe_rad: Annotated[float | None, about("relative pose error per step [rad]")]
+    poses_counted: Annotated[Count | None, about("number of poses that the metrics are of")]
+
+
+class SessionDocument(Document):
+    """One of several logs of a place that were solved as one."""
+
+    name: Annotated[str, about("name of the log")]
+    file: Annotated[str | None, about("file or folder it was read from")]
+    start: Annotated[Count, about("its first step among those of all logs")]
+    start_time: Annotated[float, about("the time of that by its own clock [s]")]
+    poses: Annotated[Count, about("number of its poses")]
+    sightings: Annotated[Count, about("number of its sightings")]
+    landmarks: Annotated[Count, about("number of landmarks it has seen")]
+    shared: Annotated[Count, about("number of these that another log has seen, too")]
+    estimators: Annotated[dict[str, SessionErrorsDocument], about("the errors of every estimator, by name")]
+
+
 class RunDocument(Document):
     """`slam-compare run` and `report`, comparison.json."""
 
     log: LogDocument
     noise: Annotated[dict[str, NoiseDocument], about("the noise models `motion` and `sensor` of all estimators")]
+    sessions: Annotated[
+        list[SessionDocument] | None, about("the logs, where several were solved as one; null for one log")
+    ]
     robot: Annotated[
         CalibrateDocument | None, about("noise and biases that were estimated from the log; null where none were")
     ]

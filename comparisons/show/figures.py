@@ -18,6 +18,7 @@ from graphslam.se2 import Array, compose, transform
 from ..comparison import Comparison
 from ..exchange import elapsed_of, time_axis
 from ..results import EstimatorResult
+from ..sessions import parted
 from .canvas import as_text, paper_figure, set_limits
 from .ellipses import ellipses
 from .placement import (
@@ -68,21 +69,24 @@ def _draw_map(axes: Axes, comparison: Comparison, legend: dict[str, Any]) -> Non
     core: list[Array] = []
     rest: list[Array] = []
     maps: dict[str, Any] = {}
-    aligned, start = aligned_to(log), log.initial_poses[0, :2]
+    aligned, begun = aligned_to(log), log.initial_poses[[each.start for each in log.drives]]
     between = between_poses(log, comparison.options.motion)
+    starts = [drive.start for drive in log.drives]
     if (line := true_line(log)) is not None:
+        line = parted(line, starts[1:] if log.true_path is None else log.control_starts[starts[1:]])
         (legend["ground truth"],) = axes.plot(line[:, 0], line[:, 1], **TRUTH)
         core.append(line[np.isfinite(line[:, 0]), :2])
     for result in comparison.results:
         placement = placement_of_result(log, result)
         unknown = ~result.estimated[:, None]
-        poses = placed(log, placement, between.through(np.where(unknown, np.nan, result.poses)))
+        path = parted(between.through(np.where(unknown, np.nan, result.poses)), between.rows[starts[1:]])
+        poses = placed(log, placement, path)
         axes.plot(poses[:, 0], poses[:, 1], **style_of(result.name, len(poses)))
         legend[_label(result)] = Line2D([], [], **style_of(result.name))
         (core if result is reference else rest).append(poses[np.isfinite(poses[:, 0]), :2])
         if result is reference:
             _draw_sightings(axes, comparison, np.where(unknown, np.nan, compose(placement, result.poses)))
-            start = poses[0, :2] if result.estimated[0] else start
+            begun = compose(placement, log.at_truth(np.where(unknown, log.initial_poses, result.poses)[starts]))
             if (positions := log.positions) is not None and len(positions):
                 crosses = transform(placement, positions.places[:, :2])
                 (legend["position measured"],) = axes.plot(*crosses.T, **POSITION)
@@ -99,8 +103,12 @@ def _draw_map(axes: Axes, comparison: Comparison, legend: dict[str, Any]) -> Non
     legend.update(maps)
     if log.steps.size and reference is not None:
         legend["sighting"] = Line2D([], [], **SIGHTING | {"linewidth": 0.8})
-    start = truth[0, :2] if truth is not None and log.covered[0] else start
-    (legend["start"],) = axes.plot(*start, **START)
+    if truth is not None:
+        begun = np.where(log.covered[starts, None], truth[starts], begun)
+    (legend["start" if len(starts) == 1 else "start of each log"],) = axes.plot(begun[:, 0], begun[:, 1], **START)
+    for number, place in enumerate(begun, start=1):
+        if len(starts) > 1:
+            axes.annotate(str(number), place[:2], xytext=(4, 3), textcoords="offset points", zorder=START["zorder"])
     set_limits(axes, np.concatenate(core), rest)
     how = f", aligned to {aligned}" if aligned else ""
     axes.set(xlabel="x [m]", ylabel="y [m]", title=f"(a) {as_text(log.name)}: paths and map{how}")
@@ -141,15 +149,24 @@ def _draw_landmarks(axes: Axes, result: EstimatorResult, placement: Array, solid
 def _draw_errors(axes: Axes, comparison: Comparison) -> None:
     medians, truth, elapsed = [], comparison.log.true_poses, elapsed_of(comparison.log)
     assert truth is not None
+    ends = [drive.start for drive in comparison.log.drives[1:]]
+    for end in ends:
+        axes.axvline(elapsed[end], color="0.7", linewidth=0.6, zorder=1)
     for result in comparison.results:
         if np.count_nonzero(result.estimated & comparison.log.covered) >= 2:
             errors = position_errors(truth, comparison.log.at_truth(result.poses), mask=result.estimated)
             style = style_of(result.name, len(errors))
             # errors cross each other more often than paths do
-            axes.plot(elapsed, errors, **style | {"linewidth": 0.7 * style.get("linewidth", 1.0)})
+            axes.plot(
+                parted(elapsed, ends), parted(errors, ends), **style | {"linewidth": 0.7 * style.get("linewidth", 1.0)}
+            )
             medians.append(float(np.nanmedian(errors)))
     log_scale_where_apart(axes, medians)
-    axes.set(xlabel=time_axis(comparison.log), ylabel="position error [m]", title="(b) position error of every pose")
+    axes.set(
+        xlabel=time_axis(comparison.log),
+        ylabel="position error [m]",
+        title="(b) position error of every pose" + ", log after log" * bool(ends),
+    )
     axes.margins(x=0.02)
 
 

@@ -20,9 +20,11 @@ from rich.text import Text
 
 from graphslam.errors import printable
 from graphslam.files import write_whole
+from graphslam.log_arrays import Session
 from graphslam.metrics import exchanged
 
 from ..options import DOUBTFUL
+from ..sessions import errors_of_sessions, shared_landmarks
 from ..sightings import sightings_of
 from .cells import NOTHING, LeanTable, number, optimum, seconds, word, yes_no
 from .placement import placement_of_result
@@ -215,12 +217,30 @@ def comparison_tables(comparison: Comparison) -> Tables:
     remarks += _exchanged(comparison)
     remarks += [f"{entry.name} {entry.outcome}: {entry.reason}." for entry in comparison.skipped]
     remarks += [f"{r.name} did not converge: {r.reason}." for r in comparison.results if r.converged is False]
-    notes: dict[str, list[str]] = {note: [log.name] for note in log.notes}
+    notes: dict[str, list[str]] = {note: [log.name] for note in log.notes if not log.sessions}
+    # those of several logs begin with the name of theirs
+    remarks += [f"{note}." for note in log.notes if log.sessions]
     for result in comparison.results:
         for note in comparison.notes_of(result):
             notes.setdefault(note, []).append(result.name)
     remarks += [f"{', '.join(names)}: {note}." for note, names in notes.items()]
-    return result_tables(comparison.table)[0], remarks
+    return [*result_tables(comparison.table)[0], *session_tables(comparison)], remarks
+
+
+def session_tables(comparison: Comparison) -> list[Table]:
+    """A table for each of several logs that were solved together: its errors, alone and after the common alignment."""
+    metrics = {"ate_m": "ATE\n[m]", "rpe_m": "RPE\n[m]", "rpe_rad": "RPE\n[rad]"}
+    log, tables = comparison.log, dict[Session, LeanTable]()
+    for k, (session, (seen, shared)) in enumerate(zip(log.sessions, shared_landmarks(log))):
+        drive = log.drives[k]
+        title = (
+            f"log {k + 1}, {session.name}: {drive.stop - drive.start} poses, {seen} landmarks, {shared} also in others"
+        )
+        tables[session] = LeanTable(title, ["estimator"], [*metrics.values(), "ATE in the\ncommon frame [m]"])
+    for each in errors_of_sessions(comparison):
+        alone = (number(getattr(each.alone, metric)) for metric in metrics)
+        tables[each.session].add_row(each.estimator, *alone, number(each.together_m))
+    return list(tables.values())
 
 
 def landmark_table(comparison: Comparison) -> Table | None:
@@ -259,7 +279,7 @@ def _noise_remarks(comparison: Comparison) -> list[str]:
     """Which noise models were used, and what J per degree of freedom says about them."""
     names = {
         "book": "the book's", "log": "those of the log or its reader", "file": "those of the noise file", "given": "as given",
-        "estimated": "estimated from this log",
+        "estimated": "estimated from each log, one for all" if comparison.log.sessions else "estimated from this log",
     }  # fmt: skip
     sources = {name: names[source] for name, source in comparison.noise_source.items()}
     same = len(set(sources.values())) == 1

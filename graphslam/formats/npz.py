@@ -8,8 +8,8 @@ column of NaN marks a landmark without heading), ``start_time``, and for logs wi
 ``motion`` and ``sensor``, the fields of the noise models in their order, where the log has such models; ``notes`` (N,) and
 ``doubts`` (N, 2), texts; ``relations_first``, ``relations_second``, ``relations_motions``, ``relations_covariances`` and
 ``positions_steps``, ``positions_places``, ``positions_covariances``, ``positions_levers``, the fields of `PoseRelations` and
-`AbsolutePositions`; ``uncertain`` (K, 2), names and numbers as texts; ``simulated``, where `simulate` made the log. No
-pickles.
+`AbsolutePositions`; ``uncertain`` (K, 2), names and numbers as texts; ``sessions`` (N, 3), names, steps and times as texts;
+``simulated``, where `simulate` made the log. No pickles.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from ..checks import real_array
 from ..errors import FormatError, OptionError, SlamError, reason_of
 from ..files import check_file, read_archive, write_whole
 from ..log import Log
+from ..log_arrays import Session
 from ..measurements import AbsolutePositions, PoseRelations
 from ..models import MotionModel, SensorModel
 from ..reading import ReadOptions, finite_fault, range_faults, sound_rows
@@ -85,6 +86,10 @@ def _read(path: Path, options: ReadOptions) -> Log:
             doubts=tuple((str(check), str(message)) for check, message in content.get("doubts", np.empty((0, 2)))),
             uncertain={str(name): float(number) for name, number in content.get("uncertain", np.empty((0, 2)))} or None,
             simulated=bool(content.get("simulated", False)),
+            sessions=tuple(
+                Session(str(name), int(start), float(time))
+                for name, start, time in content.get("sessions", np.empty((0, 3)))
+            ),
             name=path.stem,
         )
     except (SlamError, TypeError, ValueError) as error:
@@ -140,6 +145,8 @@ def _write(log: Log, path: Path) -> None:
         content["simulated"] = np.array(True)
     if log.uncertain:
         content["uncertain"] = np.array([(name, repr(float(number))) for name, number in log.uncertain.items()])
+    if log.sessions:
+        content["sessions"] = np.array([(each.name, str(each.start), repr(each.start_time)) for each in log.sessions])
     for name, measured in log.measured.items():
         content |= {f"{name}_{f.name}": getattr(measured, f.name) for f in fields(measured)}
     for name in ("notes", "doubts"):

@@ -85,7 +85,7 @@ def test_the_table_says_whether_the_noise_fits(log: Log) -> None:
 
 def test_json_is_what_the_design_says(comparison: Comparison, log: Log) -> None:
     payload = json.loads(json.dumps(comparison.to_json({"figure": Path("f.png")}), allow_nan=False))
-    assert set(payload) == {"log", "noise", "robot", "estimators", "files", "notes", "warnings"}
+    assert set(payload) == {"log", "noise", "robot", "sessions", "estimators", "files", "notes", "warnings"}
     assert payload["files"] == {"figure": "f.png"}
     assert payload["log"]["poses"] == log.num_poses
     for entry, result in zip(payload["estimators"], comparison.results):

@@ -53,4 +53,6 @@ def animate(log: Log | str | PathLike[str] | None = None, *, progress: Progress 
         "graph": graph_film, "association": association_film, "isam2": isam2_film, "particle-gibbs": sample_film,
     }  # fmt: skip
     make = makers.get(animation.estimator, particle_film)
-    return replace(make(data, run, animation, progress or (lambda: None)), source=source)
+    return replace(
+        make(data, run, animation, progress or (lambda: None)), source=None if isinstance(source, tuple) else source
+    )
