@@ -406,7 +406,7 @@ def compare(
     """The same as `run`, with the options as one object; ``announce`` hears of particle filters that need much memory."""
     names = None if estimators is None else check_estimators(estimators)
     time_limit = LimitOptions.of(time_limit=time_limit).time_limit
-    data, source, options = prepare(log, options)
+    data, source, options = prepare(log, options, together=True)
     if len(data.steps) == 0:
         within = "" if options.max_range is None else f" within max_range = {options.max_range:g} m"
         raise GraphError(f"{data.name} has no sightings at all{within}, so there is nothing to estimate from")

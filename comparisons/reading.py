@@ -32,6 +32,7 @@ from graphslam.calibration import Calibration
 from graphslam.calibration.unidentified import robot_of
 from graphslam.errors import quoted
 from graphslam.files import check_file
+from graphslam.formats import load_robots, robots_in
 from graphslam.identification.result import ESTIMATE
 from graphslam.identification.robot import enough_ids, estimate_robot, known_robot, unknown_noise, with_checked_ids
 from graphslam.keyframes import with_poses_every
@@ -39,6 +40,7 @@ from graphslam.landmark_map import as_map
 from graphslam.localization import in_frame_of
 from graphslam.parameters.corrections import without_biases
 from graphslam.parameters.declared import CORRECTIONS, of_sensor_alone
+from graphslam.robots import join_robots
 from graphslam.sessions import with_common_noise
 
 from .noise_files import read_noise
@@ -62,7 +64,7 @@ OF_FILES = ("format", "robot", "strict")
 
 
 def prepare(
-    log: LogOrPath | Sequence[LogOrPath], options: Given
+    log: LogOrPath | Sequence[LogOrPath], options: Given, *, together: bool = False
 ) -> tuple[Log, Path | tuple[Path | None, ...] | None, Given]:
     """The log with the changes that the options ask for, its file or folder, and the options with the noise models filled in.
 
@@ -70,6 +72,7 @@ def prepare(
         log: a log, a file or folder, or None for the sample log of the package; or several logs of one place, which are
             joined.
         options: their reading and noise options are applied.
+        together: of a data set of several robots, of which none is named, all are joined (`graphslam.robots`).
 
     Returns:
         The log; where it came from, None for a `Log`, or that of each of several; the options, whose noise models are those
@@ -88,6 +91,10 @@ def prepare(
     source: Path | tuple[Path | None, ...] | None
     if several(log):
         data, source, values, estimated = _joined(log, options)
+    elif together and (robots := _robots(log, options)):
+        assert isinstance(log, (str, PathLike))
+        source = Path(log).absolute()
+        data, values, estimated = _joined_robots(robots, options)
     else:
         data, source = read_log(log, options)
         data, values, found = _with_noise(data, options)
@@ -141,6 +148,25 @@ def _joined(
     joined = join_logs(with_common_noise([data for data, _, _ in known])).log
     # biases of options and of a noise file are the same for all
     return joined, tuple(source for _, source in read), known[0][1], any(found is not None for _, _, found in known)
+
+
+def _robots(log: LogOrPath | Sequence[LogOrPath], options: LogOptions) -> dict[int, Log]:
+    """The logs of a data set of several robots of which none is named; empty for other logs."""
+    if options.robot is not None or not isinstance(log, (str, PathLike)):
+        return {}
+    if len(robots_in(log, format=options.format)) < 2:
+        return {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return load_robots(log, format=options.format, keep_every=options.keep_every, strict=options.strict)
+
+
+def _joined_robots(robots: dict[int, Log], options: LogOptions) -> tuple[Log, dict[str, float], bool]:
+    """All robots as one log with the same noise models, biases, and whether noise was estimated."""
+    read = replace(options, format=None, keep_every=None, strict=False)
+    known = {number: _with_noise(read_log(each, read)[0], options) for number, each in robots.items()}
+    joined = join_robots({number: data for number, (data, _, _) in known.items()}).log
+    return joined, next(iter(known.values()))[1], any(found is not None for _, _, found in known.values())
 
 
 def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], Calibration | None]:

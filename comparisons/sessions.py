@@ -79,7 +79,8 @@ def documents_of_sessions(comparison: Comparison) -> list[dict[str, Any]] | None
     errors: dict[Session, dict[str, Any]] = {each: {} for each in log.sessions}
     for each in errors_of_sessions(comparison):
         errors[each.session][each.estimator] = document(SessionErrorsDocument, each, each.alone)
-    files = comparison.source if isinstance(comparison.source, tuple) else (None,) * len(log.sessions)
+    source = comparison.source
+    files = source if isinstance(source, tuple) else (source,) * len(log.sessions)
     return [
         document(
             SessionDocument, session, file=None if file is None else str(Path(file)), poses=drive.stop - drive.start,

@@ -1,4 +1,4 @@
-"""`with_poses_every`: a log with further poses, where nothing was seen for a while."""
+"""A log with further poses: where nothing was seen for a while, or at given times."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .checks import check_positive
+from .checks import check_positive, first
 from .continuous_time import control_path
 from .errors import LogError
 from .log import Log
@@ -16,6 +16,8 @@ from .sources.streams import Stream, pieces_of, truth_at
 
 #: times that are nearer than this [s] are the same
 SAME = 1e-9
+#: times that are given count as the same up to this [s]: those since 1970 are rounded to 0.2 µs
+CLOCK = 1e-6
 
 
 def with_poses_every(log: Log, seconds: float) -> Log:
@@ -42,7 +44,38 @@ def with_poses_every(log: Log, seconds: float) -> Log:
         return log
     motion = np.repeat(np.arange(len(parts)), parts)
     part = np.arange(len(motion)) - np.repeat(np.cumsum(parts) - parts, parts)
-    times = np.append(old[motion] + part * (lasting / parts)[motion], old[-1])
+    return _with_poses(log, np.append(old[motion] + part * (lasting / parts)[motion], old[-1]))
+
+
+def with_poses_at(log: Log, times: Array) -> Log:
+    """The log with poses at further times (N,) [s] within those of its poses; the new ones have no sightings.
+
+    Raises:
+        LogError: the log has no controls, or a time is before its first or after its last pose.
+    """
+    if log.times is None or log.dt is None:
+        raise LogError(f"{log.name} has no controls, so there is nothing between its poses to keep")
+    begin, end = log.times[[0, -1]].tolist()
+    if (k := first((times < begin) | (times > end))) is not None:
+        raise LogError(f"{log.name} has no pose at {times[k]:.3f} s: its poses are from {begin:.3f} to {end:.3f} s")
+    ends = np.concatenate([[0.0], np.cumsum(log.dt)])
+    wanted = times - log.start_time
+    there = ends[nearest_of(ends, wanted)]
+    wanted = np.where(np.abs(there - wanted) <= CLOCK, there, wanted)
+    every = np.union1d(ends[log.control_starts], wanted)
+    return log if len(every) == log.num_poses else _with_poses(log, every)
+
+
+def nearest_of(times: Array, wanted: Array) -> np.ndarray:
+    """The rows of increasing times (N,) that are nearest to others (M,)."""
+    return np.searchsorted((times[1:] + times[:-1]) / 2, wanted)
+
+
+def _with_poses(log: Log, times: Array) -> Log:
+    """The log with poses at these times since its first one, which contain those of its own poses."""
+    assert log.dt is not None and log.controls is not None
+    ends = np.concatenate([[0.0], np.cumsum(log.dt)])
+    old = ends[log.control_starts]
     # a part that ends where a control does needs no further cut
     nearest = np.clip(np.searchsorted(ends, times - SAME), 0, len(ends) - 1)
     times = np.where(np.abs(ends[nearest] - times) <= SAME, ends[nearest], times)

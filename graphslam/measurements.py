@@ -17,6 +17,9 @@ from .errors import LogError
 from .log_arrays import finite_floats, whole_numbers
 from .se2 import Array, wrap
 
+#: the variance [rad²] of the heading of a relation that does not measure it: it adds at most 1e-5 to J
+NO_HEADING = 1e6
+
 
 class _Records:
     """Rows that belong together, in arrays that cannot be written to."""
@@ -72,8 +75,9 @@ class PoseRelations(_Records):
 
     Args:
         first, second: (R,) the steps of both poses; ``second`` may come before ``first``.
-        motions: (R, 3) [m, m, rad]; headings are wrapped to [-pi, pi).
-        covariances: C (R, 3, 3) of the motions in the axes of the first pose [m², m rad, rad²]; one matrix is for all.
+        motions: (R, 3) [m, m, rad]; headings are wrapped to [-pi, pi), and NaN where they are not measured.
+        covariances: C (R, 3, 3) of the motions in the axes of the first pose [m², m rad, rad²]; one matrix is for all. Rows
+            and columns of a heading that is not measured are not used: it becomes 0 with the variance `NO_HEADING`.
 
     Raises:
         LogError: an array has another shape, a relation ties a pose to itself, or a covariance is not positive definite.
@@ -87,7 +91,13 @@ class PoseRelations(_Records):
     covariances: Array
 
     def __post_init__(self) -> None:
-        motions = finite_floats("the motions of relations", self.motions, (None, 3))
+        motions, covariances = np.array(self.motions, dtype=float), self.covariances
+        if motions.ndim == 2 and motions.shape[1] == 3 and np.any(open_ := np.isnan(motions[:, 2])):
+            covariances = np.array(_one_for_all(covariances, len(motions)), dtype=float)
+            motions[open_, 2] = 0.0
+            covariances[open_, 2], covariances[open_, :, 2] = 0.0, 0.0
+            covariances[open_, 2, 2] = NO_HEADING
+        motions = finite_floats("the motions of relations", motions, (None, 3))
         motions[:, 2] = wrap(motions[:, 2])
         count, noun = len(motions), "relation"
         ends = {
@@ -96,7 +106,7 @@ class PoseRelations(_Records):
         }
         if (k := first(ends["first"] == ends["second"])) is not None:
             raise LogError(f"relation {k} goes from step {ends['first'][k]} to itself; it ties two poses")
-        self._set(**ends, motions=motions, covariances=checked_covariances("relations", self.covariances, count, 3))
+        self._set(**ends, motions=motions, covariances=checked_covariances("relations", covariances, count, 3))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -24,6 +24,11 @@ MOST_LEFT_OUT = 0.05
 MOST_POSES = 1_000_000
 
 
+def robot_class(number: int) -> str:
+    """The class of a sighting of a robot."""
+    return f"robot {number}"
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:
     """Options of `load`. The metadata "needs" names the property of a `formats.base.Format` that an option requires.

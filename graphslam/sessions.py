@@ -52,7 +52,7 @@ def join_logs(logs: Sequence[Log]) -> Sessions:
 
     Args:
         logs: with controls, and ids that mean the same landmarks in all of them. Noise models must be the same in all, or
-            be given to `Graph.from_log`. Ground truth is kept where all have it; it is in one frame.
+            be given to `Graph.from_log`. Their ground truth is in one frame, and unknown where a log has none.
 
     Raises:
         OptionError: there is no log, or something else than logs.
@@ -154,8 +154,21 @@ def _joined(first: Log, second: Log) -> Log:
         one, other = getattr(a, name), getattr(b, name)
         return None if one is None or other is None else np.concatenate([one, other])
 
+    def with_unknown(name: str, sizes: Sequence[int]) -> Array | None:
+        """Rows of both, NaN for the one that has none."""
+        rows = [getattr(each, name) for each in (a, b)]
+        if all(each is None for each in rows):
+            return None
+        return np.concatenate([np.full((n, 3), np.nan) if each is None else each for each, n in zip(rows, sizes)])
+
     recorded = [each.dt if each.recorded_dt is None else each.recorded_dt for each in (a, b)]
-    truth = both("true_poses")
+    truth = with_unknown("true_poses", (poses, b.num_poses))
+    known = [each for each in (a, b) if each.true_poses is not None]
+    path = (
+        with_unknown("true_path", (pieces, len(b.controls) + 1))
+        if all(e.true_path is not None for e in known)
+        else None
+    )
     return a.replace(
         dt=np.concatenate([a.dt, [1.0], b.dt]),
         controls=np.concatenate([a.controls, np.zeros((1, 2)), b.controls]),
@@ -168,8 +181,8 @@ def _joined(first: Log, second: Log) -> Log:
         classes=both("classes"),
         initial_poses=both("initial_poses"),
         true_poses=truth,
-        true_path=None if truth is None else both("true_path"),
-        true_landmarks=None if truth is None else {**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,
+        true_path=path,
+        true_landmarks={**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,
         relations=_shifted(a.relations, b.relations, poses),
         positions=_shifted(a.positions, b.positions, poses),
         notes=(*_of_each(a, a.notes), *_of_each(b, b.notes)),

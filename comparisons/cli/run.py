@@ -88,11 +88,11 @@ def run(
         output.hint(plotly)
     if not others:
         output.hint(f"Interactive report:  {command('report', log, 'report.html', options=(chosen, options))}")
-    if not others and (advice := _noise_advice(outcome, log, options)) is not None:
+    if not outcome.log.sessions and (advice := _noise_advice(outcome, log, options)) is not None:
         output.hint(advice)
     if "graph-map.npz" in files:
         output.hint(f"Localise in this map: {command('run', 'OTHER_LOG', '--map', files['graph-map.npz'])}")
-    if options.kernel != "gnc" and not others:
+    if options.kernel != "gnc" and not outcome.log.sessions:
         output.hint(f"Animation:           {command('animate', log, 'animation.gif', options=options)}")
     if "graph" in outcome and (reason := reason_without_graph(outcome)):
         output.hint(f"There is no graph.g2o: {reason}.")

@@ -108,10 +108,14 @@ def _draw_map(axes: Axes, comparison: Comparison, legend: dict[str, Any]) -> Non
     (legend["start" if len(starts) == 1 else "start of each log"],) = axes.plot(begun[:, 0], begun[:, 1], **START)
     for number, place in enumerate(begun, start=1):
         if len(starts) > 1:
-            axes.annotate(str(number), place[:2], xytext=(4, 3), textcoords="offset points", zorder=START["zorder"])
+            axes.annotate(
+                str(number), place[:2], xytext=(4, 3), textcoords="offset points", zorder=START["zorder"],
+                bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+            )  # fmt: skip
     set_limits(axes, np.concatenate(core), rest)
     how = f", aligned to {aligned}" if aligned else ""
-    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"(a) {as_text(log.name)}: paths and map{how}")
+    name = f"{len(log.sessions)} logs" if log.sessions else as_text(log.name)
+    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"(a) {name}: paths and map{how}")
 
 
 def _label(result: EstimatorResult) -> str:

@@ -43,12 +43,7 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
             is impossible.
     """
     path = path_of(path)
-    if format is not None:
-        check_choice("format", format, FORMATS)
-    check_path(path)
-    if not path.is_dir():
-        check_file(path)
-    chosen = FORMATS[format] if format is not None else _recognised(path)
+    chosen = _format_of(path, format)
     known = {f.name: f.metadata.get("needs") for f in fields(ReadOptions)}
     for name in options:
         if name not in known:
@@ -63,6 +58,47 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
     if reading.keep_every is None or chosen.separate_times:
         return log
     return with_poses_every(log, reading.keep_every)
+
+
+def robots_in(path: str | PathLike[str], *, format: str | None = None) -> list[int]:
+    """The numbers of the robots of a data set; empty for a log of one robot, and for what has no numbers of robots.
+
+    Raises:
+        FormatError, OptionError: as `load`.
+    """
+    path = path_of(path)
+    chosen = _format_of(path, format)
+    return [] if chosen.robots is None or not path.is_dir() else chosen.robots(path)
+
+
+def load_robots(path: str | PathLike[str], *, format: str | None = None, **options: Any) -> dict[int, Log]:
+    """The logs of all robots of a data set by their numbers, for `graphslam.robots.join_robots`.
+
+    Their sightings of each other have the class "robot N" and no id.
+
+    Args:
+        path: the folder of a data set.
+        format: the name of the format.
+        options: the fields of `ReadOptions`, except for ``robot``.
+
+    Raises:
+        FormatError, OptionError: as `load`; the format has logs of one robot only.
+    """
+    path = path_of(path)
+    chosen = _format_of(path, format)
+    if chosen.read_robots is None:
+        raise OptionError(f"logs of the format {quoted(chosen.name)} are of one robot ({path}); load reads them")
+    return chosen.read_robots(path, ReadOptions(**options))
+
+
+def _format_of(path: Path, format: str | None) -> Format:
+    """The format that is named, or that of the file or folder."""
+    if format is not None:
+        check_choice("format", format, FORMATS)
+    check_path(path)
+    if not path.is_dir():
+        check_file(path)
+    return FORMATS[format] if format is not None else _recognised(path)
 
 
 def _recognised(path: Path) -> Format:
@@ -111,4 +147,4 @@ def save(log: Log, path: str | PathLike[str], *, format: str | None = None) -> N
     writers[format](log, path)
 
 
-__all__ = ["FORMATS", "Format", "ReadOptions", "load", "save"]
+__all__ = ["FORMATS", "Format", "ReadOptions", "load", "load_robots", "robots_in", "save"]

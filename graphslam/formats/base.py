@@ -25,7 +25,8 @@ class Format:
         read: the reader.
         write: the writer, where logs can be written in this format.
         suffixes: usual suffixes of files to write.
-        several_robots: whether a data set may have several robots.
+        robots: the numbers of the robots of a data set, for formats that may have several.
+        read_robots: the reader of all of them, {number: log}, whose sightings of each other have the class "robot N".
         separate_times: whether odometry and sightings have their own times, so that poses are chosen by the reader.
     """
 
@@ -34,8 +35,14 @@ class Format:
     read: Callable[[Path, ReadOptions], Log]
     write: Callable[[Log, Path], None] | None = None
     suffixes: tuple[str, ...] = ()
-    several_robots: bool = False
+    robots: Callable[[Path], list[int]] | None = None
+    read_robots: Callable[[Path, ReadOptions], dict[int, Log]] | None = None
     separate_times: bool = False
+
+    @property
+    def several_robots(self) -> bool:
+        """Whether a data set may have several robots."""
+        return self.robots is not None
 
 
 def member(folder: Path, name: str, holds: str) -> Path:

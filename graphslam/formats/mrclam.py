@@ -14,14 +14,15 @@ Files of a folder (``#`` lines are comments; times are Unix seconds)::
 
 Subjects 1 to 5 are robots, 6 to 20 landmarks; ids of landmarks are their subject numbers. Peculiarities: the measurement
 files give *barcodes*, not subjects as their header says. Some sightings are of other robots or of unknown barcodes; both
-are left out and counted. The odometry is the commanded velocity, at most 0.086 m/s in set 6, silent for up to 1 s at a
-time, and of several rows with one time the last holds. The truth may end before the odometry (robot 1 of set 6: 772 of
-900 s). No noise is published.
+are left out and counted, except that `load_robots` keeps those of robots. The odometry is the commanded velocity, at most
+0.086 m/s in set 6, silent for up to 1 s at a time, and of several rows with one time the last holds. The truth may end
+before the odometry (robot 1 of set 6: 772 of 900 s). No noise is published.
 """
 
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ import numpy as np
 from ..checks import first
 from ..errors import FormatError, OptionError, quoted
 from ..log import Log
-from ..reading import Fault, ReadOptions, range_faults
+from ..reading import NO_CLASS, UNIDENTIFIED, Fault, ReadOptions, range_faults, robot_class
 from ..se2 import Array
 from ..sources.streams import Stream
 from .base import NO_SIGHTING, Format, errors_name, member, optional_member
@@ -66,7 +67,11 @@ def _robot(folder: Path, robot: int | None) -> int:
     return robot if robot is not None else (there or [1])[0]
 
 
-def _read(folder: Path, options: ReadOptions) -> Log:
+def _read_robots(folder: Path, options: ReadOptions) -> dict[int, Log]:
+    return {n: _read(folder, replace(options, robot=n), with_robots=True) for n in robots(folder)}
+
+
+def _read(folder: Path, options: ReadOptions, *, with_robots: bool = False) -> Log:
     if not folder.is_dir():
         raise FormatError(folder, None, "an MR.CLAM log is a folder (of RobotN_Odometry.dat and so on), not a file")
     robot = _robot(folder, options.robot)
@@ -79,14 +84,17 @@ def _read(folder: Path, options: ReadOptions) -> Log:
         path, "barcode", "range", "bearing", notes=notes, noun="sightings", faults=_faults, strict=options.strict
     )
     subject = np.array([barcodes.get(int(code), 0) for code in seen.rows[:, 0].tolist()], dtype=np.int64)
-    for what, rows in (
-        ("of other robots", (subject > 0) & (subject <= ROBOTS)), ("of unknown barcodes", subject == 0),
-    ):  # fmt: skip
+    of_robots = (subject > 0) & (subject <= ROBOTS)
+    unused = {"of unknown barcodes": subject == 0}
+    if not with_robots:
+        unused = {"of other robots": of_robots} | unused
+    for what, rows in unused.items():
         if rows.any():
             notes.append(f"{rows.sum()} of {len(seen)} sightings are {what}: left out")
-    kept = subject > ROBOTS
-    if not kept.any():
+    if not np.any(subject > ROBOTS):
         raise FormatError(path, None, NO_SIGHTING)
+    kept = subject > (0 if with_robots else ROBOTS)
+    classes = np.where(of_robots, [robot_class(number) for number in subject.tolist()], NO_CLASS)
     landmarks_path = optional_member(folder, "Landmark_Groundtruth.dat", "the true landmarks", notes)
     truth_path = optional_member(folder, f"Robot{robot}_Groundtruth.dat", "the true poses", notes)
     truth = None
@@ -97,7 +105,8 @@ def _read(folder: Path, options: ReadOptions) -> Log:
         return synchronize(
             odometry,
             Stream(seen.times[kept], seen.rows[kept, 1:]),
-            subject[kept],
+            np.where(of_robots, UNIDENTIFIED, subject)[kept],
+            classes=classes[kept] if with_robots else None,
             options=options,
             truth=truth,
             true_landmarks=None if landmarks_path is None else {int(row[0]): row[1:3] for row in landmarks},
@@ -135,4 +144,4 @@ def _subjects(path: Path) -> dict[int, int]:
     return subjects
 
 
-FORMAT = Format("mrclam", _recognises, _read, several_robots=True, separate_times=True)
+FORMAT = Format("mrclam", _recognises, _read, robots=robots, read_robots=_read_robots, separate_times=True)

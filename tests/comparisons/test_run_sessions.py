@@ -92,6 +92,40 @@ def test_logs_that_share_nothing_are_refused_in_one_sentence(invoke: Invoke, fil
     assert result.stderr == "error: far and day1 share no landmark: do the ids mean the same ones in all of them?\n"
 
 
+def test_the_robots_of_a_data_set_are_solved_together_unless_one_is_named(invoke: Invoke, tmp_path: Path) -> None:
+    log = simulate(seed=4, steps=40, clean=True, motion=QUIET, orientation=False)
+    assert log.dt is not None and log.controls is not None and log.times is not None
+    barcodes = {j: 50 + j for j in log.landmark_ids.tolist()}
+    (tmp_path / "set").mkdir()
+    rows = [(1, 5), (2, 14), *((6 + j, code) for j, code in barcodes.items())]
+    (tmp_path / "set/Barcodes.dat").write_text("".join(f"{subject} {code}\n" for subject, code in rows))
+    for robot, other in ((1, 14), (2, 5)):
+        drive = np.column_stack([log.times, np.append(log.controls, [[0, 0]], axis=0)])
+        np.savetxt(tmp_path / f"set/Robot{robot}_Odometry.dat", drive)
+        codes = [barcodes[j] for j in log.landmarks.tolist()]
+        seen = np.column_stack([log.times[log.steps], codes, log.sightings])
+        # both drive the same way, one a metre beside the other
+        met = [(10.0 * k, other, 1.0, np.pi / 2 if robot == 1 else -np.pi / 2) for k in range(1, 10)]
+        np.savetxt(
+            tmp_path / f"set/Robot{robot}_Measurement.dat",
+            np.concatenate([seen, met])[np.argsort([*seen[:, 0], *(m[0] for m in met)], kind="stable")],
+        )
+    result = invoke("run", "set", "--noise", "book", "--estimators", "graph", "--json", "all.json", "--out", "all")
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "all.json").read_text())
+    assert [each["name"] for each in document["sessions"]] == ["set-robot1", "set-robot2"]
+    assert "18 sightings of other robots are relations between two poses of one instant" in document["log"]["notes"]
+    again = invoke("run", "--config", "all/config.toml", "--json", "-", "--out", "again")
+    assert np.allclose(
+        json.loads(again.stdout)["estimators"][0]["poses"], document["estimators"][0]["poses"], atol=1e-9
+    )
+    one = invoke("run", "set", "--robot", "1", "--noise", "book", "--estimators", "graph", "--json", "-")
+    assert json.loads(one.stdout)["sessions"] is None
+    # verbs that follow one robot still ask which
+    which = invoke("particles", "set")
+    assert which.exit_code == 2 and "say which (robot=N, or --robot N)" in which.stderr
+
+
 def test_a_changed_log_is_not_repeated(invoke: Invoke, files: list[Path]) -> None:
     assert invoke("run", *files[:2], "--estimators", "graph", "--out", "out").exit_code == 0
     save(load(files[1]).at_steps(np.arange(20)), files[1])
