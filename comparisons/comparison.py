@@ -407,7 +407,7 @@ def compare(
     names = None if estimators is None else check_estimators(estimators)
     time_limit = LimitOptions.of(time_limit=time_limit).time_limit
     data, source, options = prepare(log, options, together=True)
-    if len(data.steps) == 0:
+    if len(data.steps) == 0 and data.partial_sightings is None:
         within = "" if options.max_range is None else f" within max_range = {options.max_range:g} m"
         raise GraphError(f"{data.name} has no sightings at all{within}, so there is nothing to estimate from")
     announce_memory(((name, data, options) for name in names or default_estimators()), announce)

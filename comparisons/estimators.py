@@ -22,6 +22,7 @@ from graphslam.checks import suggestion
 from graphslam.defaults import edges_for_map, suitable_edges, suitable_for_isam2, suitable_kernel
 from graphslam.errors import quoted
 from graphslam.log import UNIDENTIFIED
+from graphslam.measurements import MEASURED
 from graphslam.online import replay
 from graphslam.se2 import wrap
 
@@ -127,7 +128,7 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     seconds = time.perf_counter() - begin
     # J by the graph's own evaluator
     # those of its own cost
-    log = log.replace(relations=None, positions=None)
+    log = log.replace(**dict.fromkeys(MEASURED))
     graph = Graph.from_log(log, edges=edges, frame="world", kernel="none", **models)
     state = np.asarray(result.poses, dtype=float)[graph.steps]
     return _with_map(
@@ -396,7 +397,7 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
                 "pairs weigh sightings too much, so these standard deviations are too small; see --weight marginal"
             )
     weighed_down = None
-    if solution.graph is not None and (kernel := solution.graph.verdict[0]) is not None:
+    if solution.graph is not None and (kernel := solution.graph.verdict[0]) is not None and len(log.steps):
         weights = solution.graph.sighting_weights(solution.state)
         weighed_down = int(np.count_nonzero(weights < WEIGHED_DOWN))
         usual = kernel.share_below(WEIGHED_DOWN, log.sightings.shape[1])

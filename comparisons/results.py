@@ -241,7 +241,7 @@ def typical_costs(result: EstimatorResult) -> dict[str, float]:
     kinds = {"sightings": sighted_edges(result.graph), "motions": motion_edges(result.graph)}
     found = {}
     for name, family in kinds.items():
-        if family is not None:
+        if family is not None and family.count:
             edges = family.linearize(result.state, result.state)
             found[name] = float(np.median(edges.mahalanobis) / chdtri(edges.residuals.shape[1], 0.5))
     return found

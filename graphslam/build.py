@@ -14,20 +14,24 @@ from scipy.sparse.csgraph import connected_components
 from .checks import listed
 from .edges import (
     AnchorEdges,
+    BearingEdges,
     CartesianObservationEdges,
     EdgeFamily,
     LandmarkPriors,
     LandmarkSightings,
     MarginalEdges,
+    PartialEdges,
     PolarObservationEdges,
     PositionEdges,
     PriorEdges,
+    RangeEdges,
     RelationEdges,
     RelativePointEdges,
     RelativePoseEdges,
     VirtualMotionEdges,
     motion_edges,
 )
+from .edges.base import PairEdges
 from .edges.robust import Kernel
 from .errors import GraphError, OptionError, quoted
 from .formats.pose_graph import PoseGraphFile
@@ -38,6 +42,7 @@ from .models import MotionModel, SensorModel
 from .placing import anchors, position_edges
 from .precision import LARGEST, check_magnitudes, check_size, inverses
 from .se2 import Array
+from .trilateration import edges_of_single_numbers, placed_single_numbers
 
 
 def parts_of_log(
@@ -59,6 +64,10 @@ def parts_of_log(
     """
     with_motion = edges.endswith("+motion")
     _check_log(log, with_motion)
+    if log.partial_sightings is not None and len(log.steps) == 0:
+        log = log.without_orientation()
+    if log.partial_sightings is not None and not edges.startswith("landmark"):
+        raise GraphError("ranges or bearings alone need their landmarks as nodes: use edges='landmark+motion'")
     check_magnitudes(log, motion, sensor)
     sighted: EdgeFamily
     parts: dict[str, Any] = {"trajectory": log.initial_poses, "log": log, "sensor": sensor}
@@ -66,7 +75,8 @@ def parts_of_log(
         steps = np.arange(log.num_poses)
         d = log.sightings.shape[1]
         known = _usable(landmark_map, d, set(log.landmark_ids.tolist()))
-        ids = np.union1d(log.landmark_ids, np.array(list(known), dtype=np.int64))
+        partial, single, remarks = placed_single_numbers(log, sensor, kernel, known)
+        ids = np.union1d(log.landmark_ids, np.array([*known, *single], dtype=np.int64))
         nodes = log.num_poses + np.searchsorted(ids, log.landmarks)
         seen = (log.steps, nodes, log.sightings, sensor)
         if residual == "polar":
@@ -74,9 +84,11 @@ def parts_of_log(
         else:
             sighted = CartesianObservationEdges(*seen, kernel=kernel, frame=frame)
         landmarks = np.zeros((len(ids), 3))
-        for j, place in (estimate_map(log, log.initial_poses, sensor=sensor) | known).items():
+        whole = estimate_map(log, log.initial_poses, sensor=sensor) if len(log.steps) else {}
+        for j, place in (single | whole | known).items():
             landmarks[np.searchsorted(ids, j), : min(len(place), d)] = place[:d]
         parts |= {"landmark_ids": ids, "landmark_dimension": d, "sighting_rows": np.arange(len(log.steps))}
+        parts["notes"] = remarks
     else:
         steps, notes = _tied_steps(log, with_motion)
         rows, starts, nodes = _grouped(log, steps)
@@ -108,6 +120,10 @@ def parts_of_log(
             )
         )  # fmt: skip
     families += measured
+    if edges.startswith("landmark"):
+        families += edges_of_single_numbers(
+            partial, log.num_poses + np.searchsorted(ids, partial.landmarks), sensor, kernel
+        )
     return parts | {"initial": initial, "families": tuple(families), "steps": steps, "pose_ids": steps}
 
 
@@ -223,6 +239,15 @@ def parts_of_file(data: PoseGraphFile, path: Path) -> dict[str, Any]:
         first = np.searchsorted(data.pose_ids, data.point_edges[:, 0])
         second = num_poses + np.searchsorted(data.landmark_ids, data.point_edges[:, 1])
         families.append(RelativePointEdges(first, second, data.point_measured, data.point_information))
+    single: list[PartialEdges] = []
+    for kind, ends, measured, information in (
+        (RangeEdges, data.range_edges, data.range_measured, data.range_information),
+        (BearingEdges, data.bearing_edges, data.bearing_measured, data.bearing_information),
+    ):
+        if len(ends):
+            at = np.searchsorted(data.pose_ids, ends[:, 0])
+            seen = num_poses + np.searchsorted(data.landmark_ids, ends[:, 1])
+            single.append(kind(at, seen, measured, information, np.zeros(2)))
     ids = np.concatenate([data.pose_ids, data.landmark_ids])
     fixed, held = np.flatnonzero(np.isin(ids, data.fixed)), list[EdgeFamily]()
     if not data.fixed and not priors:
@@ -230,7 +255,8 @@ def parts_of_file(data: PoseGraphFile, path: Path) -> dict[str, Any]:
     elif not data.fixed:
         held += anchors(data.poses[0], priors)
     num_nodes = num_poses + len(data.landmark_ids)
-    first, second = [family.first for family in families], [family.second for family in families]
+    pairs: list[PairEdges] = [*families, *single]
+    first, second = [family.first for family in pairs], [family.second for family in pairs]
     # priors and FIX lines tie nodes to the world, one more node
     to_world = np.concatenate([fixed, *(family.nodes for family in priors)])
     label = _pieces(num_nodes + 1, [*first, to_world], [*second, np.full(len(to_world), num_nodes)])
@@ -243,7 +269,7 @@ def parts_of_file(data: PoseGraphFile, path: Path) -> dict[str, Any]:
         )
     return {
         "initial": np.concatenate([data.poses, np.pad(data.landmarks, ((0, 0), (0, 1)))]),
-        "families": (*held, *families, *priors), "steps": np.arange(num_poses), "trajectory": data.poses,
+        "families": (*held, *families, *single, *priors), "steps": np.arange(num_poses), "trajectory": data.poses,
         "pose_ids": data.pose_ids, "landmark_ids": data.landmark_ids, "fixed": fixed,
         "notes": data.notes,
     }  # fmt: skip
@@ -286,6 +312,7 @@ def file_of_parts(
     poses: list[EdgeFamily] = []
     points: list[EdgeFamily] = []
     priors: dict[int, list[PositionEdges]] = {3: [], 2: []}
+    single: dict[str, list[PartialEdges]] = {"range": [], "bearing": []}
     for family in families:
         if isinstance(family, AnchorEdges) and not isinstance(family, LandmarkPriors):
             if np.all(np.linalg.matrix_rank(family.information) == 3):
@@ -303,6 +330,8 @@ def file_of_parts(
             poses.append(family)
         elif isinstance(family, RelativePointEdges):
             points.append(family)
+        elif isinstance(family, PartialEdges) and family.kernel is None and not family.offset.any():
+            single["range" if isinstance(family, RangeEdges) else "bearing"].append(family)
         elif isinstance(family, PositionEdges) and family.levers.any():
             raise GraphError(
                 "g2o has no line for the position of a point beside the pose: positions with a lever cannot be written"
@@ -319,7 +348,9 @@ def file_of_parts(
                 [np.zeros((0, 2), dtype=np.int64)] + [ids[np.column_stack([f.first, f.second])] for f in chosen]
             ),
             f"{kind}_measured": np.concatenate([np.zeros((0, d))] + [f.measured for f in chosen]),
-            f"{kind}_information": np.concatenate([np.zeros((0, d, d))] + [f.information for f in chosen]),
+            f"{kind}_information": np.concatenate(
+                [np.zeros((0, d, d))] + [getattr(f, "weighed", f.information) for f in chosen]
+            ),
         }
 
     def rows(kind: str, nodes: str, chosen: list[PositionEdges], d: int) -> dict[str, Any]:
@@ -333,6 +364,7 @@ def file_of_parts(
         pose_ids=pose_ids, poses=state[: len(pose_ids)], landmark_ids=landmark_ids,
         landmarks=state[len(pose_ids) :, :2], fixed=ids[np.unique(np.concatenate(held))].tolist(),
         **columns("pose", poses, 3), **columns("point", points, 2),
+        **columns("range", single["range"], 1), **columns("bearing", single["bearing"], 1),
         **rows("prior", "priors", priors[3], 3), **rows("place", "places", priors[2], 2),
     )  # fmt: skip
 

@@ -19,7 +19,7 @@ def suitable_edges(log: Log) -> str:
     """
     if log.controls is None:
         return "virtual"
-    if len(log.steps) == 0:
+    if len(log.steps) == 0 or log.partial_sightings is not None:
         return "landmark+motion"
     of_lectures = log.simulated or log.motion in (None, MotionModel())
     return "virtual+motion" if log.has_orientation and of_lectures else "landmark+motion"

@@ -11,6 +11,7 @@ from .checks import check_positive, first
 from .continuous_time import control_path
 from .errors import LogError
 from .log import Log
+from .measurements import MEASURED
 from .se2 import Array
 from .sources.streams import Stream, pieces_of, truth_at
 
@@ -97,7 +98,7 @@ def _with_poses(log: Log, times: Array) -> Log:
     measured: dict[str, Any] = {
         name: each.moved({end: kept[getattr(each, end)] for end in each.ENDS}) for name, each in log.measured.items()
     }
-    finer = replace(finer, relations=None, positions=None)
+    finer = finer.replace(**dict.fromkeys(MEASURED))
     return replace(
         finer, **measured, control_starts=starts,
         sessions=tuple(replace(each, start=int(kept[each.start])) for each in log.sessions),

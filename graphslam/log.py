@@ -23,7 +23,7 @@ from .log_arrays import (
     length_of,
     whole_numbers,
 )
-from .measurements import AbsolutePositions, PoseRelations
+from .measurements import MEASURED, AbsolutePositions, Measured, PartialSightings, PoseRelations
 from .models import MotionModel, SensorModel, additional_variances
 from .reading import NO_CLASS, NO_ID, UNIDENTIFIED
 from .se2 import Array, mounted, wrap
@@ -55,6 +55,7 @@ class Log:
             FastSLAM use classes where they find the ids.
         relations: measured relations between two poses, such as loop closures; None where there are none.
         positions: measured places of a point of the robot in the world, such as GPS; None where there are none.
+        partial_sightings: sightings with a range or a bearing alone; None where there are none.
         initial_poses: (T+1, 3), the initial guess of the trajectory; default: dead reckoning from (0, 0, 0). Headings
             are not wrapped, so that they can count turns.
         true_poses: the ground truth, (T+1, 3), or None where unknown. A row is NaN where the pose is unknown, and (x, y,
@@ -90,6 +91,7 @@ class Log:
     classes: np.ndarray | None = None
     relations: PoseRelations | None = None
     positions: AbsolutePositions | None = None
+    partial_sightings: PartialSightings | None = None
     initial_poses: Array = None  # type: ignore[assignment]  # filled in by __post_init__
     true_poses: Array | None = None
     true_path: Array | None = None
@@ -130,10 +132,10 @@ class Log:
             if self.true_poses is None or starts is None:
                 raise LogError("true_path without true_poses or controls: leave it out")
             values["true_path"] = checked_truth(self.true_path, (starts[-1] + 1, 3), "true_path")
-        check_type(PoseRelations, relations=self.relations)
-        check_type(AbsolutePositions, positions=self.positions)
-        for kind, measured in self.measured.items():
-            measured.check_steps(kind, len(initial))
+        for name, kind in MEASURED.items():
+            check_type(kind, **{name: getattr(self, name)})
+        for name, measured in self.measured.items():
+            measured.check_steps(name, len(initial))
         check_sessions(self.sessions, len(initial))
         values["truth_offset"] = checked_offset("truth_offset", self.truth_offset)
         if self.true_landmarks is not None:
@@ -273,15 +275,15 @@ class Log:
         )
 
     @property
-    def measured(self) -> dict[str, PoseRelations | AbsolutePositions]:
-        """The relations and the positions by these names, as far as the log has them."""
-        both = {"relations": self.relations, "positions": self.positions}
-        return {name: each for name, each in both.items() if each is not None}
+    def measured(self) -> dict[str, Measured]:
+        """The relations, positions and partial sightings by the names of `MEASURED`, as far as the log has them."""
+        return {name: each for name in MEASURED if (each := getattr(self, name)) is not None}
 
     def warn_of_unused(self, who: str) -> None:
-        """Warn that ``who`` does not use the relations and positions of the log, where it has any."""
+        """Warn that ``who`` does not use the relations, positions and partial sightings of the log, where it has any."""
         if self.measured:
-            warnings.warn(f"{who} does not use the {' and '.join(self.measured)} of the log", UserWarning, stacklevel=3)
+            which = " and ".join(self.measured).replace("_", " ")
+            warnings.warn(f"{who} does not use the {which} of the log", UserWarning, stacklevel=3)
 
     @property
     def num_poses(self) -> int:
@@ -310,8 +312,10 @@ class Log:
         total, without = len(self.steps), int(np.count_nonzero(self.landmarks == UNIDENTIFIED))
         if 0 < without == total:
             return f"{total} sightings of unidentified landmarks"
-        some = f" ({without} without an id)" if without else ""
-        return f"{total} sightings{some} of {len(self.landmark_ids)} landmarks"
+        some, ids, alone = f" ({without} without an id)" if without else "", self.landmark_ids, ""
+        if (single := self.partial_sightings) is not None:
+            ids, alone = np.union1d(ids, single.landmarks), f" and {len(single)} ranges or bearings alone"
+        return f"{total} sightings{some}{alone} of {len(ids)} landmarks"
 
     @property
     def identified(self) -> bool:
@@ -450,7 +454,7 @@ class Log:
         for name, measured in self.measured.items():
             changes[name] = measured.within(kept)
             if left_out := len(measured) - len(changes[name]):
-                note = f"{left_out:,} of {len(measured):,} {name} are left out with their poses"
+                note = f"{left_out:,} of {len(measured):,} {name.replace('_', ' ')} are left out with their poses"
                 changes["notes"] = (*changes.get("notes", self.notes), note)
         moved = [replace(each, start=int(np.searchsorted(kept, each.start))) for each in self.sessions]
         # a session of which no pose is left ends where it starts
@@ -463,9 +467,8 @@ class Log:
     def replace(self, **changes: Any) -> Log:
         """The same log with some arguments replaced.
 
-        A different number of controls needs its own ``control_starts``, ``control_variances``, ``recorded_dt`` and
-        ``true_path``, a different number of sightings needs its own ``classes``, and other ``true_poses`` need their own
-        ``true_path``; the old ones are dropped.
+        With another number of controls the old ``control_starts``, ``control_variances``, ``recorded_dt`` and ``true_path``
+        are dropped, with another number of sightings ``classes``, and with other ``true_poses`` ``true_path``.
         """
         if "sightings" in changes and length_of(changes["sightings"]) != len(self.sightings):
             changes = {"classes": None} | changes
@@ -490,7 +493,7 @@ def check_is_log(log: object) -> None:
 def _same(a: Any, b: Any) -> bool:
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
-    if isinstance(a, PoseRelations | AbsolutePositions):
+    if isinstance(a, Measured):
         return a.equals(b)
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return np.array_equal(a, b, equal_nan=a.dtype.kind == b.dtype.kind == "f")

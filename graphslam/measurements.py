@@ -1,4 +1,4 @@
-"""What other sensors measure of the robot itself: relations between two poses, and absolute positions.
+"""What other sensors measure: relations between two poses, absolute positions, and ranges or bearings of landmarks alone.
 
 A relation is a pose measured from another one: by scan matching, a loop closure, or the odometry of a second source. An
 absolute position is the place of a point of the robot in the world: by GPS, motion capture, or a total station.
@@ -173,6 +173,56 @@ class AbsolutePositions(_Records):
         return np.isfinite(self.places[:, 2])
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PartialSightings(_Records):
+    """K sightings of landmarks with one number, a range or a bearing. All arrays are copied, checked and made read-only.
+
+    `edges.partial` has the residuals. The noise is that of the sensor model.
+
+    Args:
+        steps: (K,) the step of each.
+        landmarks: (K,) the ids.
+        ranges: (K,) [m], NaN where the bearing was measured.
+        bearings: (K,) [rad], NaN where the range was measured; wrapped to [-pi, pi).
+
+    Raises:
+        LogError: an array has another shape, a row has both numbers or none, or a range is not above zero.
+    """
+
+    ENDS = ("steps",)
+
+    steps: np.ndarray
+    landmarks: np.ndarray
+    ranges: Array
+    bearings: Array
+
+    def __post_init__(self) -> None:
+        ranges, bearings = (np.array(each, dtype=float) for each in (self.ranges, self.bearings))
+        count = len(ranges) if ranges.ndim == 1 else 0
+        if ranges.shape != (count,) or bearings.shape != (count,):
+            raise LogError(f"ranges and bearings must have shape (K,), not {ranges.shape} and {bearings.shape}")
+        if (k := first(np.isnan(ranges) == np.isnan(bearings))) is not None:
+            which = (
+                "neither range nor bearing" if np.isnan(ranges[k]) else "both range and bearing: it is a whole sighting"
+            )
+            raise LogError(f"partial sighting {k} has {which}")
+        measured = ~np.isnan(ranges)
+        if (k := first(measured & ~((ranges > 0) & (ranges < np.inf)))) is not None:
+            raise LogError(f"partial sighting {k} has range {ranges[k]:g} m; a range must be finite and above zero")
+        bearings[~measured] = wrap(finite_floats("the bearings of partial sightings", bearings[~measured], (None,)))
+        noun = "partial sighting"
+        steps, landmarks = (
+            whole_numbers(f"the {name} of partial sightings", getattr(self, name), count, noun=noun)
+            for name in ("steps", "landmarks")
+        )
+        self._set(steps=steps, landmarks=landmarks, ranges=ranges, bearings=bearings)
+
+    @property
+    def ranged(self) -> np.ndarray:
+        """Whether the range is measured, and not the bearing, (K,) bool."""
+        return np.isfinite(self.ranges)
+
+
 def _one_for_all(covariances: ArrayLike, count: int) -> Array:
     array = np.asarray(covariances)
     return np.broadcast_to(array, (count, *array.shape)) if array.ndim == 2 else array
@@ -211,3 +261,10 @@ def not_positive(covariances: Array) -> np.ndarray:
     wrong = np.any(variances <= 0, axis=1) | np.any(np.abs(unit - np.swapaxes(unit, 1, 2)) > 1e-6, axis=(1, 2))
     smallest = np.linalg.eigvalsh(unit)[:, 0] if len(unit) else np.zeros(0)
     return np.asarray(wrong | ~(smallest > 1e-13))
+
+
+Measured = PoseRelations | AbsolutePositions | PartialSightings
+#: what a log may hold beside its sightings, by the names of its arguments
+MEASURED: dict[str, type[Measured]] = {
+    "relations": PoseRelations, "positions": AbsolutePositions, "partial_sightings": PartialSightings,
+}  # fmt: skip

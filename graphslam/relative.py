@@ -29,6 +29,7 @@ from .edges import (
     EdgeFamily,
     LandmarkPriors,
     ObservationEdges,
+    PartialEdges,
     PolarObservationEdges,
     PositionEdges,
     PriorEdges,
@@ -76,6 +77,9 @@ def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
         seen = family.cartesian if isinstance(family, PolarObservationEdges) else family
         assert isinstance(seen, CartesianObservationEdges)
         return _weighted(replace(seen.relative, frame="body"), family, state)
+    if isinstance(family, PartialEdges):
+        weights = family.kernel_weights(state)[:, None, None]
+        return replace(family, information=family.weighed * weights, kernel=None, trust=None)
     if isinstance(family, RelationEdges):
         return _weighted(replace(family.relative, kernel=None), family, state)
     if isinstance(family, PositionEdges):

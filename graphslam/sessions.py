@@ -20,7 +20,7 @@ from .identification.robot import known_robot
 from .localization import first_fix
 from .log import Log
 from .log_arrays import Session
-from .measurements import AbsolutePositions, PoseRelations
+from .measurements import MEASURED, Measured
 from .models import MotionModel, SensorModel, additional_variances
 from .se2 import Array, between, compose
 from .solvers.solve import solve
@@ -183,8 +183,7 @@ def _joined(first: Log, second: Log) -> Log:
         true_poses=truth,
         true_path=path,
         true_landmarks={**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,
-        relations=_shifted(a.relations, b.relations, poses),
-        positions=_shifted(a.positions, b.positions, poses),
+        **{name: _shifted(getattr(a, name), getattr(b, name), poses) for name in MEASURED},
         notes=(*_of_each(a, a.notes), *_of_each(b, b.notes)),
         doubts=(*a.doubts, *b.doubts),
         sessions=(
@@ -208,10 +207,7 @@ def _of_each(log: Log, remarks: Iterable[str]) -> Iterator[str]:
     yield from remarks if log.sessions else (f"{log.name}: {remark}" for remark in remarks)
 
 
-Records = PoseRelations | AbsolutePositions
-
-
-def _shifted(first: Records | None, second: Records | None, poses: int) -> Records | None:
+def _shifted(first: Measured | None, second: Measured | None, poses: int) -> Measured | None:
     """The measurements of two logs, the steps of the second counted from ``poses`` on."""
     if second is None:
         return first

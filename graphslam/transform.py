@@ -21,6 +21,7 @@ from .edges import (
     LandmarkPriors,
     LandmarkSightings,
     ObservationEdges,
+    PartialEdges,
     PolarObservationEdges,
     PositionEdges,
     PriorEdges,
@@ -87,7 +88,7 @@ def with_landmark_nodes(graph: Graph) -> Graph | None:
 def poses_only(graph: Graph, families: list[EdgeFamily]) -> Graph:
     """The graph of the poses alone, with these edges but for those of landmarks; an anchor takes the place of a map."""
     count = len(graph.steps)
-    of_landmarks = (RelativePointEdges, LandmarkPriors, PriorEdges)
+    of_landmarks = (RelativePointEdges, LandmarkPriors, PriorEdges, PartialEdges)
     kept = [family for family in families if not isinstance(family, of_landmarks)]
     if graph.map is not None and not any(isinstance(family, PositionEdges) for family in kept):
         kept.append(AnchorEdges(np.zeros(1, dtype=int), graph.initial[:1].copy(), ANCHOR_INFORMATION[None]))
@@ -118,14 +119,14 @@ def coarse(graph: Graph, every: int) -> tuple[Graph, np.ndarray] | None:
     poses = len(graph.steps)
     kept = np.unique(np.append(np.arange(0, poses, every), poses - 1))
     used = _with_landmarks(graph, kept)
-    piece, nodes = _among(graph, used)
+    piece, nodes = of_nodes(graph, used)
     families = [_joined(chain, kept) if isinstance(f, RelativePoseEdges) else f for f in piece.families]
     return replace(piece, families=tuple(families), steps=np.arange(len(kept))), nodes
 
 
 def first_poses(graph: Graph, count: int) -> tuple[Graph, np.ndarray]:
     """The graph of the first poses and of the landmarks that they see, and the nodes of the whole graph that it keeps."""
-    return _among(graph, _with_landmarks(graph, np.arange(count)))
+    return of_nodes(graph, _with_landmarks(graph, np.arange(count)))
 
 
 def _with_landmarks(graph: Graph, poses: np.ndarray) -> np.ndarray:
@@ -133,27 +134,27 @@ def _with_landmarks(graph: Graph, poses: np.ndarray) -> np.ndarray:
     used = np.zeros(graph.num_nodes, dtype=bool)
     used[poses] = True
     for family in graph.families:
-        if isinstance(family, ObservationEdges | RelativePointEdges):
+        if isinstance(family, ObservationEdges | RelativePointEdges | PartialEdges):
             used[family.second[used[family.first]]] = True
         elif isinstance(family, PriorEdges):
             used[family.nodes] = True
     return used
 
 
-def _among(graph: Graph, used: np.ndarray) -> tuple[Graph, np.ndarray]:
+def of_nodes(graph: Graph, used: np.ndarray) -> tuple[Graph, np.ndarray]:
     """The graph of the nodes that are used (n,) and of the edges between them, and these nodes."""
     nodes, poses = np.flatnonzero(used), len(graph.steps)
     number = np.full(graph.num_nodes, -1)
     number[nodes] = np.arange(len(nodes))
     kept, landmarks = nodes[nodes < poses], nodes[nodes >= poses] - poses
     return replace(
-        graph, initial=graph.initial[nodes], families=tuple(_edges_among(f, used, number) for f in graph.families),
+        graph, initial=graph.initial[nodes], families=tuple(_edgesof_nodes(f, used, number) for f in graph.families),
         steps=graph.steps[kept], trajectory=graph.initial[kept], pose_ids=graph.pose_ids[kept],
         landmark_ids=graph.landmark_ids[landmarks], fixed=number[graph.fixed[used[graph.fixed]]], log=None,
     ), nodes  # fmt: skip
 
 
-def _edges_among(family: EdgeFamily, used: np.ndarray, number: np.ndarray) -> EdgeFamily:
+def _edgesof_nodes(family: EdgeFamily, used: np.ndarray, number: np.ndarray) -> EdgeFamily:
     """The edges between nodes that are used (n,), with the new number (n,) of each node."""
     if isinstance(family, PriorEdges):
         return replace(family, nodes=number[family.nodes])

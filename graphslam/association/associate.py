@@ -13,6 +13,7 @@ import numpy as np
 from ..checks import array_of, check_type, suggestion
 from ..errors import GraphError, LogError, OptionError, quoted
 from ..log import UNIDENTIFIED, Log, check_is_log
+from ..measurements import MEASURED
 from ..models import MotionModel, SensorModel
 from ..parameters.declared import ParameterEstimate
 from ..precision import check_magnitudes
@@ -178,7 +179,7 @@ def associate(
     check_magnitudes(log, motion, sensor)
     recorded = log
     # the ids are found without other sensors, whose frame may be another one
-    log = log.replace(relations=None, positions=None)
+    log = log.replace(**dict.fromkeys(MEASURED))
     if log.identified or not options.keep_ids:
         log = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
     names, robot = wanted(estimate), Robot(log, motion, sensor)

@@ -5,6 +5,7 @@ from .base import ConstantEdges, EdgeFamily, Linearization, Relations
 from .doubted import DoubtedEdges, SingleEdges
 from .marginal import MarginalEdges
 from .observation import CartesianObservationEdges, ObservationEdges, PolarObservationEdges
+from .partial import BearingEdges, PartialEdges, RangeEdges
 from .position import PositionEdges
 from .prior import LandmarkPriors, PriorEdges
 from .relative import RelationEdges, RelativePointEdges, RelativePoseEdges, motion_edges
@@ -14,6 +15,7 @@ from .virtual_motion import VirtualMotionEdges
 __all__ = [
     "ANCHOR_INFORMATION",
     "AnchorEdges",
+    "BearingEdges",
     "CartesianObservationEdges",
     "ConstantEdges",
     "DoubtedEdges",
@@ -23,9 +25,11 @@ __all__ = [
     "Linearization",
     "MarginalEdges",
     "ObservationEdges",
+    "PartialEdges",
     "PolarObservationEdges",
     "PositionEdges",
     "PriorEdges",
+    "RangeEdges",
     "RelationEdges",
     "RelativePointEdges",
     "RelativePoseEdges",

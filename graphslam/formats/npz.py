@@ -8,7 +8,8 @@ column of NaN marks a landmark without heading), ``start_time``, and for logs wi
 ``motion`` and ``sensor``, the fields of the noise models in their order, where the log has such models; ``notes`` (N,) and
 ``doubts`` (N, 2), texts; ``relations_first``, ``relations_second``, ``relations_motions``, ``relations_covariances`` and
 ``positions_steps``, ``positions_places``, ``positions_covariances``, ``positions_levers``, the fields of `PoseRelations` and
-`AbsolutePositions`; ``uncertain`` (K, 2), names and numbers as texts; ``sessions`` (N, 3), names, steps and times as texts;
+`AbsolutePositions`; ``partial_sightings_steps`` and so on, those of `PartialSightings`; ``uncertain`` (K, 2), names and
+numbers as texts; ``sessions`` (N, 3), names, steps and times as texts;
 ``simulated``, where `simulate` made the log. No pickles.
 """
 
@@ -27,7 +28,7 @@ from ..errors import FormatError, OptionError, SlamError, reason_of
 from ..files import check_file, read_archive, write_whole
 from ..log import Log
 from ..log_arrays import Session
-from ..measurements import AbsolutePositions, PoseRelations
+from ..measurements import MEASURED
 from ..models import MotionModel, SensorModel
 from ..reading import ReadOptions, finite_fault, range_faults, sound_rows
 from ..se2 import Array
@@ -36,9 +37,6 @@ from .base import Format
 VERSION = "graphslam-log-1"
 _REQUIRED = ("steps", "landmarks", "sightings", "initial_poses")
 _MODELS: dict[str, type[MotionModel | SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
-_MEASURED: dict[str, type[PoseRelations | AbsolutePositions]] = {
-    "relations": PoseRelations, "positions": AbsolutePositions,
-}  # fmt: skip
 _OPTIONAL = (
     "classes", "dt", "controls", "control_starts", "control_variances", "recorded_dt", "true_poses", "true_path",
     "truth_offset",
@@ -68,7 +66,7 @@ def _read(path: Path, options: ReadOptions) -> Log:
                 }
                 models[name] = model(**values)
         measured: dict[str, Any] = {}
-        for name, kind in _MEASURED.items():
+        for name, kind in MEASURED.items():
             arrays: dict[str, Any] = {f.name: content.get(f"{name}_{f.name}") for f in fields(kind)}
             if lacking := [field for field, array in arrays.items() if array is None]:
                 if len(lacking) < len(arrays):

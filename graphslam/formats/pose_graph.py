@@ -4,6 +4,7 @@
 g2o                     ``VERTEX_SE2 id x y theta``, ``VERTEX_XY id x y``, ``FIX id ...``,
                         ``EDGE_SE2 i j x y theta`` + information 11 12 13 22 23 33,
                         ``EDGE_SE2_XY i j x y`` + information 11 12 22,
+                        ``EDGE_RANGE_SE2_XY i j l`` + its information, ``EDGE_BEARING_SE2_XY i j phi`` + its information,
                         ``EDGE_PRIOR_SE2 id x y theta`` + 6, ``EDGE_PRIOR_SE2_XY id x y`` + 3 of the information
 TORO                    ``VERTEX2 id x y theta``, ``EDGE2 i j x y theta`` + information **11 12 22 33 13 23**
 iSAM                    ``ODOMETRY`` or ``EDGE2 i j x y theta`` + upper triangle of the **square root** R of the
@@ -50,6 +51,8 @@ class PoseGraphFile:
     the first pose; ``point_edges`` (K, 2) with ``point_measured`` (K, 2) and ``point_information`` (K, 2, 2). Priors of poses
     name ids, too, and have information in world axes: ``priors`` (A,) with ``prior_measured`` (A, 3) and
     ``prior_information`` (A, 3, 3), ``places`` (B,) with ``place_measured`` (B, 2) and ``place_information`` (B, 2, 2).
+    Ranges alone are ``range_edges`` (F, 2) with ``range_measured`` (F, 1) and ``range_information`` (F, 1, 1), and bearings
+    ``bearing_edges`` likewise.
     ``notes`` are doubts about the numbers, one sentence each.
     """
 
@@ -70,6 +73,12 @@ class PoseGraphFile:
     places: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     place_measured: Array = field(default_factory=lambda: np.zeros((0, 2)))
     place_information: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    range_edges: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    range_measured: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    range_information: Array = field(default_factory=lambda: np.zeros((0, 1, 1)))
+    bearing_edges: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    bearing_measured: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    bearing_information: Array = field(default_factory=lambda: np.zeros((0, 1, 1)))
     notes: tuple[str, ...] = ()
 
 
@@ -93,6 +102,8 @@ class _Lines:
     fixed: dict[int, int] = field(default_factory=dict)
     pose_edges: list[_Edge] = field(default_factory=list)
     point_edges: list[_Edge] = field(default_factory=list)
+    ranges: list[_Edge] = field(default_factory=list)
+    bearings: list[_Edge] = field(default_factory=list)
     priors: list[_Edge] = field(default_factory=list)
     places: list[_Edge] = field(default_factory=list)
 
@@ -107,12 +118,15 @@ _TAGS: dict[str, tuple[int, int, str]] = {
     "ODOMETRY": (2, 9, "i j x y theta and 6 of the square-root information"),
     "EDGE_SE2_XY": (2, 5, "i j x y and 3 of the information"),
     "LANDMARK": (2, 5, "i j x y and 3 of the square-root information"),
+    "EDGE_RANGE_SE2_XY": (2, 2, "i j range and its information"),
+    "EDGE_BEARING_SE2_XY": (2, 2, "i j bearing and its information"),
     "EDGE_PRIOR_SE2": (1, 9, "id x y theta and 6 of the information"),
     "EDGE_PRIOR_SE2_XY": (1, 5, "id x y and 3 of the information"),
 }
 #: the dialect of an edge's tag; EDGE2 is TORO's or iSAM's
 _DIALECT_OF = {
-    "EDGE_SE2": "g2o", "EDGE_SE2_XY": "g2o", "EDGE_PRIOR_SE2": "g2o", "EDGE_PRIOR_SE2_XY": "g2o", "ODOMETRY": "isam",
+    "EDGE_SE2": "g2o", "EDGE_SE2_XY": "g2o", "EDGE_PRIOR_SE2": "g2o", "EDGE_PRIOR_SE2_XY": "g2o",
+    "EDGE_RANGE_SE2_XY": "g2o", "EDGE_BEARING_SE2_XY": "g2o", "ODOMETRY": "isam",
     "LANDMARK": "isam",
 }  # fmt: skip
 
@@ -142,7 +156,7 @@ def read_pose_graph(path: Path, dialect: str | None = None, unknown: str = "erro
     if left_out := tags.keys() - {*_TAGS, "FIX"}:
         counted = named(f"{count} x {tag}" for tag, count in tags.items() if tag in left_out)
         warnings.warn(f"{path}: left out lines with unknown tags: {counted}", UserWarning, stacklevel=3)
-    if not lines.pose_edges and not lines.point_edges:
+    if not (lines.pose_edges or lines.point_edges or lines.ranges or lines.bearings):
         raise FormatError(path, None, "no edges: a graph has at least one line like 'EDGE_SE2 i j x y theta ...'")
     if dialect is None:
         if "EDGE2" in tags and "VERTEX2" in tags and ("LANDMARK" in tags or "ODOMETRY" in tags):
@@ -179,7 +193,12 @@ def _take(lines: _Lines, line: int, words: list[str], unknown: str) -> None:
     if num_ids == 2:
         if count == 9 and ids[0] == ids[1]:
             raise FormatError(path, line, f"the edge goes from node {ids[0]} to itself; an edge ties two nodes")
-        (lines.pose_edges if count == 9 else lines.point_edges).append(_Edge(line, tag, ids, numbers))
+        alone = lines.ranges if "RANGE" in tag else lines.bearings
+        (lines.pose_edges if count == 9 else lines.point_edges if count == 5 else alone).append(
+            _Edge(line, tag, ids, numbers)
+        )
+        if tag == "EDGE_RANGE_SE2_XY" and numbers[0] <= 0:
+            raise FormatError(path, line, f"the range is {numbers[0]:g} m; a range must be above zero")
     elif tag.startswith("EDGE"):
         (lines.priors if count == 9 else lines.places).append(_Edge(line, tag, ids, numbers))
     elif ids[0] in lines.poses or ids[0] in lines.landmarks:
@@ -197,6 +216,8 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
     turn = turn_matrix(np.where(dialects == "g2o", pose_numbers[:, 2], 0.0))
     information = turn @ information @ np.swapaxes(turn, 1, 2)
 
+    ranges, range_numbers, range_information = _arrays(path, lines.ranges, 1, edge2)
+    bearings, bearing_numbers, bearing_information = _arrays(path, lines.bearings, 1, edge2)
     priors, prior_numbers, prior_information = _arrays(path, lines.priors, 3, edge2)
     places, place_numbers, place_information = _arrays(path, lines.places, 2, edge2)
     # g2o measures the error of a prior in the axes of the prior
@@ -216,7 +237,7 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
                 )
     for edges, last, of_last in (
         (lines.pose_edges, "pose", pose_values),
-        (lines.point_edges, "landmark", landmark_values),
+        (lines.point_edges + lines.ranges + lines.bearings, "landmark", landmark_values),
         (lines.priors + lines.places, "pose", pose_values),
     ):
         for edge in edges:
@@ -240,6 +261,12 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
         point_edges=point_edges,
         point_measured=point_numbers,
         point_information=point_information,
+        range_edges=ranges,
+        range_measured=range_numbers,
+        range_information=range_information,
+        bearing_edges=bearings,
+        bearing_measured=wrap(bearing_numbers),
+        bearing_information=bearing_information,
         priors=priors[:, 0],
         prior_measured=np.column_stack([prior_numbers[:, :2], wrap(prior_numbers[:, 2])]),
         prior_information=prior_information,
@@ -354,6 +381,12 @@ def write_g2o(data: PoseGraphFile, path: Path) -> None:
     upper = np.triu_indices(2)
     for (i, j), z, omega in zip(data.point_edges.tolist(), data.point_measured, data.point_information):
         out.append(f"EDGE_SE2_XY {i} {j} {_numbers(z)} {_numbers(omega[upper])}")
+    for tag, edges, measured, information in (
+        ("EDGE_RANGE_SE2_XY", data.range_edges, data.range_measured, data.range_information),
+        ("EDGE_BEARING_SE2_XY", data.bearing_edges, data.bearing_measured, data.bearing_information),
+    ):
+        for (i, j), z, omega in zip(edges.tolist(), measured, information):
+            out.append(f"{tag} {i} {j} {_numbers(z)} {_numbers(omega[0])}")
     # the residual of a prior is turned like that of an edge
     turn = turn_matrix(-data.prior_measured[:, 2])
     of_priors = turn @ data.prior_information @ np.swapaxes(turn, 1, 2)

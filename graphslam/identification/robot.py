@@ -93,7 +93,11 @@ def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate 
             raise
         reason = f"the noise models are the book's, because noise cannot be estimated: {error}"
         return log.replace(notes=(*log.notes, reason)), None
-    unused = [f"noise and biases were estimated without the {' and '.join(log.measured)}"] if log.measured else []
+    unused = (
+        [f"noise and biases were estimated without the {' and '.join(log.measured).replace('_', ' ')}"]
+        if log.measured
+        else []
+    )
     return found.log.replace(notes=(*log.notes, *found.sentences, *unused)), found
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..defaults import suitable_for_isam2
-from ..edges import CartesianObservationEdges, PositionEdges, RelationEdges
+from ..edges import CartesianObservationEdges, EdgeFamily, PartialEdges, PositionEdges, RelationEdges
 from ..errors import GraphError, OptionError, quoted
 from ..graph import Graph
 from ..log import Log
@@ -89,6 +89,8 @@ def _replayed(log: Log | Graph, backend: str, options: dict[str, Any]) -> tuple[
     """The graph of a log, and its steps."""
     own = {name: options[name] for name in backend_options(backend) if name in options}
     of_graph = {name: value for name, value in options.items() if name not in own}
+    if log.partial_sightings is not None if isinstance(log, Log) else any(map(_alone, log.families)):
+        raise GraphError("step by step there is no start for ranges or bearings alone; use solve or solve_with_gtsam")
     if backend == "isam2":
         return _by_isam2(log, own, of_graph)
     graph = log
@@ -101,6 +103,10 @@ def _replayed(log: Log | Graph, backend: str, options: dict[str, Any]) -> tuple[
     assert isinstance(graph, Graph)
     graph = _plain_relations(graph)
     return graph, _by_own(graph, own)
+
+
+def _alone(family: EdgeFamily) -> bool:
+    return isinstance(family, PartialEdges)
 
 
 def _by_own(graph: Graph, options: dict[str, Any]) -> Iterator[OnlineSolver]:

@@ -6,7 +6,7 @@ optimiser. Therefore edges that share nodes share factors where that leaves the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import TypeVar
@@ -165,6 +165,8 @@ def _factors_of(
         for i, z, information, lever in _rows(family.nodes, family.measured, family.weighed, family.levers):
             position = factor_types.PositionFactor(i, z, information, lever=lever, kernel=family.kernel)
             yield position.fastest() if factors == "fastest" else position
+    elif isinstance(family, edges.PartialEdges):
+        yield from _of_single_numbers(family)
     elif isinstance(family, edges.RelativePoseEdges):
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
             yield factor_types.RelativePoseFactor(i, j, z, information, frame=family.frame, at=reference[i])
@@ -221,3 +223,33 @@ def _landmark_factors(
                 nodes.tolist(), family.sightings[start:end], family.sensor,
                 frame=family.frame, weight=weight, at=reference[nodes], trust=family.trusted[start:end],
             )  # fmt: skip
+
+
+def _of_single_numbers(family: edges.PartialEdges) -> Iterator[gtsam.NonlinearFactor]:
+    """GTSAM's own factors of ranges and bearings, and ours where a sensor is off the robot's pose or there is a kernel."""
+    ranged, native = isinstance(family, edges.RangeEdges), not family.offset.any() and family.kernel is None
+    for k, (i, j, z, information) in enumerate(_rows(family.first, family.second, family.measured, family.weighed)):
+        if native:
+            noise = gtsam.noiseModel.Isotropic.Precision(1, information[0, 0])
+            if ranged:
+                yield gtsam.RangeFactor2D(i, j, z[0], noise)
+            else:
+                yield gtsam.BearingFactor2D(i, j, gtsam.Rot2(z[0]), noise)
+        else:
+            one = type(family)(
+                np.array([0]), np.array([1]), family.measured[k : k + 1], information[None], family.offset
+            )
+            yield factor_types.ResidualFactor(
+                [i, j], _residual(one), information, kinds=["pose", "point"], kernel=family.kernel
+            )
+
+
+def _residual(edge: edges.PartialEdges) -> Callable[[Array, Array], tuple[Array, list[Array]]]:
+    """The residual of one edge and its derivatives, from a pose (3,) and a point (2,)."""
+
+    def residual(pose: Array, point: Array) -> tuple[Array, list[Array]]:
+        state = np.array([pose, [*point, 0.0]])
+        found = edge.linearize(state, state)
+        return found.residuals[0], [found.jacobians[0][0], found.jacobians[1][0][:, :2]]
+
+    return residual

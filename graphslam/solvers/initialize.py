@@ -17,12 +17,15 @@ from ..transform import coarse, filled, with_cartesian_sightings, without_landma
 from .gauss_newton import gauss_newton
 from .initial_values import dead_reckoning, place_landmarks, rotation_first
 from .iteration import Run
+from .mirror_images import grown_from_single_numbers
 from .sequential_start import sequential_start
 
 #: the choices of the option ``initialize``
 INITIALIZE = ("given", "dead-reckoning", "rotation-first", "grow", "auto")
+#: the start of graphs with ranges or bearings alone
+MIRRORED = "mirror images"
 #: the starts that "auto" tries, in this order
-AUTO = ("cartesian", "virtual-motion", "rotation-first", "given")
+AUTO = (MIRRORED, "cartesian", "virtual-motion", "rotation-first", "given")
 #: the starts that grow the graph, and by how many poses at a time; "auto" tries them where ends are doubtful
 GROWING = {"grow": 10, "grow by 3": 3, "grow by 1": 1}
 #: longer trajectories are first solved for every eighth pose, recursively
@@ -118,6 +121,7 @@ _STARTS: dict[str, Callable[[Graph], Array]] = {
     "dead-reckoning": dead_reckoning,
     "rotation-first": rotation_first,
     "auto": _first_of_auto,
+    MIRRORED: grown_from_single_numbers,
     "cartesian": cartesian_first,
     "virtual-motion": virtual_motion_first,
     **{name: partial(sequential_start, poses=poses) for name, poses in GROWING.items()},

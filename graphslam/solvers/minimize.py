@@ -15,6 +15,7 @@ from .gauss_newton import gauss_newton
 from .initialize import starting_state
 from .iteration import Iteration, Run
 from .levenberg_marquardt import levenberg_marquardt
+from .mirror_images import image_notes, partial_edges
 from .with_parameters import FIRST, best_of_starts, solve_jointly
 
 METHODS: dict[str, Callable[[Any, Run], Any]] = {
@@ -65,6 +66,7 @@ def minimize(
                 callback(step)
     else:
         run = run_from(starting_state(graph, initialize), method)
+    notes = image_notes(graph, run.state) if partial_edges(graph) else ()
     return make_solution(
         graph,
         run.state,
@@ -75,4 +77,5 @@ def minimize(
         seconds=time.perf_counter() - begin,
         solver="graphslam",
         cost=cost,
+        notes=notes,
     )

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from ..checks import first
 from ..errors import LogError, OptionError, decimals
-from ..measurements import AbsolutePositions, PoseRelations
+from ..measurements import AbsolutePositions, PartialSightings, PoseRelations
 from ..models import MotionModel
 from ..reading import MOST_POSES, ReadOptions
 from ..se2 import Array, interpolate, mounted
@@ -124,16 +124,27 @@ def parts_of_streams(
         start = np.zeros(3)
         if true_poses is not None and not np.isnan(true_poses[0]).any():
             start = mounted(true_poses[0], (-truth_offset[0], -truth_offset[1]))
+    steps, ids = np.searchsorted(times, seen), landmarks[inside]
+    classes = None if classes is None else np.asarray(classes)[order][inside]
+    rows = sightings.rows[inside]
+    if (alone := np.isnan(rows[:, :2]).any(axis=1)).any():
+        remarks.append(f"{np.sum(alone)} of {len(alone)} sightings have a range or a bearing alone")
+        measured_alone = PartialSightings(
+            steps=steps[alone], landmarks=ids[alone], ranges=rows[alone, 0], bearings=rows[alone, 1]
+        )
+        models["partial_sightings"] = measured_alone
+        steps, ids, rows = steps[~alone], ids[~alone], rows[~alone]
+        classes = None if classes is None else classes[~alone]
     return dict(
         dt=dt,
         controls=controls,
         control_starts=starts,
         control_variances=variances,
         recorded_dt=recorded_dt,
-        steps=np.searchsorted(times, seen),
-        landmarks=landmarks[inside],
-        sightings=sightings.rows[inside],
-        classes=None if classes is None else np.asarray(classes)[order][inside],
+        steps=steps,
+        landmarks=ids,
+        sightings=rows,
+        classes=classes,
         **_records(measured, times),
         initial_poses=MotionModel().dead_reckoning(start, controls, dt)[starts],
         true_poses=true_poses,

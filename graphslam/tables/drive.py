@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -145,7 +145,12 @@ class Reader:
             elif role == "id":
                 faults.append(id_fault(self.table, self.found[role].column, values))
             else:
-                faults.append(finite_fault(values, title))
+                fault = finite_fault(values, title)
+                if {"range", "bearing"} <= {*columns} and role in ("range", "bearing") and "orientation" not in columns:
+                    # with one empty cell the sighting has the other number alone
+                    number = columns["bearing" if role == "range" else "range"]
+                    fault = replace(fault, rows=fault.rows & ~(np.isnan(values) & np.isfinite(number)))
+                faults.append(fault)
                 faults += range_faults(values) if role == "range" else []
         if "x" in columns and self.kind == "sightings":
             other = "z" if self.options.axes == "optical" else "y"
@@ -319,12 +324,12 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
         rows = _polar(reader.numbers(*third), options.axes)
     else:
         reader.need("range", "bearing", instead=", and none for x and y instead of range and bearing")
-        rows = reader.numbers("range", "bearing")
+        rows = reader.numbers("range", "bearing", finite=reader.has("orientation"))
         reader.refuse(
             "bearing", rows[:, 1], np.abs(rows[:, 1]) > 2 * np.pi + 1e-6,
             "the bearing is {:g} rad, beyond 2 pi: is it in degrees?", "degrees/radians",
         )  # fmt: skip
-    if np.median(rows[:, 0]) > FARTHEST:
+    if np.nanmedian([*rows[:, 0], 0.0]) > FARTHEST:
         role = "range" if reader.has("range") else "x"
         reader.refuse(role, rows[:, 0], rows[:, 0] > FARTHEST, "the range is {:g} m: is it in mm?", "mm/m")
     sign = -1.0 if options.bearings == "clockwise" else 1.0

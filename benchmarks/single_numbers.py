@@ -1,0 +1,79 @@
+"""Ranges or bearings alone: is the optimum reached from odometry?
+
+    python benchmarks/single_numbers.py [--number range] [--count 100] [--lanes 6]
+
+Worlds of `graphslam.simulation.single_numbers`: 300 poses along the lanes of a field of 40 m, 8 landmarks, one sighting at
+every second pose. The optimum is the lower end of the search from odometry and of Levenberg-Marquardt from the ground truth.
+A landmark is misplaced in silence where no note says that it may be elsewhere.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+from graphslam import Graph, Solution, solve
+from graphslam.metrics import ate, evaluate
+from graphslam.simulation.single_numbers import NUMBERS, simulate_single_numbers
+
+#: costs that differ by less than this part are the same
+SAME = 1e-6
+#: a landmark is misplaced where it is farther from its true place, after alignment, than so many [m] and standard deviations
+MISPLACED = 2.0, 5.0
+
+
+def optimum(graph: Graph, found: Solution) -> float:
+    """The lowest known cost."""
+    log = graph.log
+    assert log is not None and log.true_poses is not None and log.true_landmarks is not None
+    places = [[*log.true_landmarks[j][:2], 0.0] for j in graph.landmark_ids.tolist()]
+    true = graph.with_initial(np.concatenate([log.true_poses, places]))
+    near = solve(true, initialize="given", method="levenberg-marquardt")
+    return min(near.cost, found.cost)
+
+
+def main() -> None:
+    """Print how many worlds end at the optimum, and how well."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--number", choices=NUMBERS, action="append", help="default: both")
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--lanes", type=int, default=6, help="1: a straight way, with mirror images")
+    parser.add_argument("--first", type=int, default=1000, help="the first seed")
+    options = parser.parse_args()
+    for number in options.number or NUMBERS:
+        reached, doubted, misplaced, silent, seconds, errors, before = 0, 0, 0, 0, [], [], []
+        for seed in range(options.first, options.first + options.count):
+            log = simulate_single_numbers(number, seed=seed, lanes=options.lanes)
+            assert log.true_poses is not None and log.true_landmarks is not None
+            begin = time.process_time()
+            graph = Graph.from_log(log)
+            found = solve(graph)
+            seconds.append(time.process_time() - begin)
+            here = found.cost <= optimum(graph, found) * (1 + SAME)
+            reached += here
+            said = {int(note.split()[1]) for note in found.notes if "may be elsewhere" in note}
+            doubted += bool(said)
+            of_landmarks = evaluate(log.true_poses, log.true_landmarks, found.poses, found.landmarks).landmark_errors_m
+            far = {
+                j
+                for j, error in (of_landmarks or {}).items()
+                if error
+                > max(MISPLACED[0], MISPLACED[1] * np.trace(np.squeeze(found.covariance(landmarks=[j]))) ** 0.5)
+            }
+            misplaced += len(far)
+            silent += len(far - said)
+            if not here:
+                print(f"{number}, seed {seed}: not the optimum")
+            errors.append(ate(log.true_poses, found.poses))
+            before.append(ate(log.true_poses, log.initial_poses))
+        print(
+            f"{number}: optimum in {reached} of {options.count}; a landmark said to be possibly elsewhere in {doubted}; "
+            f"{misplaced} landmarks misplaced, {silent} of them in silence; ATE {np.median(errors):.3f} m (median), dead "
+            f"reckoning {np.median(before):.2f} m; {np.median(seconds):.2f} s"
+        )
+
+
+if __name__ == "__main__":
+    main()
