@@ -89,6 +89,9 @@ def _replayed(log: Log | Graph, backend: str, options: dict[str, Any]) -> tuple[
     """The graph of a log, and its steps."""
     own = {name: options[name] for name in backend_options(backend) if name in options}
     of_graph = {name: value for name, value in options.items() if name not in own}
+    if isinstance(log, Log) and log.partial_sightings is not None and len(log.steps):
+        log.replace(relations=None, positions=None).warn_of_unused("the solver step by step")
+        log = log.replace(partial_sightings=None)
     if log.partial_sightings is not None if isinstance(log, Log) else any(map(_alone, log.families)):
         raise GraphError("step by step there is no start for ranges or bearings alone; use solve or solve_with_gtsam")
     if backend == "isam2":

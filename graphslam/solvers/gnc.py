@@ -77,7 +77,10 @@ def solve_gnc(graph: Graph, tolerance: float, max_rounds: int, initialize: str, 
     if max_rounds < 1:
         raise OptionError(f"max_iterations must be at least 1 for the method gnc, not {max_rounds}")
     if any(isinstance(family, PartialEdges) for family in graph.families):
-        raise GraphError("gnc does not take ranges or bearings alone; choose a robust kernel, such as kernel='cauchy'")
+        raise GraphError(
+            "gnc does not take ranges or bearings alone; choose a robust kernel, such as kernel='cauchy', or leave "
+            "them out: Log.replace(partial_sightings=None)"
+        )
     begin = time.perf_counter()
     if graph.measurements == 0:
         graph = graph.with_closures()

@@ -243,3 +243,11 @@ def test_an_empty_cell_of_a_table_is_a_sighting_with_one_number() -> None:
             {"t": seconds, "v": [0.5] * 101, "w": [0.2] * 101},
             {"t": [1.0, 2.0], "id": [3, 3], "range": [2.0, np.nan], "bearing": [0.1, np.nan]},
         )
+
+
+def test_the_solver_step_by_step_leaves_them_out_beside_whole_sightings() -> None:
+    log = simulate(seed=5, steps=20, clean=True, orientation=False)
+    partial = PartialSightings(steps=[3], landmarks=[0], ranges=[2.0], bearings=[np.nan])
+    with pytest.warns(UserWarning, match="step by step does not use the partial sightings"):
+        found = solve_online(log.replace(partial_sightings=partial))
+    assert np.array_equal(found.poses, solve_online(log).poses)

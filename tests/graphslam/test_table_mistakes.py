@@ -1,6 +1,7 @@
 """Mistakes in tables of your own robot: every one is one sentence with its place and likely cause."""
 
 import gzip
+import re
 from functools import partial
 
 import numpy as np
@@ -177,7 +178,7 @@ MISTAKES = {
         "odometry.csv:8: 'nu' is empty or NaN; remove the row, or repair it; 22 of 201 rows have 'nu' empty, NaN or infinite",
     ),
     "an empty cell": (
-        {"sightings": text("t,id,range,bearing", SEEN).replace(",1.7,", ",,", 1)},
+        {"sightings": re.sub(r",1\.7,[^\n]*", ",,", text("t,id,range,bearing", SEEN), count=1)},
         "sightings.csv:4: 'range' is empty or NaN",
     ),
     "a time that is missing": (
