@@ -142,13 +142,8 @@ def pose_graph(path: Path, steps: int, sample: float) -> None:
         row = max(forward, key=lambda k: edges.first[k])
         rest = np.array([k for k in rows if k != row], dtype=int)
         begin = time.process_time()
-        closures = (
-            np.column_stack([edges.first[rest], edges.second[rest]]),
-            edges.measured[rest],
-            edges.information[rest],
-        )
-        edge = int(edges.first[row]), edges.measured[row], edges.information[row]
-        solver._add(edge, (), np.zeros((0, 2)), np.zeros((0, 2, 2)), relations=closures)
+        for k in (row, *rest):
+            solver._backend.relate((int(edges.first[k]), int(edges.second[k]), edges.measured[k], edges.information[k]))
         seconds.append(time.process_time() - begin)
         if rng.random() < sample:
             kept, poses = later <= pose, solver.poses
