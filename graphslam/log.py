@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +27,9 @@ from .measurements import MEASURED, AbsolutePositions, Measured, PartialSighting
 from .models import MotionModel, SensorModel, additional_variances
 from .reading import NO_CLASS, NO_ID, UNIDENTIFIED
 from .se2 import Array, mounted, wrap
-from .tables import TableOptions, parts_of_tables
+
+if TYPE_CHECKING:
+    from .tables.options import TableOptions
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -191,6 +193,8 @@ class Log:
             LogError: a table lacks a column or has an impossible value; the message names file and line.
             OptionError: an option is impossible.
         """
+        from .tables.join import parts_of_tables  # readers are above `Log`, and only this method needs them
+
         tables = {"truth": truth, "map": map, "relations": relations, "positions": positions}
         return cls(**parts_of_tables(odometry, sightings, tables, name, keep_every, options, **changes))
 
