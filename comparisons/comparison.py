@@ -23,6 +23,7 @@ from .config import config_text
 from .display import Displayed
 from .documents import (
     EstimatorDocument,
+    LandmarkStateDocument,
     RunDocument,
     certificate_document,
     describe,
@@ -236,6 +237,7 @@ class Comparison(Displayed):
             )
             for r in self.results
         }  # fmt: skip
+        states = self.options.landmark_states
         by_name |= {entry.name: _SKIPPED | {"name": entry.name, "reason": entry.reason} for entry in self.skipped}
         return document(
             RunDocument,
@@ -243,6 +245,7 @@ class Comparison(Displayed):
             sessions=documents_of_sessions(self),
             noise={n: {"source": self.noise_source[n], "model": asdict(model)} for n, model in self.models.items()},
             robot=None if self.options.calibration is None else self.options.calibration.to_json(),
+            map_states=None if states is None else [document(LandmarkStateDocument, each) for each in states],
             estimators=[by_name[row.name] for row in self.table],
             files={kind: str(path) for kind, path in (files or {}).items()},
             notes=getattr(files, "notes", []),

@@ -176,6 +176,7 @@ class MapOptions(Options):
         USES[0], "Errors of the map: joint, all that it says; own, without correlations; fixed, exact.", choices=USES
     )
     landmark_map: LandmarkMap | None = option(None, "The map itself, instead of a file.", only="python")
+    landmark_states: Any = option(None, "What the log says about its landmarks; a result of reading.", only="python")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,11 +38,13 @@ from graphslam.identification.robot import enough_ids, estimate_robot, known_rob
 from graphslam.keyframes import with_poses_every
 from graphslam.landmark_map import as_map
 from graphslam.localization import in_frame_of
+from graphslam.map_states import map_states, session_states
 from graphslam.parameters.corrections import without_biases
 from graphslam.parameters.declared import CORRECTIONS, of_sensor_alone
 from graphslam.robots import join_robots
 from graphslam.sessions import with_common_noise
 
+from .failures import noted
 from .noise_files import read_noise
 from .option import options_of
 from .options import AUTO, BOOK, CalibrationOptions, LogOptions, MapOptions, NoiseOptions, ReadingOptions
@@ -78,8 +80,8 @@ def prepare(
         The log; where it came from, None for a `Log`, or that of each of several; the options, whose noise models are those
         of the options, else those of the noise file, else those of the log, else those estimated from it, else the book's.
         Its ``noise`` is `AUTO` where they were estimated, with what was found as its ``calibration`` where there is one log,
-        or the noise file; its ``numbers`` are those of the filters. With a map the log is in its frame, and the map its
-        ``landmark_map``.
+        or the noise file; its ``numbers`` are those of the filters. With a map the log is in its frame, the map without
+        the landmarks that have moved its ``landmark_map``, and the state of all its ``landmark_states``.
 
     Raises:
         FormatError: a file cannot be read.
@@ -123,6 +125,12 @@ def prepare(
         data, notes = in_frame_of(data, landmark_map, motion=motion, sensor=sensor)
         data = data.replace(notes=(*data.notes, *notes))
         in_map = {"landmark_map": landmark_map}
+        remarks: list[str] = []
+        with noted(remarks, "whether landmarks of the map have moved is not known"):
+            states = map_states(data, landmark_map, motion=motion, sensor=sensor)
+            remarks.append(states.sentence)
+            in_map |= {"landmark_map": states.map, "landmark_states": states.landmarks}
+        data = data.replace(notes=(*data.notes, *remarks))
     filled: dict[str, Any] = {
         "numbers": {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)},
         "noise": AUTO if estimated else options.noise if of_file else None,
@@ -146,6 +154,11 @@ def _joined(
     read = [read_log(each, options) for each in logs]
     known = [_with_noise(data, options) for data, _ in read]
     joined = join_logs(with_common_noise([data for data, _, _ in known])).log
+    remarks: list[str] = []
+    with noted(remarks, "whether landmarks have moved between the logs is not known"):
+        changes = session_states(joined) if len(known) > 1 else []
+        remarks += [f"{each.name}: {found.sentence}" for each, found in zip(joined.sessions[1:], changes)]
+    joined = joined.replace(notes=(*joined.notes, *remarks))
     # biases of options and of a noise file are the same for all
     return joined, tuple(source for _, source in read), known[0][1], any(found is not None for _, _, found in known)
 

@@ -12,6 +12,7 @@ from .runs import (
     EstimatorDocument,
     EvaluatedDocument,
     EvaluateDocument,
+    LandmarkStateDocument,
     RunDocument,
     SessionDocument,
     SessionErrorsDocument,
@@ -42,7 +43,7 @@ DOCUMENTS: dict[str, type[Document]] = {
 
 __all__ = [
     "DOCUMENTS", "AssociationDocument", "Document", "DoubtDocument", "EstimatorDocument", "EvaluateDocument",
-    "EvaluatedDocument", "SessionDocument", "SessionErrorsDocument", "VerdictDocument",
+    "LandmarkStateDocument", "EvaluatedDocument", "SessionDocument", "SessionErrorsDocument", "VerdictDocument",
     "certificate_document", "describe",
     "document", "parameters_document",
 ]  # fmt: skip

@@ -221,6 +221,20 @@ class SessionDocument(Document):
     estimators: Annotated[dict[str, SessionErrorsDocument], about("the errors of every estimator, by name")]
 
 
+class LandmarkStateDocument(Document):
+    """What the log says about one landmark of the map; see docs/maps.md."""
+
+    id: Annotated[int, about("of the landmark")]
+    state: Annotated[Literal["agrees", "moved", "vanished", "not in view", "new"], about("the state")]
+    probability: Annotated[float, about("of this state; of `not in view` that it is still there")]
+    moved: Annotated[float | None, about("probability that it has moved; null if it was not seen, or is new")]
+    vanished: Annotated[float | None, about("probability that it is gone; null if it is new")]
+    shift: Annotated[list[float] | None, about("from its place in the map to that in the log [m]")]
+    chi_square: Annotated[float | None, about("of the shift")]
+    views: Annotated[Count | None, about("number of scans in which it should have been seen")]
+    seen: Annotated[Count, about("number of its sightings")]
+
+
 class RunDocument(Document):
     """`slam-compare run` and `report`, comparison.json."""
 
@@ -231,6 +245,9 @@ class RunDocument(Document):
     ]
     robot: Annotated[
         CalibrateDocument | None, about("noise and biases that were estimated from the log; null where none were")
+    ]
+    map_states: Annotated[
+        list[LandmarkStateDocument] | None, about("the landmarks of the map and new ones; null without a map")
     ]
     estimators: Annotated[list[EstimatorDocument], about("in the order of the table")]
     files: Annotated[dict[str, str], about("the files written, by kind or name")]

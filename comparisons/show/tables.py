@@ -224,7 +224,9 @@ def comparison_tables(comparison: Comparison) -> Tables:
         for note in comparison.notes_of(result):
             notes.setdefault(note, []).append(result.name)
     remarks += [f"{', '.join(names)}: {note}." for note, names in notes.items()]
-    return [*result_tables(comparison.table)[0], *session_tables(comparison)], remarks
+    tables = [*result_tables(comparison.table)[0], *session_tables(comparison)]
+    changed = state_table(comparison)
+    return tables if changed is None else [*tables, changed], remarks
 
 
 def session_tables(comparison: Comparison) -> list[Table]:
@@ -241,6 +243,22 @@ def session_tables(comparison: Comparison) -> list[Table]:
         alone = (number(getattr(each.alone, metric)) for metric in metrics)
         tables[each.session].add_row(each.estimator, *alone, number(each.together_m))
     return list(tables.values())
+
+
+def state_table(comparison: Comparison) -> Table | None:
+    """The landmarks of the map that do not surely agree, and new ones; None where there are none."""
+    states = [
+        each for each in comparison.options.landmark_states or () if each.state != "agrees" or each.probability < 0.95
+    ]
+    if not states:
+        return None
+    headings = ["state", "probability", "moved by\n[m]", "sightings", "views"]
+    table = LeanTable("Landmarks of the map that do not surely agree, and new ones", ["landmark"], headings)
+    for each in states:
+        shift = None if each.shift is None else float(np.hypot(*each.shift))
+        views = NOTHING if each.views is None else str(each.views)
+        table.add_row(str(each.id), each.state, number(each.probability), number(shift, 2), str(each.seen), views)
+    return table
 
 
 def landmark_table(comparison: Comparison) -> Table | None:

@@ -153,3 +153,21 @@ def test_a_map_that_does_not_fit_is_one_sentence(content: str, message: str, inv
     assert result.exit_code == 2
     assert message in " ".join(result.stderr.split())
     assert "Traceback" not in result.output
+
+
+def test_landmarks_that_have_moved_are_shown_and_written(
+    invoke: Invoke, logs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    true = log_of(1, (0.0, -3.0, 0.0)).true_landmarks
+    assert true is not None
+    places = {j: np.array(m) for j, m in true.items()}
+    places[4] += (1.5, 0.0, 0.0)
+    LandmarkMap({**places, 77: (900.0, 0.0, 0.0)}, dict.fromkeys([*places, 77], 1e-4 * np.eye(3))).save(
+        tmp_path / "m.npz"
+    )
+    result = invoke("run", logs[1], "--map", "m.npz", "--estimators", "graph", "--json", "out.json")
+    assert "landmark 4 moved; landmarks 1 and 77 not in view of the sensor" in " ".join(result.output.split())
+    states = {each["id"]: each for each in json.loads((tmp_path / "out.json").read_text())["map_states"]}
+    assert states[4]["state"] == "moved" and states[77]["state"] == "not in view" and states[0]["state"] == "agrees"
+    # the map was shifted by 1.5 m along x; the noise of the book leaves some decimetres
+    assert np.hypot(states[4]["shift"][0] + 1.5, states[4]["shift"][1]) < 0.5

@@ -1,0 +1,103 @@
+"""Which landmarks of a map agree with a log, have moved, are gone or are new: `graphslam.map_states`."""
+
+import numpy as np
+import pytest
+
+from graphslam import Graph, LandmarkMap, OptionError, SensorModel, join_logs, simulate, solve
+from graphslam.map_states import EXACT, MOVE, TURN, map_states, session_states
+
+FIRST = simulate(seed=1, clean=True, landmarks=20, steps=80, arena=6.0)
+MAP = solve(Graph.from_log(FIRST, edges="landmark+motion")).map
+
+
+def second(seed, shifts=(), gone=(), new=(), **options):
+    """A drive among the landmarks of the first, some of which are elsewhere, gone or new."""
+    places = {j: np.array(place) for j, place in FIRST.true_landmarks.items() if j not in gone}
+    for j, shift in dict(shifts).items():
+        places[j][:2] += shift
+    places |= {j: np.array(place) for j, place in dict(new).items()}
+    ids = sorted(places)
+    log = simulate(seed=seed, clean=True, landmarks=[places[j].tolist() for j in ids], steps=80, **options)
+    return log.replace(
+        landmarks=np.array(ids)[log.landmarks], true_landmarks={j: places[j] for j in ids if j in log.true_landmarks}
+    )
+
+
+def test_what_has_changed_is_said_and_the_trajectory_is_that_without_it():
+    shifts, gone, new = {3: (1.5, 0.0), 7: (0.0, -1.0)}, [5], {50: (0.5, 0.5, 0.0)}
+    log = second(2, shifts, gone, new)
+    found = map_states(log, MAP)
+    assert found.of("moved") == [3, 7] and found.of("new") == [50] and 5 in found.of("vanished")
+    assert set(found.map) == set(MAP) - {3, 7}
+    for each in found.landmarks:
+        if each.id in shifts:
+            # chi-square of the error of the shift is below 9.2 at 99 %, with what was stated of it below 0.6 m
+            assert np.hypot(*(each.shift - shifts[each.id])) < 0.6 and each.moved > 0.99
+    # exactly the graph without the moved landmarks of the map
+    clean = solve(Graph.from_log(log, map=MAP.among(set(MAP) - {3, 7})))
+    assert np.abs(found.solution.poses - clean.poses)[:, :2].max() < 1e-4
+
+
+def test_the_shift_is_that_of_a_graph_in_which_it_is_free():
+    """The closed form from one solution, against a second solution in which the landmark has a node of its own."""
+    log = second(3)
+    j = max(MAP, key=lambda j: np.sum(log.landmarks == j))
+    at_once = {each.id: each for each in map_states(log, MAP).landmarks}[j]
+    free = log.replace(landmarks=np.where(log.landmarks == j, 999, log.landmarks))
+    used = MAP.among(set(log.landmark_ids.tolist()))
+    solution = solve(Graph.from_log(free, map=used))
+    shift = solution.landmarks[999] - solution.landmarks[j]
+    P = solution.covariance(landmarks=[j, 999], joint=True)
+    V = P[:3, :3] + P[3:, 3:] - P[:3, 3:] - P[3:, :3]
+    square = shift @ np.linalg.solve(V, shift)
+    # both are linearised at their own solutions, which differ by some tenths of a standard deviation
+    assert at_once.chi_square == pytest.approx(square, rel=0.1, abs=0.1)
+    assert at_once.shift == pytest.approx(shift[:2], abs=0.2 * np.sqrt(V[0, 0]))
+    wide = V + np.diag([MOVE, MOVE, TURN]) ** 2
+    odds = 0.05 / 0.95 * np.sqrt(np.linalg.det(V) / np.linalg.det(wide))
+    odds *= np.exp((square - shift @ np.linalg.solve(wide, shift)) / 2)
+    assert at_once.moved == pytest.approx(odds / (1 + odds), rel=0.5)
+
+
+def test_chi_square_has_its_distribution_where_nothing_has_changed():
+    squares = []
+    for seed in range(20, 30):
+        # a tenth of the noise of the book, whose ranges are off by up to a half
+        sensor = SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005)
+        found = map_states(second(seed, sensor=sensor), FIRST.true_landmarks, sensor=sensor)
+        squares += [each.chi_square for each in found.landmarks if each.chi_square is not None]
+    # mean 3, variance 6; those of one drive share its trajectory: a fifth of them counts as independent
+    assert len(squares) > 100 and abs(np.mean(squares) - 3) < 4 * np.sqrt(6 / (len(squares) / 5))
+
+
+@pytest.mark.parametrize("use", ["joint", "own", "fixed"])
+def test_every_use_of_a_map(use):
+    known = MAP if use != "fixed" else LandmarkMap(FIRST.true_landmarks)
+    found = map_states(second(2, {3: (1.5, 0.0)}), known.used_as(use), kernel="cauchy")
+    assert found.of("moved") == [3] and EXACT < 0.01
+
+
+def test_a_map_with_and_one_without_headings():
+    log = second(2, {3: (1.5, 0.0)})
+    flat = {j: place[:2] for j, place in FIRST.true_landmarks.items()}
+    for each, known in (
+        (log.without_orientation(), MAP),
+        (log, LandmarkMap(flat, {j: 0.01 * np.eye(2) for j in flat})),
+    ):
+        assert map_states(each, known).of("moved") == [3]
+
+
+def test_a_landmark_that_was_not_in_view_is_not_said_to_be_gone():
+    far = LandmarkMap({**MAP, 99: (500.0, 0.0, 0.0)}, MAP.covariances)
+    (state,) = [each for each in map_states(second(2), far).landmarks if each.id == 99]
+    assert state.state == "not in view" and state.views == 0 and state.vanished == pytest.approx(0.05)
+    with pytest.raises(OptionError, match="prior must be a probability"):
+        map_states(second(2), far, prior=0.0)
+
+
+def test_sessions():
+    logs = [FIRST.at_steps(np.arange(70)), second(2, {3: (1.5, 0.0)})]
+    (found,) = session_states(join_logs(logs).log)
+    assert found.of("moved") == [3] and "landmark 3 moved" in found.sentence
+    with pytest.raises(OptionError, match="is one drive"):
+        session_states(FIRST)
