@@ -26,7 +26,7 @@ def make(source: Path, language: str, results: Mapping[str, cells.Cell], folder:
     """Return the notebook of a page in one language."""
     text = cells.markers(source.with_suffix(LANGUAGES[language]).read_text())
     return notebooks.notebook(
-        text, results, folder, lambda arguments: listings.listing(*shlex.split(arguments), language=language)
+        text, results, folder, lambda arguments: listings.listing(*shlex.split(arguments), language=language), language
     )
 
 

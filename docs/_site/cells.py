@@ -25,6 +25,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -45,6 +46,8 @@ class Cell:
     code: str
     output: str
     figures: list[tuple[str, str]]
+    #: what the cell asks the reader, see `exercises`
+    question: dict[str, Any] | None = None
 
 
 class CellError(RuntimeError):

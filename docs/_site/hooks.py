@@ -6,6 +6,7 @@ A page may have these lines, indented as the text around them:
     {{ cell NAME "alternative text" }}                     a cell's code, what it printed, and its figure
     {{ output NAME "alternative text" }}                   the same with the code folded
     {{ figure NAME "alternative text" }}                   only the figure, a slider if the cell drew several
+    {{ ask NAME "what to write" }}                         fields for the numbers that a cell asks for, see `exercises`
     {{ live KIND LOG key=value "text" }}                   a figure that the reader moves, see `live`
     {{ slides }}                                           where the site explains each formula of the lectures
 
@@ -28,6 +29,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import bundled
 import cells
+import exercises
 import formulas
 import listings
 import live
@@ -36,7 +38,7 @@ from mkdocs.exceptions import PluginError
 from mkdocs.plugins import event_priority
 from mkdocs.utils import get_relative_url
 
-_MARKER = re.compile(r"^([ \t]*)\{\{ (code|cell|output|figure|live|slides)(?: (.+?))? \}\}$", re.MULTILINE)
+_MARKER = re.compile(r"^([ \t]*)\{\{ (code|cell|output|figure|ask|live|slides)(?: (.+?))? \}\}$", re.MULTILINE)
 #: the words on the page, by language
 WORDS = {
     "en": {
@@ -200,9 +202,15 @@ def _cell(kind: str, source: Path, arguments: list[str], page: Any, language: st
     if name not in results:
         raise PageError(f"{page.file.src_uri}: {source.name} has no cell {name!r}; it has {', '.join(results)}")
     cell = results[name]
+    if kind == "ask":
+        if cell.question is None:
+            if cells.HURRIED:
+                return ""
+            raise PageError(f"{page.file.src_uri}: the cell {name!r} asks nothing")
+        return exercises.form(cell.question, alternative, language)
     if cell.figures and not alternative:
         raise PageError(f"{page.file.src_uri}: the figure of cell {name!r} needs an alternative text")
-    made, code = [], ["```python", *cell.code.splitlines(), "```", ""]
+    made, code = [], ["```python", *exercises.shown(cell.code).splitlines(), "```", ""]
     if kind == "cell":
         made += code
     if kind != "figure" and cell.output:

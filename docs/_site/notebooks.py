@@ -17,10 +17,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import exercises
 import formulas
 from cells import Cell
 
-_MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure|slides)(?: (.+?))? \}\}$", re.MULTILINE)
+_MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure|ask|slides)(?: (.+?))? \}\}$", re.MULTILINE)
 #: figures that need the engine in the page
 _LIVE = re.compile(r"^[ \t]*\{\{ live .+ \}\}\n", re.MULTILINE)
 #: where Colab installs the project from, and finds the notebooks; the workflow that publishes the site sets it
@@ -37,15 +38,21 @@ SLIDER = '''def slider(label, values, draw):
         draw(value)'''
 
 
-def notebook(markdown: str, results: Mapping[str, Cell], folder: Path, code: Callable[[str], str]) -> dict[str, Any]:
+def notebook(
+    markdown: str, results: Mapping[str, Cell], folder: Path, code: Callable[[str], str], language: str = "en"
+) -> dict[str, Any]:
     """Return a page as a notebook.
 
     Args:
         markdown: the page with its markers.
         results: of its cells, whose figures are in ``folder``.
         code: makes the block for the arguments of a marker of code.
+        language: of the answers to exercises.
     """
-    made = [_code_cell(INSTALL, [])]
+    questions = {name: cell.question for name, cell in results.items() if cell.question}
+    checks = f"\n\n{exercises.notebook_cell(questions, language)}" if questions else ""
+    made = [_code_cell(INSTALL + checks, [])]
+    made[0]["metadata"] = {"jupyter": {"source_hidden": True}}
     if any("slider(" in cell.code for cell in results.values()):
         made.append(_code_cell(SLIDER, []))
     end, waiting = 0, list(results)
@@ -57,9 +64,12 @@ def notebook(markdown: str, results: Mapping[str, Cell], folder: Path, code: Cal
             made += _text(code(found[2]))
         elif found[1] != "slides":
             name = shlex.split(found[2])[0]
-            while name in waiting:
+            while name in waiting and not (found[1] == "ask" and name == waiting[0]):
                 cell = results[waiting.pop(0)]
-                made.append(_code_cell(cell.code, _outputs(cell, folder)))
+                made.append(_code_cell(exercises.shown(cell.code), _outputs(cell, folder)))
+            if found[1] == "ask":
+                made += _text(shlex.split(found[2])[1])
+                made.append(_code_cell(exercises.with_gaps(name, results[name].code), []))
     made += _text(markdown[end:])
     for number, cell in enumerate(made):
         cell["id"] = f"cell-{number}"

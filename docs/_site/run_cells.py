@@ -8,11 +8,12 @@ import io
 import json
 import sys
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 from cells import split
 from matplotlib.figure import Figure
 
@@ -51,7 +52,13 @@ def main(path: Path, target: Path) -> None:
                 draw(value)
                 figures.append((f"{label} {value}", save(target, f"{name}-{len(figures)}")))
 
-        namespace["slider"], printed = slider, io.StringIO()
+        asked: list[dict[str, Any]] = []
+
+        def ask(*arguments: Any, asked: list[dict[str, Any]] = asked, **options: Any) -> None:
+            """Ask the reader for the numbers that this cell has computed, see `question`."""
+            asked.append(question(*arguments, **options))
+
+        namespace["slider"], namespace["ask"], printed = slider, ask, io.StringIO()
         with plt.rc_context(STYLE), contextlib.redirect_stdout(printed):
             try:
                 value = execute(code, f"{path.name}, cell {name}", namespace)
@@ -62,6 +69,7 @@ def main(path: Path, target: Path) -> None:
             if isinstance(value, Figure) and not figures:
                 figures.append(("", save(target, f"{name}-0", value)))
         results[name] = {"name": name, "code": code, "output": printed.getvalue(), "figures": figures}
+        results[name]["question"] = asked[-1] if asked else None
     (target / "cells.json").write_text(json.dumps(results))
 
 
@@ -84,6 +92,27 @@ def save(target: Path, name: str, figure: Figure | None = None) -> str:
         figure.savefig(file, dpi=120)
     plt.close(figure)
     return file.name
+
+
+def question(
+    right: Any, mistakes: Mapping[tuple[str, str], Any] | None = None, *, unit: str = "", within: float = 0.02
+) -> dict[str, Any]:
+    """What a page needs to judge an answer; `exercises.py` writes it into the page.
+
+    Args:
+        right: a number, a vector, which is written as a row, or a matrix.
+        mistakes: sentences in English and Japanese, with the wrong answer that each explains.
+        unit: shown beside the fields; with rad in it, answers in degrees are recognised.
+        within: how far a number may be off, in relation to it, or to a tenth of the largest number where that is more.
+    """
+    rows = np.atleast_2d(np.asarray(right, dtype=float))
+    slack = within * np.maximum(np.abs(rows), 0.1 * np.abs(rows).max()) + 1e-9
+    told = []
+    for text, value in (mistakes or {}).items():
+        wrong = np.broadcast_to(np.atleast_2d(np.asarray(value, dtype=float)), rows.shape)
+        assert (np.abs(wrong - rows) > slack).any(), f"this mistake is right: {text[0]}"
+        told.append({"value": wrong.tolist(), "text": text})
+    return {"right": rows.tolist(), "slack": slack.tolist(), "mistakes": told, "unit": unit}
 
 
 if __name__ == "__main__":

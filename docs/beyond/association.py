@@ -67,3 +67,33 @@ for part in (0.0, 0.1, 0.3):
         f"{part:.0%} clutter: {result.landmarks} landmarks, precision {judged.precision:.2f}, recall {judged.recall:.2f},"
         f" {result.clutter} of {wrong.sum()} called clutter"
     )
+
+# %% nearer
+S_inv = np.linalg.inv(np.diag([0.36, 0.01]))
+right = [nu @ S_inv @ nu for nu in (np.array([0.6, 0.3]), np.array([0.9, 0.1]))]  # gap
+np.testing.assert_allclose(right, [10, 3.25])
+print("squared distances:", np.round(right, 3))
+ask(  # noqa: F821
+    right,
+    {
+        ("These are distances; the squares are asked", "それは距離です。2乗を答えてください"): np.sqrt([10, 3.25]),
+        ("Divide by the variances", "分散で割ってください"): [0.6**2 + 0.3**2, 0.9**2 + 0.1**2],
+        (
+            "0.36 and 0.01 are variances already: do not square them",
+            "0.36と0.01はすでに分散です。2乗しないでください",
+        ): [0.6**2 / 0.36**2 + 0.3**2 / 0.01**2, 0.9**2 / 0.36**2 + 0.1**2 / 0.01**2],
+    },
+)
+
+# %% jointly
+S_hh = np.array([[0.5, 0.4], [0.4, 0.5]])
+right = [nu @ np.linalg.solve(S_hh, nu) for nu in (np.array([0.6, 0.6]), np.array([0.6, -0.6]))]  # gap
+np.testing.assert_allclose(right, [0.8, 7.2])
+print("jointly:", np.round(right, 3))
+ask(  # noqa: F821
+    right,
+    {
+        ("That takes the two residuals as independent", "それは2つの残差が独立な場合です"): [1.44, 1.44],
+        ("The two cases are exchanged", "2つの場合が逆です"): [7.2, 0.8],
+    },
+)

@@ -96,3 +96,31 @@ difference = ends["world"] - ends["body"]
 print("the two ends differ by at most", np.abs(difference[:, :2]).max().round(4), "m")
 for frame, graph in anchored.items():
     print(f"J of the {frame} frame:", {name: round(graph.cost(end), 3) for name, end in ends.items()})
+
+# %% axes_of_landmark
+sight = np.array([2.0, 0.3, np.pi / 2])
+right = landmark_axes(sight)  # gap
+np.testing.assert_allclose(right, [[0, -2, 0], [1, 0, 0], [0, 1, -1]], atol=1e-12)
+print(np.round(right, 3) + 0.0)
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "In the axes of the landmark the line of sight has the direction psi, not phi",
+            "ランドマークの座標系では、視線の方向はφではなくψです",
+        ): [[np.cos(0.3), -2 * np.sin(0.3), 0], [np.sin(0.3), 2 * np.cos(0.3), 0], [0, 1, -1]],
+    },
+)
+
+# %% turned_residual
+e, gamma_1 = np.array([0.3, 0.1, 0.05]), np.pi / 2
+right = turn(gamma_1).T @ e  # gap
+np.testing.assert_allclose(right, [0.1, -0.3, 0.05], atol=1e-12)
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("Turn the other way: D is transposed", "回転が逆です。Dは転置します"): turn(gamma_1) @ e,
+    },
+    unit="m, m, rad",
+)

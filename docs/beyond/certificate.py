@@ -88,3 +88,32 @@ proof = wrong.certificate
 print(f"J {wrong.cost:.2f} against {best.cost:.2f} of the best: {proof.status}")
 print("its lower bound is above the best cost:", proof.lower_bound > best.cost)
 assert not proof.lower_bound > best.cost
+
+# %% edge_by_hand
+z_a, t_a, t_b, d_a = 1j, 1.0, 1.1 + 2j, 1.8  # the heading of pose a is pi/2; a motion edge: rho = 1, d_b = 0
+e_xy = np.conj(z_a) * (t_b - t_a) - d_a
+right = [e_xy.real, e_xy.imag]  # gap
+np.testing.assert_allclose(right, [0.2, -0.1], atol=1e-12)
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("z_a is conjugated: its imaginary part changes the sign", "z_aは複素共役をとります"): [-3.8, 0.1],
+        ("Turn t_b - t_a into the axes of pose a", "t_b − t_aを姿勢aの座標系に回転させてください"): [-1.7, 2.0],
+    },
+    unit="m",
+)
+
+# %% touching
+star, there = 1.0, 2.0
+right = star**2 + 2 * star / np.sin(star) * (np.cos(star) - np.cos(there))  # gap
+assert right <= there**2
+print("bound:", round(right, 4), " square:", there**2)
+ask(  # noqa: F821
+    right,
+    {
+        ("That is u squared; the bound lies below it", "それはu²です。下界はその下にあります"): 4.0,
+        ("The factor is 2 u* / sin u*", "係数は2u* / sin u*です"): 1 + 2 * (np.cos(1) - np.cos(2)),
+        ("The square of u* comes first", "最初の項はu*の2乗です"): right - 1,
+    },
+)

@@ -82,3 +82,31 @@ for logs in (10, 50, 200):
     d = logs * 3 * 62  # degrees of freedom: three for each pose
     low, high = chi2.ppf([0.025, 0.975], d) / d
     print(f"{logs:3} logs: a consistent estimate has a joint ANEES from {low:.3f} to {high:.3f} in 95 % of the studies")
+
+# %% eight
+K = 8
+pair, proper = (K - 1) / 2, (K - 1) / K  # in units of 1 / sigma²
+right = [K - 1, pair / proper, 2 / K]
+np.testing.assert_allclose(right, [7, 4, 0.25])
+print("edges, ratio, factor:", right)
+ask(  # noqa: F821
+    right,
+    {
+        ("A sighting makes no pair with itself", "センサ値は自分自身とは組になりません"): [8, 4, 0.25],
+        ("The ratio is K / 2", "比はK / 2です"): [7, 7, 0.25],
+    },
+)
+
+# %% nees_by_hand
+e, claimed = np.array([0.2, 0.1]), np.diag([0.01, 0.01])
+nees = e @ np.linalg.inv(claimed) @ e
+right = [nees, nees / 2, np.sqrt(nees / 2)]  # gap
+np.testing.assert_allclose(right, [5, 2.5, 1.5811], rtol=1e-4)
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("Standard deviations are the roots of variances", "標準偏差は分散の平方根です"): [5, 2.5, 2.5],
+        ("Divide by the two degrees of freedom", "自由度の2で割ってください"): [5, 5, np.sqrt(5)],
+    },
+)

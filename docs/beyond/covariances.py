@@ -80,3 +80,29 @@ both = solution.covariance(30) + solution.covariance(31)
 right_one = both - C - C.T
 print("std of x_31 - x_30 with the correlation:   ", np.sqrt(np.diag(right_one)).round(4))
 print("std of x_31 - x_30 as if they were independent:", np.sqrt(np.diag(both)).round(4))
+
+# %% two_numbers
+W = np.array([[4.0, 2.0], [2.0, 2.0]])
+right = [np.linalg.inv(W)[0, 0], 1 / W[0, 0]]  # gap
+np.testing.assert_allclose(right, [0.5, 0.25])
+print("marginal:", right[0], " conditional:", right[1])
+ask(  # noqa: F821
+    right,
+    {
+        ("Marginal and conditional are exchanged", "周辺と条件付きが逆です"): [0.25, 0.5],
+    },
+)
+
+# %% distance_apart
+together = np.array([[0.04, 0.03], [0.03, 0.05]])
+right = np.array([-1, 1]) @ together @ np.array([-1, 1])  # gap
+np.testing.assert_allclose(right, 0.03)
+print("variance of the difference:", round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("That takes the two as independent", "それは2つが独立な場合です"): 0.09,
+        ("The covariance has a minus sign for a difference", "差の分散では、共分散の符号は負です"): 0.15,
+    },
+    unit="m²",
+)

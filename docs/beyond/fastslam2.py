@@ -97,3 +97,34 @@ needed = {noise: 100 * ess2 / ess1 for noise, (ess1, ess2) in sizes.items()}
 for noise, count in needed.items():
     print(f"sensor noise {noise} m: 100 particles of 2.0 are worth {count:.0f} of 1.0")
 assert needed[0.02] < 100 < needed[0.5] < needed[0.1]
+
+# %% corrected
+P, H_x, z_measured, h_predicted, noise = 0.64, -1.0, 1.6, 2.0, 0.01
+K = P * H_x / (H_x * P * H_x + noise)
+right = [K * (z_measured - h_predicted), (1 - K * H_x) * P]  # gap
+np.testing.assert_allclose(1 / right[1], 1 / P + 1 / noise)
+np.testing.assert_allclose(right[0], right[1] * (2 - z_measured) / noise)
+print(np.round(right, 5))
+ask(  # noqa: F821
+    right,
+    {
+        ("The proposal takes the sighting into account", "提案分布にはセンサ値を反映させてください"): [0.0, 0.64],
+        (
+            "That is V, the variance of the difference between sighting and prediction",
+            "それはセンサ値と予測の差の分散Vです",
+        ): [right[0], 0.65],
+    },
+)
+
+# %% importance
+likelihood, prior_density, proposal_density = 0.5, 0.2, 0.4
+right = likelihood * prior_density / proposal_density  # gap
+np.testing.assert_allclose(right, 0.25)
+print("weight:", right)
+ask(  # noqa: F821
+    right,
+    {
+        ("Divide by the density q from which the pose was drawn", "姿勢を引いた分布qの密度で割ってください"): 1.0,
+        ("That is the weight of FastSLAM 1.0, which draws from p(x)", "それはp(x)から引くFastSLAM 1.0の重みです"): 0.5,
+    },
+)

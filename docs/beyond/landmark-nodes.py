@@ -83,3 +83,32 @@ reduced_log = log.replace(steps=log.steps[once], landmarks=log.landmarks[once], 
 with_once = solve(Graph.from_log(reduced_log, edges="landmark+motion", sensor=sensor))
 moved = np.abs(with_once.poses - reduced_log.dead_reckoning())[:, :2].max()
 print(f"every landmark seen once: J {with_once.cost:.1e}; the poses move by at most {moved:.1e} m")
+
+# %% by_hand
+p, theta, m, z = np.array([1.0, 1.0]), np.pi / 2, np.array([1.0, 4.0]), np.array([2.8, 0.1])
+right = R(theta).T @ (m - p) - z[0] * np.array([np.cos(z[1]), np.sin(z[1])])  # gap
+np.testing.assert_allclose(right, [3 - 2.8 * np.cos(0.1), -2.8 * np.sin(0.1)], atol=1e-12)
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("Turn m - p into the axes of the robot", "m − pをロボットの座標系に回転させてください"): m
+        - p
+        - 2.8 * np.array([np.cos(0.1), np.sin(0.1)]),
+    },
+    unit="m",
+)
+
+# %% turning
+v = R(theta).T @ (m - p)
+right = np.array([v[1], -v[0]])  # gap
+h = 1e-6
+np.testing.assert_allclose(right, (R(theta + h).T @ (m - p) - R(theta - h).T @ (m - p)) / (2 * h), atol=1e-6)
+print(np.round(right, 4) + 0.0)
+ask(  # noqa: F821
+    right,
+    {
+        ("That is v itself; its derivative is (v_y, -v_x)", "それはv自身です。微分は(v_y, −v_x)です"): v,
+    },
+    unit="m/rad",
+)

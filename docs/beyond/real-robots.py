@@ -87,3 +87,40 @@ for scale in (0.9, 1.0, 1.1):
     costs.append(solution.cost)
     print(f"everything times {scale}: J {solution.cost:8.2f}, ATE {ate(true.true_poses, solution.poses):.3f} m")
 assert costs == sorted(costs)  # the smallest world has the smallest J
+
+# %% worth
+rho, n = 0.8, 90
+ratio = (1 + rho) / (1 - rho)
+right = [n / ratio, np.sqrt(ratio)]  # gap
+np.testing.assert_allclose(right, [10, 3])
+print("independent sightings:", round(right[0], 2), " factor of the standard deviation:", round(right[1], 2))
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "The variance is 9 times as large; the standard deviation is its root",
+            "9倍になるのは分散です。標準偏差はその平方根です",
+        ): [10, 9],
+        ("Divide by (1 + rho) / (1 - rho)", "(1 + ρ) / (1 − ρ)で割ってください"): [90 * 0.2, 3],
+    },
+)
+
+# %% what_remains
+distance, scale_error, noise_std, count = 5.0, 0.04, 0.1, 25
+right = [scale_error * distance, noise_std / np.sqrt(count)]  # gap
+np.testing.assert_allclose(right, [0.2, 0.02])
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("A constant error does not become smaller by averaging", "一定の誤差は、平均しても小さくなりません"): [
+            0.04,
+            0.02,
+        ],
+        (
+            "The standard deviation of a mean falls with the root of the number",
+            "平均の標準偏差は、個数の平方根に反比例します",
+        ): [0.2, 0.004],
+    },
+    unit="m",
+)

@@ -96,3 +96,27 @@ samples = rng.normal(0, 1, (2000, 40))
 plain = np.var([estimate(row) for row in samples])
 for name, kernel in (("Huber", Huber()), ("Cauchy", Cauchy())):
     print(f"{name:7} efficiency {plain / np.var([estimate(row, kernel, 15) for row in samples]):.3f}")
+
+# %% three_weights
+c, r = 2.0, 4.0
+right = [c / r, 1 / (1 + (r / c) ** 2), (c**2 / (c**2 + r**2)) ** 2]  # gap
+rho = [
+    lambda s: c * (s - c / 2),
+    lambda s: c**2 / 2 * np.log(1 + s**2 / c**2),
+    lambda s: c**2 / 2 * s**2 / (c**2 + s**2),
+]
+np.testing.assert_allclose(right, [(f(r + 1e-6) - f(r - 1e-6)) / 2e-6 / r for f in rho], rtol=1e-6)
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("The weight is rho'(r) / r: divide by r", "重みはρ'(r) / rです。rで割ってください"): np.multiply(right, r),
+    },
+)
+
+# %% ten
+c, r = 2.0, 10.0
+right = [2 * c * (r - c / 2), c**2 * np.log(1 + r**2 / c**2), c**2 * r**2 / (c**2 + r**2)]  # gap
+np.testing.assert_allclose(right, [2 * f(r) for f in rho])
+print(np.round(right, 3))
+ask(right, {("That is r squared", "それはrの2乗です"): 3 * [100.0]})  # noqa: F821

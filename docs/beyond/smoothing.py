@@ -156,3 +156,37 @@ for N in (20, 100, 500):
 assert first[20] < 1.1
 assert first[500] < 0.03 * 500
 assert late[500] > 0.15 * 500
+
+# %% who
+particles_t, w, later = np.array([0.0, 1.0]), np.array([0.7, 0.3]), 1.5
+right = w * np.exp(log_normal(later - particles_t, move))
+right = right / right.sum()  # gap
+np.testing.assert_allclose(right[1] / right[0], 0.3 / 0.7 * np.exp(1.125 - 0.125))
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("The motion to the later pose counts, too", "後の姿勢への移動の確率もかけてください"): w,
+        ("The weights of the filter count, too", "フィルタの重みもかけてください"): np.exp(
+            log_normal(later - particles_t, move)
+        )
+        / np.exp(log_normal(later - particles_t, move)).sum(),
+    },
+)
+
+# %% small_graph
+# x_1 ~ N(0, 1), x_2 = x_1 + N(0, 1); measured 1 and 2 with the variance 0.25
+right = np.array([[1 + 1 + 4, -1, 4 * 1], [-1, 1 + 4, 4 * 2]])  # gap
+exact = np.linalg.solve(right[:, :2], right[:, 2])
+print(right, " mean:", exact.round(4))
+np.testing.assert_allclose(right[:, :2], np.linalg.inv([[1, 1], [1, 2]]) + 4 * np.eye(2))
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "The motion belongs to both poses: it adds 1 to both diagonal elements",
+            "移動は両方の姿勢に関係し、どちらの対角成分にも1を足します",
+        ): [[5, -1, 4], [-1, 5, 8]],
+        ("The information is the inverse variance, 4", "情報は分散の逆数の4です"): [[2.25, -1, 0.25], [-1, 1.25, 0.5]],
+    },
+)

@@ -115,3 +115,35 @@ for noise in (0.1, 1.0, 3.0):
     print(
         f"noise of a turn {noise} rad: mean length of z {np.abs(unit).mean():.3f}, error {error(np.angle(unit)):.3f} rad"
     )
+
+# %% tau
+phi_a, psi_a, phi_b, psi_b, theta_a = 0.3, 1.0, -0.2, 0.9, 1.0
+tau = (phi_b - psi_b) - (phi_a - psi_a)
+right = [tau, theta_a - tau]  # gap
+np.testing.assert_allclose(right, [-0.4, 1.4])
+np.testing.assert_allclose(theta_a + phi_a - psi_a, right[1] + phi_b - psi_b)
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("theta_b is theta_a minus tau", "θ_bはθ_a − τです"): [-0.4, 0.6],
+    },
+    unit="rad",
+)
+
+# %% mean_of_angles
+z_mean = (np.exp(3.0j) + np.exp(-2.8j)) / 2
+right = [np.angle(z_mean), np.abs(z_mean)]  # gap
+np.testing.assert_allclose(right, [(3.0 + (2 * np.pi - 2.8)) / 2 - 2 * np.pi, np.cos((2 * np.pi - 5.8) / 2)])
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "The mean of the numbers points the other way: angles wrap",
+            "数の平均では反対の向きになります。角度は一周すると元に戻ります",
+        ): [0.1, right[1]],
+        ("Normalise the angle to [-pi, pi)", "角度を[−π, π)に正規化してください"): [right[0] + 2 * np.pi, right[1]],
+    },
+    unit="rad, 1",
+)

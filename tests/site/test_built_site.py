@@ -58,6 +58,14 @@ FAULTS = """(() => {
     }
     if (/[{]{2} |\\\\\\\\[a-z]+[{]/.test(text.replace(/[`]/g, ""))) faults.push("raw markup is visible");
     return faults; })()"""
+#: exercises whose fields do not accept the right numbers, or that are not visible
+UNANSWERED = """[...document.querySelectorAll("form.ask")].filter((form) => {
+    for (let box = form.closest("details"); box; box = box.parentElement.closest("details")) box.open = true;
+    const right = JSON.parse(form.querySelector("script").textContent).right.flat();
+    form.querySelectorAll("input").forEach((field, k) => { field.value = right[k]; });
+    form.requestSubmit();
+    return !form.checkVisibility() || !form.classList.contains("ask-right");
+}).map((form) => form.innerText)"""
 #: the pages that the search of the site finds for each question, best first
 FOUND = """(async () => {
     const config = JSON.parse(document.getElementById("__config").textContent), worker = new Worker(config.search);
@@ -112,6 +120,8 @@ def test_page(page: str, address: str, browser: Chromium) -> None:
         for scheme in ("light", "dark"):
             browser.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
             assert browser.evaluate(FAULTS) == [], (scheme, width)
+    assert browser.evaluate(UNANSWERED) == []
+    assert browser.evaluate(FAULTS) == [], "with the exercises open"
     if browser.evaluate("document.querySelector('figure.live') !== null"):
         # such a figure loads the engine when it comes into view
         browser.evaluate("document.querySelector('figure.live').scrollIntoView()")

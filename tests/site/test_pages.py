@@ -22,7 +22,7 @@ PAGES = sorted(
 )
 #: pages of which both languages exist, besides those above
 TRANSLATED = [DOCS / f"{name}.md" for name in ("index", "gallery", "films", "sample_log", "command-line", "own_robot")]
-MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure|live) (.+?) \}\}$", re.MULTILINE)
+MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure|ask|live) (.+?) \}\}$", re.MULTILINE)
 
 
 def markers(page: Path) -> list[tuple[str, ...]]:
@@ -92,13 +92,18 @@ def test_both_languages_have_the_same_content(page):
     [page for page in PAGES if page.parent.name in ("graph", "fastslam", "beyond") and page.stem != "index"],
     ids=lambda page: page.stem,
 )
-def test_chapters_have_two_exercises_with_solutions_that_run(page):
+def test_chapters_have_two_exercises_that_answer_with_solutions_that_run(page):
     text = page.read_text()
     exercises = re.split(r"^\?\?\? question ", text, flags=re.MULTILINE)[1:]
     assert len(exercises) >= 2
     for exercise in exercises:
         assert '??? success "' in exercise
         assert re.search(r"\{\{ (cell|output) ", exercise)
+    asked = [arguments for kind, arguments in markers(page) if kind == "ask"]
+    assert len(asked) >= 2
+    source = page.with_suffix(".py").read_text()
+    code = import_module("cells").split(source)
+    assert all(re.search(r"^ask\(", code[name], re.MULTILINE) and "assert" in code[name] for name in asked)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))

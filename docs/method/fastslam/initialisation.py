@@ -60,3 +60,32 @@ for length in (0.5, 2.0, 8.0):
         )
     )
     print(f"{length} m away: {std.max():.3f} m along the line of sight, {std.min():.3f} m across")
+
+# %% place
+pose, z = np.array([1.0, 1.0, np.pi / 2]), np.array([2.0, -np.pi / 2, 0.0])
+right = textbook.initialize_landmark(pose, z, sensor).mean[:2]  # gap
+np.testing.assert_allclose(right, [3, 1], atol=1e-12)
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("Add the heading of the particle to the bearing", "φにパーティクルの向きを足してください"): [1, -1],
+        ("Add the position of the particle", "パーティクルの位置を足してください"): [2, 0],
+    },
+    unit="m",
+)
+
+# %% slanted
+pose, z = np.array([0.0, 0.0, np.pi / 4]), np.array([1.0, 0.0, 0.0])
+right = textbook.initialize_landmark(pose, z, sensor).covariance[:2, :2]  # gap
+np.testing.assert_allclose(right, [[0.01105, 0.00855], [0.00855, 0.01105]], atol=1e-9)
+print(np.round(right, 5))
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "That is the covariance in the axes of the line of sight; turn it by 45 degrees",
+            "それは視線方向を軸とした共分散です。45度回転させてください",
+        ): np.diag([0.0196, 0.0025]),
+    },
+)

@@ -68,3 +68,36 @@ z = sensor.h(pose, landmark)
 after, H = textbook.update_landmark(pose, prior, z, sensor), sensor.H(pose, prior.mean)
 information = np.linalg.inv(prior.covariance) + H.T @ np.linalg.inv(sensor.Q(z)) @ H
 print("equal:", np.allclose(np.linalg.inv(after.covariance), information))
+
+# %% derivative
+x, m = np.zeros(3), np.array([3.0, 4.0])
+right = sensor.H(x, m)  # gap
+np.testing.assert_allclose(right, [[3 / 5, 4 / 5], [-4 / 25, 3 / 25]], atol=1e-12)
+print(np.round(right, 3))
+ask(  # noqa: F821
+    right,
+    {
+        ("The second row is divided by the square of the range", "2行目は距離の2乗で割ります"): [
+            [0.6, 0.8],
+            [-0.8, 0.6],
+        ],
+    },
+)
+
+# %% scalar
+Sigma, H, Q, surprise = 0.04, 1.0, 0.01, 0.5
+K = Sigma * H / (Q + H * Sigma * H)
+right = [K, K * surprise, (1 - K * H) * Sigma]  # gap
+np.testing.assert_allclose(right, [0.8, 0.4, 0.008])
+np.testing.assert_allclose(1 / right[2], 1 / Sigma + 1 / Q)
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "The gain is near 1 where the sensor is more certain than the map",
+            "センサのほうが地図より確かなら、ゲインは1に近くなります",
+        ): [0.2, 0.1, 0.032],
+        ("The covariance becomes (1 - K H) Sigma", "共分散は(1 − KH)Σになります"): [0.8, 0.4, 0.032],
+    },
+)

@@ -65,3 +65,44 @@ z, j = log.sightings[log.steps == 8][0], int(log.landmarks[log.steps == 8][0])
 full = textbook.update_landmark(particles[0].pose, particles[0].map[j], z, sensor)
 again = textbook.update_landmark(short.pose, short.map[j], z, sensor)
 print("the same map without the history:", np.array_equal(full.mean, again.mean))
+
+# %% drawn
+pose, drawn = np.array([0.0, 0.0, np.pi / 2]), np.array([0.35, 0.0])  # the control with its noise
+right = motion.f(pose, drawn, 2.0)  # gap
+np.testing.assert_allclose(right, [0, 0.7, np.pi / 2], atol=1e-9)
+print(np.round(right, 4) + 0.0)
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "The particle moves by the control that was drawn, with its noise",
+            "雑音を加えた制御指令で動かしてください",
+        ): [0, 0.6, np.pi / 2],
+        ("The particle moves in the direction of its heading", "パーティクルは向きの方向に進みます"): [
+            0.7,
+            0,
+            np.pi / 2,
+        ],
+    },
+    unit="m, m, rad",
+)
+
+# %% ahead
+right = [np.sqrt(motion.covariance(np.zeros(3), np.array([0.3, 0.0]), seconds)[0, 0]) for seconds in (3.0, 12.0)]
+np.testing.assert_allclose(right, 0.19 * np.sqrt([0.9, 3.6]), rtol=2e-3)
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "The variance grows in proportion to the distance, not the standard deviation",
+            "距離に比例するのは分散で、標準偏差ではありません",
+        ): [0.19 * 0.9, 0.19 * 3.6],
+        (
+            "Four times the distance makes four times the variance, so twice the standard deviation",
+            "距離が4倍なら分散が4倍、標準偏差は2倍です",
+        ): [right[0], 4 * right[0]],
+        ("These are variances", "それは分散です"): np.square(right),
+    },
+    unit="m",
+)

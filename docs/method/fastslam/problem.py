@@ -47,3 +47,36 @@ for _ in range(400):
 print(
     f"standard deviation of the estimate: landmark sampled {np.std(sampled):.3f}, landmark computed {np.std(exact):.3f}"
 )
+
+# %% size
+N, marks = 100, 8
+one = (
+    3 + 1 + marks * (2 + 3)
+)  # pose, weight, and for each landmark the mean and the three different entries of the covariance
+right = [one, N * one]
+assert right == [44, 4400]
+print("one particle:", right[0], " all:", right[1])
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "A covariance is symmetric: three numbers for each landmark",
+            "共分散行列は対称なので、ランドマークごとに3つの数です",
+        ): [52, 5200],
+        ("The weight is a number, too", "重みも1つの数です"): [43, 4300],
+    },
+)
+
+# %% shared
+distance, heading_std, across_std = 3.0, 0.1, 0.15
+common = (distance * heading_std) ** 2  # both landmarks move by the same turn
+right = common / (common + across_std**2)  # gap
+np.testing.assert_allclose(right, 0.8)
+print("correlation:", round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("That is the correlation if the pose is known", "それは姿勢が既知の場合の相関です"): 0.0,
+        ("Use variances, not standard deviations", "標準偏差ではなく分散を使ってください"): 0.3 / 0.45,
+    },
+)

@@ -41,3 +41,31 @@ z1, z2 = np.array([2.1, 0.12, 0.02]), np.array([1.9, 0.05, -0.01])
 ab = textbook.update_landmark(np.zeros(3), textbook.update_landmark(np.zeros(3), start, z1, sensor), z2, sensor)
 ba = textbook.update_landmark(np.zeros(3), textbook.update_landmark(np.zeros(3), start, z2, sensor), z1, sensor)
 print("means:", np.round(ab.mean, 3), np.round(ba.mean, 3))
+
+# %% two_places
+prior, likelihood = np.array([0.6, 0.4]), np.array([0.2, 0.5])
+right = prior * likelihood / (prior @ likelihood)  # gap
+np.testing.assert_allclose(right, [0.375, 0.625])
+print(right)
+ask(  # noqa: F821
+    right,
+    {("Normalise: the two probabilities have the sum 1", "和が1になるように正規化してください"): prior * likelihood},
+)
+
+# %% gaussians
+mean, variance, measured, noise = 4.0, 0.09, 4.6, 0.18
+right = [(mean / variance + measured / noise) / (1 / variance + 1 / noise), 1 / (1 / variance + 1 / noise)]  # gap
+np.testing.assert_allclose(right, [4.2, 0.06])
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "The weights are exchanged: the smaller variance counts more",
+            "重みが逆です。分散が小さいほうの重みを大きくしてください",
+        ): [4.4, 0.06],
+        ("That is the plain mean", "それは単純な平均です"): [4.3, 0.06],
+        ("That is the standard deviation", "それは標準偏差です"): [4.2, np.sqrt(0.06)],
+        ("The informations add, not the variances", "足すのは分散ではなく、その逆数です"): [4.2, 0.27],
+    },
+)

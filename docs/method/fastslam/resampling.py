@@ -59,3 +59,37 @@ for count in (10, 100, 1000, 10_000):
     print(f"{count:6} particles: trajectory error {medians[count]:.3f} m (median of five runs)")
 assert medians[1000] < 0.75 * medians[100]
 assert medians[10_000] > 0.9 * medians[1000]
+
+# %% copies_of_four
+sums = np.cumsum([0.5, 0.3, 0.15, 0.05])
+positions = 0.1 + 0.25 * np.arange(4)
+right = np.bincount(np.searchsorted(sums, positions), minlength=4)  # gap
+assert right.tolist() == [2, 1, 1, 0]
+print("positions", positions.round(2), " copies", right)
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "These are the mean numbers of copies; with this offset the numbers are whole",
+            "それは平均の個数です。オフセットが決まれば整数になります",
+        ): [2, 1.2, 0.6, 0.2],
+    },
+    within=0.001,
+)
+
+# %% effective
+w = np.array([0.4, 0.4, 0.1, 0.1])
+right = 1 / np.sum(w**2)  # gap
+np.testing.assert_allclose(
+    right, textbook.effective_sample_size([textbook.Particle([np.zeros(3)], float(np.log(v)), {}) for v in w])
+)
+print("effective sample size:", round(right, 3))
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "That is the number of particles; their weights differ",
+            "それはパーティクルの数です。重みは等しくありません",
+        ): 4
+    },
+)

@@ -54,3 +54,35 @@ assert weights[0] > weights[1]
 # %% logarithms
 # 400 sightings with a density of 0.1 each
 print("product:", 0.1**400, " sum of logarithms:", round(400 * np.log(0.1), 1))
+
+# %% density
+V = 0.05 + 0.04
+right = [V, np.exp(-0.5 * 0.3**2 / V) / np.sqrt(2 * np.pi * V)]  # gap
+np.testing.assert_allclose(right[1], np.exp(textbook.log_density(np.array([0.3]), np.array([[V]]))))
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "The factor before the exponential is missing: 1 / sqrt(2 pi V)",
+            "指数関数の前の係数1 / √(2πV)がありません",
+        ): [0.09, np.exp(-0.5)],
+        ("V has the uncertainty of the map as well", "Vには地図の不確かさも含まれます"): [
+            0.04,
+            np.exp(-0.5 * 0.09 / 0.04) / np.sqrt(2 * np.pi * 0.04),
+        ],
+    },
+)
+
+# %% normalised
+before, factors = np.array([0.25, 0.75]), np.array([0.8, 0.2])
+right = before * factors / (before @ factors)  # gap
+np.testing.assert_allclose(right, [4 / 7, 3 / 7])
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("Normalise: the weights have the sum 1", "和が1になるように正規化してください"): before * factors,
+        ("Multiply by the weights from before", "これまでの重みをかけてください"): [0.8, 0.2],
+    },
+)

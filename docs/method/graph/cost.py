@@ -67,3 +67,32 @@ for motion_weight in (0.01, 1.0, 100.0):
     errors.append(ate(log.true_poses, poses))
     print(f"lambda = {motion_weight:6g}: absolute trajectory error {errors[-1]:.3f} m")
 assert errors[2] < errors[1] < errors[0]
+
+# %% squared
+e, covariance = np.array([0.3, 0.1]), np.diag([0.3**2, 0.1**2])
+right = e @ np.linalg.inv(covariance) @ e  # gap
+np.testing.assert_allclose(right, 2)
+print("squared Mahalanobis distance:", round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("That is the distance; the square is asked", "それは距離です。2乗を答えてください"): np.sqrt(2),
+        ("That is e'e, without the information matrix", "それは精度行列のないe'eです"): 0.1,
+        ("The information matrix is the inverse of the covariance", "精度行列は共分散行列の逆行列です"): 0.0082,
+    },
+)
+
+# %% times
+right = np.exp((7 - 3) / 2)
+np.testing.assert_allclose(right, np.exp(-3 / 2) / np.exp(-7 / 2))
+print("times as probable:", round(right, 3))
+ask(  # noqa: F821
+    right,
+    {
+        ("The exponent of a Gaussian is -J/2", "ガウス分布の指数部は −J/2 です"): np.exp(4),
+        (
+            "The trajectory with the smaller J is the more probable one",
+            "Jが小さい軌跡のほうが確からしくなります",
+        ): np.exp(-2),
+    },
+)

@@ -70,3 +70,48 @@ z1, z2 = np.array([2.0, 0.0, 0.0]), np.array([1.1, -np.pi / 2, 0.0])
 for angle in (0.0, 1.0):
     e, Omega, *_ = textbook.virtual_motion_edge(rotated(x1, angle), z1, rotated(x2, angle), z2, SensorModel())
     print("residual", np.round(e, 3), " cost", round(float(e @ Omega @ e), 6))
+
+# %% arc
+x, nu, omega, duration = np.array([1.0, 2.0, np.pi / 2]), 1.0, -np.pi / 2, 1.0
+theta = x[2] + omega * duration
+right = [
+    x[0] + nu / omega * (np.sin(theta) - np.sin(x[2])),
+    x[1] + nu / omega * (np.cos(x[2]) - np.cos(theta)),
+    theta,
+]  # gap
+np.testing.assert_allclose(right, MotionModel().f(x, np.array([nu, omega]), duration), atol=1e-9)
+print(np.round(right, 3))
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "That is the end of a straight line; with a turn rate the robot drives an arc",
+            "それは直進した場合です。角速度があるので円弧を描きます",
+        ): [1, 3, 0],
+        ("The turn rate is negative: the robot turns to the right", "角速度が負なので、右に曲がります"): [
+            1 - 2 / np.pi,
+            2 + 2 / np.pi,
+            np.pi,
+        ],
+    },
+    unit="m, m, rad",
+)
+
+# %% pencil
+x_a, z_a = np.array([0.0, 0.0, 0.0]), np.array([2.0, np.pi / 2, 0.0])
+x_b, z_b = np.array([1.0, 2.0, np.pi]), np.array([1.1, 0.0, np.pi / 2 + 0.1])
+right = textbook.inverse_observation(x_b, z_b) - textbook.inverse_observation(x_a, z_a)  # gap
+np.testing.assert_allclose(right, [-0.1, 0, -0.1], atol=1e-12)
+np.testing.assert_allclose(right, textbook.virtual_motion_edge(x_a, z_a, x_b, z_b, SensorModel())[0], atol=1e-12)
+print(np.round(right, 4) + 0.0)
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "The residual is the place from the second pose minus that from the first",
+            "残差は、2番目の姿勢から見た位置から1番目のものを引きます",
+        ): -right,
+        ("The heading of the landmark is theta + phi - psi", "ランドマークの向きはθ + φ − ψです"): [-0.1, 0, np.pi / 2],
+    },
+    unit="m, m, rad",
+)

@@ -75,3 +75,48 @@ R1, R2 = textbook.sighting_derivative(x1, z1), textbook.sighting_derivative(x2, 
 Q1, Q2 = textbook.sighting_covariance(z1, sensor), textbook.sighting_covariance(z2, sensor)
 slide = R1 @ Q1 @ R1.T + R1 @ Q2 @ R1.T  # as printed
 print("variance of y, as printed:", round(slide[1, 1], 3), " right:", round((C1 + C2)[1, 1], 3))
+
+# %% left
+x, z = np.zeros(3), np.array([2.0, np.pi / 2, 0.0])
+right = covariance(x, z)[:2, :2]  # gap
+np.testing.assert_allclose(right, np.diag([(2 * 0.05) ** 2, (2 * 0.14) ** 2]), atol=1e-12)
+print(np.round(right, 4) + 0.0)
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "The line of sight points along y: the error of the range acts along y",
+            "ランドマークはy軸の方向にあるので、距離の誤差はy方向に現れます",
+        ): right[::-1, ::-1],
+        ("These are standard deviations; variances are asked", "それは標準偏差です。分散を答えてください"): np.sqrt(
+            right
+        ),
+        ("That is Q; multiply it by R from both sides", "それはQです。両側からRをかけてください"): np.diag(
+            [0.28**2, 0.05**2]
+        ),
+    },
+)
+
+# %% inverted
+C_a = np.diag([(2 * 0.05) ** 2, (2 * 0.14) ** 2])  # the sighting of the exercise before
+C_b = np.diag([0.14**2, 0.05**2])  # the other one: 1 m away, along x
+right = np.diag(np.linalg.inv(C_a + C_b))  # gap
+np.testing.assert_allclose(right, [1 / (0.01 + 0.0196), 1 / (0.0784 + 0.0025)])
+misprint = [1 / (2 * 0.1**2), 1 / (0.28**2 + 0.14**2)]  # R_1 Q_1 R_1' + R_1 Q_2 R_1'
+print(np.round(right, 2))
+ask(  # noqa: F821
+    right,
+    {
+        ("These are the covariances: invert their sum", "それは共分散の和です。逆行列を求めてください"): np.diag(
+            C_a + C_b
+        ),
+        (
+            "That has R_1 in both terms, as the slide prints it",
+            "両方の項がR_1になっています（スライドの誤植）",
+        ): misprint,
+        (
+            "Add the covariances first, and then invert the sum",
+            "先に共分散を足してから、逆行列を求めてください",
+        ): np.diag(np.linalg.inv(C_a) + np.linalg.inv(C_b)),
+    },
+)

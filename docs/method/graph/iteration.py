@@ -64,3 +64,44 @@ from graphslam import Graph, solve
 for frame in ("world", "body"):
     fast = solve(Graph.from_log(log, edges="virtual+motion", kernel="none", frame=frame), initialize="given")
     print(f"{frame}: {fast.iterations} iterations, last step {fast.step_norms[-1]:.1e}, converged: {fast.converged}")
+
+# %% newton
+theta, steps = 0.0, []
+for _ in range(2):  # e = sin(theta) - 0.5, B = cos(theta)
+    e, B = np.sin(theta) - 0.5, np.cos(theta)
+    steps.append(-e / B)  # Omega = B B, xi = - B e
+    theta += steps[-1]
+right = np.array(steps)
+np.testing.assert_allclose(theta, np.pi / 6, atol=2e-4)
+print("steps:", np.round(right, 4), " heading:", round(theta, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("The second step begins where the first one ends, at 0.5", "2回目は、1回目の結果である0.5から始まります"): [
+            0.5,
+            0.5,
+        ],
+        ("Divide by the derivative at 0.5, which is cos 0.5", "0.5での微分係数cos 0.5で割ってください"): [
+            0.5,
+            -(np.sin(0.5) - 0.5),
+        ],
+    },
+    unit="rad",
+)
+
+# %% halves
+norm, right = 1.0, 1
+while norm >= 1e-3:
+    norm, right = norm / 2, right + 1
+assert right == 11
+print("step", right, "has the norm", norm)
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "The first step has the norm 1, so step k has the norm 2^(1-k)",
+            "1回目のノルムが1なので、k回目のノルムは2^(1-k)です",
+        ): 10
+    },
+    within=0.001,
+)

@@ -59,3 +59,36 @@ for turn in (0.01, 0.1, 1.0):
     print(f"turn {turn:4g} rad: error of the linear formula {wrong[-1]:.4f} m")
 assert 80 < wrong[1] / wrong[0] < 120
 assert 80 < wrong[2] / wrong[1] < 120
+
+# %% lever
+x, z = np.array([1.0, 2.0, np.pi / 6]), np.array([2.0, np.pi / 3, 0.0])
+right = np.array([[1, 0, -z[0] * np.sin(x[2] + z[1])], [0, 1, z[0] * np.cos(x[2] + z[1])], [0, 0, 1]])  # gap
+np.testing.assert_allclose(right, textbook.pose_derivative(x, z), atol=1e-12)
+print(np.round(right, 3) + 0.0)
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "That is R, the derivative by the sensor values; B_2 is the derivative by the pose",
+            "それはセンサ値による微分Rです。B_2は姿勢による微分です",
+        ): textbook.sighting_derivative(x, z),
+        ("The direction is theta + phi, not phi alone", "方向はφではなくθ + φです"): [
+            [1, 0, -2 * np.sin(np.pi / 3)],
+            [0, 1, 2 * np.cos(np.pi / 3)],
+            [0, 0, 1],
+        ],
+    },
+)
+
+# %% predicted
+Delta = np.array([0.05, 0.0, 0.1])
+right = textbook.pose_derivative(x, z) @ Delta  # gap
+np.testing.assert_allclose(right, [0.05 - 2 * 0.1, 0, 0.1], atol=1e-12)
+print(np.round(right, 4) + 0.0)
+ask(  # noqa: F821
+    right,
+    {
+        ("The turn moves the landmark, too", "回転によってもランドマークは動きます"): Delta,
+    },
+    unit="m, m, rad",
+)

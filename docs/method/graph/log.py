@@ -77,3 +77,41 @@ for steps in (20, 40, 80):
     short = simulate(seed=1, steps=steps)
     count = sum(np.sum(short.landmarks == j) * (np.sum(short.landmarks == j) - 1) // 2 for j in short.landmark_ids)
     print(f"{steps} steps: {len(short.sightings)} sightings, {count} edges")
+
+# %% sighted
+from graphslam import SensorModel
+
+pose, tag = np.array([1.0, 1.0, np.pi / 2]), np.array([3.0, 3.0, 0.0])
+direction = np.arctan2(tag[1] - pose[1], tag[0] - pose[0])
+right = [np.hypot(*(tag - pose)[:2]), direction - pose[2], direction - tag[2]]  # gap
+np.testing.assert_allclose(right, SensorModel().h(pose, tag), atol=1e-12)
+np.testing.assert_allclose(right, [np.sqrt(8), -np.pi / 4, np.pi / 4])
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("The bearing is relative to the heading of the robot", "φはロボットの向きを基準にした角度です"): [
+            np.sqrt(8),
+            np.pi / 4,
+            np.pi / 4,
+        ],
+        ("psi is theta + phi - m_theta", "ψはθ + φ − m_θです"): [np.sqrt(8), -np.pi / 4, -np.pi / 4],
+    },
+    unit="m, rad, rad",
+)
+
+# %% twelve
+K = 12
+right = [K * (K - 1) / 2, K - 1]
+assert right == [len(list(combinations(range(K), 2))), sum(0 in pair for pair in combinations(range(K), 2))]
+print("edges:", right[0], " with one sighting:", right[1])
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "Each pair makes one edge, whatever the order of its sightings",
+            "順序を入れ替えても同じ組なので、エッジは1本です",
+        ): [132, 11],
+        ("A sighting makes no pair with itself", "センサ値は自分自身とは組になりません"): [78, 12],
+    },
+)

@@ -85,3 +85,49 @@ print(
     " smaller than at 1000 places around it:",
     all(cost(best + d) > cost(best) for d in rng.normal(0, 0.1, (1000, 2))),
 )
+
+# %% two
+places, stds = np.array([2.0, 2.6]), np.array([0.1, 0.2])
+Omega = 1 / stds**2
+right = [Omega @ places / Omega.sum(), np.sqrt(1 / Omega.sum())]  # gap
+np.testing.assert_allclose(right, [(100 * 2 + 25 * 2.6) / 125, 1 / np.sqrt(125)])
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "That is the plain mean; the finer sighting counts more",
+            "それは単純な平均です。精度の高いセンサ値の重みを大きくしてください",
+        ): [2.3, right[1]],
+        (
+            "The weights are the inverse variances, not the inverse standard deviations",
+            "重みは標準偏差ではなく分散の逆数です",
+        ): [2.2, right[1]],
+        ("The weights are exchanged", "重みが逆です"): [2.48, right[1]],
+        ("The mean of both is more certain than either", "2つを合わせると、どちらの値よりも確かになります"): [
+            right[0],
+            0.1,
+        ],
+        ("That is the variance", "それは分散です"): [right[0], 1 / 125],
+    },
+    unit="m",
+)
+
+# %% crossed
+places = np.array([[2.0, 0.0], [2.2, 0.1]])
+# both from 2 m; the first line of sight points along x, the second along y
+Omegas = [np.diag([1 / 0.28**2, 1 / 0.1**2]), np.diag([1 / 0.1**2, 1 / 0.28**2])]
+right = np.linalg.solve(sum(Omegas), sum(W @ y for W, y in zip(Omegas, places)))  # gap
+np.testing.assert_allclose(right[0], (2 / 0.0784 + 2.2 / 0.01) / (1 / 0.0784 + 1 / 0.01))
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("That is the mean without weights", "それは重みのない平均です"): places.mean(axis=0),
+        (
+            "A sighting is precise across its line of sight, not along it",
+            "センサ値が正確なのは視線の方向ではなく、それと垂直な方向です",
+        ): np.linalg.solve(sum(Omegas), sum(W @ y for W, y in zip(Omegas[::-1], places))),
+    },
+    unit="m",
+)

@@ -85,3 +85,41 @@ assert abs(errors[1e-4] - errors[1e-6]) < 0.005 < errors[1e-2] - errors[1e-4]
 # %% without
 e, Omega, B1, B2 = textbook.motion_edge(x1, motion.f(x1, u, dt), u, dt, MotionModel(epsilon=1e-12))
 print("largest and smallest eigenvalue of Omega:", [float(f"{v:.3g}") for v in np.linalg.eigvalsh(Omega)[[-1, 0]]])
+
+# %% variances
+nu, omega, seconds = 0.5, 0.2, 2.0
+right = np.diag(motion.M(np.array([nu, omega]), seconds))  # gap
+np.testing.assert_allclose(
+    right, [(0.19**2 * nu + 0.001**2 * omega) / seconds, (0.13**2 * nu + 0.2**2 * omega) / seconds]
+)
+print(np.round(right, 6))
+ask(  # noqa: F821
+    right,
+    {
+        ("Divide by the duration of the motion", "移動時間で割ってください"): right * seconds,
+        ("Divide by the duration; do not multiply by it", "移動時間をかけるのではなく、移動時間で割ってください"): right
+        * seconds**2,
+        ("Square the sigmas", "σを2乗してください"): [
+            (0.19 * nu + 0.001 * omega) / seconds,
+            (0.13 * nu + 0.2 * omega) / seconds,
+        ],
+    },
+)
+
+# %% metres
+u = np.array([0.5, 0.0])
+once = 8.0 * np.sqrt(
+    motion.M(u, 8.0)[0, 0]
+)  # the standard deviation of the distance: that of the speed, times the duration
+right = [once, np.sqrt(4 * (2.0**2 * motion.M(u, 2.0)[0, 0]))]
+np.testing.assert_allclose(right, 2 * [0.19 * np.sqrt(4)])
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        ("Variances add, standard deviations do not", "足せるのは分散で、標準偏差ではありません"): [0.19 * 4, 0.19 * 4],
+        ("That is the standard deviation of one metre", "それは1 m分の標準偏差です"): [0.19, 0.19],
+        ("These are variances", "それは分散です"): [0.1444, 0.1444],
+    },
+    unit="m",
+)

@@ -38,3 +38,37 @@ three = load("examples/three_poses.txt")
 print("controls (nu, omega):", np.round(three.controls, 4).tolist())
 for t, (length, bearing, psi) in zip(three.steps, three.sightings):
     print(f"from pose {t}: range {length:.2f} m, bearing {bearing:.4f} rad, psi {psi:.4f} rad")
+
+# %% unknowns
+poses, landmarks = 5, 3  # the poses after the first; a landmark has three numbers, as a pose
+right = [3 * (poses + landmarks), 3 * poses]
+assert right == [24, 15]
+print("with the map:", right[0], " trajectory alone:", right[1])
+ask(  # noqa: F821
+    right,
+    {
+        ("The first pose is known", "最初の姿勢は既知です"): [27, 18],
+        (
+            "A landmark has a heading here, so it has three numbers",
+            "ここではランドマークにも向きがあるので、3つの数です",
+        ): [21, 15],
+    },
+)
+
+# %% straight
+x = np.array([1.0, 2.0, np.pi / 2])
+length = 0.5 * 4.0  # speed times time
+right = x + [length * np.cos(x[2]), length * np.sin(x[2]), 0.0]  # gap
+np.testing.assert_allclose(right, [1, 4, np.pi / 2])
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "The robot drives in the direction of its heading: pi/2 is the y axis",
+            "ロボットは向きの方向に進みます。π/2はy軸の方向です",
+        ): [3, 2, np.pi / 2],
+        ("The distance is speed times time", "距離は速度×時間です"): [1, 2.5, np.pi / 2],
+    },
+    unit="m, m, rad",
+)

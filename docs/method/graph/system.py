@@ -87,3 +87,37 @@ print("by change' Omega change:", np.isclose(other - best, change @ Omega @ chan
 # %% eigenvalues
 print("without the anchor:", np.round(np.linalg.eigvalsh(Omega - np.diag([1e6] * 3 + [0] * 6))[:4], 6))
 print("with the anchor:   ", np.round(np.linalg.eigvalsh(Omega)[:4], 1))
+
+# %% line
+# x_0 = 0 is known; e = x_1 - 1 with the information 4, and e = x_1 - 1.3 with the information 1; x_1 is 0 at first
+Omega_x, xi_x = 4 + 1, 4 * 1 + 1 * 1.3
+right = [Omega_x, xi_x, xi_x / Omega_x]  # gap
+np.testing.assert_allclose(right[2], np.average([1, 1.3], weights=[4, 1]))
+print(np.round(right, 4))
+ask(  # noqa: F821
+    right,
+    {
+        (
+            "xi has a minus sign: xi is - sum B' Omega_e e, and e is negative here",
+            "ξ = −ΣB'Ω_e e です。ここではeが負なので、ξは正になります",
+        ): [5, -5.3, -1.06],
+        ("Each edge counts with its information", "エッジごとの情報で重みをつけてください"): [2, 2.3, 1.15],
+    },
+)
+
+# %% block
+B_0, B_1, information, e_01 = -1.0, 1.0, 4.0, 0.5
+B = np.array([[B_0, B_1]])
+right = np.column_stack([B.T * information @ B, -B.T[:, 0] * information * e_01])  # gap
+np.testing.assert_allclose(right, [[4, -4, 2], [-4, 4, -2]])
+print(right)
+ask(  # noqa: F821
+    right,
+    {
+        ("xi has a minus sign", "ξには負の符号がつきます"): right * [1, 1, -1],
+        (
+            "B_1 and B_2 have opposite signs, so the blocks beside the diagonal are negative",
+            "B_1とB_2は符号が逆なので、非対角の成分は負になります",
+        ): [[4, 4, 2], [4, 4, -2]],
+    },
+)

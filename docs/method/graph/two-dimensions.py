@@ -70,3 +70,41 @@ assert odometry[100] < odometry[10] < odometry[1]
 # %% rank
 # the information of one edge about pose 2, with pose 1 fixed: rank 2 of 3
 print("rank:", np.linalg.matrix_rank(B2.T @ Omega @ B2))
+
+# %% rows_of_four
+K = 4
+right = [2 * K * (K - 1) // 2, 2 * (K - 1), 3 * (K - 1)]
+rows = []
+for a in range(K):
+    for b in range(a + 1, K):
+        for k in range(2):  # e_ab = y_b - y_a, where y are the places from the poses
+            rows.append([0.0] * 2 * K)
+            rows[-1][2 * b + k], rows[-1][2 * a + k] = 1.0, -1.0
+assert right == [len(rows), np.linalg.matrix_rank(rows), 9] == [12, 6, 9]
+print("rows, independent rows, unknowns:", right)
+ask(  # noqa: F821
+    right,
+    {
+        ("Each edge has two rows without psi", "ψがないので、エッジの残差は2行です"): [18, 9, 9],
+        (
+            "e_02 is e_01 + e_12: not all rows are independent",
+            "e_02 = e_01 + e_12なので、すべての行が独立ではありません",
+        ): [12, 12, 9],
+        ("The first pose is fixed", "最初の姿勢は固定されています"): [12, 6, 12],
+    },
+)
+
+# %% flat
+x, z = np.array([1.0, 1.0, 0.0]), np.array([2.0, np.pi / 2])
+right = textbook.pose_derivative(x, z)[:2]  # gap
+np.testing.assert_allclose(right, [[1, 0, -2], [0, 1, 0]], atol=1e-12)
+print(np.round(right, 3) + 0.0)
+ask(  # noqa: F821
+    right,
+    {
+        ("The direction is theta + phi = pi/2: its sine is 1", "方向はθ + φ = π/2で、その正弦は1です"): [
+            [1, 0, 0],
+            [0, 1, 2],
+        ],
+    },
+)
